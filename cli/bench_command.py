@@ -26,7 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("bench", help=", ".join(BENCHES))
     add("--problems", type=positive_int, default=20, metavar="N", help="problems, or scenes (20)")
-    add("--states", type=positive_int, default=4000, metavar="N", help="collision: states of each kind (4000)")
+    add(
+        "--states",
+        type=positive_int,
+        default=4000,
+        metavar="N",
+        help="collision: states of each kind (4000)",
+    )
     add("--model", metavar="DIR", help="transformer, sequences: the weights (the shipped VQ-MPT)")
     add("--json", type=Path, metavar="F", help="write the figures as json too")
 

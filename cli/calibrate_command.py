@@ -18,7 +18,8 @@ from cvqmpt_lab.sensing.scan import Arm
 
 EXAMPLES = (
     "cvqmpt calibrate scan.pcd --guess rough.json --arm-at 0,-0.8,0,-2.4,0,1.6,0.8 --out cam.json",
-    "cvqmpt calibrate depth.png --intrinsics lens.yaml --guess rough.json --arm-at 0,-0.8,0,-2.4,0,1.6,0.8",
+    "cvqmpt calibrate depth.png --intrinsics lens.yaml --guess rough.json --arm-at "
+    "0,-0.8,0,-2.4,0,1.6,0.8",
 )
 
 
@@ -29,7 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--intrinsics", type=Path, metavar="LENS.json|yaml", help="of a depth image")
     guess = "T_world_camera, at most about 10 cm and 10 deg wrong: x right, y down, z ahead"
     add("--guess", type=Path, required=True, metavar="CAM.json|yaml", help=guess)
-    add("--arm-at", required=True, metavar="Q1,...,QN", help="the arm's configuration meanwhile [rad or m]")
+    add(
+        "--arm-at",
+        required=True,
+        metavar="Q1,...,QN",
+        help="the arm's configuration meanwhile [rad or m]",
+    )
     add("--out", type=Path, metavar="CAM.json", help="write T_world_camera, if it is trusted")
     add("--seed", type=int, default=0, help="seed of all randomness (0)")
     add_robot(parser, "the robot in the picture (panda)")
@@ -45,8 +51,10 @@ def run(args: argparse.Namespace) -> int:
     points = read_capture(args.file, args.intrinsics).points
     found = calibrate(points, read_extrinsics(args.guess), arm, np.random.default_rng(args.seed))
     print(
-        f"{found.moved_metres * 1e3:.0f} mm and {found.moved_degrees:.1f} deg from the guess; points on the arm lie "
-        f"{1e3 * found.residual:.1f} mm from its surface, {100 * found.confirmed:.0f} % of what is in view of it is "
+        f"{found.moved_metres * 1e3:.0f} mm and {found.moved_degrees:.1f} deg from the guess; "
+        f"points on the arm lie "
+        f"{1e3 * found.residual:.1f} mm from its surface, {100 * found.confirmed:.0f} % of what "
+        f"is in view of it is "
         f"where it should be, its position is known to {1e3 * found.deviation:.1f} mm"
     )
     for doubt in found.doubts:

@@ -1,4 +1,6 @@
-"""The record of a certificate: verdict, what was compared, tolerances, digests; and what differs between two."""
+"""The record of a certificate: verdict, what was compared, tolerances, digests;
+and what differs between two.
+"""
 
 import hashlib
 import json
@@ -33,7 +35,9 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
         **_verdict(found),
         "apart_m": found.apart,
         "curve": found.curve,
-        **finite({name: value for name, value in vars(found.certificate).items() if name != "faults"}),
+        **finite(
+            {name: value for name, value in vars(found.certificate).items() if name != "faults"}
+        ),
         "tolerances": {
             "constraint": TOLERANCE,
             "step_rad": LARGEST_STEP,
@@ -54,9 +58,13 @@ def differences(now: dict[str, Any], path: Path) -> dict[str, list[Any]]:
     earlier = read_json_object(path, "certificate")
     for name, what in DIGESTS.items():
         if name not in earlier:
-            raise InvalidInputError(f"certificate {path} has no {name}: give what `cvqmpt certify --json` printed")
+            raise InvalidInputError(
+                f"certificate {path} has no {name}: give what `cvqmpt certify --json` printed"
+            )
         if earlier[name] != now[name]:
-            raise InvalidInputError(f"certificate {path} is of {what}: only two of one motion can be compared")
+            raise InvalidInputError(
+                f"certificate {path} is of {what}: only two of one motion can be compared"
+            )
     old, new = _flat(earlier), _flat(now)
     return {
         name: [old.get(name), new.get(name)]
@@ -72,11 +80,15 @@ def compared_lines(contents: dict[str, Any]) -> list[str]:
     reasons = Counter(pair["reason"] for pair in it["left_out"])
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
     return [
-        f"compared    {it['moving_pieces']} moving and {it['carried_pieces']} carried pieces: {it['own_pairs']} pairs "
-        f"with each other, all with the {it['obstacle_pieces']} pieces of {near} obstacles in reach, of "
+        f"compared    {it['moving_pieces']} moving and {it['carried_pieces']} carried pieces: "
+        f"{it['own_pairs']} pairs "
+        f"with each other, all with the {it['obstacle_pieces']} pieces of {near} obstacles in "
+        f"reach, of "
         f"{it['obstacles']}",
-        f"left out    {it['standing_pieces']} standing pieces against obstacles; of pairs of links: {left or 'none'}",
-        f"tolerances  constraint {used['constraint']:g} rad or m, step {used['step_rad']:g} rad, ends "
+        f"left out    {it['standing_pieces']} standing pieces against obstacles; of pairs of "
+        f"links: {left or 'none'}",
+        f"tolerances  constraint {used['constraint']:g} rad or m, step {used['step_rad']:g} rad, "
+        f"ends "
         f"{used['ends_rad']:g} rad, margin {1e3 * used['margin_m']:.2g} mm, "
         f"clearance from obstacles {1e3 * used['clearance_m']:g} mm",
         f"record      version {contents['version']}, problem {contents['problem_sha256'][:12]}, "
@@ -91,7 +103,9 @@ def _verdict(found: DryRun) -> dict[str, Any]:
         time = None
         if found.times is not None and fault.at is not None:
             time = float(np.interp(fault.at, np.arange(len(found.times)), found.times))
-        faults.append({"kind": str(fault.kind), "text": fault.text, "state": fault.at, "time_s": time})
+        faults.append(
+            {"kind": str(fault.kind), "text": fault.text, "state": fault.at, "time_s": time}
+        )
     certificate = found.certificate
     return {"valid": certificate.valid, "verdict": str(certificate.verdict), "faults": faults}
 
@@ -125,7 +139,9 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
 
 
 def _problem_digest(problem: PlanningProblem) -> str:
-    """Of the problem's json, from which fields with their default value are left out, and of the robot's kinematics."""
+    """Of the problem's json, from which fields with their default value are left out, and of the
+    robot's kinematics.
+    """
     text = json.dumps(problem.to_dict(), sort_keys=True) + problem.robot.kinematics_digest
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -134,7 +150,9 @@ def _motion_digest(motion: Motion) -> str:
     digest = hashlib.sha256()
     for values in (motion.positions, motion.times, motion.velocities, motion.accelerations):
         if values is not None:
-            digest.update(f"{values.shape}".encode() + np.ascontiguousarray(values, dtype="<f8").tobytes())
+            digest.update(
+                f"{values.shape}".encode() + np.ascontiguousarray(values, dtype="<f8").tobytes()
+            )
     return digest.hexdigest()
 
 

@@ -34,10 +34,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_problem(parser)
     folder = "with the directory of a run of problem files: their folder"
     add("--problems-dir", type=Path, metavar="DIR", help=folder)
-    add("--current", metavar="Q", help="where the arm stands now, in quotes [rad]: the motion begins there")
+    add(
+        "--current",
+        metavar="Q",
+        help="where the arm stands now, in quotes [rad]: the motion begins there",
+    )
     start = "how far from there it may begin (0.01)"
     add("--tolerance", type=positive, default=0.01, metavar="RAD", help=start)
-    add("--json", action="store_true", help="print one json object instead, with all that was compared")
+    add(
+        "--json",
+        action="store_true",
+        help="print one json object instead, with all that was compared",
+    )
     earlier = "what --json printed of the same motion earlier, by another version: say what differs"
     add("--against", type=Path, metavar="EARLIER.json", help=earlier)
 
@@ -47,14 +55,20 @@ def run(args: argparse.Namespace) -> int:
     if args.path.is_dir():
         ours = args.suite, args.problem_file, args.current, args.against, args.clearance
         if any(given is not None for given in ours) or robot_source(args):
-            raise InvalidInputError("the rows of a run name their problems and robots; give the directory alone")
+            raise InvalidInputError(
+                "the rows of a run name their problems and robots; give the directory alone"
+            )
         return _certify_run(args.path, args.problems_dir, args.json)
     if args.problems_dir:
-        raise InvalidInputError("--problems-dir goes with the directory of a run; name one file: --problem-file")
+        raise InvalidInputError(
+            "--problems-dir goes with the directory of a run; name one file: --problem-file"
+        )
     motion = read_motion(args.path)
     problem = problem_asked(args)
     if not isinstance(problem, PlanningProblem):
-        raise InvalidInputError(f"suite {args.suite} is of tasks; certify the directory of a run, or one problem")
+        raise InvalidInputError(
+            f"suite {args.suite} is of tasks; certify the directory of a run, or one problem"
+        )
     current = None if args.current is None else np.array(numbers("--current", args.current))
     found = dry_run(problem, motion, current, args.tolerance)
     contents = record(problem, motion, found)
@@ -77,7 +91,11 @@ def _where(found: DryRun, at: float) -> str:
     with np.errstate(all="ignore"):
         steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
         along = steps[:k].sum() + (at - k) * (steps[k] if k < len(steps) else 0.0)
-    return f"at state {at:.4g}, {along:.4f} rad along" if math.isfinite(along) else f"at state {at:.4g}"
+    return (
+        f"at state {at:.4g}, {along:.4f} rad along"
+        if math.isfinite(along)
+        else f"at state {at:.4g}"
+    )
 
 
 def _report(found: DryRun, problem: str) -> list[str]:
@@ -95,7 +113,8 @@ def _report(found: DryRun, problem: str) -> list[str]:
     if certificate.states_checked == 0:
         return lines
     lines.append(
-        f"constraint  at most {certificate.max_violation_rad:.2g} rad, {certificate.max_violation_m:.2g} m outside; "
+        f"constraint  at most {certificate.max_violation_rad:.2g} rad, "
+        f"{certificate.max_violation_m:.2g} m outside; "
         f"{TOLERANCE:g} is allowed"
     )
     lines.append(f"clearance   {_clearance(found)}")
@@ -108,7 +127,10 @@ def _clearance(found: DryRun) -> str:
     if certificate.min_clearance_at is None:
         return "there is nothing to keep a distance from"
     where = _where(found, certificate.min_clearance_at)
-    return f"{1e3 * certificate.min_clearance_m:.2f} mm, the smallest found, {where}: {certificate.min_clearance_pair}"
+    return (
+        f"{1e3 * certificate.min_clearance_m:.2f} mm, the smallest found, {where}: "
+        f"{certificate.min_clearance_pair}"
+    )
 
 
 def _resolution(found: DryRun) -> str:
@@ -116,8 +138,13 @@ def _resolution(found: DryRun) -> str:
     certificate = found.certificate
     collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
     proven = f"no gaps: every state{' before that collision' if collides else ''} is proven"
-    curve = f"; straight pieces within {1e3 * found.apart:.2g} mm of the curve" if found.apart else ""
-    return f"{'gaps' if certificate.unproven_rad > 0.0 else proven}, by {certificate.states_checked} looks{curve}"
+    curve = (
+        f"; straight pieces within {1e3 * found.apart:.2g} mm of the curve" if found.apart else ""
+    )
+    return (
+        f"{'gaps' if certificate.unproven_rad > 0.0 else proven}, by "
+        f"{certificate.states_checked} looks{curve}"
+    )
 
 
 def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> int:

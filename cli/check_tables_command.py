@@ -24,8 +24,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to compare with, or to write it."""
     add = parser.add_argument
     add("--update", action="store_true", help="write the expectations instead of comparing")
-    add("--expected", type=Path, default=EXPECTED, metavar="F.json", help="expectations (the committed ones)")
-    add("--results", type=Path, default=RESULTS, metavar="DIR", help="folder of results directories")
+    add(
+        "--expected",
+        type=Path,
+        default=EXPECTED,
+        metavar="F.json",
+        help="expectations (the committed ones)",
+    )
+    add(
+        "--results", type=Path, default=RESULTS, metavar="DIR", help="folder of results directories"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,7 +6,13 @@ from pathlib import Path
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from paper_tables.claims import Evidence, banner, evidence_below, judged_claims
-from paper_tables.claims_page import PAGE, committed_pages, decomposition_lines, page_text, summary_lines
+from paper_tables.claims_page import (
+    PAGE,
+    committed_pages,
+    decomposition_lines,
+    page_text,
+    summary_lines,
+)
 from paper_tables.committed import RESULTS, committed_directories, require_checkout
 from paper_tables.writers import text_lines
 
@@ -16,9 +22,14 @@ EXAMPLES = ("cvqmpt claims", "cvqmpt claims runs/all --write")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Whose rows."""
-    where = f"folder of results directories, where {PAGE_NAME} goes (the committed ones, with page and README)"
+    where = (
+        f"folder of results directories, where {PAGE_NAME} goes (the committed ones, with "
+        f"page and README)"
+    )
     parser.add_argument("results", type=Path, nargs="?", metavar="DIR", help=where)
-    parser.add_argument("--write", action="store_true", help="write the page; without, verdicts are printed")
+    parser.add_argument(
+        "--write", action="store_true", help="write the page; without, verdicts are printed"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -58,5 +69,7 @@ def verdict_lines(results: Path) -> list[str]:
 
 def _found(results: Path) -> dict[str, Evidence]:
     if not committed_directories(results):
-        raise InvalidInputError(f"{results} holds no results directories; name a folder that does: runs/all")
+        raise InvalidInputError(
+            f"{results} holds no results directories; name a folder that does: runs/all"
+        )
     return evidence_below(results)

@@ -25,7 +25,8 @@ def run(args: argparse.Namespace) -> int:
     """Pair runs, compare them and print what changed."""
     found = compared(directory_rows(args.before), directory_rows(args.after))
     print(
-        f"from A, {args.before}, to B, {args.after}; runs of both; changes over those that both solved, 95 % intervals"
+        f"from A, {args.before}, to B, {args.after}; runs of both; changes over those that both "
+        f"solved, 95 % intervals"
     )
     print("\n".join(text_lines(comparison_lines(found))))
     print("\n".join(clear(found) or ["no clear change"]))

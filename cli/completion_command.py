@@ -1,4 +1,6 @@
-"""`cvqmpt completion`: what makes a shell complete commands, options, names and files; nothing runs at a prompt."""
+"""`cvqmpt completion`: what makes a shell complete commands, options, names and files;
+nothing runs at a prompt.
+"""
 
 import argparse
 from collections.abc import Iterable, Iterator, Mapping

@@ -19,9 +19,12 @@ EXAMPLES = (
     "cvqmpt data generate --scenes 64 --paths-per-scene 8 --out data/small",
     "cvqmpt data generate --robot ur5 --scenes 1000 --paths-per-scene 50 --out data/ur5",
     "cvqmpt data generate --labels roadmap --scenes 20000 --out data/roadmap",
-    "cvqmpt data generate --labels roadmap --robot kinova --scenes 70 --paths-per-scene 4 --out data/kinova",
-    "cvqmpt data generate --labels roadmap --robot ur5 --dictionary runs/ur5 --scenes 4000 --out data/ur5-roadmap",
-    "cvqmpt data generate --scenes 4000 --paths-per-scene 75 --family shelves,table --seed 1 --out data/furniture",
+    "cvqmpt data generate --labels roadmap --robot kinova --scenes 70 --paths-per-scene 4 --out "
+    "data/kinova",
+    "cvqmpt data generate --labels roadmap --robot ur5 --dictionary runs/ur5 --scenes 4000 --out "
+    "data/ur5-roadmap",
+    "cvqmpt data generate --scenes 4000 --paths-per-scene 75 --family shelves,table --seed 1 "
+    "--out data/furniture",
 )
 ACTIONS = ("generate",)
 LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": RoadmapRecipe}
@@ -38,10 +41,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--family", default=",".join(FAMILIES), metavar="A,B", help=family)
     labels = "near-shortest paths, or free nodes and edges of a roadmap, and shortest paths (paths)"
     add("--labels", default="paths", help=f"{' or '.join(LABELS)}: {labels}")
-    dictionary = "labels roadmap: --out of `cvqmpt train stage1` (the shipped; free configurations of other arms)"
+    dictionary = (
+        "labels roadmap: --out of `cvqmpt train stage1` (the shipped; free "
+        "configurations of other arms)"
+    )
     add("--dictionary", "--model", metavar="DIR", help=dictionary)
     add("--seed", type=int, default=0, help="another seed, other scenes and paths (0)")
-    add("--jobs", type=positive_int, default=default_jobs(), metavar="J", help="processes (one a core)")
+    add(
+        "--jobs",
+        type=positive_int,
+        default=default_jobs(),
+        metavar="J",
+        help="processes (one a core)",
+    )
     add("--out", type=Path, required=True, metavar="DIR", help="folder; continued if it exists")
     add_robot(parser, "another robot than the Panda")
 
@@ -58,7 +70,9 @@ def run(args: argparse.Namespace) -> int:
         if args.labels != "roadmap":
             raise InvalidInputError("--dictionary is for --labels roadmap; leave it out")
         more["model"] = args.dictionary
-    recipe = LABELS[args.labels](args.scenes, args.paths_per_scene, families, args.seed, robot=robot, **more)
+    recipe = LABELS[args.labels](
+        args.scenes, args.paths_per_scene, families, args.seed, robot=robot, **more
+    )
     compile_kernels(log)
 
     def in_processes(make: Callable[[int], Shard], numbers: list[int]) -> Iterator[Shard]:

@@ -45,7 +45,9 @@ def run(args: argparse.Namespace) -> int:
 def _machine() -> Iterator[Finding]:
     cores = f"{len(os.sched_getaffinity(0))} of {os.cpu_count()} cores for this process"
     yield Finding("machine", f"Python {platform.python_version()}, {platform.platform()}, {cores}")
-    yield Finding("threads", ", ".join(f"{name}={os.environ.get(name, 'not set')}" for name in THREADS))
+    yield Finding(
+        "threads", ", ".join(f"{name}={os.environ.get(name, 'not set')}" for name in THREADS)
+    )
 
 
 def _packages() -> Iterator[Finding]:
@@ -53,9 +55,13 @@ def _packages() -> Iterator[Finding]:
     try:
         declared = [Requirement(text) for text in metadata.requires(PROJECT) or ()]
     except metadata.PackageNotFoundError:
-        yield Finding("packages", f"{PROJECT} itself is not installed", "pip install -e . in its folder")
+        yield Finding(
+            "packages", f"{PROJECT} itself is not installed", "pip install -e . in its folder"
+        )
         return
-    always = [item for item in declared if item.marker is None or item.marker.evaluate({"extra": ""})]
+    always = [
+        item for item in declared if item.marker is None or item.marker.evaluate({"extra": ""})
+    ]
     yield _finding("packages", always)
     for extra in sorted(metadata.metadata(PROJECT).get_all("Provides-Extra") or ()):
         more = [item for item in declared if item.marker and item.marker.evaluate({"extra": extra})]

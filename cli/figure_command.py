@@ -48,12 +48,14 @@ def run(args: argparse.Namespace) -> int:
     if args.figure in ROW_FIGURES:
         if args.rows is None:
             raise InvalidInputError(
-                f"figure {args.figure} is drawn from rows or trainings: name their folder with --rows"
+                f"figure {args.figure} is drawn from rows or trainings: name their folder with "
+                f"--rows"
             )
         out = args.out or Path("runs") / args.figure
         if RESULTS.resolve() in (out.resolve(), *out.resolve().parents):
             raise InvalidInputError(
-                f"--out {out} lies in the committed results; name a folder elsewhere: runs/{args.figure}"
+                f"--out {out} lies in the committed results; name a folder elsewhere: "
+                f"runs/{args.figure}"
             )
         make_folder(out)
         written = ROW_FIGURES[args.figure](args.rows, out)
@@ -64,7 +66,9 @@ def run(args: argparse.Namespace) -> int:
             written = run_figure.compare_at_equal_time(out, args.problems, command)
         else:
             problems = range(args.problems) if args.figure == "histogram" else (args.problem,)
-            updates, written = run_figure.reproduce_figure(args.figure, out, command, problems, args.model, settings)
+            updates, written = run_figure.reproduce_figure(
+                args.figure, out, command, problems, args.model, settings
+            )
             print("\n".join(run_figure.summary(updates)))
     for path in written:
         print(f"written {path}")

@@ -1,4 +1,6 @@
-"""`cvqmpt ik`: configurations for a pose or region, free of collision and on the manifold, for a problem file."""
+"""`cvqmpt ik`:
+configurations for a pose or region, free of collision and on the manifold, for a problem file.
+"""
 
 import argparse
 import json
@@ -32,8 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group(required=True)
     pose = "end-effector pose in the world: [m], roll, pitch, yaw [rad]"
     where.add_argument("--pose", metavar="'X Y Z R P Y'", help=pose)
-    where.add_argument("--region", help="as in a problem file; or goal_region or start_region of the file")
-    parser.add_argument("--count", type=positive_int, default=1, metavar="N", help="how many at most (1)")
+    where.add_argument(
+        "--region", help="as in a problem file; or goal_region or start_region of the file"
+    )
+    parser.add_argument(
+        "--count", type=positive_int, default=1, metavar="N", help="how many at most (1)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
     parser.add_argument("--json", action="store_true", help="print one json object")
 
@@ -60,7 +66,9 @@ def run(args: argparse.Namespace) -> int:
     )
     configurations = found.configurations.tolist()
     if args.json:
-        print(to_text({"joints": list(problem.robot.joint_names), "configurations": configurations}))
+        print(
+            to_text({"joints": list(problem.robot.joint_names), "configurations": configurations})
+        )
     else:
         print("\n".join(json.dumps(q) for q in configurations))
         print(f"{len(configurations)} of {args.count} configurations; {found.outcome}")
@@ -75,7 +83,9 @@ def _region(args: argparse.Namespace, data: dict) -> TaskSpaceRegion:
         return pose_region("--pose", args.pose)
     if args.region in ("goal_region", "start_region"):
         if args.region not in data:
-            raise InvalidInputError(f"{args.problem_file} has no {args.region!r}; write one after --region")
+            raise InvalidInputError(
+                f"{args.problem_file} has no {args.region!r}; write one after --region"
+            )
         with located(f"{args.problem_file}"):
             return from_plain(Region, data[args.region], args.region)
     return from_plain(Region, json_object(args.region, "--region"), "--region")

@@ -50,7 +50,9 @@ cvqmpt COMMAND --help tells the rest."""
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse whose errors are ours: one line, without the usage; -0.1,0.2 is a value and no option."""
+    """argparse whose errors are ours: one line, without the usage;
+    -0.1,0.2 is a value and no option.
+    """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -77,10 +79,13 @@ def _module(command: str):
 
 
 def parser_with(filled: Collection[str]) -> Parser:
-    """The whole command line, with the options of some subcommands: only they pay for their imports."""
+    """The whole command line, with the options of some subcommands:
+    only they pay for their imports.
+    """
     parser = Parser(
         prog="cvqmpt",
-        description="Constrained motion planning with learned sampling dictionaries: plan, measure, reproduce.",
+        description="Constrained motion planning with learned sampling dictionaries: plan, "
+        "measure, reproduce.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -88,7 +93,10 @@ def parser_with(filled: Collection[str]) -> Parser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(
-            name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
+            name,
+            help=summary,
+            description=summary,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         if name in filled:
             module = _module(name)
@@ -105,7 +113,8 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
     args, unknown = parser_with([asked] if asked else ()).parse_known_args(argv)
     if unknown:
         raise InvalidInputError(
-            f"unknown arguments: {' '.join(unknown)}; cvqmpt {args.command} --help lists what can be given"
+            f"unknown arguments: {' '.join(unknown)}; cvqmpt {args.command} --help lists what can "
+            f"be given"
         )
     return args
 
@@ -124,7 +133,10 @@ def main(argv: list[str] | None = None) -> int:
         print(f"cvqmpt: out of memory ({error}); what was finished is kept", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("cvqmpt: interrupted; what was finished is kept, the same command continues", file=sys.stderr)
+        print(
+            "cvqmpt: interrupted; what was finished is kept, the same command continues",
+            file=sys.stderr,
+        )
         return 130
     except BrokenPipeError:  # nobody reads on: not what a certificate says, so not 0
         _silence()

@@ -25,14 +25,22 @@ EXAMPLES = (
     "cvqmpt model import --dictionary-dir model1 --ar-dir stage2/model1 --out runs/published",
 )
 ACTIONS = ("info", "import")
-SUMMARY = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")  # metadata that it shows
+# metadata that it shows
+SUMMARY = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to do, with which folders."""
     add = parser.add_argument
-    add("action", help=f"{' or '.join(ACTIONS)} published VQ-MPT folders (MPNet's cannot be: train it)")
-    add("--model", metavar="DIR", help=f"info: {', '.join(SHIPPED)}, or the folder of a model (vq_mpt)")
+    add(
+        "action",
+        help=f"{' or '.join(ACTIONS)} published VQ-MPT folders (MPNet's cannot be: train it)",
+    )
+    add(
+        "--model",
+        metavar="DIR",
+        help=f"info: {', '.join(SHIPPED)}, or the folder of a model (vq_mpt)",
+    )
     add("--json", action="store_true", help="info: everything, as json")
     add("--dictionary-dir", type=Path, metavar="DIR", help="import: published stage 1")
     add("--ar-dir", type=Path, metavar="DIR", help="import: published stage 2")
@@ -61,7 +69,9 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
     from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
     from cvqmpt_lab.vqmpt.import_published import import_published
 
-    imported = import_published(dictionary_dir, ar_dir, robot_signature(robot_from_source({"name": "panda"})))
+    imported = import_published(
+        dictionary_dir, ar_dir, robot_signature(robot_from_source({"name": "panda"}))
+    )
     print(f"{'state':20} {'tensors':>8} {'numbers':>12}")
     for name, (tensors, numbers) in imported.states.items():
         print(f"{name:20} {tensors:>8} {numbers:>12,}")
@@ -120,4 +130,8 @@ def _summary(found: dict[str, Any]) -> list[str]:
     for name, x in shown.items():
         if x is not None:
             lines.append(f"{name:44} {x:.6g}" if isinstance(x, float) else f"{name:44} {x}")
-    return [*lines, "", f"sizes and training in full: cvqmpt model info --model {found['folder']} --json"]
+    return [
+        *lines,
+        "",
+        f"sizes and training in full: cvqmpt model info --model {found['folder']} --json",
+    ]

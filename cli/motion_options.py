@@ -25,7 +25,9 @@ POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 
 def add_motion(parser: argparse.ArgumentParser) -> None:
     """--start, --goal, --goal-pose and --constraint."""
-    motion = parser.add_argument_group("a motion through what --cloud shows, instead of a suite or a file")
+    motion = parser.add_argument_group(
+        "a motion through what --cloud shows, instead of a suite or a file"
+    )
     add = motion.add_argument
     many: dict[str, Any] = {"action": "append", "default": []}
     add("--start", metavar="Q", help="configuration, numbers separated by commas [rad or m]")
@@ -42,11 +44,15 @@ def motion_given(args: argparse.Namespace) -> bool:
 
 
 def motion_problem(args: argparse.Namespace) -> PlanningProblem:
-    """The problem that the options tell: from --start to --goal, through what --cloud or --scene holds."""
+    """The problem that the options tell:
+    from --start to --goal, through what --cloud or --scene holds.
+    """
     if args.start is None or not (args.goal or args.goal_pose):
         raise InvalidInputError("a motion needs --start Q, and --goal Q or --goal-pose X,Y,Z,R,P,Y")
     if bool(args.cloud) == bool(args.scene):
-        raise InvalidInputError("--start and --goal need obstacles: give --cloud or --scene, one of the two")
+        raise InvalidInputError(
+            "--start and --goal need obstacles: give --cloud or --scene, one of the two"
+        )
     robot = chosen_robot(args)
     start = configuration(robot, "--start", args.start)
     goals = [configuration(robot, "--goal", text) for text in args.goal]

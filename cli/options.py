@@ -1,4 +1,6 @@
-"""Options and checks that several subcommands share; light, so that training runs on a bare machine."""
+"""Options and checks that several subcommands share;
+light, so that training runs on a bare machine.
+"""
 
 import argparse
 import contextlib
@@ -50,20 +52,26 @@ def own_command() -> list[str]:
 
 def add_model(parser: argparse.ArgumentParser) -> None:
     """--model."""
-    parser.add_argument("--model", metavar="DIR", help="folder of the planner's weights (those of the package)")
+    parser.add_argument(
+        "--model", metavar="DIR", help="folder of the planner's weights (those of the package)"
+    )
 
 
 def writable_file(path: Path) -> Path:
     """The path, after checking that a file can be made there."""
     if not path.parent.is_dir():
-        raise InvalidInputError(f"cannot write {path}: folder {path.parent} does not exist; make it first")
+        raise InvalidInputError(
+            f"cannot write {path}: folder {path.parent} does not exist; make it first"
+        )
     if path.is_dir():
         raise InvalidInputError(f"cannot write {path}: it is a folder; name a file in it")
     require_regular_file(path, "file", "write")
     try:
         tempfile.TemporaryFile(dir=path.parent).close()
     except OSError as error:
-        raise InvalidInputError(f"cannot write {path}: {error.strerror}; choose a writable folder") from error
+        raise InvalidInputError(
+            f"cannot write {path}: {error.strerror}; choose a writable folder"
+        ) from error
     return path
 
 
@@ -74,7 +82,9 @@ def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
     except ValueError:
         found = [math.nan]
     if not found or not all(map(math.isfinite, found)) or len(found) != (len(names) or len(found)):
-        wanted = f"{len(names)} numbers, {', '.join(names)}" if names else "numbers separated by commas"
+        wanted = (
+            f"{len(names)} numbers, {', '.join(names)}" if names else "numbers separated by commas"
+        )
         raise InvalidInputError(f"{option} {text!r}: write {wanted}")
     return found
 
@@ -89,7 +99,9 @@ def finite(value: Any) -> Any:
 
 
 class ProgressBar:
-    """A bar with an estimate of the time left, on standard error; one line per tenth when that is no terminal."""
+    """A bar with an estimate of the time left, on standard error;
+    one line per tenth when that is no terminal.
+    """
 
     def __init__(self, label: str) -> None:
         self._label, self._began, self._first = label, time.perf_counter(), 0

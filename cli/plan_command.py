@@ -24,10 +24,12 @@ from cvqmpt_lab.warm_up import warm_up
 from experiments.suites.suite import SUITES, suite_named
 
 EXAMPLES = (
-    "cvqmpt plan place-task --problem 7 --planner roadmap-cvq --optimize 0.05 --picture plan.png --save plan.gif",
+    "cvqmpt plan place-task --problem 7 --planner roadmap-cvq --optimize 0.05 --picture plan.png "
+    "--save plan.gif",
     "cvqmpt plan --problem-file mine.json --robot ur5 --trajectory motion.json --speed 0.2",
     "cvqmpt plan --task-file task.json --trajectory motions/ --save task.html",
-    "cvqmpt plan --cloud scan.pcd --extrinsics cam.json --start 0,0,0,-2,0,2,0 --goal 1,0,0,-2,0,2,0",
+    "cvqmpt plan --cloud scan.pcd --extrinsics cam.json --start 0,0,0,-2,0,2,0 --goal "
+    "1,0,0,-2,0,2,0",
 )
 
 OPTIMIZE = 0.05  # [s] after a first path, unless --optimize says otherwise
@@ -42,7 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     chosen = "roadmap, for a task or a held mechanism birrt"
     add("--planner", help=f"one of {', '.join(PLANNERS)}, or package.module:planner ({chosen})")
     add_model(parser)
-    cloud = "obstacles of --start and --goal; beside a suite or file what a network is shown; repeatable"
+    cloud = (
+        "obstacles of --start and --goal; beside a suite or file what a network is shown; "
+        "repeatable"
+    )
     kinds = "SCAN.pcd|ply|npy|xyz|png"
     add("--cloud", type=Path, action="append", default=[], metavar=kinds, help=cloud)
     add("--scene", type=Path, metavar="S.json", help="obstacles of --start and --goal, not --cloud")
@@ -55,7 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_optimize(parser, OPTIMIZE)
     add_show(parser)
     add("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
-    timed = "write the path as the fastest motion in time, json for ROS; of a task a folder: a file a phase"
+    timed = (
+        "write the path as the fastest motion in time, json for ROS; of a task a folder: a "
+        "file a phase"
+    )
     add("--trajectory", type=Path, metavar="OUT.csv|OUT.json|DIR", help=timed)
     share = "share of the joints' limits that --trajectory uses (0.1)"
     add("--speed", type=float, metavar="FACTOR", help=share)
@@ -70,7 +78,8 @@ def run(args: argparse.Namespace) -> int:
     problem = _asked(args)
     if isinstance(problem, Task):
         args.planner = args.planner or "birrt"  # what tasks were measured with
-        from cli.plan_task import run_task  # timing needs scipy.interpolate, half a second to import
+        # timing needs scipy.interpolate, half a second to import
+        from cli.plan_task import run_task
 
         return run_task(args, problem)
     if args.trajectory:
@@ -115,13 +124,18 @@ def run(args: argparse.Namespace) -> int:
 def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
     """The problem or task of the command line."""
     if not args.cloud and (args.intrinsics or args.extrinsics or args.level or args.crop):
-        raise InvalidInputError("--intrinsics, --extrinsics, --level and --crop are of a scan: give --cloud")
-    given = [name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None]
+        raise InvalidInputError(
+            "--intrinsics, --extrinsics, --level and --crop are of a scan: give --cloud"
+        )
+    given = [
+        name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None
+    ]
     if motion_given(args) and not given:
         return with_clearance(args, motion_problem(args))
     if len(given) != 1 or motion_given(args) or args.scene:
         raise InvalidInputError(
-            f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or --start and --goal with "
+            f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or "
+            f"--start and --goal with "
             "--cloud or --scene: one of the four"
         )
     if args.task_file is None:
@@ -134,7 +148,9 @@ def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:
     """Refuse before planning what would fail after it."""
     if args.trajectory is None:
         if args.speed is not None:
-            raise InvalidInputError(f"--speed {args.speed} is that of --trajectory OUT.csv; give it")
+            raise InvalidInputError(
+                f"--speed {args.speed} is that of --trajectory OUT.csv; give it"
+            )
         return
     from cvqmpt_lab.trajectory.trajectory import file_type
 
@@ -151,7 +167,9 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
 
     if not solution.solved or solution.simplified is None:
         return "trajectory  none: only certified paths are timed"
-    motion = certified_motion(solution.problem, solution.simplified.path, TimingSettings(speed=args.speed))
+    motion = certified_motion(
+        solution.problem, solution.simplified.path, TimingSettings(speed=args.speed)
+    )
     save_trajectory(motion, args.trajectory)
     return (
         f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "

@@ -13,7 +13,9 @@ from cvqmpt_lab.search.result import PlanStatus
 
 
 def uses_of(solution: Solution) -> tuple[BoundUse, ...]:
-    """How much of every bound of the constraint the path found uses; of the start where there is no path."""
+    """How much of every bound of the constraint the path found uses;
+    of the start where there is no path.
+    """
     problem, shorter = solution.problem, solution.simplified
     states = problem.start[None] if shorter is None else shorter.path.states
     return bound_usage(problem.robot, problem.constraint, states)
@@ -34,11 +36,14 @@ def report(solution: Solution, planner: str, why: str = "") -> list[str]:
     ]
     if not plan.as_is:
         lines.append(
-            f"counts      {counts.projections} projections, {counts.newton_iterations} Newton iterations, "
+            f"counts      {counts.projections} projections, {counts.newton_iterations} Newton "
+            f"iterations, "
             f"{counts.state_checks} state checks, {plan.vertices} vertices"
         )
     if plan.path is not None and shorter is not None:
-        lines.append(f"length      {plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad")
+        lines.append(
+            f"length      {plan.path.length:.2f} rad, simplified {shorter.path.length:.2f} rad"
+        )
     if solution.improvement is not None:
         lines.append(f"optimize    {_gain(solution.improvement)}")
     if solution.certificate is not None:
@@ -50,7 +55,11 @@ def _gain(made: Improvement) -> str:
     """How much of the time for it was used, and what was gained."""
     used, budget = f"{1e3 * made.seconds:.1f}", made.budget
     used += " ms" if budget.seconds is None else f" of {1e3 * budget.seconds:g} ms"
-    used += "" if budget.iterations is None else f", {made.iterations} of {budget.iterations} iterations"
+    used += (
+        ""
+        if budget.iterations is None
+        else f", {made.iterations} of {budget.iterations} iterations"
+    )
     (_, first), (_, last) = made.lengths[0], made.lengths[-1]
     gain = f"{first:.2f} to {last:.2f} rad ({made.gained:.0%} shorter)"
     return f"{used}: {made.searches} searches, {gain}"
@@ -61,7 +70,9 @@ def _status(solution: Solution) -> str:
     plan = solution.plan
     how = f"{plan.status} by {plan.fallback}" if plan.fallback else str(plan.status)
     if plan.status in (PlanStatus.TIMEOUT, PlanStatus.ITERATION_LIMIT):
-        how += f": no path found within {plan.seconds:.3g} s and {plan.counters.iterations} iterations"
+        how += (
+            f": no path found within {plan.seconds:.3g} s and {plan.counters.iterations} iterations"
+        )
     return f"{how} ({plan.detail})" if plan.detail else how
 
 
@@ -92,7 +103,9 @@ def as_json(data: dict[str, Any]) -> str:
 def solution_data(
     solution: Solution, planner: str, why: str = "", asked: PlanningProblem | None = None
 ) -> dict[str, Any]:
-    """The same as plain data for json, with the path's states; asked: the problem before goals were drawn."""
+    """The same as plain data for json, with the path's states; asked:
+    the problem before goals were drawn.
+    """
     plan, shorter = solution.plan, solution.simplified
     problem, more = solution.problem, solution.improvement
     return {
@@ -127,7 +140,8 @@ def solution_data(
 
 def _record(solution: Solution, problem: PlanningProblem) -> dict[str, Any] | None:
     """The certificate of its path as `cvqmpt certify --json` prints it; None without a path."""
-    from cli.certificate_record import record  # these need scipy.interpolate, half a second to import
+    # these need scipy.interpolate, half a second to import
+    from cli.certificate_record import record
     from cvqmpt_lab.motion_check import DryRun
     from cvqmpt_lab.trajectory.trajectory_files import Motion
 

@@ -33,13 +33,16 @@ def run_task(args: argparse.Namespace, task: Task) -> int:
     """Plan a task, report, show; exit code 1 when a phase has no certified path."""
     wrong = next((name for name in OF_PROBLEMS if getattr(args, name)), None)
     if wrong is not None:
-        raise InvalidInputError(f"--{wrong.replace('_', '-')} does not go with a task; leave it out")
+        raise InvalidInputError(
+            f"--{wrong.replace('_', '-')} does not go with a task; leave it out"
+        )
     if args.trajectory is not None:
         _check_folder(args.trajectory)
     planner = planner_named(args.planner, args.model)
     compile_kernels(log)
     timing = TimingSettings(speed=SLOW if args.speed is None else args.speed)
-    robot_from_source(task.robot).joint_limits.scaled(timing.speed)  # refused before anything is planned
+    # refused before anything is planned
+    robot_from_source(task.robot).joint_limits.scaled(timing.speed)
     solution = solve_task(task, planner, budget(args), args.seed, timing, backend=args.backend)
     if args.json:
         print(as_json(task_data(solution, args.planner)))
@@ -56,7 +59,9 @@ def run_task(args: argparse.Namespace, task: Task) -> int:
 def _check_folder(path: Path) -> None:
     """Refuse before planning what would fail after it."""
     if path.suffix or path.is_file():
-        raise InvalidInputError(f"--trajectory {path}: of a task it is a folder, for a file a phase; name one")
+        raise InvalidInputError(
+            f"--trajectory {path}: of a task it is a folder, for a file a phase; name one"
+        )
     make_folder(path)
 
 
@@ -78,13 +83,19 @@ def _said(phase: Phase) -> dict[str, Any]:
 
 
 def task_data(solution: TaskSolution, planner: str) -> dict[str, Any]:
-    """The report as plain data for json: the phases in order, planned ones as `cvqmpt plan` says of a problem."""
+    """The report as plain data for json:
+    the phases in order, planned ones as `cvqmpt plan` says of a problem.
+    """
     phases = []
     for phase, outcome in _steps(solution):
         said = _said(phase)
         if outcome is not None:
             seconds = outcome.trajectory and outcome.trajectory.duration
-            more = {"attempts": len(outcome.attempts), "duration_s": seconds, "reason": outcome.reason}
+            more = {
+                "attempts": len(outcome.attempts),
+                "duration_s": seconds,
+                "reason": outcome.reason,
+            }
             said |= more | solution_data(outcome.solution, planner)
             said |= {"solved": outcome.solved, "fallback": outcome.fallback or said["fallback"]}
         phases.append(said)
@@ -93,7 +104,9 @@ def task_data(solution: TaskSolution, planner: str) -> dict[str, Any]:
 
 
 def _write_trajectories(solution: TaskSolution, folder: Path, speed: float) -> str:
-    """A file for each planned phase, and an index of these and the gripper's events in their order; the line for it."""
+    """A file for each planned phase, and an index of these and the gripper's events in their order;
+    the line for it.
+    """
     if not solution.solved:
         return "trajectory  none: only tasks whose phases are all certified are written"
     steps = []
@@ -107,7 +120,10 @@ def _write_trajectories(solution: TaskSolution, folder: Path, speed: float) -> s
     index = {"task": solution.task.name, "speed": speed, "steps": steps}
     write_text(folder / INDEX, json.dumps(index, indent=1) + "\n")
     files = sum("file" in step for step in steps)
-    return f"trajectory  {files} files and {len(steps) - files} gripper events, in order in {folder / INDEX}"
+    return (
+        f"trajectory  {files} files and {len(steps) - files} gripper events, in order in "
+        f"{folder / INDEX}"
+    )
 
 
 def task_report(solution: TaskSolution, planner: str) -> list[str]:
@@ -117,10 +133,15 @@ def task_report(solution: TaskSolution, planner: str) -> list[str]:
     for outcome in solution.outcomes:
         goals = sum(attempt.goal_seconds for attempt in outcome.attempts)
         search = sum(attempt.plan.seconds for attempt in outcome.attempts)
-        simplify = sum(attempt.simplified.seconds for attempt in outcome.attempts if attempt.simplified)
+        simplify = sum(
+            attempt.simplified.seconds for attempt in outcome.attempts if attempt.simplified
+        )
         planning += goals + search + simplify
         line = f"{outcome.phase.name:15} "
-        line += f"goals {1e3 * goals:.0f} ms, plan {1e3 * search:.0f} ms, simplify {1e3 * simplify:.0f} ms"
+        line += (
+            f"goals {1e3 * goals:.0f} ms, plan {1e3 * search:.0f} ms, simplify "
+            f"{1e3 * simplify:.0f} ms"
+        )
         if len(outcome.attempts) > 1:
             line += f" in {len(outcome.attempts)} attempts"
         if outcome.trajectory is not None:

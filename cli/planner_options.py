@@ -26,7 +26,10 @@ def budget(args: argparse.Namespace) -> Budget:
 
 def add_optimize(parser: argparse.ArgumentParser, default: float | None = None) -> None:
     """--optimize."""
-    more = "spend S seconds more on a shorter path (iterations, where only --iterations bounds the run)"
+    more = (
+        "spend S seconds more on a shorter path (iterations, where only --iterations bounds "
+        "the run)"
+    )
     usual = f"; {default:g}, 0 for none" if default else ""
     parser.add_argument("--optimize", type=not_negative, metavar="S", help=more + usual)
     parser.set_defaults(usual_optimize=default)
@@ -43,7 +46,8 @@ def optimize_budget(args: argparse.Namespace) -> Budget | None:
         return Budget(seconds=seconds)
     if args.optimize != int(args.optimize):
         raise InvalidInputError(
-            f"--optimize {args.optimize:g}: a run of --iterations {args.iterations} knows no clock; give a whole "
+            f"--optimize {args.optimize:g}: a run of --iterations {args.iterations} knows no "
+            f"clock; give a whole "
             "number of iterations, or --cutoff beside it"
         )
     return Budget(iterations=int(args.optimize))

@@ -1,4 +1,6 @@
-"""A problem to start from: a table, an obstacle in the way, a constraint, start and goal, with comments."""
+"""A problem to start from:
+a table, an obstacle in the way, a constraint, start and goal, with comments.
+"""
 
 from collections.abc import Iterator, Mapping
 from itertools import islice
@@ -36,23 +38,31 @@ STARTS, PAIRS = 12, 30  # the calmest, and of them with goals, that are tried
 APART = 0.3  # share of the hand's reach that start and goal are apart at least
 EFFORT = Budget(iterations=1000)  # of birrt, that a pair of them may take
 COMMENT = [
-    "A problem for `cvqmpt plan --problem-file`. Lengths in m, angles in rad; a field _comment may stand anywhere.",
-    "start: numbers, {joint: value} or the name of a group_state of the SRDF; more configurations: `cvqmpt ik`.",
+    "A problem for `cvqmpt plan --problem-file`. Lengths in m, angles in rad; a field _comment "
+    "may stand anywhere.",
+    "start: numbers, {joint: value} or the name of a group_state of the SRDF; more "
+    "configurations: `cvqmpt ik`.",
     "A pose is {xyz, rpy}, {xyz, quaternion [x, y, z, w]} or a 4x4 matrix.",
-    "Other fields: attachments (what the hand carries), goals (configurations, used as they are), start_region.",
+    "Other fields: attachments (what the hand carries), goals (configurations, used as they are), "
+    "start_region.",
 ]
 SHAPES = [
-    "type: box with size, cylinder with radius and height, sphere with radius, convex_mesh with vertices,",
-    "point_cloud with points and radius; obstacle: false is seen by cameras and ignored by planners.",
+    "type: box with size, cylinder with radius and height, sphere with radius, convex_mesh with "
+    "vertices,",
+    "point_cloud with points and radius; obstacle: false is seen by cameras and ignored by "
+    "planners.",
 ]
 REGIONS = [
-    "A region by name, upright, fixed-orientation, plane, line or pose, or in full: T0_w, the frame w in the world,",
+    "A region by name, upright, fixed-orientation, plane, line or pose, or in full: T0_w, the "
+    "frame w in the world,",
     f"Tw_e, the end effector in w, and Bw, {ROWS_TEXT}. Several in a list are kept all.",
 ]
 
 
 class Layout(NamedTuple):
-    """Where things stand, from the first joint on, in shares of the hand's reach; heights above the table."""
+    """Where things stand, from the first joint on, in shares of the hand's reach;
+    heights above the table.
+    """
 
     table: tuple[float, float, float, float]  # from x, to x, half width, thickness
     wall: tuple[float, float, float, float]  # its x, edges along x and y, height
@@ -64,12 +74,15 @@ LAYOUTS = (
     Layout((0.3, 1.0, 0.8, 0.05), (0.5, 0.4, 0.06, 0.45), (0.5, 0.4, 0.32), 0.12),
     Layout((0.3, 1.0, 0.8, 0.05), (0.6, 0.3, 0.06, 0.3), (0.55, 0.35, 0.25), 0.25),
     Layout((0.2, 1.0, 0.8, 0.05), (0.6, 0.1, 0.06, 0.2), (0.5, 0.3, 0.3), 0.5),
-    Layout((0.6, 0.7, 0.05, 0.1), (0.65, 0.05, 0.05, 0.05), (0.0, 0.0, 0.0), 2.0),  # a post; anywhere beside it
+    # a post; anywhere beside it
+    Layout((0.6, 0.7, 0.05, 0.1), (0.65, 0.05, 0.05, 0.05), (0.0, 0.0, 0.0), 2.0),
 )
 
 
 def template(source: Mapping[str, Any]) -> dict[str, Any]:
-    """Json of a problem that can be planned, for a robot as in a problem file; InvalidInputError if there is none."""
+    """Json of a problem that can be planned, for a robot as in a problem file;
+    InvalidInputError if there is none.
+    """
     robot = robot_from_source(source)
     plain: dict[str, Any] = {
         "$schema": SCHEMA_FILE,
@@ -92,27 +105,37 @@ def template(source: Mapping[str, Any]) -> dict[str, Any]:
                 if _solved(PlanningProblem.from_dict(made), matters=layout is not LAYOUTS[-1]):
                     return made
     raise InvalidInputError(
-        f"no start and goal were found for robot {robot.name} that keep {TILT} rad of tilt and can be planned; "
+        f"no start and goal were found for robot {robot.name} that keep {TILT} rad of tilt and "
+        f"can be planned; "
         "write a problem by hand, `cvqmpt problems new` for the panda shows how"
     )
 
 
 def _solved(problem: PlanningProblem, matters: bool) -> bool:
-    """Whether a path is found, and, where the obstacle must matter, not by a straight motion to its goal."""
+    """Whether a path is found, and, where the obstacle must matter, not by a straight motion to its
+    goal.
+    """
     solution = solve(problem, "birrt", EFFORT, seed=0, clearance=False)
     if not solution.solved or solution.simplified is None:
         return False
     goal = solution.simplified.path.states[-1]
-    return not matters or direct_motion(ConstrainedSpace(solution.problem), problem.start, goal) is None
+    return (
+        not matters
+        or direct_motion(ConstrainedSpace(solution.problem), problem.start, goal) is None
+    )
 
 
 def _axes(robot: Robot) -> list[str]:
-    """Axes of the end effector that may point up: that with which the tool looks down the last axis, then any."""
+    """Axes of the end effector that may point up:
+    that with which the tool looks down the last axis, then any.
+    """
     _, T_link_hand = robot.end_effector_link
     outward = T_link_hand[2, :3] * (-1.0 if T_link_hand[2, 3] < 0.0 else 1.0)
     down = np.eye(4)
     down[2, :3] = -outward
-    return list(dict.fromkeys((upper_axis(down), upper_axis(robot.pose(0.5 * (robot.lower + robot.upper))))))
+    return list(
+        dict.fromkeys((upper_axis(down), upper_axis(robot.pose(0.5 * (robot.lower + robot.upper)))))
+    )
 
 
 def _scene(robot: Robot, layout: Layout) -> tuple[float, Scene]:
@@ -121,7 +144,9 @@ def _scene(robot: Robot, layout: Layout) -> tuple[float, Scene]:
     top = 0.0 if 0.0 <= z <= 0.6 * reach else z - 0.35 * reach
     begin, end, half, thick = (reach * share for share in layout.table)
     at, *size = (reach * share for share in layout.wall)
-    table = _box("table", (end - begin, 2.0 * half, thick), (x + 0.5 * (begin + end), y, top - 0.5 * thick))
+    table = _box(
+        "table", (end - begin, 2.0 * half, thick), (x + 0.5 * (begin + end), y, top - 0.5 * thick)
+    )
     return top, Scene("room", (table, _box("wall", tuple(size), (x + at, y, top + 0.5 * size[2]))))
 
 
@@ -144,7 +169,9 @@ def _commented(scene: Scene) -> dict[str, Any]:
 
 
 def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
-    """The field that says where to: poses around one, or a configuration where joints are too few for that."""
+    """The field that says where to:
+    poses around one, or a configuration where joints are too few for that.
+    """
     if robot.dof <= 5:
         return {"goals": [goal.tolist()]}
     T_world_goal = robot.pose(goal)
@@ -153,8 +180,12 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
     return {"goal_region": {"pose": {"at": at, "position": 0.01, "tilt": 0.02, "yaw": 3.15}}}
 
 
-def _ends(robot: Robot, scene: Scene, layout: Layout, top: float, axis: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of free configurations (n,) on the manifold, on both sides of the wall, the calmest first."""
+def _ends(
+    robot: Robot, scene: Scene, layout: Layout, top: float, axis: str
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of free configurations (n,) on the manifold, on both sides of the wall, the calmest
+    first.
+    """
     checker, reach, origin = (
         CollisionChecker(robot, scene, margin=SAMPLE_MARGIN),
         hand_reach(robot),
@@ -177,9 +208,17 @@ def _apart(robot: Robot, start: np.ndarray, goal: np.ndarray) -> float:
     return float(np.linalg.norm((robot.pose(start) - robot.pose(goal))[:3, 3]))
 
 
-def _calmest(robot: Robot, manifold: RegionConstraint, checker: CollisionChecker) -> list[np.ndarray]:
-    """Free configurations (n,) on a manifold, those with joints nearest to the middle of their range first."""
-    middle = np.clip(0.0, robot.lower, robot.upper) if robot.turning.any() else 0.5 * (robot.lower + robot.upper)
+def _calmest(
+    robot: Robot, manifold: RegionConstraint, checker: CollisionChecker
+) -> list[np.ndarray]:
+    """Free configurations (n,) on a manifold, those with joints nearest to the middle of their
+    range first.
+    """
+    middle = (
+        np.clip(0.0, robot.lower, robot.upper)
+        if robot.turning.any()
+        else 0.5 * (robot.lower + robot.upper)
+    )
     found = []
     for q in robot.random_configurations(np.random.default_rng(0), DRAWS):
         landed = manifold.project(middle + 0.5 * (q - middle))

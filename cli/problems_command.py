@@ -1,4 +1,6 @@
-"""`cvqmpt problems`: list or write the problems of a suite, write one to start from, or import a scene of MoveIt."""
+"""`cvqmpt problems`:
+list or write the problems of a suite, write one to start from, or import a scene of MoveIt.
+"""
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
@@ -25,7 +27,9 @@ EXAMPLES = (
     "cvqmpt problems new drawer.json --task",
     "cvqmpt problems import shelf.scene --out shelf.json",
 )
-GOALS_WIN = "The goals are used as they are; take them out, and new ones are drawn from goal_region."
+GOALS_WIN = (
+    "The goals are used as they are; take them out, and new ones are drawn from goal_region."
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--problems", type=positive_int, metavar="N", help="only the first N (all)")
     out = "folder for the json files (with export); the file to write (with import)"
     add("--out", type=Path, metavar="DIR|S.json", help=out)
-    add("--goals", action="store_true", help="write sampled goals beside the goal region (with export)")
+    add(
+        "--goals",
+        action="store_true",
+        help="write sampled goals beside the goal region (with export)",
+    )
     add("--task", action="store_true", help="a task of several phases, a drawer to open (with new)")
     add_robot(parser, "robot of the new problem (the panda)")
 
@@ -75,7 +83,9 @@ def _new(args: argparse.Namespace) -> int:
     schema = made["$schema"]
     write_text(writable_file(path), to_text({**made, "name": path.stem}) + "\n")
     write_text(path.parent / schema, read_text(FOLDER / schema))
-    print(f"{path} written, and {schema} for editors; plan it with: cvqmpt plan --{kind}-file {path}")
+    print(
+        f"{path} written, and {schema} for editors; plan it with: cvqmpt plan --{kind}-file {path}"
+    )
     return 0
 
 
@@ -90,8 +100,13 @@ def _import(args: argparse.Namespace) -> int:
     scene, frame = read_moveit_scene(source)
     write_text(writable_file(path), to_text(to_plain(scene)) + "\n")
     seen = f"frame {frame!r}" if frame else "the file's frame"
-    print(f"{path} written: {len(scene.objects)} objects; {seen} is taken for the robot's base frame")
-    print(f'name it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start Q --goal Q')
+    print(
+        f"{path} written: {len(scene.objects)} objects; {seen} is taken for the robot's base frame"
+    )
+    print(
+        f'name it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start '
+        f"Q --goal Q"
+    )
     return 0
 
 

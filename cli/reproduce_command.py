@@ -1,4 +1,6 @@
-"""`cvqmpt reproduce`: run a suite, a folder of problem files, or all suites; rows, tables, verdicts and a report."""
+"""`cvqmpt reproduce`: run a suite, a folder of problem files, or all suites;
+rows, tables, verdicts and a report.
+"""
 
 import argparse
 from pathlib import Path
@@ -22,12 +24,22 @@ from paper_tables.suite_tables import render_directory
 
 ALL = "all"
 HISTOGRAM = ("histogram", 30)  # the figure that is part of all, and of how many problems
-FIXED = ("problems", "problems_dir", "seeds", "planners", "model", "cutoff", "iterations", "optimize")
+FIXED = (
+    "problems",
+    "problems_dir",
+    "seeds",
+    "planners",
+    "model",
+    "cutoff",
+    "iterations",
+    "optimize",
+)
 """Options that profiles of all suites decide."""
 EXAMPLES = (
     "cvqmpt reproduce all --profile small --out runs/all-small",
     "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
-    "cvqmpt reproduce place-task-with-can --planners birrt,ompl-projected --cutoff 10 --out runs/can",
+    "cvqmpt reproduce place-task-with-can --planners birrt,ompl-projected --cutoff 10 --out "
+    "runs/can",
     "cvqmpt reproduce --problems-dir problems/ --planners birrt,roadmap --out runs/mine",
     "cvqmpt reproduce place-task --seeds 5 --dask tcp://head:8786 --out runs/cluster",
 )
@@ -37,11 +49,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Suite, how much of it, with which planners, and where to."""
     add = parser.add_argument
     add("suite", nargs="?", help=f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}")
-    folder = "or a folder of problem files (*.json), by their names; the suite is called like the folder"
+    folder = (
+        "or a folder of problem files (*.json), by their names; the suite is called like the folder"
+    )
     add("--problems-dir", type=Path, metavar="DIR", help=folder)
     takes = "on two cores two hours, three minutes (full)"
     add("--profile", default="full", help=f"of {ALL}: {', '.join(PROFILES)}; {takes}")
-    add("--problems", type=positive_int, metavar="N", help="only the first N problems or tasks (all)")
+    add(
+        "--problems",
+        type=positive_int,
+        metavar="N",
+        help="only the first N problems or tasks (all)",
+    )
     add("--seeds", type=positive_int, metavar="K", help="seeds 0 to K-1 (1)")
     add(
         "--planners",
@@ -54,7 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_optimize(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--jobs", type=positive_int, metavar="J", help="processes (one a core)")
-    where.add_argument("--dask", metavar="ADDRESS", help="a Dask scheduler that runs it: tcp://HOST:8786")
+    where.add_argument(
+        "--dask", metavar="ADDRESS", help="a Dask scheduler that runs it: tcp://HOST:8786"
+    )
     add("--out", type=Path, metavar="DIR", help="where results go (runs/SUITE)")
 
 
@@ -84,7 +105,9 @@ def run(args: argparse.Namespace) -> int:
 def _suite(args: argparse.Namespace) -> Suite:
     """The suite that is named, or the problems of the folder."""
     if (args.suite is None) == (args.problems_dir is None):
-        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give --problems-dir, one of the two")
+        raise InvalidInputError(
+            f"name a suite ({', '.join(SUITES)}) or give --problems-dir, one of the two"
+        )
     return suite_named(args.suite) if args.problems_dir is None else folder_suite(args.problems_dir)
 
 
@@ -93,13 +116,26 @@ def _reproduce_all(args: argparse.Namespace) -> int:
     given = [f"--{name.replace('_', '-')}" for name in FIXED if getattr(args, name) is not None]
     if given:
         raise InvalidInputError(
-            f"{given[0]} does not go with 'all', whose amounts are fixed; --profile small runs less, or name one suite"
+            f"{given[0]} does not go with 'all', whose amounts are fixed; --profile small runs "
+            f"less, or name one suite"
         )
-    chosen, out, jobs = amounts(args.profile), args.out or Path("runs/all"), args.jobs or default_jobs()
+    chosen, out, jobs = (
+        amounts(args.profile),
+        args.out or Path("runs/all"),
+        args.jobs or default_jobs(),
+    )
     compile_kernels(log)
     for amount in chosen:
         folder = out / amount.folder
-        command = [*amount.command, "--profile", args.profile, "--jobs", str(jobs), "--out", str(folder)]
+        command = [
+            *amount.command,
+            "--profile",
+            args.profile,
+            "--jobs",
+            str(jobs),
+            "--out",
+            str(folder),
+        ]
         with executor_for(amount.experiment, jobs) as executor:
             run_experiment(amount.experiment, folder, executor, command, ProgressBar(amount.folder))
         render_directory(folder)

@@ -37,7 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot_options(parser)
     add("--json", action="store_true", help="print everything as one json object")
     add("--picture", type=Path, metavar="FILE.png", help="draw its collision pieces")
-    add("--srdf-out", type=Path, metavar="ARM.srdf", help="write the pairs of links that are not checked")
+    add(
+        "--srdf-out",
+        type=Path,
+        metavar="ARM.srdf",
+        help="write the pairs of links that are not checked",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -67,7 +72,11 @@ def _source(args: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
     if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
         return {"name": args.robot, **options}, []
     likely = [] if "end_effector" in options else read_urdf(Path(args.robot)).likely_end_effectors
-    return {"urdf": args.robot, **({"end_effector": likely[0]} if likely else {}), **options}, likely
+    return {
+        "urdf": args.robot,
+        **({"end_effector": likely[0]} if likely else {}),
+        **options,
+    }, likely
 
 
 def describe(robot: Robot) -> dict[str, Any]:
@@ -92,10 +101,14 @@ def describe(robot: Robot) -> dict[str, Any]:
             }
             for j, name in enumerate(robot.joint_names)
         ],
-        "held_joints": [{"name": j.name, "value": j.value, "reason": j.reason} for j in robot.held_joints],
+        "held_joints": [
+            {"name": j.name, "value": j.value, "reason": j.reason} for j in robot.held_joints
+        ],
         "frames": list(robot.frame_names),
         "collision_pieces": [{"name": p.name, "corners": len(p.vertices)} for p in robot.links],
-        "self_collision_pairs": [[robot.links[i].name, robot.links[k].name] for i, k in robot.self_collision_pairs],
+        "self_collision_pairs": [
+            [robot.links[i].name, robot.links[k].name] for i, k in robot.self_collision_pairs
+        ],
         "left_out_pairs": [[p.first, p.second, p.reason] for p in robot.left_out_pairs],
         "share_free_of_self_collision": float(1.0 - collide.mean()),
     }
@@ -103,12 +116,19 @@ def describe(robot: Robot) -> dict[str, Any]:
 
 def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[str]:
     """The lines a person reads."""
-    yield f"robot        {robot.name}: {robot.dof} joints, reach {robot.reach:.2f} m, digest {robot.kinematics_digest}"
+    yield (
+        f"robot        {robot.name}: {robot.dof} joints, reach {robot.reach:.2f} m, digest "
+        f"{robot.kinematics_digest}"
+    )
     chosen = f" (a guess of {', '.join(others)}: --end-effector names another)" if others else ""
     yield f"end effector {robot.end_effector}{chosen}"
     for joint in said["joints"]:
         unit = "m" if joint["kind"] == "prismatic" else "rad"
-        fast = f", at most {joint['velocity']:.2f} {unit}/s" if joint["velocity"] else ", no velocity limit"
+        fast = (
+            f", at most {joint['velocity']:.2f} {unit}/s"
+            if joint["velocity"]
+            else ", no velocity limit"
+        )
         limits = f"{joint['lower']:.3f} to {joint['upper']:.3f} {unit}"
         yield f"joint        {joint['name']}: {joint['kind']}, {limits}{fast}"
     for reason, count in Counter(joint.reason for joint in robot.held_joints).items():
@@ -120,7 +140,10 @@ def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[st
         yield "             none: nothing of it can collide; give its links <collision> in the URDF"
     reasons = Counter(pair.reason for pair in robot.left_out_pairs)
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "none"
-    yield f"pairs        {len(robot.self_collision_pairs)} of pieces are checked; left out, of links: {left}"
+    yield (
+        f"pairs        {len(robot.self_collision_pairs)} of pieces are checked; left out, of "
+        f"links: {left}"
+    )
     for pair in robot.left_out_pairs:
         if pair.reason.startswith(OVERLAP):
             yield f"             {pair.first} and {pair.second} {pair.reason}: not checked"
@@ -131,4 +154,6 @@ def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[st
 
 
 def _few(names: list[str]) -> str:
-    return ", ".join(names[:NAMES]) + (f", ... (--json lists {len(names)})" if len(names) > NAMES else "")
+    return ", ".join(names[:NAMES]) + (
+        f", ... (--json lists {len(names)})" if len(names) > NAMES else ""
+    )

@@ -1,4 +1,6 @@
-"""Which problem and which robot, on the command line: a suite or file, --robot or --urdf, and what is said of them."""
+"""Which problem and which robot, on the command line:
+a suite or file, --robot or --urdf, and what is said of them.
+"""
 
 import argparse
 import math
@@ -35,12 +37,18 @@ def add_robot_options(robot: Any) -> None:
     meshes = "where package:// meshes lie, beside ROS_PACKAGE_PATH; repeatable"
     add("--package-dir", type=Path, **many, metavar="DIR", help=meshes)
     add("--lock", **many, metavar="JOINT=VALUE", help="fix a joint [rad or m]; repeatable")
-    add("--base", metavar="X,Y,Z[,R,P,Y]", help="where its base stands [m], roll, pitch and yaw [rad]")
+    add(
+        "--base",
+        metavar="X,Y,Z[,R,P,Y]",
+        help="where its base stands [m], roll, pitch and yaw [rad]",
+    )
     limits = "acceleration limits, one a joint or one for all [rad/s^2]; --trajectory needs them"
     add("--acceleration", metavar="A[,A...]", help=limits)
 
 
-def robot_source(args: argparse.Namespace, problem_file: Path | None = None) -> dict[str, Any] | None:
+def robot_source(
+    args: argparse.Namespace, problem_file: Path | None = None
+) -> dict[str, Any] | None:
     """What a problem file would say of the robot of the command line; None without one.
 
     problem_file: whose robot options without --robot or --urdf speak of.
@@ -52,18 +60,22 @@ def robot_source(args: argparse.Namespace, problem_file: Path | None = None) -> 
         return {"name": args.robot, **options}
     if args.urdf is not None and args.end_effector is None:
         raise InvalidInputError(
-            f"--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot {args.urdf} suggests one"
+            f"--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot {args.urdf} "
+            f"suggests one"
         )
     if args.urdf is not None:
         return {"urdf": str(args.urdf.absolute()), **options}
     if options and problem_file is None:
         raise InvalidInputError(
-            "--end-effector, --srdf, --package-dir, --lock, --base and --acceleration describe the robot of "
+            "--end-effector, --srdf, --package-dir, --lock, --base and --acceleration describe "
+            "the robot of "
             "--robot or --urdf; give it"
         )
     if not options or problem_file is None:
         return None
-    own = mapping(read_json_object(problem_file, "problem file").get("robot"), f"{problem_file}: robot")
+    own = mapping(
+        read_json_object(problem_file, "problem file").get("robot"), f"{problem_file}: robot"
+    )
     locked = mapping(own.get("locked", {}), f"{problem_file}: robot.locked")
     return {**own, **options, "locked": {**locked, **options.get("locked", {})}}
 
@@ -87,11 +99,15 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
     if args.base is not None:
         x = numbers("--base", args.base)
         if len(x) not in (3, 6):
-            raise InvalidInputError(f"--base {args.base!r}: write X,Y,Z or X,Y,Z,ROLL,PITCH,YAW [m, rad]")
+            raise InvalidInputError(
+                f"--base {args.base!r}: write X,Y,Z or X,Y,Z,ROLL,PITCH,YAW [m, rad]"
+            )
         options["base"] = {"xyz": x[:3], "rpy": x[3:] or None}
     if args.acceleration is not None:
         accelerations = numbers("--acceleration", args.acceleration)
-        options["acceleration_limits"] = accelerations[0] if len(accelerations) == 1 else accelerations
+        options["acceleration_limits"] = (
+            accelerations[0] if len(accelerations) == 1 else accelerations
+        )
     return options
 
 
@@ -103,16 +119,29 @@ def _locked_joint(text: str) -> tuple[str, float]:
     except ValueError:
         number = math.nan
     if not joint or not math.isfinite(number):
-        raise InvalidInputError(f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]")
+        raise InvalidInputError(
+            f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]"
+        )
     return joint, number
 
 
-def add_problem(parser: argparse.ArgumentParser, robot: str = "another robot for --problem-file") -> None:
+def add_problem(
+    parser: argparse.ArgumentParser, robot: str = "another robot for --problem-file"
+) -> None:
     """The suite, --problem, --problem-file and the options of its robot, under that title."""
-    parser.add_argument("suite", nargs="?", help=f"suite of the problem or task: {', '.join(SUITES)}")
-    parser.add_argument("--problem", type=int, default=0, metavar="I", help="index in the suite (0)")
-    parser.add_argument("--problem-file", type=Path, metavar="P.json", help="a problem of your own instead")
-    clear = "that robot and what it carries keep from obstacles; planned for and certified (0, or the file's)"
+    parser.add_argument(
+        "suite", nargs="?", help=f"suite of the problem or task: {', '.join(SUITES)}"
+    )
+    parser.add_argument(
+        "--problem", type=int, default=0, metavar="I", help="index in the suite (0)"
+    )
+    parser.add_argument(
+        "--problem-file", type=Path, metavar="P.json", help="a problem of your own instead"
+    )
+    clear = (
+        "that robot and what it carries keep from obstacles; planned for and certified (0, or "
+        "the file's)"
+    )
     parser.add_argument("--clearance", type=not_negative, metavar="M", help=clear)
     add_robot(parser, robot)
 
@@ -120,7 +149,9 @@ def add_problem(parser: argparse.ArgumentParser, robot: str = "another robot for
 def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
     """The problem of a suite or file, or the task of a suite."""
     if (args.suite is None) == (args.problem_file is None):
-        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two")
+        raise InvalidInputError(
+            f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two"
+        )
     if args.problem_file is not None:
         robot = robot_source(args, args.problem_file)
         return PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
@@ -128,12 +159,16 @@ def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
     return with_clearance(args, suite_named(args.suite).solvable(args.problem))
 
 
-def with_clearance(args: argparse.Namespace, problem: PlanningProblem | Task) -> PlanningProblem | Task:
+def with_clearance(
+    args: argparse.Namespace, problem: PlanningProblem | Task
+) -> PlanningProblem | Task:
     """The problem with --clearance, which tasks have not."""
     if not args.clearance:
         return problem
     if isinstance(problem, Task):
-        raise InvalidInputError("--clearance does not go with a task, whose hand touches things; leave it out")
+        raise InvalidInputError(
+            "--clearance does not go with a task, whose hand touches things; leave it out"
+        )
     return replace(problem, clearance=args.clearance)
 
 
@@ -141,5 +176,6 @@ def refuse_robot(args: argparse.Namespace) -> None:
     """Refuse a robot beside a problem that has its own."""
     if robot_source(args):
         raise InvalidInputError(
-            "--robot and --urdf go with --problem-file or --start: other problems are for their own robot"
+            "--robot and --urdf go with --problem-file or --start: other problems are for their "
+            "own robot"
         )

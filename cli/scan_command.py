@@ -1,4 +1,6 @@
-"""`cvqmpt scan`: depth images or clouds in; a clean cloud, or a scene to plan in, and a picture out."""
+"""`cvqmpt scan`: depth images or clouds in;
+a clean cloud, or a scene to plan in, and a picture out.
+"""
 
 import argparse
 from pathlib import Path
@@ -17,8 +19,10 @@ from cvqmpt_lab.show.picture import draw_world
 
 EXAMPLES = (
     "cvqmpt scan scan.pcd --level table --picture scan.png",
-    "cvqmpt scan depth.png --intrinsics lens.yaml --extrinsics pose.json --arm-at 0,0,0,-2,0,2,0 --out clean.pcd",
-    "cvqmpt scan left.pcd right.pcd --extrinsics left.json --extrinsics right.json --plane box --out scene.json",
+    "cvqmpt scan depth.png --intrinsics lens.yaml --extrinsics pose.json --arm-at 0,0,0,-2,0,2,0 "
+    "--out clean.pcd",
+    "cvqmpt scan left.pcd right.pcd --extrinsics left.json --extrinsics right.json --plane box "
+    "--out scene.json",
 )
 SCENE = ".json"
 

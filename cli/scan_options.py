@@ -20,7 +20,8 @@ from cvqmpt_lab.sensing.scan import RESOLUTION, Arm, Scan, ScanSettings, scan
 
 CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
 FRAME = (
-    "pose of the camera in the robot's base frame, x right, y down, z ahead: 4x4, xyz + quaternion or rpy, ROS's "
+    "pose of the camera in the robot's base frame, x right, y down, z ahead: 4x4, xyz + "
+    "quaternion or rpy, ROS's "
     "translation + rotation; without, points are in the base frame"
 )
 
@@ -29,10 +30,21 @@ def add_scan(parser: argparse.ArgumentParser) -> None:
     """Cameras, filters, obstacles."""
     usual = ScanSettings()
     metres: dict[str, Any] = {"type": positive, "metavar": "M"}
-    file: dict[str, Any] = {"action": "append", "default": [], "type": Path, "metavar": "F.json|yaml"}
-    group = parser.add_argument_group("cameras of the scan; options are repeated in the order of the files")
+    file: dict[str, Any] = {
+        "action": "append",
+        "default": [],
+        "type": Path,
+        "metavar": "F.json|yaml",
+    }
+    group = parser.add_argument_group(
+        "cameras of the scan; options are repeated in the order of the files"
+    )
     add: Callable[..., argparse.Action] = group.add_argument
-    add("--intrinsics", **file, help="of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info")
+    add(
+        "--intrinsics",
+        **file,
+        help="of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info",
+    )
     add("--extrinsics", **file, help=FRAME)
     add("--scale", **metres, help="[m] of a unit (1; of a 16-bit image 0.001)")
     add("--level", choices=("table",), help="find the table, put it level: without --extrinsics")
@@ -51,7 +63,12 @@ def add_scan(parser: argparse.ArgumentParser) -> None:
     add("--map", **metres, default=RESOLUTION, help=f"edge of the cells of a map ({RESOLUTION})")
     add("--padding", type=float, default=0.0, metavar="M", help="inflation radius of the cells (0)")
     ways = ("free", "occupied")
-    add("--unknown", choices=ways, default="free", help="cells that no ray of a camera crossed (free)")
+    add(
+        "--unknown",
+        choices=ways,
+        default="free",
+        help="cells that no ray of a camera crossed (free)",
+    )
     add("--radius", **metres, help="balls around the points instead; 0.87 voxels cover all")
 
 
@@ -89,7 +106,10 @@ def scene_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
     if len(made.points) == 0 and args.unknown == "free":
         return made.scene()
     settings = MapSettings(
-        resolution=args.map, padding=args.padding, unknown=args.unknown, robot_margin=args.robot_margin
+        resolution=args.map,
+        padding=args.padding,
+        unknown=args.unknown,
+        robot_margin=args.robot_margin,
     )
     return made.scene(occupancy_map(made.points, settings, made.captures, arm))
 
@@ -105,20 +125,30 @@ def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence
 def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
     """The lines a person reads."""
     names = ", ".join(path.name for path in files)
-    yield f"scan        {names}: {made.steps[0].before} points, {made.unseen} pixels or rows without one"
+    yield (
+        f"scan        {names}: {made.steps[0].before} points, {made.unseen} pixels or rows "
+        f"without one"
+    )
     if made.levelled is not None:
         from scipy.spatial.transform import Rotation  # a third of a second to import
 
         T, plane = made.levelled
         tilt = np.degrees(np.arccos(np.clip(plane.normal @ CAMERA_UP, -1.0, 1.0)))
         yield (
-            f"levelled    by a table of {plane.share:.0%} of the points, flat to {1e3 * plane.residual:.1f} mm: the "
+            f"levelled    by a table of {plane.share:.0%} of the points, flat to "
+            f"{1e3 * plane.residual:.1f} mm: the "
             f"camera looks {tilt:.1f} deg down from {-plane.offset:.2f} m above it"
         )
         quaternion = Rotation.from_matrix(T[:3, :3]).as_quat().round(6).tolist()
-        yield f"extrinsics  {json.dumps({'xyz': T[:3, 3].round(4).tolist(), 'quaternion': quaternion})}"
+        yield (
+            f"extrinsics  "
+            f"{json.dumps({'xyz': T[:3, 3].round(4).tolist(), 'quaternion': quaternion})}"
+        )
     for step in made.steps:
         yield f"{step.name:11} {step.before} -> {step.after} points"
     if made.plane is not None:
         done = "now a box" if made.table is not None else "gone"
-        yield f"plane       flat to {1e3 * made.plane.residual:.1f} mm, at z = {made.plane.offset:.3f} m: {done}"
+        yield (
+            f"plane       flat to {1e3 * made.plane.residual:.1f} mm, at z = "
+            f"{made.plane.offset:.3f} m: {done}"
+        )

@@ -33,7 +33,9 @@ def check_show(args: argparse.Namespace) -> None:
         writable_file(path)
     if args.save is not None and args.save.suffix not in (PAGE, RECORDING):
         if args.save.suffix not in FILMS:
-            raise UnknownChoiceError(f"--save {args.save}: suffix", args.save.suffix, (PAGE, RECORDING, *FILMS))
+            raise UnknownChoiceError(
+                f"--save {args.save}: suffix", args.save.suffix, (PAGE, RECORDING, *FILMS)
+            )
         from cvqmpt_lab.show.film import check_film
 
         check_film(args.save)
@@ -44,7 +46,9 @@ def check_show(args: argparse.Namespace) -> None:
 
 
 def show_solution(
-    args: argparse.Namespace, solution: "Solution | TaskSolution", carried: tuple[Attachment, ...] = ()
+    args: argparse.Namespace,
+    solution: "Solution | TaskSolution",
+    carried: tuple[Attachment, ...] = (),
 ) -> list[str]:
     """Write and open what was asked for of a problem or task; a line for each.
 
@@ -76,7 +80,11 @@ def show_solution(
         else:
             notes = save_task_page(solution, args.save)
         size = args.save.stat().st_size / 1e6
-        lines += [f"page written to {args.save} ({size:.1f} MB); open it in a browser, no network is needed", *notes]
+        lines += [
+            f"page written to {args.save} ({size:.1f} MB); open it in a browser, no network is "
+            f"needed",
+            *notes,
+        ]
     recording = args.save if args.save and args.save.suffix == RECORDING else None
     if recording or args.view:
         from cvqmpt_lab.show.recording import log_solution, log_task

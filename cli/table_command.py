@@ -10,7 +10,8 @@ from paper_tables.suite_tables import render_directory
 EXAMPLES = (
     "cvqmpt table runs/place-task",
     "cvqmpt table paper_tables/results/place-task",
-    "cvqmpt table runs/place-task --ompl-log place.log && ompl_benchmark_statistics place.log -d place.db",
+    "cvqmpt table runs/place-task --ompl-log place.log && ompl_benchmark_statistics place.log -d "
+    "place.db",
 )
 
 
@@ -26,7 +27,10 @@ def run(args: argparse.Namespace) -> int:
     """Render the tables and print the short one, or write the log."""
     if args.ompl_log:
         write_ompl_log(args.directory, writable_file(args.ompl_log))
-        print(f"{args.ompl_log} written; read it with: ompl_benchmark_statistics {args.ompl_log} -d FILE.db")
+        print(
+            f"{args.ompl_log} written; read it with: ompl_benchmark_statistics {args.ompl_log} -d "
+            f"FILE.db"
+        )
     else:
         show_tables(args.directory)
     return 0

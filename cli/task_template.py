@@ -10,18 +10,29 @@ from cvqmpt_lab.tasks.task import Task
 ROBOT = {"name": "panda", "finger_opening": 0.04}
 START = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
 SCHEMA = SCHEMA_FILE.replace("problem", "task")
-OPENED, BAR, AHEAD = 0.2, 0.014, 0.08  # [m] of the drawer; thickness of its handle; way of the hand to it
+# [m] of the drawer; thickness of its handle; way of the hand to it
+OPENED, BAR, AHEAD = 0.2, 0.014, 0.08
 FRONT, HEIGHT = 0.62, 0.45  # [m] of the drawer's handle
 HAND = [0.5, 0.5, 0.5, 0.5]  # its z ahead, its fingers above each other
 COMMENT = [
-    "A task for `cvqmpt plan --task-file`. Lengths in m, angles in rad; a field _comment may stand anywhere.",
-    "Planned phases: move (the hand into a region), slide (along the hand's z), turn (a held door or drawer).",
-    "Between them: hold (a door or drawer), grasp (an object), release; `gripper` has fields of the robot that change.",
+    "A task for `cvqmpt plan --task-file`. Lengths in m, angles in rad; a field _comment may "
+    "stand anywhere.",
+    "Planned phases: move (the hand into a region), slide (along the hand's z), turn (a held door "
+    "or drawer).",
+    "Between them: hold (a door or drawer), grasp (an object), release; `gripper` has fields of "
+    "the robot that change.",
 ]
-JOINT = "A drawer or door: the objects it moves, and its axis, the z of T_world_joint; a hinge turns about it."
-TOUCH = "May touch: pieces of the robot (`cvqmpt robot panda --json`) and parts of the drawer, from then on."
+JOINT = (
+    "A drawer or door: the objects it moves, and its axis, the z of T_world_joint; a hinge "
+    "turns about it."
+)
+TOUCH = (
+    "May touch: pieces of the robot (`cvqmpt robot panda --json`) and parts of the drawer, "
+    "from then on."
+)
 CHAIN = [
-    "How the hand holds the part: a region as in a problem file, whose frame w hangs on the moving object `base`.",
+    "How the hand holds the part: a region as in a problem file, whose frame w hangs on the "
+    "moving object `base`.",
     "Here all is fixed but the turn about the bar.",
 ]
 THROUGH = "Regions in which the hand stops first, in this order."
@@ -31,7 +42,8 @@ def task_template(source: dict[str, Any]) -> dict[str, Any]:
     """Json of a task that can be planned; InvalidInputError for another robot than the Panda."""
     if source.get("name") != ROBOT["name"]:
         raise InvalidInputError(
-            "the template of a task is for the panda, whose fingers it names; write it without --robot and --urdf, "
+            "the template of a task is for the panda, whose fingers it names; write it without "
+            "--robot and --urdf, "
             "then replace 'robot', 'start', 'gripper' and 'may_touch'"
         )
     fingers = [part.name for part in robot_from_source(ROBOT).links if "finger" in part.name]
@@ -71,7 +83,11 @@ def task_template(source: dict[str, Any]) -> dict[str, Any]:
                 "constraint": {"_comment": CHAIN, **held},
                 "goal": held,
             },
-            {"kind": "release", "name": "let-go", "gripper": {"finger_opening": ROBOT["finger_opening"]}},
+            {
+                "kind": "release",
+                "name": "let-go",
+                "gripper": {"finger_opening": ROBOT["finger_opening"]},
+            },
             {"kind": "slide", "name": "back", "distance": -AHEAD},
             {
                 "_comment": THROUGH,

@@ -1,4 +1,6 @@
-"""`cvqmpt train`: train a dictionary, a transformer or MPNet; resumable, needs torch and numpy only."""
+"""`cvqmpt train`: train a dictionary, a transformer or MPNet;
+resumable, needs torch and numpy only.
+"""
 
 import argparse
 import json
@@ -26,10 +28,12 @@ EDGE_MODEL = "edge-model"
 ENOUGH_SCENES = 70  # of each arm, for the edge validity model
 EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
-    "cvqmpt train transformer --data data/ur5-roadmap --dictionary runs/ur5 --out runs/ur5-transformer",
+    "cvqmpt train transformer --data data/ur5-roadmap --dictionary runs/ur5 --out "
+    "runs/ur5-transformer",
     "cvqmpt train published --data data/roadmap --out runs/published --minutes 60",
     "cvqmpt train edge-model --data data/panda,data/ur5 --judge data/kinova --out runs/edges",
-    "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out runs/model",
+    "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out "
+    "runs/model",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
 )
 
@@ -40,8 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     edges = "edge-model: the edge validity model of all arms, from data with --labels roadmap"
     add("stage", help=f"what to train: {', '.join(STAGES)}; or {edges}")
     how = parser.add_mutually_exclusive_group()
-    how.add_argument("--profile", default="compact", help=f"of {', '.join(PROFILE_NAMES)} (compact)")
-    how.add_argument("--config", type=Path, metavar="FILE", help="a profile of your own, see --print-config")
+    how.add_argument(
+        "--profile", default="compact", help=f"of {', '.join(PROFILE_NAMES)} (compact)"
+    )
+    how.add_argument(
+        "--config", type=Path, metavar="FILE", help="a profile of your own, see --print-config"
+    )
     add("--print-config", action="store_true", help="print the profile as json and stop")
     add(
         "--data",
@@ -49,22 +57,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="what `cvqmpt data generate` wrote; edge-model: several, with commas",
     )
-    add("--out", type=Path, metavar="DIR", help="for state, curves and model/; continued if it is there")
+    add(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="for state, curves and model/; continued if it is there",
+    )
     add(
         "--dictionary",
         type=Path,
         metavar="DIR",
-        help="stage2 (from paths), published (from labels), both of the authors' architecture, and transformer (the "
+        help="stage2 (from paths), published (from labels), both of the authors' architecture, "
+        "and transformer (the "
         "shipped for the latter two): --out of stage1",
     )
-    add("--judge", metavar="DIR[,DIR...]", help="edge-model: labels of other arms, to judge it on (--data)")
+    add(
+        "--judge",
+        metavar="DIR[,DIR...]",
+        help="edge-model: labels of other arms, to judge it on (--data)",
+    )
     most = f"edge-model: of each folder so many at most ({ENOUGH_SCENES})"
     add("--scenes", type=positive_int, default=ENOUGH_SCENES, metavar="N", help=most)
     add("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
     add("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
     add("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
     add("--device", default="auto", help="cpu, cuda, or auto (auto)")
-    add("--workers", type=int, default=0, metavar="J", help="processes that prepare batches (0: none)")
+    add(
+        "--workers",
+        type=int,
+        default=0,
+        metavar="J",
+        help="processes that prepare batches (0: none)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -126,7 +150,10 @@ def _train_edge_model(args: argparse.Namespace, metadata: dict) -> int:
         metadata=metadata,
         on_progress=ProgressBar(args.stage),
     )
-    print(f"{'arm':16} {'clearances in':13} {'model':18} AUC, median of scenes  of all edges  calibration error")
+    print(
+        f"{'arm':16} {'clearances in':13} {'model':18} AUC, median of scenes  of all edges  "
+        f"calibration error"
+    )
     for row in rows:
         start = f"{row['robot']:16} {row['source']:13} {row['model']:18}"
         print(f"{start} {row['area']:22.4f} {row['area_of_all']:13.4f} {row['error']:18.3f}")

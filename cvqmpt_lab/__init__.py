@@ -1,4 +1,6 @@
-"""Constrained motion planning with learned sampling dictionaries: a reproducibility toolkit for CVQ-MPT."""
+"""Constrained motion planning with learned sampling dictionaries:
+a reproducibility toolkit for CVQ-MPT.
+"""
 
 from importlib import import_module
 from typing import Any
@@ -43,7 +45,9 @@ _HOME = {
     "TimingSettings": "trajectory.timing",
     "upright": "constraints.task_space_region",
 }
-"""Each public name and the module it lives in; a module is imported when a name of it is first used."""
+"""Each public name and the module it lives in;
+a module is imported when a name of it is first used.
+"""
 
 __all__ = list(_HOME)
 
@@ -51,7 +55,9 @@ __all__ = list(_HOME)
 def __getattr__(name: str) -> Any:
     """Import a public name from where it lives."""
     if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public names: {', '.join(_HOME)}")
+        raise AttributeError(
+            f"module {__name__!r} has no attribute {name!r}; public names: {', '.join(_HOME)}"
+        )
     return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
 
 

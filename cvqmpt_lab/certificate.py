@@ -1,4 +1,5 @@
-"""The certificate of a path: an independent check, also between states, that uses no compiled function of the planners.
+"""The certificate of a path: an independent check, also between states, that uses no compiled
+function of the planners.
 
 Poses and rotation vectors come from pinocchio, distances from coal.
 """
@@ -52,7 +53,8 @@ class Fault(NamedTuple):
 
     kind: FaultKind
     text: str
-    at: float | None = None  # number of a state; 12.5 is half-way from state 12 to 13. None: the whole path
+    # number of a state; 12.5 is half-way from state 12 to 13. None: the whole path
+    at: float | None = None
 
 
 @dataclass(frozen=True)
@@ -62,12 +64,14 @@ class Certificate:
     faults: tuple[Fault, ...]
     max_violation_rad: float  # largest rotation outside the constraint's bounds [rad]
     max_violation_m: float  # largest translation outside them [m]
-    min_clearance_m: float  # smallest distance at up to CLEARANCE_STATES states [m]; nan when not asked for
+    # smallest distance at up to CLEARANCE_STATES states [m]; nan when not asked for
+    min_clearance_m: float
     states_checked: int  # configurations at which distances were compared
     min_clearance_pair: str = ""  # the two pieces it is between
     min_clearance_at: float | None = None  # where it was found, as `Fault.at`
     unproven_rad: float = 0.0  # longest stretch not proven free although its middle is free [rad]
-    unproven_m: float = 0.0  # the furthest that a point of the robot can move in half of that stretch [m]
+    # the furthest that a point of the robot can move in half of that stretch [m]
+    unproven_m: float = 0.0
 
     @property
     def verdict(self) -> Verdict:
@@ -89,14 +93,21 @@ class Certificate:
 
 
 def certify(
-    problem: PlanningProblem, path: JointPath, checker: CollisionChecker | None = None, clearance: bool = True
+    problem: PlanningProblem,
+    path: JointPath,
+    checker: CollisionChecker | None = None,
+    clearance: bool = True,
 ) -> Certificate:
-    """Judge every state of a path: collision, limits, constraint; and its step size, start and goal."""
+    """Judge every state of a path: collision, limits, constraint;
+    and its step size, start and goal.
+    """
     checker = checker or problem.collision_checker()
     unusable = _unusable(problem, path.states)
     if unusable:
         return Certificate(unusable, np.nan, np.nan, np.nan, 0)
-    violation = largest_violation(problem.robot, problem.constraint, path.states, SPACING, TOLERANCE)
+    violation = largest_violation(
+        problem.robot, problem.constraint, path.states, SPACING, TOLERANCE
+    )
     proof = prove_free(checker, path.states)
     faults = [*_end_faults(problem, path), *_motion_faults(problem, path)]
     if violation.largest > TOLERANCE:
@@ -104,7 +115,10 @@ def certify(
         kind = FaultKind.MANIFOLD if seen else FaultKind.NOT_PROVEN
         text = f"off the manifold by {violation.radians:.2g} rad, {violation.metres:.2g} m"
         if not seen:
-            text += f" where it was looked at, not shown to be less than {violation.largest:.2g} in between"
+            text += (
+                f" where it was looked at, not shown to be less than {violation.largest:.2g} "
+                f"in between"
+            )
         faults.append(Fault(kind, text, _place(path.states, violation.at)))
     if proof.colliding is not None:
         text = f"in collision: {checker.contact(proof.colliding)}"
@@ -113,7 +127,10 @@ def certify(
     if proof.unproven is not None:
         length, q, hull = proof.unproven
         moved, (gap, pair) = checker.moved(q, hull), checker.nearest(q)
-        text = f"not proven free over {length:.1g} rad, {1e3 * moved:.1g} mm to each side of the middle"
+        text = (
+            f"not proven free over {length:.1g} rad, {1e3 * moved:.1g} mm to each side of the "
+            f"middle"
+        )
         text += f", where {pair} are {1e3 * gap:.2g} mm apart"
         faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))
     closest = _closest(checker, proof) if clearance else None
@@ -142,7 +159,9 @@ def _place(states: np.ndarray, q: np.ndarray | None) -> float | None:
 
 
 def _closest(checker: CollisionChecker, proof: MotionProof) -> tuple[Nearest, np.ndarray]:
-    """Smallest distance at the states with least room in the proof, or at the colliding one; and the state (n,)."""
+    """Smallest distance at the states with least room in the proof, or at the colliding one;
+    and the state (n,).
+    """
     places = proof.tightest[:CLEARANCE_STATES] if proof.colliding is None else [proof.colliding]
     return min(((checker.nearest(q), q) for q in places), key=lambda found: found[0].distance)
 
@@ -150,7 +169,9 @@ def _closest(checker: CollisionChecker, proof: MotionProof) -> tuple[Nearest, np
 def _unusable(problem: PlanningProblem, states: np.ndarray) -> tuple[Fault, ...]:
     """Why states are no path of this robot, or too far apart or outside its limits to be looked at."""
     if np.ndim(states) != 2 or np.shape(states)[1] != problem.robot.dof or len(states) < 2:
-        text = f"states have shape {np.shape(states)}, a path needs (2 or more, {problem.robot.dof})"
+        text = (
+            f"states have shape {np.shape(states)}, a path needs (2 or more, {problem.robot.dof})"
+        )
         return (Fault(FaultKind.SHAPE, text),)
     finite = np.isfinite(states).all(axis=1)
     if not finite.all():
@@ -166,9 +187,13 @@ def _end_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
     if np.abs(path.states[0] - problem.start).max() > END_TOLERANCE:
         faults.append(Fault(FaultKind.START, "does not begin at the start", 0.0))
     end = path.states[-1]
-    at_goal = len(problem.goals) > 0 and np.abs(problem.goals - end).max(axis=1).min() <= END_TOLERANCE
+    at_goal = (
+        len(problem.goals) > 0 and np.abs(problem.goals - end).max(axis=1).min() <= END_TOLERANCE
+    )
     if not at_goal and problem.goal_region is not None:
-        there = largest_violation(problem.robot, (problem.goal_region,), end[None], SPACING, TOLERANCE)
+        there = largest_violation(
+            problem.robot, (problem.goal_region,), end[None], SPACING, TOLERANCE
+        )
         at_goal = there.largest <= TOLERANCE
     if at_goal:
         return faults
@@ -179,7 +204,9 @@ def _motion_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
     faults, states = [], path.states
     steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
     if steps.max() > LARGEST_STEP:
-        faults.append(Fault(FaultKind.STEP, f"a step of {steps.max():.3g} rad", float(steps.argmax())))
+        faults.append(
+            Fault(FaultKind.STEP, f"a step of {steps.max():.3g} rad", float(steps.argmax()))
+        )
     beyond = np.maximum(problem.robot.lower - states, states - problem.robot.upper).max(axis=1)
     worst = int(beyond.argmax())
     outside = problem.robot.joint_outside_limits(states[worst])

@@ -1,4 +1,6 @@
-"""Cache on disk of arrays that take long to make; the file's name is a hash of all that they depend on."""
+"""Cache on disk of arrays that take long to make;
+the file's name is a hash of all that they depend on.
+"""
 
 import contextlib
 import hashlib
@@ -34,7 +36,8 @@ def cached_arrays(
 ) -> dict[str, np.ndarray]:
     """What `make` returns, read from the cache if it is there.
 
-    kind: folder of the cache. made_of: all that the arrays depend on, the sources that make them included.
+    kind: folder of the cache. made_of: all that the arrays depend on, the sources that make them
+        included.
     fits: whether arrays that were read can be what `make` returns; if not, they are made anew.
     """
     name = f"{hashlib.sha256(made_of).hexdigest()[:32]}.npz"
@@ -53,7 +56,9 @@ def cached_arrays(
 
 
 def read_cached(kind: str, name: str) -> bytes:
-    """A file of the cache, in the folder `kind`; OSError if there is none that only the user could have written."""
+    """A file of the cache, in the folder `kind`;
+    OSError if there is none that only the user could have written.
+    """
     folder = trusted_cache(cache_folder() / kind)
     if folder is None:
         raise FileNotFoundError(name)
@@ -61,7 +66,9 @@ def read_cached(kind: str, name: str) -> bytes:
 
 
 def write_cached(kind: str, name: str, data: bytes) -> None:
-    """Keep a file in the cache if there is a place for it; of more than MOST files the oldest are deleted."""
+    """Keep a file in the cache if there is a place for it;
+    of more than MOST files the oldest are deleted.
+    """
     folder = trusted_cache(cache_folder() / kind)
     if folder is None:
         return

@@ -1,4 +1,5 @@
-"""Errors of one line: the wrong value, the valid choices and what to do. The command line exits with code 2.
+"""Errors of one line: the wrong value, the valid choices and what to do. The command line exits
+with code 2.
 
 Failing to plan is a result (`PlanStatus`), never an exception.
 """
@@ -51,8 +52,12 @@ class UnknownChoiceError(CvqmptError):
 
     def __init__(self, kind: str, value: object, choices: Iterable[object]) -> None:
         names = [str(choice) for choice in choices]
-        listed = ", ".join(names[:LISTED]) + (f", ... ({len(names)} in all)" if len(names) > LISTED else "")
-        super().__init__(f"unknown {kind} {shown(value)}; valid choices: {listed}{nearest(value, names)}")
+        listed = ", ".join(names[:LISTED]) + (
+            f", ... ({len(names)} in all)" if len(names) > LISTED else ""
+        )
+        super().__init__(
+            f"unknown {kind} {shown(value)}; valid choices: {listed}{nearest(value, names)}"
+        )
         self._asked = kind, value, names
 
     def __reduce__(self) -> tuple:
@@ -74,7 +79,9 @@ class RunStoreError(InvalidInputError):
 
 def whole_number(what: str, value: object, least: int = 0, most: int | None = None) -> int:
     """A whole number from least to most (None: any); InvalidInputError calls it `what`."""
-    number = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else least - 1
+    number = (
+        int(value) if isinstance(value, Integral) and not isinstance(value, bool) else least - 1
+    )
     if number >= least and (most is None or number <= most):
         return number
     bounds = f"of {least} or more" if most is None else f"from {least} to {most}"
@@ -94,7 +101,9 @@ def torch_installed() -> bool:
 
 
 def install_command(extra: str) -> str:
-    """What installs an extra: from the checkout, where the package lies in one, since it is on no index."""
+    """What installs an extra:
+    from the checkout, where the package lies in one, since it is on no index.
+    """
     if (Path(__file__).parents[1] / "constraints.txt").is_file():
         return f".venv/bin/pip install -c constraints.txt -e '.[{extra}]'"
     return f"pip install 'cvqmpt-lab[{extra}]'"
@@ -103,4 +112,6 @@ def install_command(extra: str) -> str:
 def require_torch(what: str) -> None:
     """Raise InvalidInputError if torch, which `what` needs, is not installed."""
     if not torch_installed():
-        raise InvalidInputError(f"{what} needs torch, which is not installed: {install_command('train')}")
+        raise InvalidInputError(
+            f"{what} needs torch, which is not installed: {install_command('train')}"
+        )

@@ -23,7 +23,8 @@ _UMASK = threading.RLock()  # the umask belongs to the whole process
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary name beside `path` to write to, which is moved to `path` at the end.
 
-    After an error `path` is as it was; InvalidInputError says why it cannot be written. A link is followed.
+    After an error `path` is as it was; InvalidInputError says why it cannot be written. A link is
+    followed.
     """
     path = Path(path)
     if path.is_symlink():
@@ -34,7 +35,9 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         temporary.replace(path)
     except OSError as error:
-        raise InvalidInputError(f"cannot write {path}: {error.strerror}; choose a writable folder") from error
+        raise InvalidInputError(
+            f"cannot write {path}: {error.strerror}; choose a writable folder"
+        ) from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -54,11 +57,15 @@ def write_text(path: Path, text: str) -> None:
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder with its parents, unless it is there; InvalidInputError names it when that fails."""
+    """Make a folder with its parents, unless it is there;
+    InvalidInputError names it when that fails.
+    """
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InvalidInputError(f"cannot make folder {path}: {error.strerror}; choose a writable one") from error
+        raise InvalidInputError(
+            f"cannot make folder {path}: {error.strerror}; choose a writable one"
+        ) from error
     return Path(path)
 
 
@@ -68,21 +75,26 @@ def cache_folder() -> Path:
 
 
 def named_folder(variable: str, otherwise: str | Path) -> Path:
-    """Full path of the folder that an environment variable names, or of another if it is not set or empty."""
+    """Full path of the folder that an environment variable names, or of another if it is not set or
+    empty.
+    """
     named = os.environ.get(variable) or otherwise
     try:
         return Path(named).expanduser().absolute()
     except (RuntimeError, OSError) as error:  # no such user, or the working folder was removed
         raise InvalidInputError(
-            f"{variable}: no folder {shown(str(named))} ({error}); set it to the full path of a folder"
+            f"{variable}: no folder {shown(str(named))} ({error}); set it to the full path of a "
+            f"folder"
         ) from error
 
 
 def trusted_cache(folder: Path) -> Path | None:
-    """A cache folder that only the user and root can change, made if need be; None if there is none.
+    """A cache folder that only the user and root can change, made if need be; None if there is
+    none.
 
-    Machine code and pickles in a cache run with the user's rights. A folder that others could have changed is not used,
-    nor one that is empty and cannot be written: another one in the temporary folder is, with one warning a process.
+    Machine code and pickles in a cache run with the user's rights. A folder that others could have
+    changed is not used, nor one that is empty and cannot be written: another one in the temporary
+    folder is, with one warning a process.
     """
     import tempfile  # most commands use no cache
 
@@ -103,14 +115,18 @@ def trusted_cache(folder: Path) -> Path | None:
         faults.append(fault)
     if faults and not _WARNED.is_set():
         _WARNED.set()
-        instead = f"{place} is used" if len(faults) == 1 else f"{faults[1]}: everything is computed again"
+        instead = (
+            f"{place} is used" if len(faults) == 1 else f"{faults[1]}: everything is computed again"
+        )
         cure = "set XDG_CACHE_HOME and NUMBA_CACHE_DIR to folders that only you can write"
         warnings.warn(f"cache: {faults[0]}; {instead}; {cure}", stacklevel=3)
     return place if len(faults) < 2 else None
 
 
 def _exposed(place: Path) -> str | None:
-    """Why others can change a folder or a file in it, in words, or None; above it, folders may be sticky, as /tmp."""
+    """Why others can change a folder or a file in it, in words, or None;
+    above it, folders may be sticky, as /tmp.
+    """
     if not hasattr(os, "getuid"):
         return None  # Windows: rights are no part of the mode, and profiles are the user's own
     with os.scandir(place) as inside:
@@ -172,7 +188,9 @@ def lock(folder: Path) -> int:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(handle)
-        raise InvalidInputError(f"{folder} is in use by another run; wait or use another folder") from None
+        raise InvalidInputError(
+            f"{folder} is in use by another run; wait or use another folder"
+        ) from None
     except OSError:
         return handle  # a file system without locks: go on without one
     for path in Path(folder).rglob(".*.tmp"):
@@ -224,10 +242,13 @@ def json_object(text: str, what: str) -> dict[str, Any]:
 
 
 def json_value(text: str, what: str) -> Any:
-    """The value of a json text; a key that occurs twice in an object is refused, and so is half a character."""
+    """The value of a json text;
+    a key that occurs twice in an object is refused, and so is half a character.
+    """
     try:
         value = json.loads(text, object_pairs_hook=_unique_keys)
-        if "\\ud" in text.lower():  # half of a pair that stands for a character: no file can hold it
+        # half of a pair that stands for a character: no file can hold it
+        if "\\ud" in text.lower():
             json.dumps(value, ensure_ascii=False).encode("utf-8")
         return value
     except (ValueError, RecursionError) as error:  # no json, or nested too deeply

@@ -1,14 +1,16 @@
-"""Compiled functions: numba's `njit` with our options, its cache folder, and the check of arrays that Python passes.
+"""Compiled functions: numba's `njit` with our options, its cache folder, and the check of arrays
+that Python passes.
 
-A `kernel` is called by other kernels only. An `entry` is a kernel that Python calls, too: its machine code is kept on
-disk, and its annotations say what each array must look like, for example ``Annotated[np.ndarray, "m n"]`` (float64)
-or ``Annotated[np.ndarray, "int64 2 capacity"]``. A named tuple of arrays has annotations at its own fields. A letter
-stands for one number throughout a call (n joints), a word for one among the arguments or fields of one named tuple.
-Numbers are annotated `float`, `int` or `bool`.
+A `kernel` is called by other kernels only. An `entry` is a kernel that Python calls, too: its
+machine code is kept on disk, and its annotations say what each array must look like, for example
+``Annotated[np.ndarray, "m n"]`` (float64) or ``Annotated[np.ndarray, "int64 2 capacity"]``. A named
+tuple of arrays has annotations at its own fields. A letter stands for one number throughout a call
+(n joints), a word for one among the arguments or fields of one named tuple. Numbers are annotated
+`float`, `int` or `bool`.
 
-Kernels make no arrays: numba's reference counting would cost more than the arithmetic of the hot path (residual and
-Jacobian of a region: 3.7 us with it, 0.7 us without). Division is IEEE's; a product and a sum may become one
-instruction (a quarter of forward kinematics).
+Kernels make no arrays: numba's reference counting would cost more than the arithmetic of the hot
+path (residual and Jacobian of a region: 3.7 us with it, 0.7 us without). Division is IEEE's; a
+product and a sum may become one instruction (a quarter of forward kinematics).
 """
 
 import contextlib
@@ -32,20 +34,36 @@ from cvqmpt_lab.disk_cache import sources_digest
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import cache_folder, named_folder, trusted_cache, written_by_owner_only
 
-OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "no_cfunc_wrapper": True, "_nrt": False}
-INLINE: dict[str | None, dict] = {None: {}, "machine": {"forceinline": True}, "source": {"inline": "always"}}
+OPTIONS = {
+    "error_model": "numpy",
+    "fastmath": {"contract"},
+    "no_cfunc_wrapper": True,
+    "_nrt": False,
+}
+INLINE: dict[str | None, dict] = {
+    None: {},
+    "machine": {"forceinline": True},
+    "source": {"inline": "always"},
+}
 NUMBERS = {float: types.float64, int: types.int64, bool: types.boolean}
-DTYPES = {name: np.dtype(name) for name in ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")}
+DTYPES = {
+    name: np.dtype(name)
+    for name in ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")
+}
 VERSIONS = 8  # of the kernels' sources whose machine code is kept: those used last
 PACKAGE = Path(__file__).parent
 FILES = [file for file in sorted(PACKAGE.rglob("*.py")) if b"cvqmpt_lab.jit" in file.read_bytes()]
 SOURCES = sources_digest(*FILES)
-"""Digest of every file with kernels: numba itself does not notice when a function changes that another one calls."""
+"""Digest of every file with kernels:
+numba itself does not notice when a function changes that another one calls.
+"""
 
 
 @functools.cache
 def folder() -> Path | None:
-    """The folder for machine code of these sources, or None; one that cannot be written may have been filled before."""
+    """The folder for machine code of these sources, or None;
+    one that cannot be written may have been filled before.
+    """
     place = trusted_cache(named_folder("NUMBA_CACHE_DIR", cache_folder()) / SOURCES)
     if place is not None:
         with contextlib.suppress(OSError):
@@ -57,15 +75,25 @@ def folder() -> Path | None:
 def forget_unused(place: Path, kept: int = VERSIONS) -> None:
     """Remove machine code of all but the versions of the sources that were used last."""
     with contextlib.suppress(OSError):  # another process removes it, too
-        found = [one for one in place.iterdir() if re.fullmatch("[0-9a-f]{16}", one.name) and one.is_dir()]
-        ours = [one for one in found if all(file.suffix in (".nbi", ".nbc", "") for file in one.iterdir())]
+        found = [
+            one
+            for one in place.iterdir()
+            if re.fullmatch("[0-9a-f]{16}", one.name) and one.is_dir()
+        ]
+        ours = [
+            one
+            for one in found
+            if all(file.suffix in (".nbi", ".nbc", "") for file in one.iterdir())
+        ]
         for old in sorted(ours, key=lambda one: one.stat().st_mtime_ns)[:-kept]:
             shutil.rmtree(old)
 
 
 def compiled_before(everything: bool = False) -> bool:
     """Whether machine code is on disk: some of it, or of every entry."""
-    return (place := folder()) is not None and any(place.glob("complete" if everything else "*.nbc"))
+    return (place := folder()) is not None and any(
+        place.glob("complete" if everything else "*.nbc")
+    )
 
 
 def compile_all(first: int = 0, stride: int = 1) -> None:
@@ -92,13 +120,17 @@ class Locator(UserProvidedCacheLocator):
 
 
 class _Cache(FunctionCache):
-    """Machine code of one entry on disk. What cannot be read is compiled, what cannot be written is not kept."""
+    """Machine code of one entry on disk.
+
+    What cannot be read is compiled, what cannot be written is not kept.
+    """
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for a signature, or None."""
         try:
             return super().load_overload(sig, target_context)
-        except (OSError, EOFError, pickle.UnpicklingError):  # files damaged when the machine went down
+        # files damaged when the machine went down
+        except (OSError, EOFError, pickle.UnpicklingError):
             with contextlib.suppress(OSError):
                 self.flush()
             return None
@@ -114,15 +146,20 @@ class _Cache(FunctionCache):
 
 @functools.cache
 def _warn_not_kept(why: str) -> None:
-    message = f"machine code cannot be kept in {folder()} ({why}): every process compiles for up to half a minute; "
+    message = (
+        f"machine code cannot be kept in {folder()} ({why}): every process compiles for up "
+        f"to half a minute; "
+    )
     warnings.warn(message + "set NUMBA_CACHE_DIR to a writable folder", stacklevel=2)
 
 
 def kernel(function: Callable | None = None, *, inline: str | None = None) -> Any:
     """A compiled function that other kernels call.
 
-    inline: "machine" merges its machine code into every caller: a named tuple of arrays is passed as a hundred scalars,
-        too slow in the hot path. "source" copies it into its callers, so that it is not compiled on its own.
+    inline: "machine" merges its machine code into every caller: a named tuple of arrays is passed
+        as a hundred scalars,
+        too slow in the hot path. "source" copies it into its callers, so that it is not compiled on
+        its own.
     """
     if function is None:
         return functools.partial(kernel, inline=inline)
@@ -131,11 +168,17 @@ def kernel(function: Callable | None = None, *, inline: str | None = None) -> An
 
 def entry(function: Callable | None = None, *, inline: str | None = None) -> Any:
     """A compiled function that Python and other kernels call; inline: as of `kernel`."""
-    return functools.partial(entry, inline=inline) if function is None else Entry(function, INLINE[inline])
+    return (
+        functools.partial(entry, inline=inline)
+        if function is None
+        else Entry(function, INLINE[inline])
+    )
 
 
 class Entry:
-    """A compiled function whose arrays are checked when Python calls it; arguments are given by position."""
+    """A compiled function whose arrays are checked when Python calls it;
+    arguments are given by position.
+    """
 
     all: ClassVar[list["Entry"]] = []
 
@@ -156,7 +199,9 @@ class Entry:
 
     @functools.cached_property
     def unchecked(self) -> Callable:
-        """Its machine code, for callers that have checked the shapes: the check costs some microseconds."""
+        """Its machine code, for callers that have checked the shapes:
+        the check costs some microseconds.
+        """
         return self.dispatcher.compile(tuple(_numba_type(form) for form in _forms(self.py_func)))
 
     def __call__(self, *arguments: Any) -> Any:
@@ -211,12 +256,18 @@ def _numba_type(form: _Form) -> types.Type:
 
 
 def check_arrays(arrays: NamedTuple) -> None:
-    """InvalidInputError unless all arrays of a named tuple, nested ones too, fit annotations and each other."""
+    """InvalidInputError unless all arrays of a named tuple, nested ones too, fit annotations and
+    each other.
+    """
     _check(arrays, _forms(type(arrays)), {}, type(arrays).__name__, 9)
 
 
-def _check(values: tuple, forms: tuple[_Form, ...], sizes: dict[str, int], where: str, depth: int) -> None:
-    """Compare values with their forms, named tuples down to a depth; sizes: numbers known for names of dimensions."""
+def _check(
+    values: tuple, forms: tuple[_Form, ...], sizes: dict[str, int], where: str, depth: int
+) -> None:
+    """Compare values with their forms, named tuples down to a depth; sizes:
+    numbers known for names of dimensions.
+    """
     for value, form in zip(values, forms, strict=True):
         if form.dtype is None:
             if depth > 0 and form.hint not in NUMBERS:
@@ -224,16 +275,26 @@ def _check(values: tuple, forms: tuple[_Form, ...], sizes: dict[str, int], where
                 _check(value, _forms(form.hint), own, f"{where}.{form.name}", depth - 1)
                 sizes.update((name, size) for name, size in own.items() if len(name) == 1)
             continue
-        right = type(value) is np.ndarray and value.dtype == form.dtype and value.ndim == len(form.shape)
+        right = (
+            type(value) is np.ndarray
+            and value.dtype == form.dtype
+            and value.ndim == len(form.shape)
+        )
         if right and value.flags.c_contiguous:
             for size, name in zip(value.shape, form.shape, strict=True):
                 if size != (name if isinstance(name, int) else sizes.setdefault(name, size)):
                     break
             else:
                 continue
-        wanted = ", ".join(f"{name} = {sizes[name]}" if name in sizes else str(name) for name in form.shape)
+        wanted = ", ".join(
+            f"{name} = {sizes[name]}" if name in sizes else str(name) for name in form.shape
+        )
         given, needed = f"is a {type(value).__name__}", f"needed: ({wanted}) of {form.dtype}"
         if isinstance(value, np.ndarray):
-            order = "" if value.flags.c_contiguous else ", not contiguous (np.ascontiguousarray cures that)"
+            order = (
+                ""
+                if value.flags.c_contiguous
+                else ", not contiguous (np.ascontiguousarray cures that)"
+            )
             given = f"has shape {value.shape} of {value.dtype}{order}"
         raise InvalidInputError(f"{where}: {form.name} {given}; {needed}")

@@ -1,7 +1,9 @@
-"""Check of a motion before it is executed: limits, start, rest at both ends, and the certificate of its curve.
+"""Check of a motion before it is executed: limits, start, rest at both ends, and the certificate of
+its curve.
 
-Between its points a trajectory is the cubic through positions and velocities, as a robot's controller interpolates.
-Where accelerations are stated, a controller may take the quintic through these too: then both curves are judged.
+Between its points a trajectory is the cubic through positions and velocities, as a robot's
+controller interpolates. Where accelerations are stated, a controller may take the quintic through
+these too: then both curves are judged.
 """
 
 from __future__ import annotations
@@ -28,10 +30,11 @@ if TYPE_CHECKING:
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
 SAME = 1e-9  # [rad or m] between quintic and cubic, below which one of them is judged
-# Share by which limits may be exceeded: cubic pieces between the points of a motion that `time_path` timed to its
-# limits have accelerations up to 4 % above the stated ones.
+# Share by which limits may be exceeded: cubic pieces between the points of a motion that
+# `time_path` timed to its limits have accelerations up to 4 % above the stated ones.
 OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
-REPEATED = 1e-8  # [rad] between states of a path that are taken for one: OMPL repeats some, which cannot be timed
+# [rad] between states of a path that are taken for one: OMPL repeats some, which cannot be timed
+REPEATED = 1e-8
 SHARES = np.linspace(0.0, 1.0, 33)  # of a piece, where its rates are computed
 BETWEEN = 1.02  # times the largest acceleration there is more than that in between
 MOST_PIECES = 100_000
@@ -42,16 +45,22 @@ class DryRun(NamedTuple):
     """A certificate that includes faults in time."""
 
     certificate: Certificate  # places of faults are numbers of `states`
-    states: np.ndarray  # (m, n) [rad or m] that were certified: of a trajectory, pieces within FLAT of it
+    # (m, n) [rad or m] that were certified: of a trajectory, pieces within FLAT of it
+    states: np.ndarray
     times: np.ndarray | None = None  # (m,) of the states [s], or None for a path
-    apart: float = 0.0  # [m] of the robot's points on the motion from those on straight pieces, at most
+    # [m] of the robot's points on the motion from those on straight pieces, at most
+    apart: float = 0.0
     curve: str = ""  # "cubic" or "quintic", the worse one of those judged; "" for a path
 
 
-def certified_motion(problem: PlanningProblem, path: JointPath, settings: TimingSettings | None = None) -> Trajectory:
-    """The fastest motion along a path whose cubics, as a controller interpolates them, are certified.
+def certified_motion(
+    problem: PlanningProblem, path: JointPath, settings: TimingSettings | None = None
+) -> Trajectory:
+    """The fastest motion along a path whose cubics, as a controller interpolates them, are
+    certified.
 
-    InvalidInputError: the path does not move, the robot has no acceleration limits, or no motion is certified.
+    InvalidInputError: the path does not move, the robot has no acceleration limits, or no motion is
+    certified.
     """
     from cvqmpt_lab.trajectory.timing import time_path  # half a second to import
 
@@ -76,21 +85,28 @@ def dry_run(
 ) -> DryRun:
     """Judge a path or trajectory before it is sent to an arm that stands at current (n,).
 
-    InvalidInputError: joints of another robot, times without velocities, or times that do not increase.
+    InvalidInputError: joints of another robot, times without velocities, or times that do not
+    increase.
     """
     motion = motion.of_joints(problem.robot.joint_names)
     states, robot = motion.positions, problem.robot
     usable = states.ndim == 2 and states.shape[1] == robot.dof and np.isfinite(states).all()
-    faults = _start_fault(problem, states[0], current, tolerance) if current is not None and usable else []
+    faults = (
+        _start_fault(problem, states[0], current, tolerance)
+        if current is not None and usable
+        else []
+    )
     if motion.times is None or not usable:
         certificate = certify(problem, JointPath(states))
         return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states)
-    apart = max(2.0 * reach_with(robot, problem.attachments), 1.0) * robot.dof * FLAT  # a slider moves points by it
+    # a slider moves points by it
+    apart = max(2.0 * reach_with(robot, problem.attachments), 1.0) * robot.dof * FLAT
     runs = []
     for name, curve in _curves(motion).items():
         times = _moments(curve, robot.joint_limits)
         states = curve(times)
-        stated = motion.accelerations if name == "cubic" else None  # a quintic has them at its points
+        # a quintic has them at its points
+        stated = motion.accelerations if name == "cubic" else None
         certificate = certify(problem, JointPath(states), problem.collision_checker(apart))
         every = (
             *_limit_faults(curve, stated, robot.joint_limits, times),
@@ -106,20 +122,26 @@ def dry_run(
 
 
 def _curves(motion: Motion) -> dict[str, PPoly]:
-    """The cubic through positions and velocities q(t) (n,), and the quintic through stated accelerations if it differs.
+    """The cubic through positions and velocities q(t) (n,), and the quintic through stated
+    accelerations if it differs.
 
-    With h the length of a piece, s = t / h its share and d0, d1 the stated accelerations less the cubic's at its ends:
-    quintic - cubic = h^2 / 2 (d0 s^2 (1 - s)^3 + d1 s^3 (1 - s)^2), at most h^2 / 32 max(|d0|, |d1|).
+    With h the length of a piece, s = t / h its share and d0, d1 the stated accelerations less the
+    cubic's at its ends: quintic - cubic = h^2 / 2 (d0 s^2 (1 - s)^3 + d1 s^3 (1 - s)^2), at most
+    h^2 / 32 max(|d0|, |d1|).
     """
     assert motion.times is not None
     q, v, a = motion.positions, motion.velocities, motion.accelerations
     if v is None:
-        raise InvalidInputError("a trajectory needs velocities at its times; leave the times out to judge the path")
+        raise InvalidInputError(
+            "a trajectory needs velocities at its times; leave the times out to judge the path"
+        )
     for what, values in (("time", motion.times), ("velocity", v), ("acceleration", a)):
         if values is not None and not np.isfinite(values).all():
             raise InvalidInputError(f"a value of {what} is not finite")
     if len(motion.times) < 2 or motion.times[0] < 0.0 or not (np.diff(motion.times) > 0.0).all():
-        raise InvalidInputError("times must begin at 0 or later and increase, at two points or more")
+        raise InvalidInputError(
+            "times must begin at 0 or later and increase, at two points or more"
+        )
     from scipy.interpolate import PPoly
 
     times = motion.times - motion.times[0]
@@ -131,33 +153,51 @@ def _curves(motion: Motion) -> dict[str, PPoly]:
         d0, d1 = np.zeros((2, *mean.shape)) if a is None else (a[:-1] - begins, a[1:] - ends)
         none = np.zeros_like(mean)
         cubic = np.array([none, none, (ends - begins) / (6.0 * h), 0.5 * begins, v[:-1], q[:-1]])
-        factors = (d1 - d0) / h**3, (3.0 * d0 - 2.0 * d1) / h**2, (d1 - 3.0 * d0) / h, d0, none, none
-        curves = {"cubic": PPoly(cubic, times), "quintic": PPoly(cubic + 0.5 * np.array(factors), times)}
+        factors = (
+            (d1 - d0) / h**3,
+            (3.0 * d0 - 2.0 * d1) / h**2,
+            (d1 - 3.0 * d0) / h,
+            d0,
+            none,
+            none,
+        )
+        curves = {
+            "cubic": PPoly(cubic, times),
+            "quintic": PPoly(cubic + 0.5 * np.array(factors), times),
+        }
         if (h**2 / 32.0 * np.maximum(np.abs(d0), np.abs(d1)) <= SAME).all():
             del curves["quintic"]
         return curves
 
 
 def _rates(curve: PPoly, order: int) -> np.ndarray:
-    """A derivative [rad/s, rad/s^2] at SHARES of every piece (shares, k, n); inf or nan after an overflow."""
+    """A derivative [rad/s, rad/s^2] at SHARES of every piece (shares, k, n);
+    inf or nan after an overflow.
+    """
     with np.errstate(all="ignore"):
-        return np.polyval(curve.derivative(order).c, SHARES[:, None, None] * np.diff(curve.x)[:, None])
+        return np.polyval(
+            curve.derivative(order).c, SHARES[:, None, None] * np.diff(curve.x)[:, None]
+        )
 
 
 def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
-    """Times (m,) between which each joint is within FLAT of straight, by the largest acceleration of each piece."""
+    """Times (m,) between which each joint is within FLAT of straight, by the largest acceleration
+    of each piece.
+    """
     most = BETWEEN * np.abs(_rates(curve, 2)).max(axis=0)
     if not (most <= HARDEST * limits.acceleration).all():
         worst, joint = np.unravel_index(int(np.argmax(most / limits.acceleration)), most.shape)
         raise InvalidInputError(
-            f"from point {worst} on {limits.joint_names[joint]} accelerates by {most[worst, joint]:.3g} rad/s^2, "
+            f"from point {worst} on {limits.joint_names[joint]} accelerates by "
+            f"{most[worst, joint]:.3g} rad/s^2, "
             f"its limit is {limits.acceleration[joint]:.3g}: too much to follow; are units right?"
         )
     spans = np.diff(curve.x)
     pieces = np.maximum(np.ceil(spans * np.sqrt(most.max(axis=1) / (8.0 * FLAT))), 1.0)
     if pieces.sum() > MOST_PIECES:
         raise InvalidInputError(
-            f"a motion of {spans.sum():.3g} s that would be followed in {pieces.sum():.3g} straight pieces; at most "
+            f"a motion of {spans.sum():.3g} s that would be followed in {pieces.sum():.3g} "
+            f"straight pieces; at most "
             f"{MOST_PIECES} are: certify it in parts; are times in seconds?"
         )
     counted = zip(curve.x, spans, pieces.astype(int), strict=False)
@@ -165,8 +205,12 @@ def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
     return np.concatenate([*cuts, curve.x[-1:]])
 
 
-def _limit_faults(curve: PPoly, stated: np.ndarray | None, limits: JointLimits, times: np.ndarray) -> Iterator[Fault]:
-    """The joint most above its limit, of velocity and acceleration: on a curve at SHARES, and as stated."""
+def _limit_faults(
+    curve: PPoly, stated: np.ndarray | None, limits: JointLimits, times: np.ndarray
+) -> Iterator[Fault]:
+    """The joint most above its limit, of velocity and acceleration:
+    on a curve at SHARES, and as stated.
+    """
     for order, kind, unit, limit in (
         (1, FaultKind.VELOCITY, "rad/s", limits.velocity),
         (2, FaultKind.ACCELERATION, "rad/s^2", limits.acceleration),
@@ -177,8 +221,13 @@ def _limit_faults(curve: PPoly, stated: np.ndarray | None, limits: JointLimits, 
         used = np.nan_to_num(np.abs(rates) / limit, nan=np.inf)
         share, k, joint = np.unravel_index(int(used.argmax()), used.shape)
         if used[share, k, joint] > 1.0 + OVERSHOOT[kind]:
-            reached = f"{limits.joint_names[joint]} reaches {used[share, k, joint] * limit[joint]:.4g} {unit}"
-            moment = curve.x[k] + np.append(SHARES, (0.0, 1.0))[share] * (curve.x[k + 1] - curve.x[k])
+            reached = (
+                f"{limits.joint_names[joint]} reaches "
+                f"{used[share, k, joint] * limit[joint]:.4g} {unit}"
+            )
+            moment = curve.x[k] + np.append(SHARES, (0.0, 1.0))[share] * (
+                curve.x[k + 1] - curve.x[k]
+            )
             state = float(np.interp(moment, times, np.arange(len(times))))
             yield Fault(kind, f"{reached}, its {kind} limit is {limit[joint]:.4g}", state)
 
@@ -198,10 +247,13 @@ def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> list[F
     return faults
 
 
-def _start_fault(problem: PlanningProblem, first: np.ndarray, current: np.ndarray, tolerance: float) -> list[Fault]:
+def _start_fault(
+    problem: PlanningProblem, first: np.ndarray, current: np.ndarray, tolerance: float
+) -> list[Fault]:
     if current.shape != first.shape or not np.isfinite(current).all():
         raise InvalidInputError(
-            f"current configuration of {len(current)} values: give {len(first)} finite numbers, one each for "
+            f"current configuration of {len(current)} values: give {len(first)} finite numbers, "
+            f"one each for "
             f"{', '.join(problem.robot.joint_names)}"
         )
     off = np.abs(first - current)

@@ -1,4 +1,6 @@
-"""Base of robots, scenes, problems and solutions, which notebooks show as a picture below a few lines of text."""
+"""Base of robots, scenes, problems and solutions, which notebooks show as a picture below a few
+lines of text.
+"""
 
 from base64 import b64encode
 from html import escape
@@ -9,7 +11,9 @@ class Pictured:
     """A value whose `repr` has a few lines, and that `show.draw` can draw."""
 
     def _repr_png_(self) -> bytes | None:
-        """The picture, or None without anything to see; the module by its name, which stands on this one."""
+        """The picture, or None without anything to see;
+        the module by its name, which stands on this one.
+        """
         return import_module("cvqmpt_lab.show.draw").png_of(self)
 
     def _repr_html_(self) -> str:

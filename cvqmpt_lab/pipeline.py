@@ -40,20 +40,27 @@ class Solution(Pictured):
     certificate: Certificate | None = None  # of the shortened path; None without one
     goal_seconds: float = 0.0  # what drawing goals took [s]
     observe_seconds: float = 0.0  # of rendering or reading the cloud [s]; charged to nobody
-    wall_seconds: float | None = None  # of the whole call up to the path, without goals and cloud [s]
+    # of the whole call up to the path, without goals and cloud [s]
+    wall_seconds: float | None = None
     improvement: Improvement | None = None  # by `optimize`; `simplified` then has the best path
-    distribution: SamplingDistribution | None = None  # that the search drew from; None where it drew from none
+    # that the search drew from; None where it drew from none
+    distribution: SamplingDistribution | None = None
 
     def __repr__(self) -> str:
         plan, path, sure = self.plan, self.simplified and self.simplified.path, self.certificate
         lines = [
-            f"Solution of {self.problem.name!r}: {'solved and certified' if self.solved else 'not solved'}",
+            f"Solution of {self.problem.name!r}: "
+            f"{'solved and certified' if self.solved else 'not solved'}",
             f"plan        {plan.status} after {1e3 * plan.seconds:.1f} ms, samples: {plan.sampler}"
             + (f" ({plan.detail})" if plan.detail else ""),
         ]
         lines += [f"path        {path!r}"] if path else []
         if sure is not None:
-            clear = f", clearance {1e3 * sure.min_clearance_m:.1f} mm" if sure.min_clearance_m >= 0.0 else ""
+            clear = (
+                f", clearance {1e3 * sure.min_clearance_m:.1f} mm"
+                if sure.min_clearance_m >= 0.0
+                else ""
+            )
             lines.append(f"certificate {'; '.join((str(sure.verdict), *sure.reasons[:1]))}{clear}")
         return "\n".join(lines)
 
@@ -77,16 +84,22 @@ def solve(
     use_cache: bool = True,
     near_goals_first: bool = False,
 ) -> Solution:
-    """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed and start.
+    """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed and
+    start.
 
-    Calls from several threads run one after the other: OMPL's random numbers, clouds and costs of edges that are
-    remembered, and the number of BLAS threads belong to the process. Several processes plan at the same time.
+    Calls from several threads run one after the other: OMPL's random numbers, clouds and costs of
+    edges that are remembered, and the number of BLAS threads belong to the process. Several
+    processes plan at the same time.
 
-    optimize: spent after the first path on other ways and shortening; the result is never longer than that path.
-    use_cache: False charges the planner for whatever it computes from the cloud, although it may remember the scene.
-    near_goals_first: where hinges turn more than once, the nearest goals are tried alone first: others are turns away.
-    Raises InvalidProblemError for a start or goal that collides or violates the constraint, InvalidInputError for a
-    method that cannot serve the problem (weights of another robot, no constraint).
+    optimize: spent after the first path on other ways and shortening; the result is never longer
+        than that path.
+    use_cache: False charges the planner for whatever it computes from the cloud, although it may
+        remember the scene.
+    near_goals_first: where hinges turn more than once, the nearest goals are tried alone first:
+        others are turns away.
+    Raises InvalidProblemError for a start or goal that collides or violates the constraint,
+    InvalidInputError for a method that cannot serve the problem (weights of another robot, no
+    constraint).
     """
     require_kind("problem", problem, PlanningProblem, LOAD)
     Budget.require(budget)
@@ -99,7 +112,9 @@ def solve(
     called = time.perf_counter()
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:
-        plan = no_plan(PlanStatus.NO_GOAL, f"no goal: {drawn_goals(problem).outcome}; {problem.why_no_goal()}")
+        plan = no_plan(
+            PlanStatus.NO_GOAL, f"no goal: {drawn_goals(problem).outcome}; {problem.why_no_goal()}"
+        )
         return Solution(problem, plan, goal_seconds=goal_seconds)
     check_problem(problem)
     require_fit(method, problem)
@@ -129,9 +144,20 @@ def solve(
     drawn_from = proposal.distribution if sampled else None
     shorter = None
     if plan.path is not None:
-        shorter = _as_is(plan.path) if plan.as_is else simplify(space, plan.path, rng, simplification)
+        shorter = (
+            _as_is(plan.path) if plan.as_is else simplify(space, plan.path, rng, simplification)
+        )
     wall = time.perf_counter() - called - goal_seconds - observation.seconds
-    found = Solution(problem, plan, shorter, None, goal_seconds, observation.seconds, wall, distribution=drawn_from)
+    found = Solution(
+        problem,
+        plan,
+        shorter,
+        None,
+        goal_seconds,
+        observation.seconds,
+        wall,
+        distribution=drawn_from,
+    )
     if shorter is None:
         return found
     found = replace(found, certificate=certify(problem, shorter.path, clearance=clearance))
@@ -148,8 +174,12 @@ def _as_is(path: JointPath) -> Simplified:
     return Simplified(path, 0.0, Counters())
 
 
-def _with_better(found: Solution, best: JointPath, improvement: Improvement, clearance: bool) -> Solution:
-    """A solution with a path that is no longer than its own, unless that one is refused a certificate."""
+def _with_better(
+    found: Solution, best: JointPath, improvement: Improvement, clearance: bool
+) -> Solution:
+    """A solution with a path that is no longer than its own, unless that one is refused a
+    certificate.
+    """
     assert found.simplified is not None
     certificate = certify(found.problem, best, clearance=clearance)
     if not certificate.valid:
@@ -159,12 +189,17 @@ def _with_better(found: Solution, best: JointPath, improvement: Improvement, cle
 
 
 def solve_many(
-    problems: Sequence[PlanningProblem], method: Method | str, budget: Budget, seed: int = 0, **options: Any
+    problems: Sequence[PlanningProblem],
+    method: Method | str,
+    budget: Budget,
+    seed: int = 0,
+    **options: Any,
 ) -> list[Solution]:
-    """Solve problems one after the other, those of one scene together, so that its arrays are made once.
+    """Solve problems one after the other, those of one scene together, so that its arrays are made
+    once.
 
-    Options and errors are those of `solve`; each solution is the one that it gives. Solutions come in the order of
-    the problems.
+    Options and errors are those of `solve`; each solution is the one that it gives. Solutions come
+    in the order of the problems.
     """
     method = planner_named(method) if isinstance(method, str) else method
     scenes: dict[Any, list[int]] = {}
@@ -186,9 +221,11 @@ def no_plan(status: PlanStatus, detail: str = "") -> PlanResult:
 
 
 def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float]:
-    """The problem with goal configurations drawn from its goal region when it has none, and the seconds spent.
+    """The problem with goal configurations drawn from its goal region when it has none, and the
+    seconds spent.
 
-    Goals off the manifold are left out, unless all are: `check_problem` then says which bound they break.
+    Goals off the manifold are left out, unless all are: `check_problem` then says which bound they
+    break.
     """
     if len(problem.goals) > 0 or problem.goal_region is None:
         return problem, 0.0
@@ -201,9 +238,9 @@ def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float
 def drawn_goals(problem: PlanningProblem) -> GoalSample:
     """Goals from the problem's goal region, and how many poses gave none.
 
-    The draw depends on the problem's start alone, so that every planner and seed gets the same goals.
-    Where the hand holds a door, goals have the door where the hand takes it, and an arm posture like the
-    start's: most other postures can only be reached by letting go.
+    The draw depends on the problem's start alone, so that every planner and seed gets the same
+    goals. Where the hand holds a door, goals have the door where the hand takes it, and an arm
+    posture like the start's: most other postures can only be reached by letting go.
     """
     rng = problem.random_stream()
     held = [region for region in problem.constraint if isinstance(region, TaskSpaceRegionChain)]

@@ -1,7 +1,9 @@
-"""The planners by name: columns of the paper's tables, ours, and controls that isolate one part each.
+"""The planners by name: columns of the paper's tables, ours, and controls that isolate one part
+each.
 
-A planner is four stages (see `search.query`): observe a scene, predict where to sample, update that towards the
-constraint, search. Its stages are made, and its weights loaded, when they are first asked for.
+A planner is four stages (see `search.query`): observe a scene, predict where to sample, update that
+towards the constraint, search. Its stages are made, and its weights loaded, when they are first
+asked for.
 """
 
 from collections.abc import Callable
@@ -34,9 +36,11 @@ class Method:
     """A planner by name."""
 
     name: str
-    build: Callable[[PlanningProblem, str], Stages]  # of a problem's robot and load, and a model, see `stages`
+    # of a problem's robot and load, and a model, see `stages`
+    build: Callable[[PlanningProblem, str], Stages]
     weights: str | None = None  # kind of weights it needs, a key of `vqmpt.weights.SHIPPED`
-    needs_charts: bool = False  # of the manifold, which exist where joints are more than the constraint's bounded rows
+    # of the manifold, which exist where joints are more than the constraint's bounded rows
+    needs_charts: bool = False
     model: str | None = None  # name or folder of its weights; None for the shipped ones
     sampler: SamplerChoice | None = None  # of a learned sampler under the paper's search
     external: str = ""  # of a planner of others: its distributions and their versions
@@ -54,7 +58,9 @@ class Method:
         return replace(self, model=model)
 
     def with_cloud(self, points: np.ndarray) -> "Method":
-        """The same on measured points (p, 3) [m, base frame]; its stages refuse to be made if it takes no cloud."""
+        """The same on measured points (p, 3) [m, base frame];
+        its stages refuse to be made if it takes no cloud.
+        """
 
         def build(problem: PlanningProblem, model: str) -> Stages:
             stages = self.build(problem, model)
@@ -69,7 +75,10 @@ class Method:
         """Why the planner cannot serve a problem, or ""."""
         rows = sum(len(region.bounded_rows) for region in problem.constraint)
         if self.needs_charts and rows >= problem.robot.dof:
-            return f"it needs more joints than the constraint bounds, {problem.robot.dof} joints and {rows} entries"
+            return (
+                f"it needs more joints than the constraint bounds, {problem.robot.dof} joints "
+                f"and {rows} entries"
+            )
         if self.weights is None:
             return ""
         from cvqmpt_lab.vqmpt.weights import (
@@ -77,7 +86,9 @@ class Method:
             robot_signature,  # reads weights
         )
 
-        return incompatibility(self.model or self.weights, self.weights, robot_signature(problem.robot))
+        return incompatibility(
+            self.model or self.weights, self.weights, robot_signature(problem.robot)
+        )
 
     def stages(self, problem: PlanningProblem) -> Stages:
         """What it does with the robot of a problem that it can serve, and what it carries."""
@@ -112,7 +123,9 @@ def _roadmap(
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs,
     oracle: bool = False,
 ) -> Method:
-    """A roadmap of a dictionary's nodes where there are weights, else of spread ones; costs, oracle: of its edges."""
+    """A roadmap of a dictionary's nodes where there are weights, else of spread ones;
+    costs, oracle: of its edges.
+    """
 
     def build(problem: PlanningProblem, model: str) -> Stages:
         robot, load = problem.robot, problem.attachments
@@ -125,7 +138,8 @@ def _roadmap(
 
             roadmap = free_dictionary(model, robot, load)
         return Stages(
-            predict=RoadmapPath(roadmap, name, costs=costs, oracle=oracle), ways=InformedRoadmaps(costs=costs)
+            predict=RoadmapPath(roadmap, name, costs=costs, oracle=oracle),
+            ways=InformedRoadmaps(costs=costs),
         )
 
     return Method(name, build, weights)
@@ -137,7 +151,9 @@ def _product(name: str, choice: SamplerChoice) -> Method:
 
 
 def _straight_line(name: str, uniform_share: float) -> Method:
-    return Method.simple(name, predict=partial(straight_line, AroundPath(name, uniform_share=uniform_share)))
+    return Method.simple(
+        name, predict=partial(straight_line, AroundPath(name, uniform_share=uniform_share))
+    )
 
 
 def _external(name: str) -> Method:
@@ -181,24 +197,33 @@ CONTROLS = _by_name(
     Method.simple("guided-birrt", predict=partial(unconstrained_guide, AroundPath("guide"))),
     _straight_line("straight-line", 0.15),
     _straight_line("straight-line-only", 0.0),
-    *(_roadmap(f"roadmap-uniform-{draw}", sequence=UNIFORM, draw=draw) for draw in range(UNIFORM_DRAWS)),
+    *(
+        _roadmap(f"roadmap-uniform-{draw}", sequence=UNIFORM, draw=draw)
+        for draw in range(UNIFORM_DRAWS)
+    ),
     _roadmap("roadmap-wrong-scene", VQ_MPT, costs=other_costs),
     _roadmap("roadmap-no-scene", VQ_MPT, costs=no_costs),
     _roadmap("roadmap-true-edges", VQ_MPT, costs=no_costs, oracle=True),
-    Method.simple("solved-paths", predict=partial(solved_paths, AroundPath("solved-paths", std=0.25))),
+    Method.simple(
+        "solved-paths", predict=partial(solved_paths, AroundPath("solved-paths", std=0.25))
+    ),
     *(_product(name, SamplerChoice.of(words)) for name, words in ISOLATED.items()),
 )
 
 PUBLISHED = _by_name(_product("cvq-published", NAMED["cvq-published"]))
 """On weights of the authors' architecture, imported or trained: none ship."""
 
-WITHOUT_WEIGHTS = tuple(name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is None)
+WITHOUT_WEIGHTS = tuple(
+    name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is None
+)
 
 
 def planner_named(name: str, model: str | None = None) -> Method:
-    """The planner or control of that name; model: name or folder of its weights, None for the shipped ones.
+    """The planner or control of that name; model: name or folder of its weights, None for the
+    shipped ones.
 
-    Planners of others are ``package.module:planner``, the adapters that ship, and entry points, see `external.found`.
+    Planners of others are ``package.module:planner``, the adapters that ship, and entry points, see
+    `external.found`.
     """
     refuse_clash(name, (*PLANNERS, *CONTROLS, *PUBLISHED, *PEERS))
     found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
@@ -214,7 +239,9 @@ def planner_named(name: str, model: str | None = None) -> Method:
 
 
 def default_planner(problem: PlanningProblem) -> tuple[str, str]:
-    """The planner for a problem where none is named, and why: `roadmap` where it was measured and did better."""
+    """The planner for a problem where none is named, and why:
+    `roadmap` where it was measured and did better.
+    """
     if any(isinstance(region, TaskSpaceRegionChain) for region in problem.constraint):
         return "birrt", "the hand holds a mechanism, for which no roadmap was measured"
     return (
@@ -224,8 +251,14 @@ def default_planner(problem: PlanningProblem) -> tuple[str, str]:
 
 
 def require_fit(method: Method, problem: PlanningProblem) -> None:
-    """Refuse a problem that a planner cannot serve: InvalidInputError says why, and which planners can."""
+    """Refuse a problem that a planner cannot serve:
+    InvalidInputError says why, and which planners can.
+    """
     reason = method.incompatibility(problem)
     if reason:
-        others = [name for name, one in PLANNERS.items() if one.weights is None and not one.incompatibility(problem)]
+        others = [
+            name
+            for name, one in PLANNERS.items()
+            if one.weights is None and not one.incompatibility(problem)
+        ]
         raise InvalidInputError(f"{method.name}: {reason}; planners that can: {', '.join(others)}")

@@ -1,4 +1,6 @@
-"""Rigid poses: 4x4 arrays `T_a_b` that map points of frame b into frame a; lengths in [m], angles in [rad]."""
+"""Rigid poses: 4x4 arrays `T_a_b` that map points of frame b into frame a;
+lengths in [m], angles in [rad].
+"""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -25,7 +27,9 @@ def pose(xyz: Iterable[float], yaw: float = 0.0) -> FloatArray:
 
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
-    """Return the rotations (k, 3, 3) of rotation vectors (k, 3) [rad], to the last bit as scipy gives them."""
+    """Return the rotations (k, 3, 3) of rotation vectors (k, 3) [rad], to the last bit as scipy
+    gives them.
+    """
     R = np.empty((len(vectors), 3, 3))
     for matrix, (a, b, c) in zip(R, vectors.tolist(), strict=True):
         angle = math.sqrt(a * a + b * b + c * c)
@@ -45,7 +49,8 @@ class Placement:
     """A pose as a position, and angles or a quaternion."""
 
     xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position [m]
-    rpy: tuple[float, float, float] | None = None  # roll, pitch, yaw about fixed x, y, z [rad], as in a URDF
+    # roll, pitch, yaw about fixed x, y, z [rad], as in a URDF
+    rpy: tuple[float, float, float] | None = None
     quaternion: tuple[float, float, float, float] | None = None  # x, y, z, w, of length 1
 
     def __post_init__(self) -> None:
@@ -53,11 +58,14 @@ class Placement:
             raise InvalidInputError("give 'rpy' or 'quaternion', one of the two")
         if (most := max(map(abs, self.rpy or (0.0,)))) > TURN:
             raise InvalidInputError(
-                f"'rpy' holds {most:g}, more than 2 pi: degrees? Give radians, 90 degrees are 1.5708"
+                f"'rpy' holds {most:g}, more than 2 pi: degrees? Give radians, 90 degrees are "
+                f"1.5708"
             )
         length = math.hypot(*self.quaternion or (1.0,))
         if abs(length - 1.0) > 1e-3:
-            raise InvalidInputError(f"quaternion [x, y, z, w] has length {length:.4g}; it must be 1")
+            raise InvalidInputError(
+                f"quaternion [x, y, z, w] has length {length:.4g}; it must be 1"
+            )
 
     @property
     def matrix(self) -> FloatArray:
@@ -97,7 +105,11 @@ class PoseForm:
 
     def write(self, value: FloatArray) -> Any:
         """The position if the rotation is the identity, else the matrix, which is exact."""
-        return {"xyz": value[:3, 3].tolist()} if np.array_equal(value[:3, :3], np.eye(3)) else value.tolist()
+        return (
+            {"xyz": value[:3, 3].tolist()}
+            if np.array_equal(value[:3, :3], np.eye(3))
+            else value.tolist()
+        )
 
     def schema(self, of: Schema) -> dict[str, Any]:
         """Either."""
@@ -110,7 +122,8 @@ Pose = Annotated[FloatArray, PoseForm()]
 def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     """Return the rotation vectors (k, 3) [rad] of rotations (k, 3, 3), of angles up to pi.
 
-    By unit quaternions q: the entries of a rotation give 4 q q^T, whose row of the largest diagonal is along q.
+    By unit quaternions q: the entries of a rotation give 4 q q^T, whose row of the largest diagonal
+    is along q.
     """
     m = np.asarray(matrices).reshape(-1, 3, 3)
     trace = np.trace(m, axis1=1, axis2=2)

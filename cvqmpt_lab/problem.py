@@ -1,6 +1,7 @@
 """Planning problems: a robot in a scene under a constraint, from a start to any of several goals.
 
-Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors: `schemas/problem.schema.json`)::
+Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors:
+`schemas/problem.schema.json`)::
 
     {"schema": "cvqmpt-problem/1", "name": "...",
      "robot": {"name": "panda", "finger_opening": 0.04}
@@ -15,8 +16,9 @@ Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors: `schemas/p
      "goals": [configuration, ...]  and / or  "goal_region": region,
      "clearance": 0.01}
 
-A configuration is n numbers, {"joint": value} or the name of a group_state in the robot's SRDF. A pose is {"xyz",
-"rpy"}, {"xyz", "quaternion"} or a 4x4 matrix. Goals are drawn from the goal region only if no goals are given.
+A configuration is n numbers, {"joint": value} or the name of a group_state in the robot's SRDF. A
+pose is {"xyz", "rpy"}, {"xyz", "quaternion"} or a 4x4 matrix. Goals are drawn from the goal region
+only if no goals are given.
 """
 
 import threading
@@ -35,7 +37,11 @@ from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_regi
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.no_goal import why_none
 from cvqmpt_lab.constraints.report import bound_usage, bounds_text, broken_bound, displacements
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import (
+    TOLERANCE,
+    RegionConstraint,
+    TaskSpaceRegionChain,
+)
 from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.robot.loading import robot_from_source
@@ -69,7 +75,11 @@ class RobotForm:
         """An arm by name, or a URDF; either with an articulated object."""
         door = {"anyOf": [{"type": "null"}, of(ArticulatedObject)]}
         kinds = [of(NamedRobot), of(UrdfRobot)]
-        return {"anyOf": [{**kind, "properties": {**kind["properties"], ARTICULATED: door}} for kind in kinds]}
+        return {
+            "anyOf": [
+                {**kind, "properties": {**kind["properties"], ARTICULATED: door}} for kind in kinds
+            ]
+        }
 
 
 class GoalsForm(StatesForm):
@@ -77,7 +87,9 @@ class GoalsForm(StatesForm):
 
     def read(self, value: Any, where: str) -> FloatArray:
         """An array (k, n); (0, 0) of an empty list."""
-        return super().read(value if not isinstance(value, list) or value else np.empty((0, 0)), where)
+        return super().read(
+            value if not isinstance(value, list) or value else np.empty((0, 0)), where
+        )
 
 
 Clearance = Annotated[
@@ -100,23 +112,30 @@ class PlanningProblem(Document, Pictured):
     name: Name  # What it is called in results
     robot: Annotated[Robot, RobotForm()]  # What moves; n is the number of its joints
     scene: NamedScene  # What it must not touch
-    start: Annotated[FloatArray, StateForm((None,), "numbers [rad or m]")] = field(default_factory=lambda: np.empty(0))
+    start: Annotated[FloatArray, StateForm((None,), "numbers [rad or m]")] = field(
+        default_factory=lambda: np.empty(0)
+    )
     """(n,) [rad or m], drawn from `start_region` if empty."""
     goals: Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")] = field(
         default_factory=lambda: np.empty((0, 0))
     )
     """(k, n) [rad or m], drawn from `goal_region` if there are none."""
-    constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()  # Regions that the end effector must stay in
+    # Regions that the end effector must stay in
+    constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
     attachments: tuple[Attachment, ...] = ()  # What the hand carries
     goal_region: Region | None = None  # End-effector poses that count as a goal
-    start_region: Region | None = None  # End-effector poses from which the start is drawn, within the constraint
-    clearance: Clearance = 0.0  # That robot and what it carries keep from obstacles [m]; planned and certified
+    # End-effector poses from which the start is drawn, within the constraint
+    start_region: Region | None = None
+    # That robot and what it carries keep from obstacles [m]; planned and certified
+    clearance: Clearance = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_regions()
         if (len(self.start) == 0) == (self.start_region is None):
-            raise InvalidProblemError(f"{self.name}: give 'start' or 'start_region', one of the two")
+            raise InvalidProblemError(
+                f"{self.name}: give 'start' or 'start_region', one of the two"
+            )
         if self.start_region is not None:
             object.__setattr__(self, "start", self._drawn_start())
             object.__setattr__(self, "start_region", None)
@@ -129,7 +148,8 @@ class PlanningProblem(Document, Pictured):
         region = " and a goal region" if self.goal_region is not None else ""
         return (
             f"PlanningProblem {self.name!r}: {len(self.goals)} goals{region}\n"
-            f"robot       {self.robot.name}, {self.robot.dof} joints{carried and ', carries ' + carried}\n"
+            f"robot       {self.robot.name}, {self.robot.dof} "
+            f"joints{carried and ', carries ' + carried}\n"
             f"scene       {self.scene.name}, {len(self.scene.objects)} objects\n"
             f"constraint  {bounds_text(self.constraint)}\n"
             f"start       {' '.join(f'{x:.3f}' for x in self.start)}"
@@ -137,15 +157,19 @@ class PlanningProblem(Document, Pictured):
 
     @classmethod
     def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """Json with the clouds and meshes of its scene, and the robot's files as seen from the folder."""
+        """Json with the clouds and meshes of its scene, and the robot's files as seen from the
+        folder.
+        """
         data = with_files_read(data, folder)
         return data | {"robot": seen_from(folder, data["robot"])} if "robot" in data else data
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Inverse of `to_dict`; a start or goal may be {"joint": value} or the name of a group_state of the SRDF.
+        """Inverse of `to_dict`; a start or goal may be {"joint": value} or the name of a
+        group_state of the SRDF.
 
-        Refuses lengths that cannot be metres; logs a warning when nothing of the scene is within reach.
+        Refuses lengths that cannot be metres; logs a warning when nothing of the scene is within
+        reach.
         """
         problem = super().from_dict(_with_numbers(data))
         refuse_far(problem.scene)
@@ -159,44 +183,63 @@ class PlanningProblem(Document, Pictured):
     def _check_regions(self) -> None:
         unique((item.name for item in self.attachments), f"attachments of problem {self.name!r}")
         if len(self.goals) == 0 and self.goal_region is None:
-            raise InvalidProblemError(f"{self.name}: give 'goals' (configurations) or a 'goal_region'")
-        for what, region in (("start_region", self.start_region), ("goal_region", self.goal_region)):
+            raise InvalidProblemError(
+                f"{self.name}: give 'goals' (configurations) or a 'goal_region'"
+            )
+        for what, region in (
+            ("start_region", self.start_region),
+            ("goal_region", self.goal_region),
+        ):
             if isinstance(region, TaskSpaceRegionChain):
                 raise InvalidProblemError(
-                    f"{self.name}: {what!r} hangs on {region.base!r}, which moves; give one in the world: "
+                    f"{self.name}: {what!r} hangs on {region.base!r}, which moves; give one in "
+                    f"the world: "
                     f"TaskSpaceRegionChain.at(pose of {region.base!r})"
                 )
         if len(self.constraint) > MOST_REGIONS:
             raise InvalidProblemError(
-                f"{self.name}: a constraint of {len(self.constraint)} regions; at most {MOST_REGIONS} can be kept at "
+                f"{self.name}: a constraint of {len(self.constraint)} regions; at most "
+                f"{MOST_REGIONS} can be kept at "
                 "once: leave out those that others say already"
             )
         for region in self.constraint:
-            region.reference_link(self.robot)  # raises UnknownChoiceError for a frame that does not exist
+            # raises UnknownChoiceError for a frame that does not exist
+            region.reference_link(self.robot)
 
     def _check_configurations(self) -> None:
         n = self.robot.dof
-        for what, array, shape in (("start", self.start, f"({n},)"), ("goals", self.goals, f"(k, {n})")):
+        for what, array, shape in (
+            ("start", self.start, f"({n},)"),
+            ("goals", self.goals, f"(k, {n})"),
+        ):
             if array.shape[-1] != n:
                 raise InvalidProblemError(
-                    f"{self.name}: {what} has shape {array.shape}, robot {self.robot.name} needs {shape}"
+                    f"{self.name}: {what} has shape {array.shape}, robot {self.robot.name} needs "
+                    f"{shape}"
                 )
         for label, q in self.labelled_configurations():
             outside = self.robot.joint_outside_limits(q)
             if outside is not None:
                 cure = "degrees? Give radians" if outside[1] > TURN else "move it inside"
                 raise InvalidProblemError(
-                    f"{self.name}: {label} is outside the limits: {outside[0]} by {outside[1]:.4g}; {cure}"
+                    f"{self.name}: {label} is outside the limits: {outside[0]} by "
+                    f"{outside[1]:.4g}; {cure}"
                 )
 
     def _drawn_start(self) -> FloatArray:
-        """A configuration (n,) that reaches the start region and keeps the constraint; always the same one."""
+        """A configuration (n,) that reaches the start region and keeps the constraint;
+        always the same one.
+        """
         assert self.start_region is not None
         checker, rng = self.collision_checker(SAMPLE_MARGIN), np.random.default_rng(0)
-        found = sample_region(self.robot, self.start_region, checker, rng, count=1, within=self.constraint)
+        found = sample_region(
+            self.robot, self.start_region, checker, rng, count=1, within=self.constraint
+        )
         if len(found.configurations) == 0:
             why = why_none(self.robot, self.start_region, checker, self.constraint)
-            raise InvalidProblemError(f"{self.name}: no start in 'start_region': {found.outcome}; {why}")
+            raise InvalidProblemError(
+                f"{self.name}: no start in 'start_region': {found.outcome}; {why}"
+            )
         start = found.configurations[0]
         start.setflags(write=False)
         return start
@@ -217,13 +260,17 @@ class PlanningProblem(Document, Pictured):
         return replace(self, goals=goals)
 
     def random_stream(self, *keys: int) -> np.random.Generator:
-        """Random numbers that depend on keys (a seed) and the start; without keys for all planners and seeds alike."""
+        """Random numbers that depend on keys (a seed) and the start;
+        without keys for all planners and seeds alike.
+        """
         return np.random.default_rng([*keys, *np.abs(self.start * 1e6).astype(np.uint64)])
 
     def why_no_goal(self) -> str:
         """Reasons in words why no configuration was found for the goal region; see `why_none`."""
         assert self.goal_region is not None
-        return why_none(self.robot, self.goal_region, self.collision_checker(SAMPLE_MARGIN), self.constraint)
+        return why_none(
+            self.robot, self.goal_region, self.collision_checker(SAMPLE_MARGIN), self.constraint
+        )
 
     def collision_checker(self, margin: float = 0.0) -> CollisionChecker:
         """The exact checker of this problem's world; distances below margin [m] are collisions."""
@@ -231,7 +278,9 @@ class PlanningProblem(Document, Pictured):
 
 
 def _with_numbers(data: Any) -> Any:
-    """Json of a problem in which configurations by joint, or by the name of a group_state, are numbers."""
+    """Json of a problem in which configurations by joint, or by the name of a group_state, are
+    numbers.
+    """
     if not isinstance(data, Mapping):
         return data
     start, goals = data.get("start"), data.get("goals")
@@ -240,12 +289,18 @@ def _with_numbers(data: Any) -> Any:
         return data
     robot = RobotForm().read(data.get("robot"), "robot")
     read = {"start": numbers_of(robot, start, "start")} if start is not None else {}
-    read |= {"goals": [numbers_of(robot, q, f"goals[{k}]") for k, q in enumerate(several)]} if several else {}
+    read |= (
+        {"goals": [numbers_of(robot, q, f"goals[{k}]") for k, q in enumerate(several)]}
+        if several
+        else {}
+    )
     return {**data, "robot": robot, **read}
 
 
 class _ThreadCheckers(threading.local):
-    """Checkers used last; each thread has its own, because a check writes to pinocchio's and coal's data."""
+    """Checkers used last;
+    each thread has its own, because a check writes to pinocchio's and coal's data.
+    """
 
     def __init__(self) -> None:
         self.checker = lru_cache(maxsize=4)(CollisionChecker)
@@ -255,20 +310,33 @@ _OF_THREAD = _ThreadCheckers()
 
 
 def shared_checker(
-    robot: Robot, scene: Scene, attachments: tuple[Attachment, ...], margin: float, clearance: float = 0.0
+    robot: Robot,
+    scene: Scene,
+    attachments: tuple[Attachment, ...],
+    margin: float,
+    clearance: float = 0.0,
 ) -> CollisionChecker:
-    """The exact checker of a robot, scene and attachments, cached for this thread: building it takes 10 ms."""
+    """The exact checker of a robot, scene and attachments, cached for this thread:
+    building it takes 10 ms.
+    """
     return _OF_THREAD.checker(robot, scene, attachments, margin, clearance)
 
 
 def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = None) -> None:
-    """Refuse a start or goal that collides, is off the manifold or, of goals, outside the goal region."""
+    """Refuse a start or goal that collides, is off the manifold or, of goals, outside the goal
+    region.
+    """
     checker = checker or problem.collision_checker()
     for label, q in problem.labelled_configurations():
         if checker.in_collision(q):
-            gap = ", or leave 1 mm between what is carried and what it stands on" if problem.attachments else ""
+            gap = (
+                ", or leave 1 mm between what is carried and what it stands on"
+                if problem.attachments
+                else ""
+            )
             raise InvalidProblemError(
-                f"{problem.name}: {label} is in collision: {checker.contact(q)}; choose another configuration{gap}"
+                f"{problem.name}: {label} is in collision: {checker.contact(q)}; choose another "
+                f"configuration{gap}"
             )
         if np.linalg.norm(problem.manifold.residual(q)) > TOLERANCE:
             raise InvalidProblemError(f"{problem.name}: {_off_manifold(problem, label, q)}")
@@ -279,13 +347,16 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
         worst = max((use.excess for use in usage), default=0.0)
         if worst > CONTRADICTION:
             raise InvalidProblemError(
-                f"{problem.name}: goal {k} lies outside 'goal_region' by {worst:.4f} (rad or m); take out 'goals', "
+                f"{problem.name}: goal {k} lies outside 'goal_region' by {worst:.4f} (rad or m); "
+                f"take out 'goals', "
                 f"and new ones are drawn from the region, or 'goal_region'"
             )
 
 
 def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> str:
-    """Which bound of the constraint a start or goal q (n,) breaks; of a goal region when all its goals do."""
+    """Which bound of the constraint a start or goal q (n,) breaks;
+    of a goal region when all its goals do.
+    """
     states, broken = q[None], f"{label} breaks"
     cure = "`cvqmpt ik` finds configurations that keep the constraint"
     goals = problem.goals
@@ -297,5 +368,8 @@ def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> str:
                 f"'goal_region' leaves the constraint: the best of {len(goals)} goals in it breaks",
             )
             cure = "move or turn the region, or widen the bound"
-    bounds = [broken_bound(region, displacements(problem.robot, region, states)) for region in problem.constraint]
+    bounds = [
+        broken_bound(region, displacements(problem.robot, region, states))
+        for region in problem.constraint
+    ]
     return f"{broken} {', '.join(filter(None, bounds)) or 'the constraint by rounding'}; {cure}"

@@ -25,7 +25,8 @@ def end_with_parent(parent: int) -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let BLAS and OpenMP use one thread: with more, rounding and so paths would depend on the number of cores.
+    """Let BLAS and OpenMP use one thread: with more, rounding and so paths would depend on the
+    number of cores.
 
     The limit holds for the whole process, so another thread that asks for it waits.
     """
@@ -35,5 +36,7 @@ def one_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=2)
 def _libraries(*, torch: bool) -> ThreadpoolController:
-    """The loaded libraries; torch brings some of its own, so they are searched again once it is imported."""
+    """The loaded libraries;
+    torch brings some of its own, so they are searched again once it is imported.
+    """
     return ThreadpoolController()

@@ -1,4 +1,6 @@
-"""What a process does once before any clock starts: load weights, compile or load kernels, make the robot's arrays."""
+"""What a process does once before any clock starts:
+load weights, compile or load kernels, make the robot's arrays.
+"""
 
 import time
 from collections.abc import Callable
@@ -63,12 +65,17 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
 
 
 def warm_up(
-    problem: PlanningProblem, method: Method, backend: str, announce: Callable[[str], None] | None = None
+    problem: PlanningProblem,
+    method: Method,
+    backend: str,
+    announce: Callable[[str], None] | None = None,
 ) -> None:
-    """Take a problem's robot through every stage of a method once, in an empty scene and with a made-up cloud.
+    """Take a problem's robot through every stage of a method once, in an empty scene and with a
+    made-up cloud.
 
-    Nothing of the problem itself is computed or remembered, so that solving it afterwards takes, and reports, what
-    it takes in a process that has planned before. The certificate is left out: nobody is charged for it.
+    Nothing of the problem itself is computed or remembered, so that solving it afterwards takes,
+    and reports, what it takes in a process that has planned before. The certificate is left out:
+    nobody is charged for it.
 
     announce: called before anything is compiled, which takes a while.
     """
@@ -98,6 +105,9 @@ def _search(problem: PlanningProblem, method: Method, backend: str) -> None:
     space = ConstrainedSpace(problem, backend)
     query = Query.of(space, Budget(iterations=ITERATIONS), rng)
     search(method.stages(problem).search or BiRRT(), query, Proposal(query.uniform))
-    simplify(space, JointPath(np.array([problem.start, problem.start])), rng, SimplifySettings(SHORTCUTS))
+    simplify(
+        space, JointPath(np.array([problem.start, problem.start])), rng, SimplifySettings(SHORTCUTS)
+    )
     trees = plant(problem.start, problem.goals, capacity=8)
-    remove_child_of_segment(trees, np.zeros((2, 2), dtype=np.int64), 0)  # else only after a failed fine check
+    # else only after a failed fine check
+    remove_child_of_segment(trees, np.zeros((2, 2), dtype=np.int64), 0)

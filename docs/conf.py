@@ -1,4 +1,6 @@
-"""The site, made by Sphinx from the whole checkout, so that links in README and docs lead where they do anywhere."""
+"""The site, made by Sphinx from the whole checkout, so that links in README and docs lead where
+they do anywhere.
+"""
 
 from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml

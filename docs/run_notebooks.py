@@ -27,7 +27,9 @@ def small(picture: str) -> str:
 
 
 def run(path: Path) -> None:
-    """Run one notebook in a fresh kernel; an error in a cell is raised, and the file stays as it was."""
+    """Run one notebook in a fresh kernel;
+    an error in a cell is raised, and the file stays as it was.
+    """
     notebook = nbformat.read(path, as_version=4)
     NotebookClient(notebook, timeout=TIMEOUT_S, record_timing=False).execute()
     for cell in notebook.cells:  # progress and warnings name files of this machine

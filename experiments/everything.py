@@ -21,7 +21,10 @@ ISOLATED = (
     "roadmap-uniform-1",
     "roadmap-uniform-2",
 )  # controls that say what helps in scenes of other families
-FAMILY = tuple(name for name in QUICK if name not in ("ompl-projected", "mpnet", "mpnet-bridged")) + ISOLATED
+FAMILY = (
+    tuple(name for name in QUICK if name not in ("ompl-projected", "mpnet", "mpnet-bridged"))
+    + ISOLATED
+)
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,9 @@ class Amount:
     @property
     def command(self) -> list[str]:
         """The command line that runs it alone, without --out and --jobs."""
-        words = f"cvqmpt reproduce {self.suite.name} --seeds {self.seeds} --cutoff {self.cutoff:g}".split()
+        words = (
+            f"cvqmpt reproduce {self.suite.name} --seeds {self.seeds} --cutoff {self.cutoff:g}"
+        ).split()
         words += [] if self.problems is None else ["--problems", str(self.problems)]
         return words + ([] if self.planners is None else ["--planners", ",".join(self.planners)])
 

@@ -28,7 +28,9 @@ from cvqmpt_lab.results.row import FailReason
 
 CONNECT_S = 10  # for a scheduler to answer [s]
 STDERR = 2  # its file descriptor
-STOPPED = "the executor of the runs has stopped; what was finished is kept, the same command continues"
+STOPPED = (
+    "the executor of the runs has stopped; what was finished is kept, the same command continues"
+)
 Task = TypeVar("Task")
 
 
@@ -45,11 +47,16 @@ class Executor:
 
     size: int  # tasks at a time
     submit: Callable[..., Future]  # a function and its arguments
-    losses: Mapping[type[BaseException], FailReason]  # errors that cost one task; any other one is raised
+    # errors that cost one task; any other one is raised
+    losses: Mapping[type[BaseException], FailReason]
     attempts: int = 1  # at a task whose process ends: something else may have ended it
 
-    def results(self, function: Callable[[Task], Any], tasks: Iterable[Task]) -> Iterator[tuple[Task, Any]]:
-        """Every task with its result, or `Lost`, as they come in; few tasks are queued, for quick interrupts."""
+    def results(
+        self, function: Callable[[Task], Any], tasks: Iterable[Task]
+    ) -> Iterator[tuple[Task, Any]]:
+        """Every task with its result, or `Lost`, as they come in;
+        few tasks are queued, for quick interrupts.
+        """
         waiting = deque((task, 1) for task in tasks)
         running: dict[Future, tuple[Task, int]] = {}
         while waiting or running:
@@ -57,7 +64,8 @@ class Executor:
                 task, attempt = waiting.popleft()
                 try:
                     running[self.submit(function, task)] = task, attempt
-                except RuntimeError as error:  # what pebble and Dask raise of an executor that has stopped
+                # what pebble and Dask raise of an executor that has stopped
+                except RuntimeError as error:
                     raise CvqmptError(STOPPED) from error
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task, attempt = running.pop(future)
@@ -92,7 +100,9 @@ def _detail(error: BaseException) -> str:
 
 
 @contextmanager
-def local_processes(count: int, limit_s: Callable[[Any], float | None] = lambda task: None) -> Iterator[Executor]:
+def local_processes(
+    count: int, limit_s: Callable[[Any], float | None] = lambda task: None
+) -> Iterator[Executor]:
     """Processes on this machine; limit_s: time [s] after which a task is given up, None for never."""
     import pebble.pool.process
     from pebble import ProcessExpired, ProcessPool
@@ -124,7 +134,9 @@ def local_processes(count: int, limit_s: Callable[[Any], float | None] = lambda 
 
 
 def _prepare_worker(parent: int) -> None:
-    """End with the parent or when it says so; where memory runs out, be the one that is refused or ended."""
+    """End with the parent or when it says so;
+    where memory runs out, be the one that is refused or ended.
+    """
     end_with_parent(parent)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # compiled code runs no handlers of Python
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
@@ -138,36 +150,52 @@ def _prepare_worker(parent: int) -> None:
 def dask_cluster(
     address: str, limit_s: Callable[[Any], float], installed: Callable[[], dict[str, Any]]
 ) -> Iterator[Executor]:
-    """Workers of a Dask cluster; `installed` gives by name what decides results and must be equal on every machine.
+    """Workers of a Dask cluster; `installed` gives by name what decides results and must be equal
+    on every machine.
 
-    Dask replaces a worker that a task ends, or keeps busy for longer than limit_s [s], and repeats the task as often as
-    its scheduler's ``allowed-failures`` says (3); then it is lost. InvalidInputError: Dask is not installed, nothing
-    answers at the address, or a worker has several threads or something else installed.
+    Dask replaces a worker that a task ends, or keeps busy for longer than limit_s [s], and repeats
+    the task as often as its scheduler's ``allowed-failures`` says (3); then it is lost.
+    InvalidInputError: Dask is not installed, nothing answers at the address, or a worker has
+    several threads or something else installed.
     """
     if importlib.util.find_spec("distributed") is None:
-        raise InvalidInputError(f"--dask needs Dask, which is not installed: {install_command('dask')}")
+        raise InvalidInputError(
+            f"--dask needs Dask, which is not installed: {install_command('dask')}"
+        )
     from distributed import Client, KilledWorker
 
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
-        raise InvalidInputError(f"no Dask scheduler answers at {address}: {error}; start one there") from error
+        raise InvalidInputError(
+            f"no Dask scheduler answers at {address}: {error}; start one there"
+        ) from error
     with client:
         threads = client.nthreads()
         if not threads:
-            raise InvalidInputError(f"the Dask scheduler at {address} has no workers; start `dask worker`")
+            raise InvalidInputError(
+                f"the Dask scheduler at {address} has no workers; start `dask worker`"
+            )
         for worker, count in threads.items():
             if count != 1:
-                raise InvalidInputError(f"{worker} runs {count} at a time; start `dask worker --nthreads 1`")
+                raise InvalidInputError(
+                    f"{worker} runs {count} at a time; start `dask worker --nthreads 1`"
+                )
         here = installed()
         for worker, there in client.run(installed, on_error="return").items():
             if isinstance(there, Exception):
-                raise InvalidInputError(f"{worker} cannot run planners: {there}; install the same cvqmpt-lab there")
+                raise InvalidInputError(
+                    f"{worker} cannot run planners: {there}; install the same cvqmpt-lab there"
+                )
             for what in (name for name in here if here[name] != there[name]):
-                raise InvalidInputError(f"{worker} has other {what}; install the same cvqmpt-lab there")
+                raise InvalidInputError(
+                    f"{worker} has other {what}; install the same cvqmpt-lab there"
+                )
         executor = client.get_executor()
         losses = {KilledWorker: FailReason.WORKER_DIED, MemoryError: FailReason.OUT_OF_MEMORY}
-        yield Executor(len(threads), lambda f, task: executor.submit(_limited, limit_s(task), f, task), losses)
+        yield Executor(
+            len(threads), lambda f, task: executor.submit(_limited, limit_s(task), f, task), losses
+        )
 
 
 def _limited(limit_s: float, function: Callable[..., Any], *args: Any) -> Any:

@@ -33,14 +33,18 @@ class Verdict(NamedTuple):
 def recertify(directory: Path, problems_dir: Path | None = None) -> Iterator[Verdict]:
     """Verdicts on all rows of a run that have a path, problem by problem.
 
-    problems_dir: folder of the problem files, of runs of such. RunStoreError: rows or paths are missing or damaged, the
-    run was interrupted, or the problem files are others, or not given.
+    problems_dir: folder of the problem files, of runs of such. RunStoreError: rows or paths are
+        missing or damaged, the run was interrupted, or the problem files are others, or not given.
     """
     if (directory / PARTIAL_FILE).is_file():
-        raise RunStoreError(f"{directory} holds an interrupted run; repeat its command to continue it")
+        raise RunStoreError(
+            f"{directory} holds an interrupted run; repeat its command to continue it"
+        )
     rows, paths = sorted_rows(read_rows(directory / RUNS_FILE)), StoredPaths(directory)
     if not paths and any(row.path_sha256 for row in rows):
-        raise RunStoreError(f"{directory} keeps no paths.npz: it was made by an earlier version; run it again")
+        raise RunStoreError(
+            f"{directory} keeps no paths.npz: it was made by an earlier version; run it again"
+        )
     folder = _folder_of(directory, problems_dir)
     for (suite, name), of_item in groupby(sorted(rows, key=_run), key=lambda row: _run(row)[:2]):
         if folder is not None:
@@ -56,13 +60,17 @@ def _folder_of(directory: Path, problems_dir: Path | None) -> Suite | None:
     file = ProvenanceFile(directory)
     known = digests_in(file.read(), "problem_files") if file.path.is_file() else {}
     if problems_dir is None and known:
-        raise RunStoreError(f"{directory} holds runs of a folder of problem files; name it with --problems-dir")
+        raise RunStoreError(
+            f"{directory} holds runs of a folder of problem files; name it with --problems-dir"
+        )
     if problems_dir is None:
         return None
     folder = folder_suite(problems_dir)
     for name, digest in known.items():
         if folder.digests.get(name) != digest:
-            raise RunStoreError(f"problem {name!r} of {problems_dir} is not the one that was run in {directory}")
+            raise RunStoreError(
+                f"problem {name!r} of {problems_dir} is not the one that was run in {directory}"
+            )
     return folder
 
 

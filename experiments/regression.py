@@ -1,6 +1,7 @@
 """Table regression: a tiny profile compared with committed values.
 
-Budgets are iterations, so a run depends only on the code, versions and the processor that kernels are compiled for.
+Budgets are iterations, so a run depends only on the code, versions and the processor that kernels
+are compiled for.
 """
 
 import json
@@ -29,7 +30,8 @@ SCHEMA = "cvqmpt-expectations/1"
 SUITE = "place-task"
 COUNTS = ("n_iterations", "n_projections", "n_newton_iterations", "n_state_checks", "vertices")
 COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256", "g_sampled")
-BOUNDED_COUNTS = ("n_projections", "n_state_checks")  # the other counts have no bounds worth stating
+# the other counts have no bounds worth stating
+BOUNDED_COUNTS = ("n_projections", "n_state_checks")
 COUNT_FACTOR = 5.0  # between the geometric means over a planner's runs
 LENGTH_SHARE = 0.5  # between the mean lengths over a planner's runs
 WHAT_DECIDES = ("coal", "example-robot-data", "numba", "numpy", "ompl", "pin", "scipy")
@@ -87,7 +89,9 @@ class Expectations(NamedTuple):
 
     def save(self, path: Path) -> None:
         """Write the json file at once or not at all."""
-        rows = [{**case._asdict(), "expected": dict(values)} for case, values in self.outcomes.items()]
+        rows = [
+            {**case._asdict(), "expected": dict(values)} for case, values in self.outcomes.items()
+        ]
         record = {"schema": SCHEMA, "made_with": dict(self.made_with), "runs": rows}
         write_text(path, json.dumps(record, indent=1) + "\n")
 
@@ -110,7 +114,9 @@ class Expectations(NamedTuple):
 
 
 def made_with() -> dict[str, str | None]:
-    """What must be equal for runs to repeat bit for bit: processor and its instructions, system, Python, versions."""
+    """What must be equal for runs to repeat bit for bit:
+    processor and its instructions, system, Python, versions.
+    """
     record = provenance()
     return {
         "system": platform.system(),
@@ -129,13 +135,19 @@ def _problem(suite: str, index: int) -> PlanningProblem:
     return with_sampled_goals(problem)[0]
 
 
-def measure(cases: Sequence[Case], on_progress: Callable[[int, int, str], None] | None = None) -> dict[Case, Values]:
-    """Plan, simplify and certify the cases one by one; on_progress is called with (done, total, last case)."""
+def measure(
+    cases: Sequence[Case], on_progress: Callable[[int, int, str], None] | None = None
+) -> dict[Case, Values]:
+    """Plan, simplify and certify the cases one by one;
+    on_progress is called with (done, total, last case).
+    """
     outcomes: dict[Case, Values] = {}
     for case in cases:
         budget, problem = Budget(iterations=case.iterations), _problem(case.suite, case.problem)
         solution = solve(problem, planner_named(case.planner), budget, case.seed, clearance=False)
-        row = result_row(Run(case.suite, case.problem, case.planner, case.seed, budget), solution, 0.0)
+        row = result_row(
+            Run(case.suite, case.problem, case.planner, case.seed, budget), solution, 0.0
+        )
         outcomes[case] = {column: getattr(row, column) for column in COLUMNS}
         if on_progress:
             on_progress(len(outcomes), len(cases), str(case))
@@ -145,11 +157,16 @@ def measure(cases: Sequence[Case], on_progress: Callable[[int, int, str], None] 
 def compare(
     expected: Expectations, outcomes: Mapping[Case, Values], here: Mapping[str, str | None]
 ) -> tuple[str, list[str]]:
-    """How outcomes were compared (`here`: what `made_with` says of this machine) and the differences, a line each.
+    """How outcomes were compared (`here`: what `made_with` says of this machine) and the
+    differences, a line each.
 
     Equality on the platform and versions of the expectations, stated bounds elsewhere.
     """
-    pairs = [(case, expected.outcomes[case], new) for case, new in outcomes.items() if case in expected.outcomes]
+    pairs = [
+        (case, expected.outcomes[case], new)
+        for case, new in outcomes.items()
+        if case in expected.outcomes
+    ]
     missing = sorted(outcomes.keys() ^ expected.outcomes.keys())
     differences = [f"{case}: not in both, committed and run" for case in missing]
     other = [name for name in here if here[name] != expected.made_with.get(name)]
@@ -158,7 +175,8 @@ def compare(
         return mode, differences + _unequal(pairs, COLUMNS)
     changed = ", ".join(f"{name} {expected.made_with.get(name)} -> {here[name]}" for name in other)
     mode = (
-        f"by bounds, not bit for bit, since {changed}: reasons equal; per planner counts within a factor "
+        f"by bounds, not bit for bit, since {changed}: reasons equal; per planner counts within a "
+        f"factor "
         f"{COUNT_FACTOR:g} and lengths within {LENGTH_SHARE:.0%}"
     )
     return mode, differences + _unequal(pairs, ("fail_reason",)) + _out_of_bounds(pairs)
@@ -183,13 +201,20 @@ def _out_of_bounds(pairs: Sequence[tuple[Case, Values, Values]]) -> list[str]:
             solved.setdefault(case.planner, []).append((old, new))
     for planner, both in solved.items():
         for column in BOUNDED_COUNTS:
-            logs = [math.log((1 + _number(new[column])) / (1 + _number(old[column]))) for old, new in both]
+            logs = [
+                math.log((1 + _number(new[column])) / (1 + _number(old[column])))
+                for old, new in both
+            ]
             factor = math.exp(sum(logs) / len(logs))
             if not 1 / COUNT_FACTOR <= factor <= COUNT_FACTOR:
-                found.append(f"{planner}, geometric mean of {column}: {factor:.2g} times the expectation")
+                found.append(
+                    f"{planner}, geometric mean of {column}: {factor:.2g} times the expectation"
+                )
         before, after = (sum(_number(side[i]["path_length_rad"]) for side in both) for i in (0, 1))
         if abs(after / before - 1.0) > LENGTH_SHARE:
-            found.append(f"{planner}, mean path_length_rad: {after / before:.2f} times the expectation")
+            found.append(
+                f"{planner}, mean path_length_rad: {after / before:.2f} times the expectation"
+            )
     return found
 
 

@@ -29,7 +29,8 @@ SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "v
 class Run:
     """One planner on one item of a suite with one seed; the budget is that of one planning run."""
 
-    suite: str  # its name, or the full path of a folder of problem files, whose name is then the suite's
+    # its name, or the full path of a folder of problem files, whose name is then the suite's
+    suite: str
     item: int | str
     planner: str
     seed: int
@@ -42,7 +43,11 @@ class Run:
     def method(self) -> Method:
         """The planner on its weights."""
         method = planner_named(self.planner)
-        return method if self.model is None or method.weights is None else method.with_model(self.model)
+        return (
+            method
+            if self.model is None or method.weights is None
+            else method.with_model(self.model)
+        )
 
     @property
     def key(self) -> RunKey:
@@ -52,14 +57,17 @@ class Run:
     def row(self, problem: str, reason: FailReason | None, detail: str, **values: Any) -> ResultRow:
         """A row of this run, solved unless there is a reason why not."""
         key = self.key._replace(problem=problem)._asdict()
-        return ResultRow(**key, solved=reason is None, fail_reason=reason, detail=one_line(detail), **values)
+        return ResultRow(
+            **key, solved=reason is None, fail_reason=reason, detail=one_line(detail), **values
+        )
 
 
 class Outcome(NamedTuple):
     """What is kept of a run."""
 
     rows: list[ResultRow]  # one, or one a planned phase
-    paths: Sequence[np.ndarray] = ()  # states (m, n) of the paths whose hashes stand in the rows [rad or m]
+    # states (m, n) of the paths whose hashes stand in the rows [rad or m]
+    paths: Sequence[np.ndarray] = ()
 
 
 def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
@@ -71,7 +79,9 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
         return Outcome(failed_rows(run, item, item.kind, item.reason))
     if isinstance(item, Task):
         task = solve_task(item, run.method, run.budget, run.seed, backend=run.backend)
-        return Outcome(phase_rows(run, task), _states([outcome.solution for outcome in task.outcomes]))
+        return Outcome(
+            phase_rows(run, task), _states([outcome.solution for outcome in task.outcomes])
+        )
     began = time.perf_counter()
     solution = solve(
         item.problem if isinstance(item, SensedProblem) else item,
@@ -88,8 +98,12 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
         row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
         if solution.simplified is not None:
             truth = certify(item.true_problem, solution.simplified.path)
-            doubts = {FaultKind.COLLISION, FaultKind.NOT_PROVEN} & {fault.kind for fault in truth.faults}
-            row = replace(row, true_free=not doubts, true_clearance_m=_defined(truth.min_clearance_m))
+            doubts = {FaultKind.COLLISION, FaultKind.NOT_PROVEN} & {
+                fault.kind for fault in truth.faults
+            }
+            row = replace(
+                row, true_free=not doubts, true_clearance_m=_defined(truth.min_clearance_m)
+            )
     return Outcome([replace(row, scene_new=suite_named(run.suite).new_scenes)], _states([solution]))
 
 
@@ -100,7 +114,10 @@ def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
 def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> list[ResultRow]:
     """Rows of an item that was not solved at all; later phases of a task were not reached."""
     names = _phase_problems(item) if isinstance(item, Task) else [item.name]
-    return [run.row(name, FailReason.NOT_REACHED if later else reason, detail) for later, name in enumerate(names)]
+    return [
+        run.row(name, FailReason.NOT_REACHED if later else reason, detail)
+        for later, name in enumerate(names)
+    ]
 
 
 def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
@@ -146,7 +163,9 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
 
 
 def _sampled_g(solution: Solution) -> float | None:
-    """Mean of G = F(q)^T F(q) over DRAWS draws of what was sampled; None without samples or constraint."""
+    """Mean of G = F(q)^T F(q) over DRAWS draws of what was sampled;
+    None without samples or constraint.
+    """
     problem = solution.problem
     if solution.distribution is None or not problem.constraint:
         return None
@@ -178,7 +197,9 @@ def phase_rows(run: Run, solution: TaskSolution) -> list[ResultRow]:
     """Rows of all planned phases; those after a failed one are failures too."""
     names = _phase_problems(solution.task)
     rows = [_phase_row(run, *pair) for pair in zip(names, solution.outcomes, strict=False)]
-    return rows + [run.row(name, FailReason.NOT_REACHED, solution.failure) for name in names[len(rows) :]]
+    return rows + [
+        run.row(name, FailReason.NOT_REACHED, solution.failure) for name in names[len(rows) :]
+    ]
 
 
 def _phase_row(run: Run, problem: str, outcome: PhaseOutcome) -> ResultRow:

@@ -30,9 +30,12 @@ from experiments.rows import Outcome, Run, failed_rows, outcome_of
 from experiments.suites.suite import SuiteItem, suite_named
 
 SPARE_S, TIMES, ITERATION_S = 300.0, 30, 0.01
-"""What a run may take beyond planning, and how many times its planning; an iteration takes less than that [s]."""
+"""What a run may take beyond planning, and how many times its planning;
+an iteration takes less than that [s].
+"""
 EXTERNAL_SPARE_S, EXTERNAL_TIMES = 120.0, 6
-"""The same for planners of others, which may hang: the first run of a process warms up all of ours."""
+"""The same for planners of others, which may hang: the first run of a process warms up all of ours.
+"""
 WARM_UP_S = 5.0  # given to a planner to warm up [s]
 _WARM: set[str] = set()  # planners of others that this process has called
 PACKAGES = Path(__file__).resolve().parents[1]
@@ -84,17 +87,30 @@ class Experiment:
     def runs(self) -> list[Run]:
         """All of it, planners of one problem side by side."""
         return [
-            Run(self.suite, problem, planner, seed, self.budget, self.backend, self.model, self.optimize)
+            Run(
+                self.suite,
+                problem,
+                planner,
+                seed,
+                self.budget,
+                self.backend,
+                self.model,
+                self.optimize,
+            )
             for seed in self.seeds
             for problem in self.problems
             for planner in self.planners
         ]
 
     def limit_s(self, run: Run) -> float:
-        """Time [s] without an answer after which a run is given up: far more than any takes that is alive."""
+        """Time [s] without an answer after which a run is given up:
+        far more than any takes that is alive.
+        """
         external = planner_named(run.planner).external
         spare, times = (EXTERNAL_SPARE_S, EXTERNAL_TIMES) if external else (SPARE_S, TIMES)
-        return spare + times * sum(_longest(budget) for budget in (self.budget, self.optimize) if budget)
+        return spare + times * sum(
+            _longest(budget) for budget in (self.budget, self.optimize) if budget
+        )
 
     @property
     def digests(self) -> dict[str, str]:
@@ -120,8 +136,12 @@ def _longest(budget: Budget) -> float:
     return by_count if budget.seconds is None else min(budget.seconds, by_count)
 
 
-def executor_for(experiment: Experiment, jobs: int, dask: str | None = None) -> AbstractContextManager[Executor]:
-    """So many processes on this machine, or the Dask cluster at an address, which must have our code and weights."""
+def executor_for(
+    experiment: Experiment, jobs: int, dask: str | None = None
+) -> AbstractContextManager[Executor]:
+    """So many processes on this machine, or the Dask cluster at an address, which must have our
+    code and weights.
+    """
     if jobs < 1:
         raise InvalidInputError(f"jobs must be 1 or more, not {jobs}")
     if dask is not None:
@@ -136,7 +156,8 @@ def run_experiment(
     command: Sequence[str],
     on_progress: Callable[[int, int, str], None],
 ) -> list[ResultRow]:
-    """Run what is not yet in `out` and return all rows, sorted; an interrupt keeps every finished run.
+    """Run what is not yet in `out` and return all rows, sorted; an interrupt keeps every finished
+    run.
 
     on_progress: called with (runs done, runs in all, a note on the last one).
     """
@@ -180,7 +201,9 @@ def weights_of(planners: Iterable[str], model: str | None = None) -> dict[str, s
     kinds = {kind for planner in planners for kind in models_of(planner)}
     if not kinds:
         return {}
-    return {kind: weights_digest(resolve_model(model or kind, SHIPPED[kind])) for kind in sorted(kinds)}
+    return {
+        kind: weights_digest(resolve_model(model or kind, SHIPPED[kind])) for kind in sorted(kinds)
+    }
 
 
 def externals_of(planners: Iterable[str]) -> dict[str, str]:
@@ -226,7 +249,9 @@ def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
 
 @lru_cache(maxsize=1)
 def _warm_up(runs: tuple[Run, ...]) -> None:
-    """Load compiled code and planner libraries once a process, by short runs, so that no row pays for it."""
+    """Load compiled code and planner libraries once a process, by short runs, so that no row pays
+    for it.
+    """
     compile_kernels(lambda _: None)
     for run in runs:
         item, seconds = _item(run.suite, run.item)
@@ -236,7 +261,9 @@ def _warm_up(runs: tuple[Run, ...]) -> None:
 
 
 def _warm_up_external(run: Run) -> None:
-    """Call a planner of others once a process, so that no row pays for what it loads; in its own run: it may hang."""
+    """Call a planner of others once a process, so that no row pays for what it loads;
+    in its own run: it may hang.
+    """
     if run.planner in _WARM:
         return
     _WARM.add(run.planner)
@@ -247,6 +274,8 @@ def _warm_up_external(run: Run) -> None:
 
 @lru_cache(maxsize=4)
 def _item(suite: str, index: int | str) -> tuple[SuiteItem, float]:
-    """An item, a problem with its goals sampled once for all planners, and the seconds [s] that took."""
+    """An item, a problem with its goals sampled once for all planners, and the seconds [s] that
+    took.
+    """
     item = suite_named(suite).item(index)
     return with_sampled_goals(item) if isinstance(item, PlanningProblem) else (item, 0.0)

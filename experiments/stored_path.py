@@ -1,4 +1,6 @@
-"""One path of a finished run as a page to turn, made of its row and of the states that were kept beside it."""
+"""One path of a finished run as a page to turn, made of its row and of the states that were kept
+beside it.
+"""
 
 from collections.abc import Mapping
 
@@ -12,11 +14,18 @@ from paper_tables.report.page import PathPage
 
 
 def first_path(found: Mapping[str, Evidence]) -> dict[str, PathPage]:
-    """The first certified path of a suite's problem among results directories, by the directory's name; or none."""
+    """The first certified path of a suite's problem among results directories, by the directory's
+    name; or none.
+    """
     for evidence in found.values():
         kept = StoredPaths(evidence.folder)
         for row in evidence.rows:
-            if row.solved and row.path_sha256 in kept and row.problem.isdecimal() and row.suite in SUITES:
+            if (
+                row.solved
+                and row.path_sha256 in kept
+                and row.problem.isdecimal()
+                and row.suite in SUITES
+            ):
                 page = _page(row, kept)
                 return {} if page is None else {evidence.folder.name: page}
     return {}
@@ -24,7 +33,8 @@ def first_path(found: Mapping[str, Evidence]) -> dict[str, PathPage]:
 
 def _page(row: ResultRow, kept: StoredPaths) -> PathPage | None:
     """Problem and path of a row; None if the suite has other problems now."""
-    from cvqmpt_lab.show.web_page import path_html  # rendering takes a quarter of a second to import
+    # rendering takes a quarter of a second to import
+    from cvqmpt_lab.show.web_page import path_html
 
     suite = SUITES[row.suite]
     try:
@@ -35,5 +45,7 @@ def _page(row: ResultRow, kept: StoredPaths) -> PathPage | None:
         return None
     assert row.path_sha256 is not None
     title = f"problem {row.problem}, {row.planner}, seed {row.seed}"
-    html = path_html(problem, kept[row.path_sha256], f"certified path of {row.planner}", suite.carried)
+    html = path_html(
+        problem, kept[row.path_sha256], f"certified path of {row.planner}", suite.carried
+    )
     return PathPage(title, html)

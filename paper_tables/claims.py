@@ -48,16 +48,20 @@ class JudgedClaim(NamedTuple):
 def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
     """Every claim by results directories, by name; one correction for the tests of all claims.
 
-    Rows of a profile that is too small for verdicts rule nothing: all that is compared has too few runs.
+    Rows of a profile that is too small for verdicts rule nothing: all that is compared has too few
+    runs.
     """
     measured = [
-        [effect for said in claim.statements for effect in _effects(said, found.get(claim.suite))] for claim in CLAIMS
+        [effect for said in claim.statements for effect in _effects(said, found.get(claim.suite))]
+        for claim in CLAIMS
     ]
     if profiles(found):
         measured = [[effect._replace(p=None) for effect in effects] for effects in measured]
     ruled = iter(rulings([effect for effects in measured for effect in effects]))
     return [
-        JudgedClaim(claim, tuple(Verdict(effect, next(ruled)) for effect in effects), found.get(claim.suite))
+        JudgedClaim(
+            claim, tuple(Verdict(effect, next(ruled)) for effect in effects), found.get(claim.suite)
+        )
         for claim, effects in zip(CLAIMS, measured, strict=True)
     ]
 
@@ -84,12 +88,16 @@ def _updated(said: Statement, evidence: Evidence) -> Effect:
             after, before = float(line["g_after"]), float(line["g_before"])
             if line["code"] != "goal" and after > 0.0 < before:
                 codes.setdefault(line["problem"], []).append((after, before))
-    return reduction(said, PREDICTED, [pair_of(problem, values) for problem, values in codes.items()])
+    return reduction(
+        said, PREDICTED, [pair_of(problem, values) for problem, values in codes.items()]
+    )
 
 
 def profiles(found: Mapping[str, Evidence]) -> list[str]:
     """Profiles of `cvqmpt reproduce all` that made results directories, but the full ones."""
-    commands = [session.get("command") or [] for item in found.values() for session in sessions(item.record)]
+    commands = [
+        session.get("command") or [] for item in found.values() for session in sessions(item.record)
+    ]
     named = (after for words in commands for word, after in pairwise(words) if word == "--profile")
     return [name for name in dict.fromkeys(named) if name not in JUDGING]
 
@@ -100,7 +108,8 @@ def banner(found: Mapping[str, Evidence]) -> str:
     if not small:
         return ""
     return (
-        f"These rows are of --profile {', '.join(small)}, made to try things out: few problems, short budgets, "
+        f"These rows are of --profile {', '.join(small)}, made to try things out: few problems, "
+        f"short budgets, "
         "wide intervals. Verdicts of the paper need --profile full."
     )
 
@@ -108,7 +117,9 @@ def banner(found: Mapping[str, Evidence]) -> str:
 def evidence_below(results: Path) -> dict[str, Evidence]:
     """The results directories below a folder, by name."""
     folders = sorted(path.parent for path in Path(results).glob(f"*/{PROVENANCE_FILE}"))
-    return {folder.name: found for folder in folders if (found := read_evidence(folder)) is not None}
+    return {
+        folder.name: found for folder in folders if (found := read_evidence(folder)) is not None
+    }
 
 
 def read_evidence(folder: Path) -> Evidence | None:

@@ -1,4 +1,6 @@
-"""The page that says whether the paper holds, and its short form for the README, written from committed rows."""
+"""The page that says whether the paper holds, and its short form for the README, written from
+committed rows.
+"""
 
 import re
 import shlex
@@ -39,42 +41,63 @@ COMPARED = (  # label, and which of `VALUES`
 KITCHENS = ("place-task", "place-task-mirrored")
 KITCHEN_PLANNERS = (CVQ, OPT, "cvq-wide", "roadmap", "roadmap-cvq", CBIRRT)
 TERMS = (
-    "`ompl-projected` is the paper's CBiRRT as the paper ran it: OMPL's RRTConnect on a projected space. Unless "
-    "another planner is named, `opt-cvq-mpt` is judged. Whether it is better than `birrt`, the same search with "
+    "`ompl-projected` is the paper's CBiRRT as the paper ran it: OMPL's RRTConnect on a projected "
+    "space. Unless "
+    "another planner is named, `opt-cvq-mpt` is judged. Whether it is better than `birrt`, the "
+    "same search with "
     "uniform samples, is no claim of the paper: see *What each step brings*.",
-    "*Paired*: change of the geometric mean of the ratio of two planners' values, over runs (a problem and a seed) "
-    "that both solved. *Means*: change of the mean, the paper's statistic, over the same runs. Both with 95 % "
-    "bootstrap intervals; a problem counts once, with all such seeds; n counts problems. A share of runs has Wilson's"
+    "*Paired*: change of the geometric mean of the ratio of two planners' values, over runs (a "
+    "problem and a seed) "
+    "that both solved. *Means*: change of the mean, the paper's statistic, over the same runs. "
+    "Both with 95 % "
+    "bootstrap intervals; a problem counts once, with all such seeds; n counts problems. A share "
+    "of runs has Wilson's"
     " interval.",
-    "A run that one of both failed is left out, which flatters the planner that fails more; notes under the tables "
+    "A run that one of both failed is left out, which flatters the planner that fails more; notes "
+    "under the tables "
     "count such runs.",
-    f"Rules. A stated change counts as reached if {100 * STATED_SHARE:.0f} % of it is: 50 % is tested at 45 %, "
-    "two-sided, by Student's test of the logarithms and Fieller's of the means, a share by the score test. The larger"
-    " of the two p counts; p is 1 where one statistic lies above the tested number and the other below. All tests of "
-    f"this page are one family; Holm's procedure keeps the probability of any false verdict below {100 * LEVEL:.0f} %. "
-    "*Holds* and *does not hold* are significant; all else is *too few runs to tell*. A claim holds where it holds "
+    f"Rules. A stated change counts as reached if {100 * STATED_SHARE:.0f} % of it is: 50 % is "
+    f"tested at 45 %, "
+    "two-sided, by Student's test of the logarithms and Fieller's of the means, a share by the "
+    "score test. The larger"
+    " of the two p counts; p is 1 where one statistic lies above the tested number and the other "
+    "below. All tests of "
+    f"this page are one family; Holm's procedure keeps the probability of any false verdict below "
+    f"{100 * LEVEL:.0f} %. "
+    "*Holds* and *does not hold* are significant; all else is *too few runs to tell*. A claim "
+    "holds where it holds "
     "against every planner named, and does not where it fails against one.",
-    "The tests are two-sided about one number: more runs can decide a *too few*, but not where the two statistics "
-    "truly lie on different sides of it. Statements and rules were written down when the rows of the place task were "
-    "known: `paper_tables/statements.py`. One rule was made stricter later: *solves 98 % in time* was tested at 90 % "
+    "The tests are two-sided about one number: more runs can decide a *too few*, but not where "
+    "the two statistics "
+    "truly lie on different sides of it. Statements and rules were written down when the rows of "
+    "the place task were "
+    "known: `paper_tables/statements.py`. One rule was made stricter later: *solves 98 % in time* "
+    "was tested at 90 % "
     "of 98.4 %, which CBiRRT itself passes.",
-    "OMPL calls our compiled checks and projections through Python. At the prices of `cvqmpt bench kernels` the "
-    "counted work explains about half of the search time of `ompl-projected` and a thirtieth of that of `atlas-rrt` "
+    "OMPL calls our compiled checks and projections through Python. At the prices of `cvqmpt "
+    "bench kernels` the "
+    "counted work explains about half of the search time of `ompl-projected` and a thirtieth of "
+    "that of `atlas-rrt` "
     "and `tb-rrt`, but all of that of `birrt`: compare their work, too.",
-    "Settings of all planners of ours were chosen in the kitchen of the place task, with the can elsewhere (problems "
+    "Settings of all planners of ours were chosen in the kitchen of the place task, with the can "
+    "elsewhere (problems "
     "1000 to 1059, never reported): see *A kitchen that no tuning has seen*.",
-    "Where tables say *the paper's cost*, a state check in the paper's simulator is assumed to cost 3.5 ms "
-    "(`cvqmpt bench paper-check` measured 3.9 ms at best and 6.3 in the median, on a busy machine); no verdict rests "
+    "Where tables say *the paper's cost*, a state check in the paper's simulator is assumed to "
+    "cost 3.5 ms "
+    "(`cvqmpt bench paper-check` measured 3.9 ms at best and 6.3 in the median, on a busy "
+    "machine); no verdict rests "
     "on it.",
 )
 
 
 STEPS_TEXT = (
-    "Place task, paired changes with 95 % intervals: time without goal inverse kinematics and in a known scene, work "
+    "Place task, paired changes with 95 % intervals: time without goal inverse kinematics and in "
+    "a known scene, work "
     "(projections and state checks), path length. Negative is less. Printed by `cvqmpt claims`.\n"
 )
 KITCHEN_TEXT = (
-    "`place-task-mirrored`: the modules of the known kitchen, measured differently and mirrored left to right; 60 "
+    "`place-task-mirrored`: the modules of the known kitchen, measured differently and mirrored "
+    "left to right; 60 "
     f"problems. Changes against `{REFERENCE}` on the same problems. Time as above: no kitchen is "
     "charged for encoding it.\n"
 )
@@ -103,7 +126,9 @@ def decomposition_lines(evidence: Evidence) -> Lines:
 
 
 def kitchen_lines(found: Mapping[str, Evidence]) -> Lines:
-    """Every planner against the same search with uniform samples, in the known kitchen and in one never seen."""
+    """Every planner against the same search with uniform samples, in the known kitchen and in one
+    never seen.
+    """
     lines = [["planner", "kitchen", *(label for label, _ in COMPARED)]]
     for planner in KITCHEN_PLANNERS:
         for suite, word in zip(KITCHENS, ("known", "new"), strict=True):
@@ -123,8 +148,10 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
     parts = [
         "# Does the paper hold?\n",
         *([f"**{warned}**\n"] if (warned := banner(found)) else []),
-        "Written by `cvqmpt claims` from committed rows; a test compares. *Zero-Shot Constrained Motion Planning "
-        "Transformers Using Learned Sampling Dictionaries* (Johnson, Qureshi, Yip) says of CVQ-MPT and Opt-CVQ-MPT:\n",
+        "Written by `cvqmpt claims` from committed rows; a test compares. *Zero-Shot Constrained "
+        "Motion Planning "
+        "Transformers Using Learned Sampling Dictionaries* (Johnson, Qureshi, Yip) says of "
+        "CVQ-MPT and Opt-CVQ-MPT:\n",
         markdown_table(summary_lines(claims)),
         "## How to read it\n",
         "".join(f"- {line}\n" for line in TERMS),
@@ -162,17 +189,25 @@ def _note(effect: Effect, ruled: Ruling) -> str:
     """A line of what a verdict rests on, or ""."""
     known = precision(effect) if ruled is Ruling.TOO_FEW else ""
     text = "; ".join(filter(None, (known, effect.note)))
-    return f"- {effect.statement.planner if effect.baseline == NOTHING else effect.baseline}: {text}\n" if text else ""
+    return (
+        f"- {effect.statement.planner if effect.baseline == NOTHING else effect.baseline}: {text}\n"
+        if text
+        else ""
+    )
 
 
 def made_by(evidence: Evidence, root: Path) -> str:
     """A results directory: where its rows are, its commit and wall-clock, and its commands."""
     made = sessions(evidence.record)
     commands = dict.fromkeys(shlex.join(session.get("command") or ["?"]) for session in made)
-    commit = ", ".join(dict.fromkeys((session.get("git_commit") or "unknown")[:12] for session in made))
+    commit = ", ".join(
+        dict.fromkeys((session.get("git_commit") or "unknown")[:12] for session in made)
+    )
     folder = evidence.folder.relative_to(root).as_posix()
     where = (
-        f"[table]({folder}/table.md), [rows]({folder}/runs.csv)" if evidence.rows else f"[numbers]({folder}/values.csv)"
+        f"[table]({folder}/table.md), [rows]({folder}/runs.csv)"
+        if evidence.rows
+        else f"[numbers]({folder}/values.csv)"
     )
     told = "".join(f"  - `{command}`\n" for command in commands)
     return f"- {evidence.folder.name}: {where}, commit {commit}, {wall_clock(evidence)}\n{told}"
@@ -193,11 +228,15 @@ def _minutes(seconds: float) -> str:
 
 
 def with_part(text: str, marks: tuple[str, str], part: str) -> str:
-    """A README with what stands between two marks replaced; InvalidInputError where it has no such marks."""
+    """A README with what stands between two marks replaced;
+    InvalidInputError where it has no such marks.
+    """
     begin, end = marks
     found = re.compile(f"{re.escape(begin)}.*?{re.escape(end)}", re.DOTALL)
     if not found.search(text):
-        raise InvalidInputError(f"the README has no lines {begin!r} and {end!r}; put them where the table goes")
+        raise InvalidInputError(
+            f"the README has no lines {begin!r} and {end!r}; put them where the table goes"
+        )
     return found.sub(lambda _: f"{begin}\n{part}{end}", text)
 
 

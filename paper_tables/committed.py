@@ -22,10 +22,13 @@ ROUNDING = 1e-12  # relative
 
 
 def require_checkout(command: str, instead: str) -> None:
-    """Refuse a command where the package is installed without the committed results; instead: what it can be given."""
+    """Refuse a command where the package is installed without the committed results; instead:
+    what it can be given.
+    """
     if not RESULTS.is_dir():
         raise InvalidInputError(
-            f"{command} needs a checkout of the project: the committed results and expectations are not part of the "
+            f"{command} needs a checkout of the project: the committed results and expectations "
+            f"are not part of the "
             f"installed package; run it there, or give {instead}"
         )
 
@@ -36,7 +39,8 @@ def committed_directories(results: Path = RESULTS) -> list[Path]:
 
 
 def untraceable(directory: Path, models_of: Callable[[str], Collection[str]]) -> list[str]:
-    """A line for every reason why a directory's numbers cannot be traced to a commit and to weights.
+    """A line for every reason why a directory's numbers cannot be traced to a commit and to
+    weights.
 
     models_of: names of the models that a planner needs.
     """
@@ -49,17 +53,25 @@ def untraceable(directory: Path, models_of: Callable[[str], Collection[str]]) ->
     if "figure" in record["configuration"]:
         needed.add(FIGURE_MODEL)
     missing = sorted(needed - digests_in(record, "weights").keys())
-    found = [f"{directory}: no digest of the weights {name!r} that it was made with" for name in missing]
+    found = [
+        f"{directory}: no digest of the weights {name!r} that it was made with" for name in missing
+    ]
     for session in sessions(record):
         commit = session.get("git_commit")
         if commit is None or session.get("git_dirty"):
-            state = "without a commit" if commit is None else f"from {commit[:12]} with uncommitted changes"
+            state = (
+                "without a commit"
+                if commit is None
+                else f"from {commit[:12]} with uncommitted changes"
+            )
             found.append(f"{directory}: made {state}; make it again from a clean commit")
     return found
 
 
 def differing_cells(directory: Path) -> list[str]:
-    """A line for every table of a directory's rows that is missing or differs: the file, row and cell."""
+    """A line for every table of a directory's rows that is missing or differs:
+    the file, row and cell.
+    """
     if not (directory / RUNS_FILE).is_file():
         return []
     with tempfile.TemporaryDirectory(prefix="cvqmpt-tables-") as scratch:
@@ -69,19 +81,25 @@ def differing_cells(directory: Path) -> list[str]:
         try:
             fresh = render_directory(Path(scratch)).paths
         except CvqmptError as error:
-            return [f"{directory}: cannot be rendered: {str(error).replace(scratch, str(directory))}"]
+            return [
+                f"{directory}: cannot be rendered: {str(error).replace(scratch, str(directory))}"
+            ]
         found = []
         for path in fresh:
             committed = directory / path.name
             if not committed.is_file():
                 found.append(f"{committed}: missing; render it with: cvqmpt table {directory}")
             elif where := _first_difference(committed.read_bytes(), path.read_bytes(), path.suffix):
-                found.append(f"{committed}, {where}; render it again with: cvqmpt table {directory}")
+                found.append(
+                    f"{committed}, {where}; render it again with: cvqmpt table {directory}"
+                )
         return found
 
 
 def _first_difference(committed: bytes, fresh: bytes, suffix: str) -> str | None:
-    """The first line, and cell of it, in which two texts differ; numbers of a csv may differ by rounding."""
+    """The first line, and cell of it, in which two texts differ;
+    numbers of a csv may differ by rounding.
+    """
     if committed == fresh:
         return None
     old_lines = committed.decode("utf-8", "replace").splitlines()
@@ -95,7 +113,10 @@ def _first_difference(committed: bytes, fresh: bytes, suffix: str) -> str | None
         for column, (was, now) in enumerate(cells, start=1):
             if was != now:
                 row = next((cell for cell in _cells(new, suffix) if cell), "")
-                return f"line {number}, row {row!r}, cell {column}: committed {was!r}, rendered {now!r}"
+                return (
+                    f"line {number}, row {row!r}, cell {column}: committed {was!r}, rendered "
+                    f"{now!r}"
+                )
         return f"line {number}: spaces differ"
     return None if committed.count(b"\r") == fresh.count(b"\r") else "line ends differ"
 

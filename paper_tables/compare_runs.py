@@ -1,4 +1,6 @@
-"""Two runs of the same problems, before and after a change: what is different, paired by problem and seed."""
+"""Two runs of the same problems, before and after a change:
+what is different, paired by problem and seed.
+"""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
@@ -23,23 +25,28 @@ class Compared(NamedTuple):
     solved: tuple[Interval, Interval]  # [%]
     gained: tuple[Pair, ...]  # that B alone solves
     lost: tuple[Pair, ...]  # that A alone solves
-    changes: Mapping[str, Interval]  # of COMPARED, as reductions (fractions), over the runs that both solve
+    # of COMPARED, as reductions (fractions), over the runs that both solve
+    changes: Mapping[str, Interval]
     left_out: tuple[int, int]  # runs of A alone and of B alone, which are not compared
     same_paths: int  # runs whose paths are equal bit for bit
 
 
 def compared(a: Rows, b: Rows) -> list[Compared]:
-    """Every planner that both have; InvalidInputError where suites, problems or seeds differ, or none is in both."""
+    """Every planner that both have;
+    InvalidInputError where suites, problems or seeds differ, or none is in both.
+    """
     suites = [sorted({row.suite for row in rows}) for rows in (a, b)]
     if suites[0] != suites[1]:
         raise InvalidInputError(
-            f"runs of {', '.join(suites[0])} do not pair with runs of {', '.join(suites[1])}; compare equal suites"
+            f"runs of {', '.join(suites[0])} do not pair with runs of {', '.join(suites[1])}; "
+            f"compare equal suites"
         )
     groups = by_planner(a, ()), by_planner(b, ())
     common = [name for name in groups[0] if name in groups[1]]
     if not common:
         raise InvalidInputError(
-            f"no planner in common: A has {', '.join(groups[0])}, B has {', '.join(groups[1])}; run one in both"
+            f"no planner in common: A has {', '.join(groups[0])}, B has {', '.join(groups[1])}; "
+            f"run one in both"
         )
     return [_compared(name, groups[0][name], groups[1][name]) for name in common]
 
@@ -49,7 +56,8 @@ def _compared(planner: str, a: Rows, b: Rows) -> Compared:
     pairs = [(pair, row, rows[1][pair]) for pair, row in rows[0].items() if pair in rows[1]]
     if not pairs:
         raise InvalidInputError(
-            f"{planner}: no run in common: A has {named(rows[0])}, B has {named(rows[1])}; run the same ones"
+            f"{planner}: no run in common: A has {named(rows[0])}, B has {named(rows[1])}; run "
+            f"the same ones"
         )
     left_out = len(rows[0]) - len(pairs), len(rows[1]) - len(pairs)
     a, b = [old for _, old, _ in pairs], [new for _, _, new in pairs]
@@ -85,7 +93,9 @@ def comparison_lines(found: Sequence[Compared]) -> Lines:
     ]
     for item in found:
         solved = ", ".join(number(part.estimate) for part in item.solved)
-        changes = [change(part) if part.estimate is not None else "–" for part in item.changes.values()]
+        changes = [
+            change(part) if part.estimate is not None else "–" for part in item.changes.values()
+        ]
         lines.append(
             [
                 item.planner,
@@ -100,11 +110,17 @@ def comparison_lines(found: Sequence[Compared]) -> Lines:
 
 
 def clear(found: Sequence[Compared]) -> list[str]:
-    """A line for every change whose interval leaves no doubt, and for runs that were gained or lost."""
+    """A line for every change whose interval leaves no doubt, and for runs that were gained or
+    lost.
+    """
     lines = []
     for item in found:
         for name, part in item.changes.items():
-            if part.low is not None and part.high is not None and (part.low > 0.0 or part.high < 0.0):
+            if (
+                part.low is not None
+                and part.high is not None
+                and (part.low > 0.0 or part.high < 0.0)
+            ):
                 word = "less" if part.low > 0.0 else "more"
                 lines.append(f"{item.planner}: {word} {name}, {change(part)} %")
         for word, pairs in (("gained", item.gained), ("lost", item.lost)):

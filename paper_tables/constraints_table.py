@@ -1,4 +1,6 @@
-"""The table of many kinds of constraints, or of arms: a line for each kind and planner, ratios within the kind."""
+"""The table of many kinds of constraints, or of arms:
+a line for each kind and planner, ratios within the kind.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -17,14 +19,21 @@ COLUMNS: Mapping[str, Column] = {
     },
 }
 NOTES = (
-    "No constraint was seen in training. Scenes are held out; all planners get the same start and goals.",
-    "Solved: certified, Wilson interval. Ratios to uniform samples: geometric mean over problems that both solved, "
-    "bootstrap interval; work is projections and state checks, time is without goal inverse kinematics.",
-    "Upright: the hand's yaw and place are free. Fixed orientation: its place. Plane, line: its origin stays there, it "
-    "turns freely. Arc: it turns with a crank. Tray: level within 0.02 rad, with a tray. Pouring: a can in the hand is "
-    "tipped about one axis. Door: the shelf's door hangs on its hinge and in the hand. Each of its doors makes another "
+    "No constraint was seen in training. Scenes are held out; all planners get the same start and "
+    "goals.",
+    "Solved: certified, Wilson interval. Ratios to uniform samples: geometric mean over problems "
+    "that both solved, "
+    "bootstrap interval; work is projections and state checks, time is without goal inverse "
+    "kinematics.",
+    "Upright: the hand's yaw and place are free. Fixed orientation: its place. Plane, line: its "
+    "origin stays there, it "
+    "turns freely. Arc: it turns with a crank. Tray: level within 0.02 rad, with a tray. Pouring: "
+    "a can in the hand is "
+    "tipped about one axis. Door: the shelf's door hangs on its hinge and in the hand. Each of "
+    "its doors makes another "
     "robot, whose dictionary's roadmap (`roadmap-cvq`) is made in 0.2 s before the clock starts.",
-    "Whether a problem has a solution is not known: an arm without obstacles gets to a goal by a short search.",
+    "Whether a problem has a solution is not known: an arm without obstacles gets to a goal by a "
+    "short search.",
 )
 
 
@@ -47,7 +56,9 @@ def constraints_table(
 ) -> table.Rendered:
     """Every kind in the order of the suite, then all together; what: a kind of, in the singular."""
     runs = table.suite_runs(rows)
-    kinds = dict.fromkeys(map(_kind, sorted(runs.rows, key=lambda row: split_problem(row.problem).number)))
+    kinds = dict.fromkeys(
+        map(_kind, sorted(runs.rows, key=lambda row: split_problem(row.problem).number))
+    )
     found = [
         table.entry(
             planner,

@@ -1,4 +1,6 @@
-"""The factorial table: what predictor, Gaussians, update and cloud of a learned sampler are worth, each by itself."""
+"""The factorial table:
+what predictor, Gaussians, update and cloud of a learned sampler are worth, each by itself.
+"""
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import partial
@@ -24,7 +26,8 @@ from paper_tables.paper_numbers import PublishedValue
 from paper_tables.table_engine import Column
 from paper_tables.writers import Lines, text_lines
 
-FACTORS = ("predictor", "gaussians", "update", "cloud", "uniform_share", "sequences")  # columns of rows
+# columns of rows
+FACTORS = ("predictor", "gaussians", "update", "cloud", "uniform_share", "sequences")
 COMPARED: Mapping[str, Value] = {
     "work": VALUES["work"],
     "projections": VALUES["projections"],
@@ -33,7 +36,10 @@ COMPARED: Mapping[str, Value] = {
 }
 COLUMNS: Mapping[str, Column] = {
     "solved": Column("solved %", "%", share_of(solved)),
-    **{f"{name}_ratio": Column(name, "1", ratio_to(REFERENCE, value)) for name, value in COMPARED.items()},
+    **{
+        f"{name}_ratio": Column(name, "1", ratio_to(REFERENCE, value))
+        for name, value in COMPARED.items()
+    },
     "own_time_median": Column("time [s]", "s", median_of("own_time")),
 }
 DECODED: Mapping[str, object] = {"gaussians": "decoded", "uniform_share": 0.0}
@@ -42,16 +48,25 @@ SEEING: Mapping[str, object] = {"predictor": "transformer"}
 SEEING_DECODED, SEEING_WIDE = {**SEEING, **DECODED}, {**SEEING, **WIDE}
 SAME: Mapping[str, object] = {"uniform_share": 0.15}
 NOTES = (
-    f"Work (projections and state checks), projections, length and G: over those of {REFERENCE}, geometric mean of the "
-    "ratio over problems that both solved, bootstrap interval [95 %]. Solved: certified, Wilson interval.",
-    "G = F(q)^T F(q): mean over 256 fixed draws of what is sampled, inside the joint limits, before projection.",
-    "Time: median with failures as infinite; encoding the cloud is in it, goal inverse kinematics is not.",
-    "Work counts the projections of means, not the gradient of Algorithm 2 (F and its Jacobian at 16 draws a code and "
+    f"Work (projections and state checks), projections, length and G: over those of {REFERENCE}, "
+    f"geometric mean of the "
+    "ratio over problems that both solved, bootstrap interval [95 %]. Solved: certified, Wilson "
+    "interval.",
+    "G = F(q)^T F(q): mean over 256 fixed draws of what is sampled, inside the joint limits, "
+    "before projection.",
+    "Time: median with failures as infinite; encoding the cloud is in it, goal inverse kinematics "
+    "is not.",
+    "Work counts the projections of means, not the gradient of Algorithm 2 (F and its Jacobian at "
+    "16 draws a code and "
     "step, five steps, and F at 64 more), which is in the time.",
-    "Contrasts: the first over the second, all else equal; every product that both sides have is paired by problem and "
-    "seed, and a problem counts once. Intervals are not corrected for their number. Wide and decoded are compared at "
-    "15 % uniform samples. Runs that one side failed are left out, which flatters the side that fails more.",
-    "The transformer also chooses the three goals that Gaussians lie around; graph and random codes have the nearest. "
+    "Contrasts: the first over the second, all else equal; every product that both sides have is "
+    "paired by problem and "
+    "seed, and a problem counts once. Intervals are not corrected for their number. Wide and "
+    "decoded are compared at "
+    "15 % uniform samples. Runs that one side failed are left out, which flatters the side that "
+    "fails more.",
+    "The transformer also chooses the three goals that Gaussians lie around; graph and random "
+    "codes have the nearest. "
     "The oracle's work includes the path without constraint that its codes are of.",
 )
 
@@ -73,7 +88,10 @@ class Contrast(NamedTuple):
     def entry(self, runs: SuiteRuns) -> table.Entry:
         """The ratios of the first side's rows to the second's."""
         first, second = (self.side(runs.rows, value) for value in (self.one, self.other))
-        columns = {name: Column(name, "1", partial(self._ratio, second, value)) for name, value in COMPARED.items()}
+        columns = {
+            name: Column(name, "1", partial(self._ratio, second, value))
+            for name, value in COMPARED.items()
+        }
         return table.entry(self.title, first, runs, columns, suffix="_contrast")
 
     def _ratio(self, second: Rows, value: Value, first: Rows, runs: SuiteRuns) -> Interval:
@@ -94,27 +112,44 @@ CONTRASTS = (
     Contrast("own / other cloud, wide", "cloud", "own-cloud", "other-cloud", SEEING_WIDE),
     Contrast("own / no cloud, decoded", "cloud", "own-cloud", "no-cloud", SEEING_DECODED),
     Contrast("own / no cloud, wide", "cloud", "own-cloud", "no-cloud", SEEING_WIDE),
-    Contrast("Algorithm 2 / none, transformer decoded", "update", "algorithm-2", "none", SEEING_DECODED),
+    Contrast(
+        "Algorithm 2 / none, transformer decoded", "update", "algorithm-2", "none", SEEING_DECODED
+    ),
     Contrast("Algorithm 2 / none, all decoded", "update", "algorithm-2", "none", DECODED),
     Contrast("Algorithm 2 / none, all wide", "update", "algorithm-2", "none", WIDE),
-    Contrast("projected / none, transformer decoded", "update", "projected", "none", SEEING_DECODED),
+    Contrast(
+        "projected / none, transformer decoded", "update", "projected", "none", SEEING_DECODED
+    ),
     Contrast("projected / none, all decoded", "update", "projected", "none", DECODED),
     Contrast("projected / none, all wide", "update", "projected", "none", WIDE),
     Contrast("wide / decoded, transformer", "gaussians", "wide", "decoded", {**SEEING, **SAME}),
-    Contrast("wide / decoded, random codes", "gaussians", "wide", "decoded", {"predictor": "random", **SAME}),
+    Contrast(
+        "wide / decoded, random codes",
+        "gaussians",
+        "wide",
+        "decoded",
+        {"predictor": "random", **SAME},
+    ),
     Contrast("15 % uniform / none, decoded", "uniform_share", 0.15, 0.0, {"gaussians": "decoded"}),
-    Contrast("all beams / likeliest, transformer wide", "sequences", "all-beams", "likeliest", WIDE),
+    Contrast(
+        "all beams / likeliest, transformer wide", "sequences", "all-beams", "likeliest", WIDE
+    ),
 )
 
 
-def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
+def factorial_table(
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue]
+) -> table.Rendered:
     """Every product, by predictor, then the contrasts."""
     runs = table.suite_runs(rows)
     groups = sorted(runs.groups.items(), key=lambda item: _place(item[1][0]))
     found = [
-        table.entry(name, own, runs, COLUMNS, group=(own[0].predictor or "uniform samples",)) for name, own in groups
+        table.entry(name, own, runs, COLUMNS, group=(own[0].predictor or "uniform samples",))
+        for name, own in groups
     ]
-    contrasts = [item for contrast in CONTRASTS if (item := contrast.entry(runs)).measured["work"].n]
+    contrasts = [
+        item for contrast in CONTRASTS if (item := contrast.entry(runs)).measured["work"].n
+    ]
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
     lines, told = table.group_lines(found, ["predictor"]), _contrast_lines(contrasts)
     short = [[line[0], *line[2:4]] for line in told]
@@ -128,18 +163,24 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
             "Failures": table.count_lines(found, "failures"),
             "Notes": [*NOTES, f"By name: {_names()}.", *table.seed_notes(runs)],
         },
-        latex=table.latex_groups(f"{size}: products of predictor, Gaussians and update. {NOTES[0]}", suite, lines),
+        latex=table.latex_groups(
+            f"{size}: products of predictor, Gaussians and update. {NOTES[0]}", suite, lines
+        ),
         csv=table.csv_of(suite, [*found, *contrasts]),
         brief=[*table.brief_groups(brief, [1, *range(3, len(lines[0]))]), "", *text_lines(short)],
     )
 
 
 def _place(row: ResultRow) -> tuple[int, ...]:
-    """Where a product stands: REFERENCE first, controls of one choice after their predictor's others."""
+    """Where a product stands:
+    REFERENCE first, controls of one choice after their predictor's others.
+    """
     if row.predictor is None:
         return (-1,)
     assert row.gaussians is not None and row.update is not None and row.cloud is not None
-    special = (row.cloud != CLOUDS[0]) + 2 * (row.gaussians == "decoded" and bool(row.uniform_share))
+    special = (row.cloud != CLOUDS[0]) + 2 * (
+        row.gaussians == "decoded" and bool(row.uniform_share)
+    )
     return (
         PREDICTORS.index(row.predictor),
         special + 4 * (row.sequences == "all-beams"),
@@ -150,7 +191,10 @@ def _place(row: ResultRow) -> tuple[int, ...]:
 
 
 def _contrast_lines(contrasts: Sequence[table.Entry]) -> Lines:
-    cells = ([item.planner, str(item.measured["work"].n), *map(item.cell, COMPARED)] for item in contrasts)
+    cells = (
+        [item.planner, str(item.measured["work"].n), *map(item.cell, COMPARED)]
+        for item in contrasts
+    )
     return [["the first / the second", "problems", *COMPARED], *cells]
 
 
@@ -158,5 +202,6 @@ def _names() -> str:
     """Products that planners are named after."""
     parts = ({**vars(choice), "planner": name} for name, choice in NAMED.items())
     return ", ".join(
-        f"{p['planner']} is {p['predictor']}, {p['gaussians']}, {p['update']}, {p['sequences']}" for p in parts
+        f"{p['planner']} is {p['predictor']}, {p['gaussians']}, {p['update']}, {p['sequences']}"
+        for p in parts
     )

@@ -1,7 +1,8 @@
-"""What tables measure: values of a row by name, statistics over rows, ratios to a baseline, easy and hard problems.
+"""What tables measure: values of a row by name, statistics over rows, ratios to a baseline, easy
+and hard problems.
 
-Pure functions of rows. The work of a run is its projections and state checks, which do not depend on the machine.
-Seeds of one problem are not independent: everywhere a problem counts once.
+Pure functions of rows. The work of a run is its projections and state checks, which do not depend
+on the machine. Seeds of one problem are not independent: everywhere a problem counts once.
 """
 
 import math
@@ -24,9 +25,10 @@ from cvqmpt_lab.results.statistics import (
 
 REFERENCE = "birrt"  # its work says how hard a problem is; others are compared with it
 HARD_SHARE = 1 / 3
-STATE_CHECK_COST = 3.5e-3  # [s] PyBullet, all distances of a Panda in this kitchen: `cvqmpt bench paper-check`
-# Newton's method in Python, on numpy and a compiled kinematics library [s]. The published code does more in Python,
-# so this is a lower bound and favours planners that project much.
+# [s] PyBullet, all distances of a Panda in this kitchen: `cvqmpt bench paper-check`
+STATE_CHECK_COST = 3.5e-3
+# Newton's method in Python, on numpy and a compiled kinematics library [s]. The published code does
+# more in Python, so this is a lower bound and favours planners that project much.
 PROJECTION_COST = 2e-5
 
 Rows = Sequence[ResultRow]
@@ -47,7 +49,9 @@ def network_time(row: ResultRow) -> float:
 
 
 def paper_cost(row: ResultRow) -> float | None:
-    """Search at what work costs in a setting like the paper's, and networks as measured; nothing else [s]."""
+    """Search at what work costs in a setting like the paper's, and networks as measured;
+    nothing else [s].
+    """
     if row.n_projections is None or row.n_state_checks is None:
         return None
     search = row.n_projections * PROJECTION_COST + row.n_state_checks * STATE_CHECK_COST
@@ -66,7 +70,9 @@ def known_time(row: ResultRow) -> float | None:
 
 
 def new_time(row: ResultRow) -> float | None:
-    """`own_time` where all that is computed from the scene's cloud was computed in the run; None elsewhere [s]."""
+    """`own_time` where all that is computed from the scene's cloud was computed in the run;
+    None elsewhere [s].
+    """
     return own_time(row) if row.scene_new else None
 
 
@@ -125,7 +131,10 @@ def by_problem(rows: Iterable[ResultRow]) -> list[list[ResultRow]]:
 
 def values_of(rows: Iterable[ResultRow], value: Value) -> list[list[float]]:
     """Values of the rows that say one, by problem; problems where none does are left out."""
-    found = ([number for row in seeds if (number := value(row)) is not None] for seeds in by_problem(rows))
+    found = (
+        [number for row in seeds if (number := value(row)) is not None]
+        for seeds in by_problem(rows)
+    )
     return [numbers for numbers in found if numbers]
 
 
@@ -149,7 +158,9 @@ def problem_median(values: Iterable[Sequence[float]]) -> Interval:
 
 
 def problem_mean(values: Iterable[Sequence[float]]) -> Interval:
-    """Mean of finite values; each bootstrap starts from the same random seed, so that columns do not interact."""
+    """Mean of finite values;
+    each bootstrap starts from the same random seed, so that columns do not interact.
+    """
     finite = ([number for number in seeds if math.isfinite(number)] for seeds in values)
     return mean_of_solved([fmean(seeds) for seeds in finite if seeds])
 
@@ -160,12 +171,18 @@ def paired_ratio(
     value: Value,
     pair: Callable[[ResultRow], Hashable] = problem_key,
 ) -> Interval:
-    """Geometric mean of value against the baseline's, over `paired_values`, with a bootstrap interval."""
-    return geometric_mean_interval([found.ratio for found in paired_values(rows, baseline, value, pair)])
+    """Geometric mean of value against the baseline's, over `paired_values`, with a bootstrap
+    interval.
+    """
+    return geometric_mean_interval(
+        [found.ratio for found in paired_values(rows, baseline, value, pair)]
+    )
 
 
 class Pair(NamedTuple):
-    """A problem that two planners solved: the mean of a value over seeds, of each, and the geometric mean ratio."""
+    """A problem that two planners solved:
+    the mean of a value over seeds, of each, and the geometric mean ratio.
+    """
 
     problem: str
     own: float
@@ -185,7 +202,8 @@ def paired_values(
     value: Value,
     pair: Callable[[ResultRow], Hashable] = problem_key,
 ) -> list[Pair]:
-    """Problems that both solved. Runs are paired by problem and seed, or by what `pair` says of both.
+    """Problems that both solved. Runs are paired by problem and seed, or by what `pair` says of
+    both.
 
     Values that are not positive have no ratio and are left out.
     """
@@ -214,11 +232,13 @@ class Split(NamedTuple):
 
 
 def split_by_work(reference: Iterable[ResultRow]) -> Split:
-    """Split the runs of one planner: hard are those whose problem is above two thirds of the others in median work.
+    """Split the runs of one planner: hard are those whose problem is above two thirds of the others
+    in median work.
 
-    The median is over the planner's other seeds, so that a problem is not called hard because of the very run that
-    others are compared with; with one seed it is that one. A failed run's work is infinite. At most a third are hard:
-    ties are easy. Runs of problems whose rows do not say their work are left out.
+    The median is over the planner's other seeds, so that a problem is not called hard because of
+    the very run that others are compared with; with one seed it is that one. A failed run's work is
+    infinite. At most a third are hard: ties are easy. Runs of problems whose rows do not say their
+    work are left out.
     """
     rows = [row for row in reference if not row.solved or work(row) is not None]
     hard: set[ProblemKey] = set()
@@ -229,7 +249,10 @@ def split_by_work(reference: Iterable[ResultRow]) -> Split:
 
 
 def _hard_problems(rows: Rows) -> frozenset[str]:
-    efforts = {seeds[0].problem: median(censored([row], work)[0][0] for row in seeds) for seeds in by_problem(rows)}
+    efforts = {
+        seeds[0].problem: median(censored([row], work)[0][0] for row in seeds)
+        for seeds in by_problem(rows)
+    }
     ordered = sorted(efforts.values())
     last_easy = math.ceil((1.0 - HARD_SHARE) * len(ordered) - 1e-9) - 1
     return frozenset(problem for problem, effort in efforts.items() if effort > ordered[last_easy])
@@ -256,10 +279,14 @@ class SuiteRuns:
 Measure = Callable[[Rows, SuiteRuns], Interval]
 """The number of a column for a planner's rows."""
 Over = Literal["all", "solved", "joint", "stated"]
-"""All runs with failures infinite; solved runs; runs that every planner solved; runs that say a value."""
+"""All runs with failures infinite; solved runs; runs that every planner solved;
+runs that say a value.
+"""
 
 
-def share_of(counted: Callable[[ResultRow], bool], among: Callable[[ResultRow], bool] = lambda row: True) -> Measure:
+def share_of(
+    counted: Callable[[ResultRow], bool], among: Callable[[ResultRow], bool] = lambda row: True
+) -> Measure:
     """Percentage of the runs of a kind, with Wilson's interval."""
     return lambda rows, runs: fraction([row for row in rows if among(row)], counted).scaled(100)
 

@@ -1,6 +1,7 @@
 """The paper's Table II: planning, execution and total time of whole tasks, and every phase.
 
-A row is one planned phase. Times of a task are sums over its phases: those that the paper times, or all.
+A row is one planned phase. Times of a task are sums over its phases: those that the paper times, or
+all.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -13,7 +14,8 @@ from paper_tables.paper_numbers import PublishedValue
 from paper_tables.table_engine import BriefColumn, Column
 from paper_tables.writers import Lines, number
 
-PHASES: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}  # that a time sums over
+# that a time sums over
+PHASES: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}
 PARTS = {
     "paper": "the three phases that the paper times (reach the handle, reach the can, carry)",
     "all": "all planned phases",
@@ -25,8 +27,8 @@ STATISTICS = {"mean": mean_of, "median": median_of}
 def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) -> list[ResultRow]:
     """One row for each task, planner, seed and backend: sums over the named phases, or all.
 
-    ``t_total_s`` is planning and ``execution_time_s`` execution. A task is solved when all its phases
-    are, the others too; the reason of a failure is that of its first failed phase.
+    ``t_total_s`` is planning and ``execution_time_s`` execution. A task is solved when all its
+    phases are, the others too; the reason of a failure is that of its first failed phase.
     """
     groups: dict[tuple, list[ResultRow]] = {}
     for row in sorted_rows(rows):
@@ -37,7 +39,11 @@ def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) 
 def _task_row(group: Sequence[ResultRow], phases: Collection[str] | None) -> ResultRow:
     failed = next((row for row in group if not row.solved), None)
     counted = [row for row in group if phases is None or split_problem(row.problem).phase in phases]
-    detail = f"{split_problem(failed.problem).phase}: {failed.detail or failed.fail_reason}" if failed else None
+    detail = (
+        f"{split_problem(failed.problem).phase}: {failed.detail or failed.fail_reason}"
+        if failed
+        else None
+    )
     return ResultRow(
         **group[0].key._replace(problem=group[0].item)._asdict(),
         solved=failed is None,
@@ -45,8 +51,12 @@ def _task_row(group: Sequence[ResultRow], phases: Collection[str] | None) -> Res
         detail=detail,
         certified=True if failed is None else None,
         t_total_s=sum(row.t_total_s or 0.0 for row in counted),
-        execution_time_s=sum(row.execution_time_s or 0.0 for row in counted) if failed is None else None,
-        path_length_rad=sum(row.path_length_rad or 0.0 for row in counted) if failed is None else None,
+        execution_time_s=sum(row.execution_time_s or 0.0 for row in counted)
+        if failed is None
+        else None,
+        path_length_rad=sum(row.path_length_rad or 0.0 for row in counted)
+        if failed is None
+        else None,
     )
 
 
@@ -55,7 +65,8 @@ def reached(rows: Iterable[ResultRow], phase: str) -> list[ResultRow]:
     return [
         row
         for row in rows
-        if split_problem(row.problem).phase == phase and row.fail_reason is not FailReason.NOT_REACHED
+        if split_problem(row.problem).phase == phase
+        and row.fail_reason is not FailReason.NOT_REACHED
     ]
 
 
@@ -65,7 +76,9 @@ def of_tasks(measure: Measure, phases: Collection[str] | None = None) -> Measure
 
 
 def time_metric(time: str, part: str, statistic: str) -> str:
-    """Name of the column of a time of `TIMES`, summed over a part of `PARTS`, as "mean" or "median"."""
+    """Name of the column of a time of `TIMES`, summed over a part of `PARTS`, as "mean" or
+    "median".
+    """
     return f"{time}_of_{part}_phases_{statistic}"
 
 
@@ -73,7 +86,10 @@ TASK_COLUMNS: Mapping[str, Column] = {
     "solved": Column("Solved", "%", of_tasks(share_of(solved))),
     **{
         time_metric(time, part, name): Column(
-            label, "s", of_tasks(statistic(time), phases), time if (part, name) == ("paper", "mean") else None
+            label,
+            "s",
+            of_tasks(statistic(time), phases),
+            time if (part, name) == ("paper", "mean") else None,
         )
         for part, phases in PHASES.items()
         for time, label in TIMES.items()
@@ -98,8 +114,12 @@ PHASE_COLUMNS: Mapping[str, Column] = {
     "execution": _median("execution", "execution_time", interval=True),
     "length": _median("path length", "path_length", "rad"),
 }
-HEADLINES = {"accuracy": {"ours": "solved"}} | {time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES}
-PLANNING, EXECUTION = (time_metric(time, "paper", "mean") for time in ("planning_time", "execution_time"))
+HEADLINES = {"accuracy": {"ours": "solved"}} | {
+    time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES
+}
+PLANNING, EXECUTION = (
+    time_metric(time, "paper", "mean") for time in ("planning_time", "execution_time")
+)
 BRIEF = (
     BriefColumn("solved [%]", "accuracy", "solved"),
     BriefColumn("planning [s]", "planning_time", PLANNING, "our mean", interval=True),
@@ -107,19 +127,29 @@ BRIEF = (
 )
 NOTES = (
     "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
-    "A task counts as solved when every phase has a certified path that could be timed; Wilson interval.",
-    "Planning: wall time of goals, networks, search and simplification, attempts that were taken back included. "
-    "Mean over solved tasks (bootstrap interval), because the paper gives means; median with failures as infinite.",
-    "Execution: duration of the fastest motion within a tenth of the joints' velocity and acceleration limits, at rest "
-    "between phases. The paper's is the wall clock of a simulated controller following waypoints: only ratios compare.",
-    "The paper replays a stored motion to open the door; here it is planned, as is the straight way to the can. "
+    "A task counts as solved when every phase has a certified path that could be timed; Wilson "
+    "interval.",
+    "Planning: wall time of goals, networks, search and simplification, attempts that were taken "
+    "back included. "
+    "Mean over solved tasks (bootstrap interval), because the paper gives means; median with "
+    "failures as infinite.",
+    "Execution: duration of the fastest motion within a tenth of the joints' velocity and "
+    "acceleration limits, at rest "
+    "between phases. The paper's is the wall clock of a simulated controller following waypoints: "
+    "only ratios compare.",
+    "The paper replays a stored motion to open the door; here it is planned, as is the straight "
+    "way to the can. "
     "Both are outside the first table's times and inside the second's.",
-    "The final pose of the can is drawn for every task; in the published code a side effect makes it the same in all.",
-    "Fallbacks: phases whose path did not come the way the planner's name promises; they count as its own.",
+    "The final pose of the can is drawn for every task; in the published code a side effect makes "
+    "it the same in all.",
+    "Fallbacks: phases whose path did not come the way the planner's name promises; they count as "
+    "its own.",
 )
 
 
-def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
+def multi_sequence_table(
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue]
+) -> table.Rendered:
     """Table II for both sets of phases, the breakdown by phase, fallbacks, failures and notes.
 
     Planners that were not run are left out. InvalidInputError for rows that are no phases.
@@ -131,7 +161,14 @@ def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[Publishe
     for name, own in runs.groups.items():
         tasks.append(table.entry(name, own, runs, TASK_COLUMNS, published))
         parts = [
-            table.entry(name, reached(own, phase), runs, PHASE_COLUMNS, group=(phase,), suffix=f"_in_{phase}")
+            table.entry(
+                name,
+                reached(own, phase),
+                runs,
+                PHASE_COLUMNS,
+                group=(phase,),
+                suffix=f"_in_{phase}",
+            )
             for phase in phases
         ]
         by_phase += parts
@@ -140,7 +177,9 @@ def multi_sequence_table(rows: Iterable[ResultRow], published: Sequence[Publishe
     size, suite = f"{len({name.task for name in names})} tasks", runs.rows[0].suite
     sections = {
         **{f"{size}, {text}": _time_lines(tasks, part) for part, text in PARTS.items()},
-        "By phase (medians over the runs that reached it)": table.group_lines(by_phase, ["phase"], "n"),
+        "By phase (medians over the runs that reached it)": table.group_lines(
+            by_phase, ["phase"], "n"
+        ),
         "Fallbacks": table.count_lines(tasks, "fallbacks"),
         "Failures": table.count_lines(tasks, "failures"),
         "Notes": [*NOTES, *table.seed_notes(runs), *table.published_notes(runs, published)],
@@ -160,7 +199,9 @@ def _time_lines(found: Sequence[table.Entry], part: str) -> Lines:
     header = ["planner", "tasks run", "solved [%]"]
     lines = [header, *([item.title, str(item.n_runs), item.cell("solved")] for item in found)]
     for time, label in TIMES.items():
-        header += [f"{label} [s]: paper", "ours, mean"] if part == "paper" else [f"{label} [s]: mean"]
+        header += (
+            [f"{label} [s]: paper", "ours, mean"] if part == "paper" else [f"{label} [s]: mean"]
+        )
         header.append("median")
         for line, item in zip(lines[1:], found, strict=True):
             line += [item.paper_cell(time)] if part == "paper" else []

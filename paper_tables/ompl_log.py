@@ -55,7 +55,8 @@ PROPERTIES: Mapping[str, Callable[[ResultRow], Any]] = {
 def write_ompl_log(directory: Path, path: Path) -> None:
     """Write the rows of a results directory as one experiment, named after its suite.
 
-    InvalidInputError when the directory holds no readable runs with provenance, or `path` cannot be written.
+    InvalidInputError when the directory holds no readable runs with provenance, or `path` cannot be
+    written.
     """
     write_text(path, ompl_log(directory_rows(directory), ProvenanceFile(directory).read()))
 
@@ -83,7 +84,12 @@ def ompl_log(rows: Sequence[ResultRow], record: Mapping[str, Any]) -> str:
         f"{len(runs)} planners",
     ]
     for planner, own in runs.items():
-        lines += [planner, "0 common properties", f"{len(PROPERTIES)} properties for each run", *PROPERTIES]
+        lines += [
+            planner,
+            "0 common properties",
+            f"{len(PROPERTIES)} properties for each run",
+            *PROPERTIES,
+        ]
         lines += [f"{len(own)} runs", *map(_run_line, own), "."]
     return "\n".join(lines) + "\n"
 

@@ -24,10 +24,15 @@ THICK, THIN = 2.6, 1.4  # [points]
 def line_style(name: str) -> dict[str, Any]:
     """Arguments of matplotlib's `plot` for a planner, or for a variant of it: "birrt improved".
 
-    Variants have the planner's colour and dashes; a planner that is not listed has dots and a colour by its name.
+    Variants have the planner's colour and dashes; a planner that is not listed has dots and a
+    colour by its name.
     """
     planner, *variant = name.split()
     known = planner in COLOURS
-    colour = COLOURS[planner] if known else list(COLOURS.values())[crc32(planner.encode()) % len(COLOURS)]
+    colour = (
+        COLOURS[planner]
+        if known
+        else list(COLOURS.values())[crc32(planner.encode()) % len(COLOURS)]
+    )
     dash = ("--" if variant else "-") if known else ":"
     return {"color": colour, "linestyle": dash, "linewidth": THICK if planner == OURS else THIN}

@@ -28,19 +28,28 @@ def _collisions(rows: Rows, runs: SuiteRuns) -> Interval:
 
 COLUMNS: Mapping[str, Column] = {
     "solved": Column("solved [%]", "%", share_of(solved)),
-    "true_free": Column("free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)),
-    "collisions": Column("collide in truth", "1", _collisions, cell=lambda count: str(count.estimate)),
+    "true_free": Column(
+        "free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)
+    ),
+    "collisions": Column(
+        "collide in truth", "1", _collisions, cell=lambda count: str(count.estimate)
+    ),
     "length": Column("length [rad]", "rad", median_of("path_length", "solved")),
 }
 NOTES = (
-    "One thing is varied, everything else is at its default (marked *). Scenes, starts and goals are the same.",
-    "Solved: certified in the map, Wilson interval; a start or goal that the map takes for occupied is a failure.",
-    "Free in truth: of the solved ones, those free in the scene that was scanned. Length: median of the solved ones.",
+    "One thing is varied, everything else is at its default (marked *). Scenes, starts and goals "
+    "are the same.",
+    "Solved: certified in the map, Wilson interval; a start or goal that the map takes for "
+    "occupied is a failure.",
+    "Free in truth: of the solved ones, those free in the scene that was scanned. Length: median "
+    "of the solved ones.",
     "birrt draws uniform samples, the other planners learned ones.",
 )
 
 
-def robustness_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> table.Rendered:
+def robustness_table(
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue]
+) -> table.Rendered:
     """A table for each thing that is varied, and the padding that follows from them."""
     rows = list(rows)
     levels = levels_of(rows)
@@ -52,7 +61,9 @@ def robustness_table(rows: Iterable[ResultRow], published: Sequence[PublishedVal
         for factor in dict.fromkeys(level.group[0] for level in levels)
     }
     size = f"{len({split_problem(row.problem).number for row in rows})} scenes"
-    caption = f"{size.replace('scenes', 'scanned scenes')}, measured in several ways. {advice} {NOTES[0]}"
+    caption = (
+        f"{size.replace('scenes', 'scanned scenes')}, measured in several ways. {advice} {NOTES[0]}"
+    )
     return table.Rendered(
         size=size,
         sections={"": [advice], **parts, "Notes": NOTES},
@@ -63,13 +74,17 @@ def robustness_table(rows: Iterable[ResultRow], published: Sequence[PublishedVal
 
 
 def levels_of(rows: Iterable[ResultRow]) -> list[table.Entry]:
-    """Planners at every value of one thing, the rest as in most runs; a group is what is varied and its value."""
+    """Planners at every value of one thing, the rest as in most runs;
+    a group is what is varied and its value.
+    """
     runs = table.suite_runs(rows)
     by_setting: dict[Setting, list[ResultRow]] = {}
     for row in runs.rows:
         by_setting.setdefault(_setting(row), []).append(row)
     default = _most_common(by_setting)
-    planners = sorted({row.planner for row in runs.rows}, key=lambda name: (name != REFERENCE, name))
+    planners = sorted(
+        {row.planner for row in runs.rows}, key=lambda name: (name != REFERENCE, name)
+    )
     levels = []
     for k, (factor, usual) in enumerate(default):
         varied = [s for s in by_setting if s[:k] + s[k + 1 :] == default[:k] + default[k + 1 :]]
@@ -79,7 +94,9 @@ def levels_of(rows: Iterable[ResultRow]) -> list[table.Entry]:
             for planner in planners:
                 chosen = [row for row in by_setting[setting] if row.planner == planner]
                 suffix = f"_at_{factor}={value}"
-                levels.append(table.entry(planner, chosen, runs, COLUMNS, group=group, suffix=suffix))
+                levels.append(
+                    table.entry(planner, chosen, runs, COLUMNS, group=group, suffix=suffix)
+                )
     return levels
 
 
@@ -100,11 +117,15 @@ def _order(value: str) -> float:
 
 
 def safe_padding(levels: Sequence[table.Entry]) -> str | None:
-    """Least padding [m] at which, and above which, every path is free in truth; None if there is none."""
+    """Least padding [m] at which, and above which, every path is free in truth;
+    None if there is none.
+    """
     found = None
     padded = [level for level in levels if level.group[0] == "padding"]
     for value in reversed(dict.fromkeys(level.group[1] for level in padded)):
-        if any(level.measured["collisions"].estimate for level in padded if level.group[1] == value):
+        if any(
+            level.measured["collisions"].estimate for level in padded if level.group[1] == value
+        ):
             break
         found = value
     return found
@@ -114,8 +135,11 @@ def _advice(levels: Sequence[table.Entry]) -> str:
     padding = safe_padding(levels)
     if padding is None:
         return "No padding that was tried makes every path free in truth."
-    paths = sum(level.measured["true_free"].n for level in levels if level.group == ("padding", padding))
+    paths = sum(
+        level.measured["true_free"].n for level in levels if level.group == ("padding", padding)
+    )
     return (
-        f"Recommended padding: {padding.removesuffix(DEFAULT)} m, the least from which on every path was free in truth "
+        f"Recommended padding: {padding.removesuffix(DEFAULT)} m, the least from which on every "
+        f"path was free in truth "
         f"({paths} of {paths})."
     )

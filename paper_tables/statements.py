@@ -1,6 +1,8 @@
-"""What the paper says of its planners, as statements that rows can contradict. This file fixes them.
+"""What the paper says of its planners, as statements that rows can contradict. This file fixes
+them.
 
-Rows of the place task existed when the statements were written; the rules of `judging` know no suite or planner.
+Rows of the place task existed when the statements were written; the rules of `judging` know no
+suite or planner.
 """
 
 from collections.abc import Sequence
@@ -27,7 +29,8 @@ STEPS = (  # from the paper's CBiRRT to our own ideas: what is added, planner, a
 class Statement:
     """`planner` needs `stated` (a fraction; 0: any) less of `metric` than every baseline.
 
-    Without baselines: at least the fraction `stated` of its runs are what `metric` says (see `judging.SHARES`).
+    Without baselines: at least the fraction `stated` of its runs are what `metric` says (see
+    `judging.SHARES`).
     """
 
     metric: str  # of `measures.VALUES`
@@ -55,8 +58,10 @@ CLAIMS = (
         '"almost 2x faster than previous planners": 11.0 s, not 20.6 to 25.3 s',
         "place-task",
         (Statement("time", 0.5, NAMED),),
-        "A state check costs a microsecond here and milliseconds in the paper's simulator, so that networks, which "
-        "cost milliseconds in both, weigh more here. The published code times the search alone for CVQ-MPT; our time "
+        "A state check costs a microsecond here and milliseconds in the paper's simulator, so "
+        "that networks, which "
+        "cost milliseconds in both, weigh more here. The published code times the search alone "
+        "for CVQ-MPT; our time "
         "includes goals, cloud and networks.",
     ),
     Claim(
@@ -64,7 +69,8 @@ CLAIMS = (
         '"35 % to 40 % shorter compared to previous SMPs"',
         "place-task",
         (Statement("path_length", 0.35, SEARCHES),),
-        "The paper's own table says 37 % against CBiRRT, 24 % against TB-RRT, 6 % against Atlas-RRT. MPNet is left "
+        "The paper's own table says 37 % against CBiRRT, 24 % against TB-RRT, 6 % against "
+        "Atlas-RRT. MPNet is left "
         "out: in the published code a segment that it fails counts as -1 in its length.",
     ),
     Claim(
@@ -72,8 +78,10 @@ CLAIMS = (
         "98.4 % before the cutoff, where CBiRRT solves 93.7 %",
         "place-task",
         (Statement("solved_in_time", 0.9842),),
-        "The paper's cutoff is 100 s. CBiRRT and Opt-CVQ-MPT solve nearly all in ten seconds here, so the cutoff "
-        "is the time within which CBiRRT solves what it solved in the paper, 93.7 %. Tested is 97.9 %, nine tenths of "
+        "The paper's cutoff is 100 s. CBiRRT and Opt-CVQ-MPT solve nearly all in ten seconds "
+        "here, so the cutoff "
+        "is the time within which CBiRRT solves what it solved in the paper, 93.7 %. Tested is "
+        "97.9 %, nine tenths of "
         "the way from there to 98.4 %.",
     ),
     Claim(
@@ -85,7 +93,8 @@ CLAIMS = (
                 "vertices",
                 0.0,
                 SEARCHES,
-                incomparable="our search keeps every state along an extension, OMPL's its end alone, and rows do not "
+                incomparable="our search keeps every state along an extension, OMPL's its end "
+                "alone, and rows do not "
                 "say which are ends",
             ),
         ),
@@ -103,14 +112,16 @@ CLAIMS = (
         "no number",
         "place-task",
         (Statement("projections", 0.0, (CVQ,)),),
-        "Algorithm 2 moves the sampling regions towards the constraint so that projecting samples costs less.",
+        "Algorithm 2 moves the sampling regions towards the constraint so that projecting samples "
+        "costs less.",
     ),
     Claim(
         "lower G",
         "no number",
         "place-task",
         (Statement("g_sampled", 0.0, (CVQ,)),),
-        "G(q) = F(q)^T F(q), the squared violation of the constraint, over all that is sampled, the Gaussians around "
+        "G(q) = F(q)^T F(q), the squared violation of the constraint, over all that is sampled, "
+        "the Gaussians around "
         "goals included.",
     ),
     Claim(
@@ -125,7 +136,8 @@ CLAIMS = (
         "66 % not solved: not generalisable to unseen environments",
         "place-task",
         (Statement("failed", 0.6615, (), "mpnet"),),
-        "The paper's weights cannot be imported. MPNet was trained here on four families of scenes; it is smaller than "
+        "The paper's weights cannot be imported. MPNet was trained here on four families of "
+        "scenes; it is smaller than "
         "the published network, and its error is the same with another scene's cloud.",
     ),
     Claim(
@@ -133,7 +145,8 @@ CLAIMS = (
         '"reduces total planning time by 45 %"',
         "multi-sequence",
         (Statement("planning_time", 0.45, SEARCHES),),
-        "Only the last of the three phases that the paper times is constrained. In the others OMPL's planners are its "
+        "Only the last of the three phases that the paper times is constrained. In the others "
+        "OMPL's planners are its "
         "RRTConnect in joint space.",
     ),
     Claim(
@@ -141,28 +154,32 @@ CLAIMS = (
         '"can reduce task execution times by 18 %"',
         "multi-sequence",
         (Statement("execution_time", 0.18, SEARCHES),),
-        "Here motions are timed under joint limits; the paper's is the wall-clock of a simulated controller.",
+        "Here motions are timed under joint limits; the paper's is the wall-clock of a simulated "
+        "controller.",
     ),
     Claim(
         "tasks: total −29 %",
         "Table II: 29.6 s, not 41.7 to 43.9 s",
         "multi-sequence",
         (Statement("total_time", 0.29, SEARCHES),),
-        "Planning takes 37 to 53 % of the total in the paper and a hundredth here, so that the total is its execution.",
+        "Planning takes 37 to 53 % of the total in the paper and a hundredth here, so that the "
+        "total is its execution.",
     ),
     Claim(
         "sensed: solves all",
         "10 of 10",
         "sensor",
         (Statement("accuracy", 1.0),),
-        "The paper's scenes are not published: ours are rendered with the errors of a depth camera.",
+        "The paper's scenes are not published: ours are rendered with the errors of a depth "
+        "camera.",
     ),
     Claim(
         "sensed: faster",
         '"CVQ-MPT and Opt-CV-MPT outperform traditional planners"',
         "sensor",
         (Statement("time", 0.0, SEARCHES),),
-        "In the paper's own table CVQ-MPT is slower than CBiRRT, and Opt-CVQ-MPT as fast. MPNet solves 4 of 10 there "
+        "In the paper's own table CVQ-MPT is slower than CBiRRT, and Opt-CVQ-MPT as fast. MPNet "
+        "solves 4 of 10 there "
         "and is not compared.",
     ),
     Claim(
@@ -177,15 +194,18 @@ CLAIMS = (
         '"requires no additional data for training and finetuning"',
         "constraints",
         (Statement("time", 0.0, (CBIRRT,)),),
-        "No weights here saw a constraint in training. Tested is whether they help under eight kinds of constraints.",
+        "No weights here saw a constraint in training. Tested is whether they help under eight "
+        "kinds of constraints.",
     ),
     Claim(
         "complete",
         "probabilistically complete, by proof",
         "place-task",
         (Statement("accuracy", 1.0, (), incomparable="a statement about unlimited time"),),
-        "The proof needs samples near every vertex with a probability above zero; far from all Gaussians that "
-        "probability is zero in floating point. `cvq-mpt` and `opt-cvq-mpt` draw no uniform samples, as in the paper, "
+        "The proof needs samples near every vertex with a probability above zero; far from all "
+        "Gaussians that "
+        "probability is zero in floating point. `cvq-mpt` and `opt-cvq-mpt` draw no uniform "
+        "samples, as in the paper, "
         "so they are not complete here.",
     ),
 )

@@ -1,4 +1,7 @@
-"""Render the runs of a results directory in the paper's layout: markdown, LaTeX and csv. Plans nothing."""
+"""Render the runs of a results directory in the paper's layout: markdown, LaTeX and csv.
+
+Plans nothing.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -25,7 +28,8 @@ class SuiteTable(NamedTuple):
 
     title: str
     render: Callable[..., Rendered] = place_task_table
-    paper: tuple[str, str] | None = None  # file in ``published`` and environment there of its numbers
+    # file in ``published`` and environment there of its numbers
+    paper: tuple[str, str] | None = None
 
 
 PLACE = ("place_task.csv", "Place Task")
@@ -39,7 +43,9 @@ TABLES: Mapping[str, SuiteTable] = {  # by suite; others are rendered as problem
     "family-shelves": SuiteTable("Held-out scenes with shelves, hand upright"),
     "family-table": SuiteTable("Held-out scenes with a table, hand upright"),
     "family-cluttered-table": SuiteTable("Held-out tables crowded with slim things, hand upright"),
-    "family-narrow-shelves": SuiteTable("Held-out shelves that a hand just fits into, hand upright"),
+    "family-narrow-shelves": SuiteTable(
+        "Held-out shelves that a hand just fits into, hand upright"
+    ),
     "family-cage": SuiteTable("Held-out cages of bars, hand upright"),
     "robots": SuiteTable("Nine arms of seven makers in held-out scenes, hand upright", arms_table),
     "sensor": SuiteTable(
@@ -48,8 +54,12 @@ TABLES: Mapping[str, SuiteTable] = {  # by suite; others are rendered as problem
         ("place_task.csv", "Physical robot"),
     ),
     "sensor-robustness": SuiteTable("Scanned scenes measured in several ways", robustness_table),
-    "constraints": SuiteTable("Eight kinds of constraints, zero-shot, in held-out scenes", constraints_table),
-    "factorial": SuiteTable("Factorial: predictor x Gaussians x update, place task", factorial_table),
+    "constraints": SuiteTable(
+        "Eight kinds of constraints, zero-shot, in held-out scenes", constraints_table
+    ),
+    "factorial": SuiteTable(
+        "Factorial: predictor x Gaussians x update, place task", factorial_table
+    ),
     "factorial-constraints": SuiteTable(
         "Factorial: predictor x Gaussians x update, eight kinds of constraints", factorial_table
     ),
@@ -78,7 +88,8 @@ class RenderedFiles(NamedTuple):
 def render_directory(directory: Path) -> RenderedFiles:
     """Write ``table.md``, ``.tex`` and ``.csv`` beside ``runs.csv``, whose rows are of one suite.
 
-    InvalidInputError when the directory holds no readable runs with provenance, or cannot be written.
+    InvalidInputError when the directory holds no readable runs with provenance, or cannot be
+    written.
     """
     rows = rows_of_one_suite(directory_rows(directory))
     record = ProvenanceFile(directory).read()
@@ -103,7 +114,9 @@ def directory_rows(directory: Path) -> list[ResultRow]:
         raise RunStoreError(f"{directory} is not a directory; {advice}")
     if not (directory / RUNS_FILE).is_file():
         if (directory / PARTIAL_FILE).is_file():
-            raise RunStoreError(f"{directory} holds an interrupted run; repeat its command to continue it")
+            raise RunStoreError(
+                f"{directory} holds an interrupted run; repeat its command to continue it"
+            )
         raise RunStoreError(f"{directory} has no {RUNS_FILE}; {advice}")
     rows = read_rows(directory / RUNS_FILE)
     if not rows:
@@ -114,8 +127,12 @@ def directory_rows(directory: Path) -> list[ResultRow]:
 def _head(record: Mapping[str, Any], n_runs: int) -> str:
     """One line: cut-off, commits, models, machines, dates and the number of rows."""
     made = sessions(record)
-    models = [f"{name} {digest[:12]}" for name, digest in sorted(digests_in(record, "weights").items())]
-    machines = [f"{s.get('cpu_model') or 'unknown'}, {s.get('cpu_count') or '?'} cores" for s in made]
+    models = [
+        f"{name} {digest[:12]}" for name, digest in sorted(digests_in(record, "weights").items())
+    ]
+    machines = [
+        f"{s.get('cpu_model') or 'unknown'}, {s.get('cpu_count') or '?'} cores" for s in made
+    ]
     return " · ".join(
         [
             _cutoffs(record),
@@ -133,7 +150,10 @@ def _cutoffs(record: Mapping[str, Any]) -> str:
     configuration = record["configuration"]
     seconds, iterations = configuration.get("cutoff_s"), configuration.get("iterations")
     limits = [f"cutoff {seconds:g} s"] if seconds else []
-    return ", ".join([*limits, f"{iterations} iterations"] if iterations else limits) or "cutoff not recorded"
+    return (
+        ", ".join([*limits, f"{iterations} iterations"] if iterations else limits)
+        or "cutoff not recorded"
+    )
 
 
 def _commit(session: Mapping[str, Any]) -> str:

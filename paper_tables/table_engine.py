@@ -1,4 +1,6 @@
-"""The engine of every suite's table: planners as lines, columns by declaration, the paper's numbers beside ours."""
+"""The engine of every suite's table:
+planners as lines, columns by declaration, the paper's numbers beside ours.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +14,16 @@ from cvqmpt_lab.results.statistics import Interval, jointly_solved
 from paper_tables import writers
 from paper_tables.measures import REFERENCE, Measure, Rows, SuiteRuns, split_by_work
 from paper_tables.paper_numbers import PublishedValue
-from paper_tables.writers import Lines, Sections, bounds, csv_text, estimate, latex_table, number, text_lines
+from paper_tables.writers import (
+    Lines,
+    Sections,
+    bounds,
+    csv_text,
+    estimate,
+    latex_table,
+    number,
+    text_lines,
+)
 
 CSV_COLUMNS = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")
 
@@ -99,11 +110,15 @@ def rows_of_one_suite(rows: Iterable[ResultRow]) -> list[ResultRow]:
 
 
 def by_planner(rows: Rows, published: Iterable[PublishedValue]) -> dict[str, list[ResultRow]]:
-    """Rows by planner, the paper's first and in its order; by planner and backend where one ran with several."""
+    """Rows by planner, the paper's first and in its order;
+    by planner and backend where one ran with several.
+    """
     backends: dict[str, set[str]] = {}
     for row in rows:
         backends.setdefault(row.planner, set()).add(row.backend)
-    paper = [planner for planner in dict.fromkeys(v.planner for v in published) if planner in backends]
+    paper = [
+        planner for planner in dict.fromkeys(v.planner for v in published) if planner in backends
+    ]
     groups: dict[str, list[ResultRow]] = {}
     for planner in (*paper, *sorted(backends.keys() - set(paper))):
         for backend in sorted(backends[planner]):
@@ -113,7 +128,9 @@ def by_planner(rows: Rows, published: Iterable[PublishedValue]) -> dict[str, lis
 
 
 def suite_runs(rows: Iterable[ResultRow], published: Iterable[PublishedValue] = ()) -> SuiteRuns:
-    """Rows of one suite, grouped; InvalidInputError without rows, or with rows of more than one suite."""
+    """Rows of one suite, grouped;
+    InvalidInputError without rows, or with rows of more than one suite.
+    """
     ordered = rows_of_one_suite(rows)
     groups = by_planner(ordered, published)
     solving = sorted(name for name, own in groups.items() if any(row.solved for row in own))
@@ -138,7 +155,9 @@ def entry(
         planner=name,
         columns=columns,
         measured={column: definition.measure(rows, runs) for column, definition in columns.items()},
-        published={value.metric: value for value in published if value.planner == name.partition(" [")[0]},
+        published={
+            value.metric: value for value in published if value.planner == name.partition(" [")[0]
+        },
         n_runs=_n_runs(rows),
         failures=_counts((_at(row, str(row.fail_reason)), row.detail or "–") for row in failed),
         fallbacks=_counts((_at(row, ""), str(row.fallback)) for row in fallen_back),
@@ -148,7 +167,9 @@ def entry(
     )
 
 
-def entries(runs: SuiteRuns, columns: Mapping[str, Column], published: Sequence[PublishedValue] = ()) -> list[Entry]:
+def entries(
+    runs: SuiteRuns, columns: Mapping[str, Column], published: Sequence[PublishedValue] = ()
+) -> list[Entry]:
     """Every planner on all its rows."""
     return [entry(name, rows, runs, columns, published) for name, rows in runs.groups.items()]
 
@@ -188,7 +209,8 @@ def seed_notes(runs: SuiteRuns) -> Iterable[str]:
     most = max(seeds.values())
     if most > 1:
         yield (
-            "Several seeds: a problem counts once in every number and interval, with its median, its mean or its share "
+            "Several seeds: a problem counts once in every number and interval, with its median, "
+            "its mean or its share "
             "over seeds; ratios pair runs by problem and seed."
         )
     fewer = [f"{name} {count}" for name, count in seeds.items() if count < most]
@@ -207,7 +229,9 @@ def column_lines(found: Sequence[Entry], names: Iterable[str]) -> Lines:
 
 
 def group_lines(found: Sequence[Entry], head: Sequence[str], count: str = "problems") -> Lines:
-    """Groups and planners as lines, all columns; those without runs are left out. head: titles of the group's cells."""
+    """Groups and planners as lines, all columns; those without runs are left out. head:
+    titles of the group's cells.
+    """
     lines = [[*head, "planner", count, *(column.label for column in found[0].columns.values())]]
     for item in found:
         n = item.measured["solved"].n
@@ -227,7 +251,9 @@ def count_lines(found: Iterable[Entry], what: str) -> Lines:
 
 
 class BriefColumn(NamedTuple):
-    """A number that a terminal shows: its title, the paper's metric, ours and which statistic, with interval or not."""
+    """A number that a terminal shows:
+    its title, the paper's metric, ours and which statistic, with interval or not.
+    """
 
     title: str
     published: str
@@ -237,7 +263,9 @@ class BriefColumn(NamedTuple):
 
 
 def brief_lines(found: Sequence[Entry], columns: Sequence[BriefColumn]) -> list[str]:
-    """A line a planner for a terminal, the paper's numbers beside ours, then one about fallbacks, if any."""
+    """A line a planner for a terminal, the paper's numbers beside ours, then one about fallbacks,
+    if any.
+    """
     papers = [column.published in item.published for column in columns for item in found]
     shown = 2 if any(papers) else 1
     lines = [[""], ["planner"]]
@@ -255,22 +283,33 @@ def brief_lines(found: Sequence[Entry], columns: Sequence[BriefColumn]) -> list[
 
 def fallback_lines(found: Iterable[Entry]) -> list[str]:
     """A line about fallbacks, if any."""
-    fallen_back = ", ".join(f"{e.planner} {e.n_fallen_back} of {e.n_runs}" for e in found if e.n_fallen_back)
+    fallen_back = ", ".join(
+        f"{e.planner} {e.n_fallen_back} of {e.n_runs}" for e in found if e.n_fallen_back
+    )
     return [f"by fallback: {fallen_back}"] if fallen_back else []
 
 
 def brief_groups(lines: Lines, columns: Sequence[int]) -> list[str]:
     """Some columns of `group_lines` for a terminal, numbers without intervals."""
     first = lines[0].index("planner")
-    short = [[line[k] if k <= first else line[k].partition(" ")[0] for k in columns] for line in lines[1:]]
+    short = [
+        [line[k] if k <= first else line[k].partition(" ")[0] for k in columns]
+        for line in lines[1:]
+    ]
     return text_lines([[lines[0][k] for k in columns], *short])
 
 
-def latex_planners(caption: str, suite: str, found: Sequence[Entry], metrics: Mapping[str, Mapping[str, str]]) -> str:
-    """The paper's layout, planners as columns; metrics: of the paper, with our columns by their titles."""
+def latex_planners(
+    caption: str, suite: str, found: Sequence[Entry], metrics: Mapping[str, Mapping[str, str]]
+) -> str:
+    """The paper's layout, planners as columns; metrics:
+    of the paper, with our columns by their titles.
+    """
     paper = ["", "", *(item.paper_name or item.planner for item in found)]
     names = [paper, ["", "", *(item.planner if item.paper_name else "" for item in found)]]
-    return latex_table(caption, suite, [names, *(_latex_block(found, *item) for item in metrics.items())])
+    return latex_table(
+        caption, suite, [names, *(_latex_block(found, *item) for item in metrics.items())]
+    )
 
 
 def _latex_block(found: Sequence[Entry], published: str, ours: Mapping[str, str]) -> Lines:
@@ -288,7 +327,9 @@ def _latex_block(found: Sequence[Entry], published: str, ours: Mapping[str, str]
 def latex_groups(caption: str, suite: str, lines: Lines) -> str:
     """Lines of `group_lines` with a rule between groups."""
     header, *rest = lines
-    return latex_table(caption, suite, [[header], *(list(part) for _, part in groupby(rest, itemgetter(0)))])
+    return latex_table(
+        caption, suite, [[header], *(list(part) for _, part in groupby(rest, itemgetter(0)))]
+    )
 
 
 def csv_of(suite: str, found: Iterable[Entry]) -> str:
@@ -298,7 +339,9 @@ def csv_of(suite: str, found: Iterable[Entry]) -> str:
         for name, column in item.columns.items():
             value = item.published.get(column.published or "")
             if value:
-                lines.append((suite, name, value.unit, item.planner, "paper", value.value, "", "", ""))
+                lines.append(
+                    (suite, name, value.unit, item.planner, "paper", value.value, "", "", "")
+                )
         for name, ours in item.measured.items():
             numbers = (ours.estimate, ours.low, ours.high, ours.n)
             metric, unit = name + item.suffix, item.columns[name].unit

@@ -7,13 +7,20 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
 
-_LATEX_ESCAPES = {"\\": r"\textbackslash{}", "∞": r"$\infty$", "–": "--", "^": r"\^{}", "~": r"\~{}"}
+_LATEX_ESCAPES = {
+    "\\": r"\textbackslash{}",
+    "∞": r"$\infty$",
+    "–": "--",
+    "^": r"\^{}",
+    "~": r"\~{}",
+}
 _LATEX_ESCAPES |= {character: f"\\{character}" for character in "&%$#_{}"}
 PAGE_WIDTH = 100  # characters of a line of Markdown
 MOST_COLUMNS = 5  # of numbers side by side on a page of LaTeX
 
 Lines = Sequence[Sequence[str]]  # a table as lines of cells, the header first
-Sections = Mapping[str, Lines | Sequence[str]]  # by title; what has no title is plain text and comes first
+# by title; what has no title is plain text and comes first
+Sections = Mapping[str, Lines | Sequence[str]]
 
 
 def latex(text: str) -> str:
@@ -48,7 +55,8 @@ def estimate(interval: Interval) -> str:
 def change(reduction: Interval) -> str:
     """A reduction (fraction) as a signed change [%]."""
     middle, low, high = (
-        None if x is None else 0.0 - 100.0 * x for x in (reduction.estimate, reduction.high, reduction.low)
+        None if x is None else 0.0 - 100.0 * x
+        for x in (reduction.estimate, reduction.high, reduction.low)
     )
     sign = "+" if (middle or 0.0) > 0.0 else ""
     return sign + estimate(Interval(middle, low, high, reduction.n)).replace("-", "−")
@@ -86,11 +94,16 @@ def markdown(sections: Sections) -> str:
 
 def _section(part: Lines | Sequence[str]) -> str:
     lines = [line for line in part if not isinstance(line, str)]
-    return "\n".join(map(markdown_table, narrow(lines))) if lines else "".join(f"- {text}\n" for text in part)
+    return (
+        "\n".join(map(markdown_table, narrow(lines)))
+        if lines
+        else "".join(f"- {text}\n" for text in part)
+    )
 
 
 def narrow(lines: Lines) -> list[Lines]:
-    """A table as several of at most PAGE_WIDTH characters, each with the labels; as it is where cells are sentences.
+    """A table as several of at most PAGE_WIDTH characters, each with the labels; as it is where
+    cells are sentences.
 
     Labels are the first column and all up to the one titled "planner".
     """
@@ -110,13 +123,20 @@ def narrow(lines: Lines) -> list[Lines]:
 def latex_table(caption: str, label: str, blocks: Sequence[Lines]) -> str:
     """A table over two columns (booktabs), two label columns first, with a rule between blocks.
 
-    Where it has more than MOST_COLUMNS columns of numbers, those that are left make tables of their own.
+    Where it has more than MOST_COLUMNS columns of numbers, those that are left make tables of their
+    own.
     """
     name, texts = "".join(c if c.isalnum() else "-" for c in label), []
     for first in range(2, len(blocks[0][0]), MOST_COLUMNS):
         part = slice(first, first + MOST_COLUMNS)
-        head = rf"\caption{{{latex(caption)}}}\label{{tab:{name}}}" if first == 2 else r"\caption{Continued.}"
-        texts.append(_latex_float(head, [[[*line[:2], *line[part]] for line in block] for block in blocks]))
+        head = (
+            rf"\caption{{{latex(caption)}}}\label{{tab:{name}}}"
+            if first == 2
+            else r"\caption{Continued.}"
+        )
+        texts.append(
+            _latex_float(head, [[[*line[:2], *line[part]] for line in block] for block in blocks])
+        )
     return "".join(texts)
 
 

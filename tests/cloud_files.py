@@ -22,7 +22,9 @@ def pcd(points, form="binary", fields="x y z rgb", **changes):
         "POINTS": len(points),
         "DATA": form,
     } | changes
-    header = "".join(f"{key} {value}\n" for key, value in lines.items() if value is not None).encode()
+    header = "".join(
+        f"{key} {value}\n" for key, value in lines.items() if value is not None
+    ).encode()
     raw = columns.T.tobytes()
     packed = (lzf.compress(raw) if raw else b"") or b""
     sizes = np.array([len(packed), len(raw)], "<u4").tobytes()
@@ -40,7 +42,10 @@ def ply(points, form="binary_little_endian", head="", tail="", kind="float"):
     header = f"ply\nformat {form} 1.0\ncomment none\n{count}\nproperty uchar shade\n"
     header += "".join(f"property {kind} {axis}\n" for axis in "xyz") + f"{tail}end_header\n"
     if form == "ascii":
-        return header.encode() + "\n".join("7 " + " ".join(map(repr, map(float, row))) for row in points).encode()
+        return (
+            header.encode()
+            + "\n".join("7 " + " ".join(map(repr, map(float, row))) for row in points).encode()
+        )
     order = "<" if form == "binary_little_endian" else ">"
     rows = np.zeros(len(points), [("shade", "u1"), *((axis, f"{order}f4") for axis in "xyz")])
     for axis, column in zip("xyz", points.T, strict=True):
@@ -71,12 +76,15 @@ GOOD = {
     "a.ply": ply(POINTS, "ascii"),
     "b.ply": ply(POINTS),
     "big.ply": ply(POINTS, "binary_big_endian"),
-    "mesh.ply": ply(POINTS, tail="element face 1\nproperty list uchar int vertex_indices\n") + bytes(13),
+    "mesh.ply": ply(POINTS, tail="element face 1\nproperty list uchar int vertex_indices\n")
+    + bytes(13),
     "a.npy": npy(POINTS),
     "single.npy": npy(POINTS.astype("f4")),
     "image.npy": npy(np.dstack([POINTS.reshape(8, 5, 3), np.zeros((8, 5))])),
     "columns.npy": npy(np.asfortranarray(POINTS)),
-    "named.npy": npy(np.rec.fromarrays([POINTS[:, 0], np.zeros(40), *POINTS[:, 1:].T], names="x,c,y,z")),
+    "named.npy": npy(
+        np.rec.fromarrays([POINTS[:, 0], np.zeros(40), *POINTS[:, 1:].T], names="x,c,y,z")
+    ),
     "a.xyz": xyz(POINTS),
     "a.csv": xyz(POINTS, ","),
 }

@@ -21,7 +21,9 @@ def refused(capsys, *words):
 
 
 def environment(**changes):
-    """The environment of this process, in which commands import the code that is tested, with changes."""
+    """The environment of this process, in which commands import the code that is tested, with
+    changes.
+    """
     paths = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     return {**os.environ, "PYTHONPATH": paths, **changes}
 
@@ -43,7 +45,11 @@ def run(words, before=None, code=0, **changes):
     """Run `cvqmpt WORDS` to its end, which must be `code`; returns standard error."""
     process = start(words, before, **changes)
     _, err = process.communicate()
-    assert process.returncode == code and "Traceback" not in err, (words, process.returncode, err[-400:])
+    assert process.returncode == code and "Traceback" not in err, (
+        words,
+        process.returncode,
+        err[-400:],
+    )
     return err
 
 

@@ -6,6 +6,8 @@ from numba import njit
 def from_python(kernel):
     """A kernel with a wrapper through which Python can call it."""
     options = {
-        name: value for name, value in kernel.targetoptions.items() if name not in ("no_cpython_wrapper", "nopython")
+        name: value
+        for name, value in kernel.targetoptions.items()
+        if name not in ("no_cpython_wrapper", "nopython")
     }
     return njit(**options)(kernel.py_func)

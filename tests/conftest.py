@@ -32,7 +32,9 @@ def part(request):
 
 
 def pytest_runtest_setup():
-    """Let torch, once it is imported, use one thread: for small networks more of them wait for each other."""
+    """Let torch, once it is imported, use one thread:
+    for small networks more of them wait for each other.
+    """
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
 
@@ -101,7 +103,9 @@ def task_solution(task):
 
 @pytest.fixture
 def four_threads():
-    """Returns what a function gives for each value, called in four threads that are switched every 10 us."""
+    """Returns what a function gives for each value, called in four threads that are switched every
+    10 us.
+    """
     before = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
     with ThreadPoolExecutor(4) as executor:

@@ -15,7 +15,9 @@ def a_row(problem="place_0", planner="birrt", **values):
 
 
 def a_failure(problem="place_0", planner="birrt", **values):
-    return a_row(problem, planner, solved=False, certified=None, **{"fail_reason": "timeout", **values})
+    return a_row(
+        problem, planner, solved=False, certified=None, **{"fail_reason": "timeout", **values}
+    )
 
 
 def names(directory):
@@ -23,7 +25,9 @@ def names(directory):
 
 
 def a_results_folder(tmp_path, **times):
-    """Place-task rows of 30 problems; times [s] by planner, dashes as underscores, None for failures."""
+    """Place-task rows of 30 problems;
+    times [s] by planner, dashes as underscores, None for failures.
+    """
     folder = tmp_path / "place-task"
     folder.mkdir()
     rows = []
@@ -34,7 +38,15 @@ def a_results_folder(tmp_path, **times):
                 rows.append(a_failure(f"p{k}", **values, t_total_s=10.0))
                 continue
             work = {"n_projections": 10, "n_state_checks": round(1000 * time), "vertices": 5}
-            rows.append(a_row(f"p{k}", **values, t_total_s=time * (1.0 + 0.01 * k), path_length_rad=6.0, **work))
+            rows.append(
+                a_row(
+                    f"p{k}",
+                    **values,
+                    t_total_s=time * (1.0 + 0.01 * k),
+                    path_length_rad=6.0,
+                    **work,
+                )
+            )
     write_rows(folder / RUNS_FILE, rows)
     record = {"configuration": {"suite": "place-task"}, "command": ["cvqmpt", "x"], "wall_s": 300.0}
     (folder / PROVENANCE_FILE).write_text(json.dumps(record))

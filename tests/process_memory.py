@@ -9,7 +9,10 @@ from pathlib import Path
 class Mallinfo(ctypes.Structure):
     """What `mallinfo2` of the GNU C library returns: ten sizes, of which two are used here."""
 
-    _fields_ = [(name, ctypes.c_size_t) for name in ["a", "b", "c", "d", "hblkhd", "f", "g", "uordblks", "i", "j"]]
+    _fields_ = [
+        (name, ctypes.c_size_t)
+        for name in ["a", "b", "c", "d", "hblkhd", "f", "g", "uordblks", "i", "j"]
+    ]
 
 
 def resident():
@@ -18,7 +21,9 @@ def resident():
 
 
 def in_use():
-    """Bytes that C and C++ code has asked for and not given back, after Python's collector ran: to the byte."""
+    """Bytes that C and C++ code has asked for and not given back, after Python's collector ran:
+    to the byte.
+    """
     gc.collect()
     library = ctypes.CDLL(None)
     library.mallinfo2.restype = Mallinfo

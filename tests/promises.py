@@ -1,8 +1,11 @@
-"""Pytest plugin of docs/guarantees.md: how often each of its promises is tried, and what came of it.
+"""Pytest plugin of docs/guarantees.md: how often each of its promises is tried, and what came of
+it.
 
-A test says with `@pytest.mark.promise(words, unit, ci=..., long=...)` which promise it attacks and how many trials it
-makes: `ci` with every commit, `long` with `pytest --long`; without numbers they are hypothesis's examples. The fixture
-`trials` is that number. `--record F.md` writes a line for each promise into the table between two marks of F.md.
+A test says with `@pytest.mark.promise(words, unit, ci=..., long=...)` which promise it attacks and
+how many trials it
+makes: `ci` with every commit, `long` with `pytest --long`; without numbers they are hypothesis's
+    examples. The fixture `trials` is that number. `--record F.md` writes a line for each promise
+    into the table between two marks of F.md.
 """
 
 import subprocess
@@ -19,7 +22,9 @@ MARKER = "promise(words, unit, ci, long): trials that a promise of docs/guarante
 
 
 def pytest_addoption(parser):
-    parser.addoption("--long", action="store_true", help="every case and trial, for hours; a few otherwise")
+    parser.addoption(
+        "--long", action="store_true", help="every case and trial, for hours; a few otherwise"
+    )
     parser.addoption("--trials", type=int, metavar="N", help="so many trials of each promise")
     parser.addoption("--record", type=Path, metavar="F.md", help="write the figures into this page")
 
@@ -36,12 +41,15 @@ def pytest_configure(config):
             suppress_health_check=list(HealthCheck),
         )
     settings.load_profile(form_of(config))
-    if config.getoption("--record") and not hasattr(config, "workerinput"):  # not in workers of xdist
+    # not in workers of xdist
+    if config.getoption("--record") and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Recorder(config.getoption("--record"), form_of(config)))
 
 
 def form_of(config):
-    return "part" if config.getoption("--trials") else "long" if config.getoption("--long") else "ci"
+    return (
+        "part" if config.getoption("--trials") else "long" if config.getoption("--long") else "ci"
+    )
 
 
 def pytest_collection_modifyitems(config, items):
@@ -74,7 +82,9 @@ class Recorder:
     def __init__(self, page, form):
         self.page, self.form, self.figures = page, form, {}
         words = ("git", "describe", "--always", "--dirty")
-        self.commit = subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
+        self.commit = subprocess.run(
+            words, capture_output=True, text=True, check=True
+        ).stdout.strip()
         rows_of(page)
 
     def pytest_runtest_logreport(self, report):

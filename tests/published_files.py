@@ -1,4 +1,6 @@
-"""Folders laid out like the published checkpoints; names and shapes are written from their description."""
+"""Folders laid out like the published checkpoints;
+names and shapes are written from their description.
+"""
 
 import json
 
@@ -27,7 +29,11 @@ def norm(name, dim):
 
 def feed_forward(name, sizes):
     d, inner = sizes["d_model"], sizes["d_inner"]
-    return linear(f"{name}.w_1", inner, d) | linear(f"{name}.w_2", d, inner) | norm(f"{name}.layer_norm", d)
+    return (
+        linear(f"{name}.w_1", inner, d)
+        | linear(f"{name}.w_2", d, inner)
+        | norm(f"{name}.layer_norm", d)
+    )
 
 
 def layers(attention, sizes, prefix=""):
@@ -43,7 +49,11 @@ def layers(attention, sizes, prefix=""):
 
 
 def statistics(name, dim):
-    return {f"{name}.running_mean": (dim,), f"{name}.running_var": (dim,), f"{name}.num_batches_tracked": ()}
+    return {
+        f"{name}.running_mean": (dim,),
+        f"{name}.running_var": (dim,),
+        f"{name}.num_batches_tracked": (),
+    }
 
 
 def set_abstraction(name, widths):
@@ -77,14 +87,18 @@ SHAPES = {
     | norm("context_encoder.to_latent_embedding.4", 512)
     | layers("enc_attn", CONTEXT, "context_encoder.")
     | norm("context_encoder.layer_norm", 512),
-    "ar_model_state": layers("slf_attn", SEQUENCE) | norm("layer_norm", 512) | linear("class_pred", 2050, 512),
+    "ar_model_state": layers("slf_attn", SEQUENCE)
+    | norm("layer_norm", 512)
+    | linear("class_pred", 2050, 512),
 }
 
 
 def waves(positions, width):
     """Sines on even, cosines on odd dimensions, base 10000."""
     angles = np.arange(positions)[:, None] / 10000 ** (2 * (np.arange(width) // 2) / width)
-    return torch.tensor(np.where(np.arange(width) % 2, np.cos(angles), np.sin(angles)), dtype=torch.float32)
+    return torch.tensor(
+        np.where(np.arange(width) % 2, np.cos(angles), np.sin(angles)), dtype=torch.float32
+    )
 
 
 def random_tensor(name, shape, generator):
@@ -108,7 +122,9 @@ def random_states():
     }
 
 
-def write_published(folder, states, model_params=STAGE1, cross_attn=CONTEXT, ar_params=SEQUENCE, **changed):
+def write_published(
+    folder, states, model_params=STAGE1, cross_attn=CONTEXT, ar_params=SEQUENCE, **changed
+):
     """Write and return the two folders, with changes to files given as name=value."""
     use = {name: changed.get(name, state) for name, state in states.items()}
     rest = {"optimizer": {"param_groups": [{"lr": np.float64(1e-4)}]}, "epoch": 7, "n_steps": 100}

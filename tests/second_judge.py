@@ -1,8 +1,10 @@
-"""A second judge of paths that shares no code with cvqmpt_lab: triangles of the files, and fcl, state by state.
+"""A second judge of paths that shares no code with cvqmpt_lab: triangles of the files, and fcl,
+state by state.
 
-It reads the problem's json, its URDF and their meshes itself, and walks a path in steps in which no point moves by more
-than `STEP`. Nothing is replaced by its hull: links and meshes are the triangles that the files hold, clouds are balls,
-maps are cubes. Round solids are inscribed polyhedra, so that every overlap it finds is one.
+It reads the problem's json, its URDF and their meshes itself, and walks a path in steps in which no
+point moves by more than `STEP`. Nothing is replaced by its hull: links and meshes are the triangles
+that the files hold, clouds are balls, maps are cubes. Round solids are inscribed polyhedra, so that
+every overlap it finds is one.
 """
 
 import json
@@ -17,7 +19,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 STEP = 2e-4  # [m] that a point moves between neighbouring states, at most
-CONTACTS, CORNERS, STATES = 2000, 100, 5  # of a pair that overlaps, at which its depth is measured, at most
+# of a pair that overlaps, at which its depth is measured, at most
+CONTACTS, CORNERS, STATES = 2000, 100, 5
 SIDES = 96  # of cylinders
 WORLD = 0  # group of what does not move; group k is carried by joint k
 
@@ -31,16 +34,22 @@ class Verdict(NamedTuple):
 
 
 class Body:
-    """Triangles (f, 3, 3) [m] of a group of bodies that move together; their surface may be open, or cross itself."""
+    """Triangles (f, 3, 3) [m] of a group of bodies that move together;
+    their surface may be open, or cross itself.
+    """
 
     radius = 0.0
 
     def __init__(self, name, group, triangles):
-        mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+        mesh = trimesh.Trimesh(
+            triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
+        )
         self.name, self.group = name, group
-        self.triangles, self.points = np.array(mesh.triangles), np.array(mesh.vertices)  # each corner once
+        # each corner once
+        self.triangles, self.points = np.array(mesh.triangles), np.array(mesh.vertices)
         parts = trimesh.graph.connected_component_labels(mesh.edges, node_count=len(self.points))
-        self.one_of_each = self.points[np.unique(parts, return_index=True)[1]]  # a corner of each part
+        # a corner of each part
+        self.one_of_each = self.points[np.unique(parts, return_index=True)[1]]
         self.box = corners_around(self.points)
         shape = fcl.BVHModel()
         shape.beginModel(len(mesh.vertices), len(mesh.faces))
@@ -65,8 +74,12 @@ class Body:
     def distances(self, points):
         """Of points (k, 3) to the surface, (k,)."""
         count = len(self.triangles)
-        near = [trimesh.triangles.closest_point(self.triangles, np.tile(p, (count, 1))) for p in points]
-        return np.array([np.linalg.norm(x - p, axis=1).min() for x, p in zip(near, points, strict=True)])
+        near = [
+            trimesh.triangles.closest_point(self.triangles, np.tile(p, (count, 1))) for p in points
+        ]
+        return np.array(
+            [np.linalg.norm(x - p, axis=1).min() for x, p in zip(near, points, strict=True)]
+        )
 
 
 class Balls:
@@ -76,7 +89,9 @@ class Balls:
         self.name, self.group, self.points, self.radius = name, group, points, radius
         self.one_of_each, self.tree = points, cKDTree(points)
         self.box = corners_around(np.concatenate([points - radius, points + radius]))
-        self.objects = [fcl.CollisionObject(fcl.Sphere(radius), fcl.Transform(np.eye(3), p)) for p in points]
+        self.objects = [
+            fcl.CollisionObject(fcl.Sphere(radius), fcl.Transform(np.eye(3), p)) for p in points
+        ]
         self.manager = fcl.DynamicAABBTreeCollisionManager()
         self.manager.registerObjects(self.objects)
         self.manager.setup()
@@ -138,10 +153,14 @@ def depth(a, b, T):
 
 
 def triangle_depths(first, second):
-    """Lengths (k,) of the shortest moves that part triangles (k, 3, 3) from others: least overlap along 11 axes."""
+    """Lengths (k,) of the shortest moves that part triangles (k, 3, 3) from others:
+    least overlap along 11 axes.
+    """
     e, f = np.roll(first, -1, axis=1) - first, np.roll(second, -1, axis=1) - second
     edges = np.cross(e[:, :, None], f[:, None]).reshape(len(e), 9, 3)
-    axes = np.concatenate([edges, np.cross(e[:, :1], e[:, 1:2]), np.cross(f[:, :1], f[:, 1:2])], axis=1)
+    axes = np.concatenate(
+        [edges, np.cross(e[:, :1], e[:, 1:2]), np.cross(f[:, :1], f[:, 1:2])], axis=1
+    )
     lengths = np.linalg.norm(axes, axis=2)
     x, y = np.einsum("kai,kci->kac", axes, first), np.einsum("kai,kci->kac", axes, second)
     overlap = np.minimum(x.max(2) - y.min(2), y.max(2) - x.min(2))
@@ -162,12 +181,16 @@ def body_of(item, group, T, folder):
 
 
 def triangles_of(shape, folder):
-    """Triangles (f, 3, 3) of a shape in json; of a map, those of its cubes, made longer by the padding in turn."""
+    """Triangles (f, 3, 3) of a shape in json;
+    of a map, those of its cubes, made longer by the padding in turn.
+    """
     match shape["type"]:
         case "box":
             return trimesh.creation.box(shape["size"]).triangles
         case "cylinder":
-            return trimesh.creation.cylinder(shape["radius"], shape["height"], sections=SIDES).triangles
+            return trimesh.creation.cylinder(
+                shape["radius"], shape["height"], sections=SIDES
+            ).triangles
         case "sphere":
             return trimesh.creation.icosphere(subdivisions=4, radius=shape["radius"]).triangles
         case "convex_mesh":
@@ -188,13 +211,19 @@ def link_triangles(geometry, folder):
     if shape.tag == "mesh":
         name = shape.get("filename").removeprefix("package://")
         path = next(above / name for above in (folder, *folder.parents) if (above / name).is_file())
-        return triangles_of({"type": "mesh_file", "path": path}, folder) * numbers(shape, "scale", "1 1 1")
+        return triangles_of({"type": "mesh_file", "path": path}, folder) * numbers(
+            shape, "scale", "1 1 1"
+        )
     size = {"size": numbers(shape, "size", ""), "height": float(shape.get("length", 0.0))}
-    return triangles_of({"type": shape.tag, "radius": float(shape.get("radius", 0.0)), **size}, folder)
+    return triangles_of(
+        {"type": shape.tag, "radius": float(shape.get("radius", 0.0)), **size}, folder
+    )
 
 
 def numbers(element, key, otherwise):
-    return np.array(((None if element is None else element.get(key)) or otherwise).split(), dtype=float)
+    return np.array(
+        ((None if element is None else element.get(key)) or otherwise).split(), dtype=float
+    )
 
 
 def pose_of(element):
@@ -218,7 +247,9 @@ def motion(joint, value):
 
 
 def held_value(joint, locked, joints):
-    """Value of a joint that does not move: as the file says, as that of the joint it mimics, or nearest to 0."""
+    """Value of a joint that does not move:
+    as the file says, as that of the joint it mimics, or nearest to 0.
+    """
     mimic, limit = joint.find("mimic"), joint.find("limit")
     if joint.get("name") in locked:
         return locked[joint.get("name")]
@@ -226,11 +257,17 @@ def held_value(joint, locked, joints):
         value = held_value(joints[mimic.get("joint")], locked, joints)
         return float(mimic.get("multiplier", 1.0)) * value + float(mimic.get("offset", 0.0))
     free = joint.get("type") == "continuous" or limit is None
-    return 0.0 if free else min(max(0.0, float(limit.get("lower", 0.0))), float(limit.get("upper", 0.0)))
+    return (
+        0.0
+        if free
+        else min(max(0.0, float(limit.get("lower", 0.0))), float(limit.get("upper", 0.0)))
+    )
 
 
 class Arm:
-    """Groups of rigidly joined links, their joints and bodies, of the field "robot" of a problem in a folder."""
+    """Groups of rigidly joined links, their joints and bodies, of the field "robot" of a problem in
+    a folder.
+    """
 
     def __init__(self, robot, folder):
         path = (folder / robot["urdf"]).resolve()
@@ -260,9 +297,16 @@ class Arm:
         self.hand, self.bodies = links[robot["end_effector"]], []
         for link in root.findall("link"):
             (group, T), bodies = links[link.get("name")], link.findall("collision")
-            parts = [moved(T @ pose_of(x), link_triangles(x.find("geometry"), path.parent)) for x in bodies]
+            parts = [
+                moved(T @ pose_of(x), link_triangles(x.find("geometry"), path.parent))
+                for x in bodies
+            ]
             self.bodies += [Body(link.get("name"), group, np.concatenate(parts))] if parts else []
-        pairs = ElementTree.parse(folder / robot["srdf"]).iter("disable_collisions") if robot["srdf"] else ()
+        pairs = (
+            ElementTree.parse(folder / robot["srdf"]).iter("disable_collisions")
+            if robot["srdf"]
+            else ()
+        )
         self.excused = {frozenset((pair.get("link1"), pair.get("link2"))) for pair in pairs}
         names = {body.name for body in self.bodies}
         for link in names & set(above):
@@ -272,7 +316,9 @@ class Arm:
             self.excused.add(frozenset((link, before)))  # the nearest one before it that has a body
 
     def pairs(self, excused=()):
-        """Pairs of links that must not overlap: of different groups, not adjacent, nor excused by SRDF or name."""
+        """Pairs of links that must not overlap:
+        of different groups, not adjacent, nor excused by SRDF or name.
+        """
         skipped = self.excused | {frozenset(pair) for pair in excused}
         every = combinations(self.bodies, 2)
         return [(a, b) for a, b in every if a.group != b.group and {a.name, b.name} not in skipped]
@@ -285,7 +331,9 @@ class Arm:
         return np.array(found)
 
     def speeds(self, bodies, states):
-        """Bounds (n,) on how far a point of bodies moves with each coordinate [m/rad or m/m] between states (k, n)."""
+        """Bounds (n,) on how far a point of bodies moves with each coordinate [m/rad or m/m]
+        between states (k, n).
+        """
         outer, speeds = np.zeros(len(self.joints) + 1), np.ones(len(self.joints))
         for body in bodies:
             size = np.linalg.norm(body.points, axis=1).max() + body.radius
@@ -336,7 +384,9 @@ class Judge:
             if len(near) == 0:
                 continue
             T = np.linalg.inv(poses[a.group]) @ poses[b.group]
-            hits = [k for k in near if touching(a, b, T[k])] or [k for k in near[:1] if swallowed(a, b, T[k])]
+            hits = [k for k in near if touching(a, b, T[k])] or [
+                k for k in near[:1] if swallowed(a, b, T[k])
+            ]
             for k in hits[:: 1 + len(hits) // STATES]:
                 worst = max(worst, Verdict(float(depth(a, b, T[k])), (a.name, b.name), k))
         return worst

@@ -24,7 +24,9 @@ METADATA = {"kinematics": kinematics()}
 
 def compact_config():
     base = ModelConfig.compact(feature_dim=12, n_codes=64)
-    return dataclasses.replace(base, dictionary=dataclasses.replace(base.dictionary, transformer=SIZES))
+    return dataclasses.replace(
+        base, dictionary=dataclasses.replace(base.dictionary, transformer=SIZES)
+    )
 
 
 def published_config():

@@ -1,4 +1,6 @@
-"""Sampling distributions: limits, repeatability, and what is refused; properties tests check shares and moments."""
+"""Sampling distributions: limits, repeatability, and what is refused;
+properties tests check shares and moments.
+"""
 
 import numpy as np
 import pytest

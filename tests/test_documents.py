@@ -1,4 +1,6 @@
-"""Commands in README, docs, helps and notebooks are understood; examples and quick commands are run."""
+"""Commands in README, docs, helps and notebooks are understood;
+examples and quick commands are run.
+"""
 
 import ast
 import importlib
@@ -23,13 +25,16 @@ QUICK = (
     ("plan", "--problem-file"),
     ("model", "info"),
 )
-"""First words of what is run here. Left out are films, tasks of several phases, scans of the reader's own, what takes
-minutes (`reproduce`, `make`), what writes into the checkout (`claims`), and `report` and `compare`, which tests of
-their own run on smaller folders."""
+"""First words of what is run here. Left out are films, tasks of several phases, scans of the
+reader's own, what takes minutes (`reproduce`, `make`), what writes into the checkout (`claims`),
+and `report` and `compare`, which tests of their own run on smaller folders.
+"""
 
 
 def commands_of(text):
-    """Words of every `cvqmpt` command in the fenced blocks of a page; of choices such as a|b, the first."""
+    """Words of every `cvqmpt` command in the fenced blocks of a page;
+    of choices such as a|b, the first.
+    """
     for block in re.findall(r"```\w*\n(.*?)```", text, re.DOTALL):
         for line in block.replace("\\\n", " ").splitlines():
             if found := re.match(r"(?:.*&& )?(?:\.venv/bin/)?cvqmpt (.*)", line.partition("#")[0]):
@@ -54,7 +59,9 @@ def test_examples_in_helps_are_understood(command):
 
 def test_targets_of_make_on_pages_are_there():
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    named = {name for page in PAGES for name in re.findall(r"[`\n]make ([a-z-]+)", page.read_text())}
+    named = {
+        name for page in PAGES for name in re.findall(r"[`\n]make ([a-z-]+)", page.read_text())
+    }
     assert {"reproduce", "test"} <= named <= targets
 
 
@@ -69,7 +76,9 @@ def test_quick_commands_of_the_readme_run(monkeypatch, tmp_path, capsys):
 
 
 def test_every_public_name_is_there():
-    assert len(cvqmpt_lab.__all__) == len({id(getattr(cvqmpt_lab, name)) for name in cvqmpt_lab.__all__})
+    assert len(cvqmpt_lab.__all__) == len(
+        {id(getattr(cvqmpt_lab, name)) for name in cvqmpt_lab.__all__}
+    )
     with pytest.raises(AttributeError, match="public names: Articulation"):
         _ = cvqmpt_lab.solv
 
@@ -85,7 +94,9 @@ def test_the_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
 
 
 def test_a_sampler_of_ones_own_is_a_function(tmp_path, monkeypatch):
-    example = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "your_own.md").read_text(), re.DOTALL)[-1]
+    example = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs" / "your_own.md").read_text(), re.DOTALL
+    )[-1]
     monkeypatch.chdir(tmp_path)
     assert main(["problems", "new", "mine.json", "--robot", "ur5"]) == 0
     names = {}
@@ -106,12 +117,16 @@ def test_notebooks_are_short_and_define_nothing(path):
     assert len(notebook.cells) <= LONGEST
     for cell in (cell for cell in notebook.cells if cell.cell_type == "code"):
         for node in ast.walk(ast.parse(cell.source)):
-            assert not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef), cell.source
+            assert not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef), (
+                cell.source
+            )
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_store_their_outputs(path):
-    """All cells ran, in their order, without an error; there is a picture, and nothing names a place on a machine."""
+    """All cells ran, in their order, without an error;
+    there is a picture, and nothing names a place on a machine.
+    """
     assert path.stat().st_size <= MOST_BYTES
     cells = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
@@ -120,7 +135,10 @@ def test_notebooks_store_their_outputs(path):
     for output in outputs:
         assert output.output_type != "error" and output.get("name") != "stderr"
         data = output.get("data", {})
-        texts = [output.get("text", ""), *(part for kind, part in data.items() if kind != "image/png")]
+        texts = [
+            output.get("text", ""),
+            *(part for kind, part in data.items() if kind != "image/png"),
+        ]
         assert not MACHINE.search("\n".join(texts)) and "UNCOMMITTED" not in "\n".join(texts)
 
 

@@ -1,4 +1,6 @@
-"""Files are read and written whole or not at all; errors are one printable line, whatever they quote."""
+"""Files are read and written whole or not at all;
+errors are one printable line, whatever they quote.
+"""
 
 import os
 import pickle
@@ -48,7 +50,9 @@ def test_a_link_is_followed_and_what_is_no_file_is_not_replaced(tmp_path):
     write_bytes(tmp_path / "link", b"new")
     assert (tmp_path / "link").is_symlink() and (tmp_path / "target").read_bytes() == b"new"
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(InvalidInputError, match=r"cannot write file .*/pipe: it is not a regular file"):
+    with pytest.raises(
+        InvalidInputError, match=r"cannot write file .*/pipe: it is not a regular file"
+    ):
         write_bytes(tmp_path / "pipe", b"new")
 
 
@@ -79,7 +83,10 @@ def test_who_locks_a_folder_clears_what_killed_writers_left_in_it_and_nothing_el
         (lambda p: read_text(p / "latin"), r"file .*/latin is not UTF-8 text \(byte 0\)"),
         (lambda p: write_text(p / "latin" / "below", ""), "cannot write .*/below: Not a directory"),
         (lambda p: make_folder(p / "latin"), "cannot make folder .*/latin: File exists"),
-        (lambda p: read_json_object("/dev/zero", "scene"), "cannot read scene /dev/zero: it is a device"),
+        (
+            lambda p: read_json_object("/dev/zero", "scene"),
+            "cannot read scene /dev/zero: it is a device",
+        ),
         (lambda p: json_value('{"a": 1, "a": {}}', "x"), "key 'a' occurs twice"),
         (lambda p: json_value(r'{"a": ["\uD800"]}', "x"), r"x is not json: .*surrogates"),
         (lambda p: json_value("<html>", "x"), "is not json"),
@@ -108,7 +115,11 @@ def test_a_name_that_no_file_can_have_is_refused(tmp_path, name):
     ],
 )
 def test_an_error_is_one_printable_line_that_keeps_its_end(error):
-    assert str(error).isprintable() and len(str(error)) <= LONGEST_LINE and "another" in str(error)[-60:]
+    assert (
+        str(error).isprintable()
+        and len(str(error)) <= LONGEST_LINE
+        and "another" in str(error)[-60:]
+    )
     str(error).encode()
 
 
@@ -126,7 +137,9 @@ def test_an_error_of_a_worker_arrives(error):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """A cache folder with one file, made with a umask that lets the group write; nothing was warned of yet."""
+    """A cache folder with one file, made with a umask that lets the group write;
+    nothing was warned of yet.
+    """
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     monkeypatch.setattr(files, "_WARNED", threading.Event())
     before = os.umask(0o002)
@@ -137,7 +150,9 @@ def cache(tmp_path, monkeypatch):
     return place
 
 
-@pytest.mark.parametrize(("folder", "mode"), [("", 0o755), ("", 0o555), ("../..", 0o1777), ("..", 0o700)])
+@pytest.mark.parametrize(
+    ("folder", "mode"), [("", 0o755), ("", 0o555), ("../..", 0o1777), ("..", 0o700)]
+)
 def test_a_cache_that_only_its_user_can_change_is_used(cache, recwarn, folder, mode):
     (cache / folder).chmod(mode)
     assert trusted_cache(cache) == cache and not recwarn.list
@@ -147,7 +162,9 @@ def test_a_cache_that_only_its_user_can_change_is_used(cache, recwarn, folder, m
     ("path", "mode"),
     [("", 0o777), ("", 0o775), ("", 0o1777), ("..", 0o777), ("../..", 0o770), ("file", 0o664)],
 )
-def test_a_cache_that_others_can_change_is_replaced_by_a_private_one_with_one_warning(cache, recwarn, path, mode):
+def test_a_cache_that_others_can_change_is_replaced_by_a_private_one_with_one_warning(
+    cache, recwarn, path, mode
+):
     (cache / path).chmod(mode)
     instead = trusted_cache(cache)
     assert instead == trusted_cache(cache) and str(instead).startswith(tempfile.gettempdir())
@@ -162,7 +179,9 @@ def test_a_cache_that_others_can_change_is_replaced_by_a_private_one_with_one_wa
 @pytest.mark.parametrize("path", ["", "file", ".."])
 def test_what_belongs_to_another_user_is_not_used(cache, recwarn, path):
     os.chown(cache / path, 12345, -1)
-    assert trusted_cache(cache) != cache and "another user (id 12345)" in str(recwarn.list[0].message)
+    assert trusted_cache(cache) != cache and "another user (id 12345)" in str(
+        recwarn.list[0].message
+    )
 
 
 def test_without_a_place_for_the_cache_a_temporary_one_is_used_and_without_that_none(
@@ -173,8 +192,15 @@ def test_without_a_place_for_the_cache_a_temporary_one_is_used_and_without_that_
         monkeypatch.setattr(tempfile, "tempdir", str(temporary))
         monkeypatch.setattr(files, "_WARNED", threading.Event())
         found, told = trusted_cache(cache / "file" / "below"), str(recwarn.pop(UserWarning).message)
-        assert f"{cache}/file/below is not writable" in told and "set XDG_CACHE_HOME and NUMBA_CACHE" in told
-        assert (found is None) == ("everything is computed again" in told) == (temporary == cache / "file")
+        assert (
+            f"{cache}/file/below is not writable" in told
+            and "set XDG_CACHE_HOME and NUMBA_CACHE" in told
+        )
+        assert (
+            (found is None)
+            == ("everything is computed again" in told)
+            == (temporary == cache / "file")
+        )
 
 
 @pytest.mark.parametrize(("named", "kept"), [("", "~/.cache"), ("here", "here"), ("/a/b", "/a/b")])

@@ -1,4 +1,6 @@
-"""Entries check the arrays that Python passes, and numba's machine code is kept on disk and healed there."""
+"""Entries check the arrays that Python passes, and numba's machine code is kept on disk and healed
+there.
+"""
 
 import os
 import subprocess
@@ -53,7 +55,10 @@ def test_right_arrays_pass_and_compiled_callers_see_the_kernel_itself():
         ((a_pair(), [1.0, 1.0], 1.0), r"q is a list; needed: \(n = 2\) of float64"),
         ((a_pair(), np.ones(4)[::2], 1.0), r"not contiguous"),
         ((a_pair(dtype=np.int32), np.ones(2), 1.0), r"first_entry\.pair: parent .* of int32"),
-        ((Pair(np.ones((3, 2)), np.zeros(4, int)), np.ones(2), 1.0), r"parent .* needed: \(rows = 3\)"),
+        (
+            (Pair(np.ones((3, 2)), np.zeros(4, int)), np.ones(2), 1.0),
+            r"parent .* needed: \(rows = 3\)",
+        ),
     ],
 )
 def test_what_does_not_fit_is_named(arguments, message):
@@ -88,7 +93,9 @@ SIX = np.zeros((3, 6))
         lambda space, trees: space.residual_and_jacobian(SIX[0]),
         lambda space, trees: space.valid_batch(SIX),
         lambda space, trees: space.checked_path(SIX),
-        lambda space, trees: lazy_roadmap.nearest_nodes(SIX, 3, np.zeros(7), np.zeros(1, np.int32), np.zeros(1)),
+        lambda space, trees: lazy_roadmap.nearest_nodes(
+            SIX, 3, np.zeros(7), np.zeros(1, np.int32), np.zeros(1)
+        ),
         lambda space, trees: RegionConstraint(space.robot, (upright(),)).residual(SIX),
         lambda space, trees: RegionConstraint(space.robot, (upright(),)).project(SIX[0]),
     ],
@@ -137,20 +144,36 @@ os.access = lambda path, mode: False
 
 @pytest.fixture
 def project(tmp_path):
-    """Runs PROJECT, after other code, with a cache folder; returns shape, entries read, folder used, warnings."""
+    """Runs PROJECT, after other code, with a cache folder;
+    returns shape, entries read, folder used, warnings.
+    """
 
     def run(before=""):
-        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "warm"), "TMPDIR": str(tmp_path)}
-        command = [sys.executable, "-c", before.replace("WARM", repr(str(tmp_path / "warm"))) + PROJECT]
+        environment = os.environ | {
+            "NUMBA_CACHE_DIR": str(tmp_path / "warm"),
+            "TMPDIR": str(tmp_path),
+        }
+        command = [
+            sys.executable,
+            "-c",
+            before.replace("WARM", repr(str(tmp_path / "warm"))) + PROJECT,
+        ]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
         shape, used = done.stdout.splitlines()
         count, place = used.split(" ", 1)
-        return shape, int(count), place, [line for line in done.stderr.splitlines() if "Warning" in line]
+        return (
+            shape,
+            int(count),
+            place,
+            [line for line in done.stderr.splitlines() if "Warning" in line],
+        )
 
     return run
 
 
-def test_machine_code_is_read_where_nothing_can_be_written_and_not_where_others_can_write(tmp_path, project):
+def test_machine_code_is_read_where_nothing_can_be_written_and_not_where_others_can_write(
+    tmp_path, project
+):
     shape, _, place, _ = project()
     files = sorted(tmp_path.rglob("*.nb?"))
     assert files and project(READ_ONLY) == (shape, len(files) // 2, place, [])

@@ -20,7 +20,10 @@ ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 RUNTIME = [Requirement(text) for text in PROJECT["dependencies"]]
-DECLARED = [*RUNTIME, *(Requirement(text) for name in ("dev", "docs", "train") for text in EXTRAS[name])]
+DECLARED = [
+    *RUNTIME,
+    *(Requirement(text) for name in ("dev", "docs", "train") for text in EXTRAS[name]),
+]
 
 
 def pinned():
@@ -41,7 +44,9 @@ def closure(wanted):
         for requirement in map(Requirement, requires(name) or ()):
             marker = requirement.marker
             if marker is None or any(marker.evaluate({"extra": extra}) for extra in ("", *extras)):
-                left.append((canonicalize_name(requirement.name), tuple(sorted(requirement.extras))))
+                left.append(
+                    (canonicalize_name(requirement.name), tuple(sorted(requirement.extras)))
+                )
     return {name for name, _ in found}
 
 
@@ -77,7 +82,14 @@ def test_the_licence_of_all_that_ships_or_is_installed_is_listed():
     assert [name for name, licence in listed.items() if licence == "UNKNOWN"] == ["cmeel-qhull"]
 
 
-INSTALLING = ("Makefile", "Dockerfile", ".ci/run", "constraints.txt", "locked.txt", "pyproject.toml")
+INSTALLING = (
+    "Makefile",
+    "Dockerfile",
+    ".ci/run",
+    "constraints.txt",
+    "locked.txt",
+    "pyproject.toml",
+)
 
 
 @pytest.mark.parametrize("name", INSTALLING)
@@ -98,7 +110,9 @@ def test_the_container_has_a_supported_python_and_runs_as_a_user():
 def linted(arguments, tmp_path):
     lint = Path(sys.executable).parent / "lint-imports"
     command = [lint, "--no-logo", "--cache-dir", tmp_path / "cache", *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env={**os.environ, "COLUMNS": "200"})
+    return subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, env={**os.environ, "COLUMNS": "200"}
+    )
 
 
 def test_layers_and_doors_are_kept(tmp_path):
@@ -109,14 +123,21 @@ def test_layers_and_doors_are_kept(tmp_path):
 def test_contracts_can_break(tmp_path):
     text = (ROOT / ".importlinter").read_text()
     assert text.count("    rerun\n    torch\n") == 1
-    (tmp_path / "c.ini").write_text(text.replace("    rerun\n    torch\n", "    rerun\n    numba\n"))
+    (tmp_path / "c.ini").write_text(
+        text.replace("    rerun\n    torch\n", "    rerun\n    numba\n")
+    )
     done = linted(["--config", str(tmp_path / "c.ini")], tmp_path)
     assert done.returncode != 0 and "-> numba" in done.stdout, done.stdout
 
 
 def test_the_plan_of_the_house_names_every_room():
     block = (ROOT / "docs" / "architecture.md").read_text().split("```")[1]
-    rooms = {word for line in block.splitlines() if re.match(r"  \w", line) for word in line[2:28].split()}
+    rooms = {
+        word
+        for line in block.splitlines()
+        if re.match(r"  \w", line)
+        for word in line[2:28].split()
+    }
     package = ROOT / "cvqmpt_lab"
     found = {path.stem for path in package.glob("*.py")} - {"__init__"}
     found |= {f"{path.parent.name}/" for path in package.glob("*/__init__.py")}

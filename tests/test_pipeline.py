@@ -42,7 +42,9 @@ def test_iterations_left_make_the_path_shorter_and_repeat(problem, planner):
     np.testing.assert_array_equal(better.simplified.path.states, again.simplified.path.states)
     made = better.improvement
     lengths = [length for _, length in made.lengths]
-    assert lengths[0] == plain.simplified.path.length and lengths[-1] == better.simplified.path.length
+    assert (
+        lengths[0] == plain.simplified.path.length and lengths[-1] == better.simplified.path.length
+    )
     assert lengths[-1] < lengths[0] and lengths == sorted(lengths, reverse=True)
     assert made.gained == pytest.approx(1.0 - lengths[-1] / lengths[0]) and made.iterations >= 60
     assert better.plan.counters == plain.plan.counters
@@ -57,21 +59,28 @@ def test_seconds_left_are_used_and_hardly_more(problem):
 
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
 def test_a_clearance_is_planned_for_and_certified(problem, backend):
-    """Of shapes of all kinds; links may come closer to each other. A path that was planned without it is refused."""
+    """Of shapes of all kinds; links may come closer to each other.
+
+    A path that was planned without it is refused.
+    """
     shapes = (
         Sphere(0.03),
         Cylinder(0.02, 0.1),
         PointCloud(np.zeros((1, 3)), 0.02),
         ConvexMesh(np.eye(4, 3) * 0.1),
     )
-    more = [SceneObject(f"more {k}", s, pose((0.6, 0.2 * k - 0.3, 0.75))) for k, s in enumerate(shapes)]
+    more = [
+        SceneObject(f"more {k}", s, pose((0.6, 0.2 * k - 0.3, 0.75))) for k, s in enumerate(shapes)
+    ]
     world = replace(problem, scene=problem.scene.with_objects(*more), goals=problem.goals[:0])
     plain = solve(world, "birrt", ENOUGH, seed=0, backend=backend)
     clear = solve(replace(world, clearance=0.02), "birrt", ENOUGH, seed=0, backend=backend)
     assert plain.solved and plain.certificate.min_clearance_m < 0.02 and clear.solved
     refused = certify(replace(world, clearance=0.02), plain.simplified.path)
     assert any("closer than the clearance of 20 mm" in reason for reason in refused.reasons)
-    robot = replace(problem.robot, self_collision_pairs=(), collision_model=without_pairs(problem.robot))
+    robot = replace(
+        problem.robot, self_collision_pairs=(), collision_model=without_pairs(problem.robot)
+    )
     alone = CollisionChecker(robot, world.scene)
     assert all(alone.nearest(q).distance >= 0.02 for q in clear.simplified.path.states)
     space = ConstrainedSpace(replace(world, clearance=0.02))
@@ -103,12 +112,16 @@ def test_a_run_without_a_clock_takes_no_seconds(problem):
         solve(problem, "birrt", ENOUGH, seed=0, optimize=Budget(seconds=0.05))
 
 
-@pytest.mark.parametrize(("number", "planner", "backend"), [(0, "birrt", "exact"), (1, "ompl-projected", "compiled")])
+@pytest.mark.parametrize(
+    ("number", "planner", "backend"), [(0, "birrt", "exact"), (1, "ompl-projected", "compiled")]
+)
 def test_four_threads_find_the_paths_and_verdicts_of_one(four_threads, number, planner, backend):
     problem, _ = with_sampled_goals(place_problem(number))
 
     def planned(seed):
-        return solve(problem, planner, ENOUGH, seed, backend=backend, clearance=False).simplified.path
+        return solve(
+            problem, planner, ENOUGH, seed, backend=backend, clearance=False
+        ).simplified.path
 
     alone = [planned(seed) for seed in range(3)]
     together = four_threads(planned, 2 * [0, 1, 2])
@@ -133,7 +146,11 @@ def test_objects_of_a_wrong_type_are_refused_by_their_type(problem, task):
         (solve, (problem, 3), "method is a int, 3; it must be a Method: or the name of a planner"),
         (solve_many, (problem, "birrt"), "problems is a PlanningProblem, .*a list of problems"),
         (solve_many, ([problem, None], "birrt"), rf"problems\[1\] is a NoneType, None; {loads}"),
-        (solve_task, (problem, "birrt"), "task is a PlanningProblem, .*must be a Task: .*for solve"),
+        (
+            solve_task,
+            (problem, "birrt"),
+            "task is a PlanningProblem, .*must be a Task: .*for solve",
+        ),
         (solve_task, (task, None), "method is a NoneType"),
     ):
         with pytest.raises(InvalidInputError, match=told):
@@ -152,7 +169,9 @@ def test_what_is_no_budget_is_refused(problem, task, budget):
 
 @pytest.mark.parametrize("value", [2.5, np.nan, "3", 0, -1, 1e300, np.inf, True, [1], 2**70])
 def test_iterations_that_are_no_whole_number_are_refused(value):
-    with pytest.raises(InvalidInputError, match=r"budget iterations .*: give a whole number from 1"):
+    with pytest.raises(
+        InvalidInputError, match=r"budget iterations .*: give a whole number from 1"
+    ):
         Budget(iterations=value)
 
 

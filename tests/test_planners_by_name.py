@@ -24,10 +24,14 @@ def other(request):
 
 @pytest.mark.parametrize("name", NEEDY)
 def test_weights_of_the_panda_are_refused_for_another_arm(other, name):
-    """A UR5 crashed the process here, and an xArm7 was planned with the Panda's weights as "solved"."""
+    """A UR5 crashed the process here, and an xArm7 was planned with the Panda's weights as
+    "solved".
+    """
     with pytest.raises(InvalidInputError, match="weights are for robot 'panda', not") as refusal:
         solve(other, name, Budget(iterations=10), seed=0)
-    assert str(refusal.value).endswith("planners that can: birrt, ompl-projected, atlas-rrt, tb-rrt, roadmap")
+    assert str(refusal.value).endswith(
+        "planners that can: birrt, ompl-projected, atlas-rrt, tb-rrt, roadmap"
+    )
     assert "\n" not in str(refusal.value)
 
 

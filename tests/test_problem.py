@@ -53,14 +53,17 @@ def entry(path):
     return [int(key) if key.isdigit() else key for key in path.split(".")]
 
 
-MISSPELT = {  # the first two planned without the constraint, and without the can, and were certified
+# the first two planned without the constraint, and without the can, and were certified
+MISSPELT = {
     "constraint": "constraints", "attachments": "attachment", "goals": "goal", "goal_region": "goal_regoin",
     "constraint.0.Bw": "BW", "constraint.0.base": "bass", "scene.articulations": "articulation",
     "scene.objects.3.shape": "sahpe",
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("path", ["name", "robot", "scene", "constraint.0.Bw", "attachments.0.shape"])
+@pytest.mark.parametrize(
+    "path", ["name", "robot", "scene", "constraint.0.Bw", "attachments.0.shape"]
+)
 def test_missing_fields_are_named(data, path):
     refused(rf"{entry(path)[-1]} is missing; fields: ", changed(data, path, None))
 
@@ -68,14 +71,23 @@ def test_missing_fields_are_named(data, path):
 @pytest.mark.parametrize(("path", "misspelt"), MISSPELT.items())
 def test_a_misspelt_field_is_refused_with_the_nearest_known_one(data, path, misspelt):
     folder, _, field = path.rpartition(".")
-    refused(f"{misspelt} is unknown; did you mean '{field}'", changed(data, f"{folder}.{misspelt}".lstrip("."), 0))
+    refused(
+        f"{misspelt} is unknown; did you mean '{field}'",
+        changed(data, f"{folder}.{misspelt}".lstrip("."), 0),
+    )
 
 
 MIRRORED = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
 FAR, HERE = pose((1e300, 0.0, 0.0)).tolist(), np.eye(4).tolist()
 FAR_CLOUD = {"type": "point_cloud", "points": [[1e300, 0.0, 0.0]], "radius": 0.01}
 LEAF = {"name": "leaf", "T": HERE, "vertices": shape_vertices(Box((1.0, 1.0, 1.0))).tolist()}
-DOOR_OF_FAR_CASING = {"name": "door", "kind": "hinge", "T_world_joint": HERE, "lower": 0.0, "upper": 1.0} | {
+DOOR_OF_FAR_CASING = {
+    "name": "door",
+    "kind": "hinge",
+    "T_world_joint": HERE,
+    "lower": 0.0,
+    "upper": 1.0,
+} | {
     "parts": [LEAF],
     "casing": [LEAF | {"name": "post", "T": FAR}],
 }
@@ -97,9 +109,21 @@ DOOR_OF_FAR_CASING = {"name": "door", "kind": "hinge", "T_world_joint": HERE, "l
         ("constraint.0.Bw", [[0, 1]] * 5, "must be 6 rows"),
         ("attachments.0.T_hand_object", MIRRORED, "mirrored"),
         ("attachments.0.T_hand_object", FAR, r"no rigid pose: its position is 1e\+300 m off"),
-        ("attachments.0.shape", {"type": "sphere", "radius": 1e300}, "positive length, up to 1e\\+06"),
-        ("attachments.0.shape", FAR_CLOUD, r"shape.points holds 1e\+300, more than 1e\+06; give metres"),
-        ("constraint.0.Tw_e", FAR, r"constraint\[0\].Tw_e is no rigid pose: its position is 1e\+300 m off"),
+        (
+            "attachments.0.shape",
+            {"type": "sphere", "radius": 1e300},
+            "positive length, up to 1e\\+06",
+        ),
+        (
+            "attachments.0.shape",
+            FAR_CLOUD,
+            r"shape.points holds 1e\+300, more than 1e\+06; give metres",
+        ),
+        (
+            "constraint.0.Tw_e",
+            FAR,
+            r"constraint\[0\].Tw_e is no rigid pose: its position is 1e\+300 m off",
+        ),
         ("robot.articulated", DOOR_OF_FAR_CASING, r"casing\[0\].T is no rigid pose: its position"),
         ("name", "two\nlines", "printable"),
     ],
@@ -129,7 +153,8 @@ def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
         (r"start is in collision: panda_.* and brick", {"scene": with_brick(problem, at_start)}),
         (r"goal \d+ is in collision: .*brick", {"scene": with_brick(problem, at_goal)}),
         (
-            rf"start breaks `upright` by {amount:.3g} rad: rotation about . .* \(it tilts by \d+°\)",
+            rf"start breaks `upright` by {amount:.3g} rad: rotation about . .* \(it tilts by "
+            rf"\d+°\)",
             {"start": tilted},
         ),
     ):
@@ -138,7 +163,9 @@ def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
 
 
 def test_the_reasons_why_there_is_no_goal_are_named(problem):
-    """Out of reach: distance and reach; in collision: pieces and how often; against the constraint: bound, degrees."""
+    """Out of reach: distance and reach; in collision: pieces and how often; against the constraint:
+    bound, degrees.
+    """
     at_goal = problem.robot.pose(problem.goals[0])
 
     def why(T, **changes):
@@ -150,14 +177,20 @@ def test_the_reasons_why_there_is_no_goal_are_named(problem):
         why(pose((3, 0, 0)) @ at_goal),
     )
     buried = why(at_goal, scene=with_brick(problem, at_goal @ pose((0, 0, 0.1))))
-    assert re.match(r"all (\d+) configurations that reach them collide: .*panda_hand_0 and brick in \d+", buried)
+    assert re.match(
+        r"all (\d+) configurations that reach them collide: .*panda_hand_0 and brick in \d+", buried
+    )
     quarter = pose((0, 0, 0))[:, [2, 1, 0, 3]] * [1, 1, -1, 1]  # a turn about y
     tilted = at_goal @ quarter
     assert re.search(r"every pose breaks `upright` by .*it tilts by \d\d°\)", why(tilted))
     goals = problem.goals[:3].copy()
     goals[:, 6] += np.where(goals[:, 6] < 0, 0.4, -0.4)
-    wide = TaskSpaceRegion(np.eye(4), np.eye(4), np.array([[-3.0, 3.0]] * 3 + [[-np.pi, np.pi]] * 3))
-    with pytest.raises(InvalidProblemError, match="'goal_region' leaves the constraint: the best of 3 goals in it"):
+    wide = TaskSpaceRegion(
+        np.eye(4), np.eye(4), np.array([[-3.0, 3.0]] * 3 + [[-np.pi, np.pi]] * 3)
+    )
+    with pytest.raises(
+        InvalidProblemError, match="'goal_region' leaves the constraint: the best of 3 goals in it"
+    ):
         check_problem(replace(problem, goals=goals, goal_region=wide))
 
 
@@ -166,13 +199,22 @@ def with_brick(problem, T):
 
 
 def test_a_start_region_gives_a_start_free_of_collision_that_keeps_the_constraint(data):
-    start = {"pose": {"at": {"xyz": [0.4, 0.2, 0.6], "rpy": [np.pi, -np.pi / 2, 0]}, "position": 0.05, "yaw": 3.2}}
+    start = {
+        "pose": {
+            "at": {"xyz": [0.4, 0.2, 0.6], "rpy": [np.pi, -np.pi / 2, 0]},
+            "position": 0.05,
+            "yaw": 3.2,
+        }
+    }
     asked = changed(changed(data, "start", None), "start_region", start)
     problem = PlanningProblem.from_dict(asked)
     check_problem(problem)
-    np.testing.assert_allclose(problem.robot.pose(problem.start)[:3, 3], (0.4, 0.2, 0.6), atol=0.05001)
+    np.testing.assert_allclose(
+        problem.robot.pose(problem.start)[:3, 3], (0.4, 0.2, 0.6), atol=0.05001
+    )
     np.testing.assert_array_equal(PlanningProblem.from_dict(asked).start, problem.start)
-    again = PlanningProblem.from_dict(problem.to_dict())  # the file that is written holds the start alone
+    # the file that is written holds the start alone
+    again = PlanningProblem.from_dict(problem.to_dict())
     np.testing.assert_array_equal(again.start, problem.start)
     refused("'start' or 'start_region', one of the two", changed(data, "start_region", start))
     refused("'start' or 'start_region', one of the two", changed(data, "start", None))
@@ -181,20 +223,29 @@ def test_a_start_region_gives_a_start_free_of_collision_that_keeps_the_constrain
 
 
 def test_files_of_before_still_load(tmp_path):
-    """Written by `cvqmpt problems export` when every pose was a matrix and sampled goals stood beside the region."""
+    """Written by `cvqmpt problems export` when every pose was a matrix and sampled goals stood
+    beside the region.
+    """
     path = DATA / "problem-1.json"
     old, problem = json.loads(path.read_text()), PlanningProblem.load(path)
     assert problem.goals.tolist() == old["goals"] and problem.start.tolist() == old["start"]
     for item, was in zip(problem.scene, old["scene"]["objects"], strict=True):
-        assert item.T_world_object.tolist() == was["T_world_object"] and item.obstacle == was["obstacle"]
-    assert [region.T0_w.tolist() for region in problem.constraint] == [r["T0_w"] for r in old["constraint"]]
+        assert (
+            item.T_world_object.tolist() == was["T_world_object"]
+            and item.obstacle == was["obstacle"]
+        )
+    assert [region.T0_w.tolist() for region in problem.constraint] == [
+        r["T0_w"] for r in old["constraint"]
+    ]
     problem.save(tmp_path / "now.json")
     assert PlanningProblem.load(tmp_path / "now.json") == problem
     assert len((tmp_path / "now.json").read_text().splitlines()) < 130
 
 
 def test_millimetres_and_degrees_are_suspected(data, caplog):
-    """A box of 300 x 600 x 20 "mm" 670 m off was planned round and certified; tilt 10 left the constraint free."""
+    """A box of 300 x 600 x 20 "mm" 670 m off was planned round and certified;
+    tilt 10 left the constraint free.
+    """
     shelf = {
         "name": "shelf",
         "shape": {"type": "box", "size": [0.3, 0.6, 0.02]},
@@ -204,7 +255,10 @@ def test_millimetres_and_degrees_are_suspected(data, caplog):
     own = changed(changed(own, "goals", []), "constraint", [{"upright": 0.1}])
     PlanningProblem.from_dict(own)
     assert not caplog.messages
-    refused("'shelf', is 600 m large.*no metres", changed(own, "scene.objects.0.shape.size", [300, 600, 20]))
+    refused(
+        "'shelf', is 600 m large.*no metres",
+        changed(own, "scene.objects.0.shape.size", [300, 600, 20]),
+    )
     refused(
         "'shelf', is 67\\d.* m off.*no metres",
         changed(own, "scene.objects.0.T_world_object.xyz", [600, 0, 300]),
@@ -215,7 +269,10 @@ def test_millimetres_and_degrees_are_suspected(data, caplog):
         changed(own, "goal_region", {"plane": {"normal": [1, 0, 0], "point": [500, 0, 0]}}),
     )
     own = changed(own, "goal_region", goal)
-    refused("'rpy' holds 180, more than 2 pi: degrees", changed(own, "goal_region.pose.at.rpy", [180, 0, 0]))
+    refused(
+        "'rpy' holds 180, more than 2 pi: degrees",
+        changed(own, "goal_region.pose.at.rpy", [180, 0, 0]),
+    )
     refused("tilt is 10.0; .*degrees", changed(own, "constraint", {"upright": 10}))
     refused(
         "start is outside the limits: panda_joint4 by .*; degrees",
@@ -229,10 +286,22 @@ def test_configurations_by_joint_and_by_the_srdf(problem):
     plain, names = problem.to_dict(), problem.robot.joint_names
     values = dict(zip(names, problem.start.tolist(), strict=True))
     backwards = dict(reversed(values.items()))
-    found = PlanningProblem.from_dict({**plain, "start": backwards, "goals": [backwards, "default"]})
+    found = PlanningProblem.from_dict(
+        {**plain, "start": backwards, "goals": [backwards, "default"]}
+    )
     np.testing.assert_array_equal(found.start, problem.start)
     np.testing.assert_array_equal(found.goals[0], problem.start)
-    np.testing.assert_array_equal(found.goals[1], [group_states(problem.robot)["default"][name] for name in names])
-    refused("unknown group_state of start 'redy'; valid choices: default", {**plain, "start": "redy"})
-    refused("unknown joint of start 'joint1'.*did you mean", {**plain, "start": {**values, "joint1": 0.0}})
-    refused("start has no value for panda_joint7; give", {**plain, "start": dict(list(values.items())[:6])})
+    np.testing.assert_array_equal(
+        found.goals[1], [group_states(problem.robot)["default"][name] for name in names]
+    )
+    refused(
+        "unknown group_state of start 'redy'; valid choices: default", {**plain, "start": "redy"}
+    )
+    refused(
+        "unknown joint of start 'joint1'.*did you mean",
+        {**plain, "start": {**values, "joint1": 0.0}},
+    )
+    refused(
+        "start has no value for panda_joint7; give",
+        {**plain, "start": dict(list(values.items())[:6])},
+    )

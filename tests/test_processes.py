@@ -13,7 +13,9 @@ from cvqmpt_lab.search.result import Budget
 
 @pytest.mark.parametrize(("off", "code"), [(0, 0), (1, 1)])
 def test_a_worker_whose_parent_is_another_by_now_ends_at_once(off, code):
-    worker = multiprocessing.get_context("fork").Process(target=end_with_parent, args=(os.getpid() + off,))
+    worker = multiprocessing.get_context("fork").Process(
+        target=end_with_parent, args=(os.getpid() + off,)
+    )
     worker.start()
     worker.join(20)
     assert worker.exitcode == code
@@ -28,6 +30,8 @@ def test_libraries_have_one_thread_meanwhile_and_a_learned_path_is_the_same_on_f
 
     def states(threads):
         with threadpool_limits(threads):
-            return solve(problem, "mpnet-bridged", Budget(iterations=300), seed=0).plan.path.states.tobytes()
+            return solve(
+                problem, "mpnet-bridged", Budget(iterations=300), seed=0
+            ).plan.path.states.tobytes()
 
     assert states(1) == states(4)

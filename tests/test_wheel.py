@@ -24,25 +24,48 @@ def site(tmp_path_factory):
     for name in ("pyproject.toml", "README.md", "LICENSE", "LICENSES.md"):
         shutil.copy(ROOT / name, folder / "tree")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    words = ["wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(folder / "tree")]
+    words = [
+        "wheel",
+        "--no-deps",
+        "--no-build-isolation",
+        "--wheel-dir",
+        str(folder),
+        str(folder / "tree"),
+    ]
     subprocess.run([*pip, *words], check=True)
     (wheel,) = folder.glob("cvqmpt_lab-*.whl")
-    subprocess.run([*pip, "install", "--no-deps", "--target", str(folder / "site"), str(wheel)], check=True)
+    subprocess.run(
+        [*pip, "install", "--no-deps", "--target", str(folder / "site"), str(wheel)], check=True
+    )
     return folder / "site"
 
 
 def test_it_holds_every_module_and_all_data(site):
     for name in PACKAGES:
         wanted = {
-            path for pattern in DATA for path in (ROOT / name).rglob(pattern) if "results" not in path.parts[-3:-1]
+            path
+            for pattern in DATA
+            for path in (ROOT / name).rglob(pattern)
+            if "results" not in path.parts[-3:-1]
         }
         missing = [path for path in wanted if not (site / path.relative_to(ROOT)).is_file()]
         assert wanted and missing == []
-        assert all(filecmp.cmp(path, site / path.relative_to(ROOT), shallow=False) for path in wanted)
+        assert all(
+            filecmp.cmp(path, site / path.relative_to(ROOT), shallow=False) for path in wanted
+        )
 
 
 def test_it_plans_from_an_empty_folder(site, tmp_path):
-    words = ["plan", "place-task", "--problem", "7", "--planner", "roadmap-cvq", "--iterations", "2000"]
+    words = [
+        "plan",
+        "place-task",
+        "--problem",
+        "7",
+        "--planner",
+        "roadmap-cvq",
+        "--iterations",
+        "2000",
+    ]
     environment = os.environ | {"PYTHONPATH": str(site)}
     done = subprocess.run(
         [sys.executable, site / "bin" / "cvqmpt", *words],
@@ -52,12 +75,16 @@ def test_it_plans_from_an_empty_folder(site, tmp_path):
     assert "status      solved" in done.stdout and "certificate valid" in done.stdout
     assert list(tmp_path.iterdir()) == []
     where = [sys.executable, "-c", "import cli.main, cvqmpt_lab; print(cvqmpt_lab.__file__)"]
-    found = subprocess.run(where, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        where, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
     assert Path(found.stdout.strip()) == site / "cvqmpt_lab" / "__init__.py"
 
 
 @pytest.mark.parametrize("command", ["check-tables", "check-tables --update", "claims"])
-def test_what_compares_with_committed_results_says_that_it_needs_a_checkout(site, tmp_path, command):
+def test_what_compares_with_committed_results_says_that_it_needs_a_checkout(
+    site, tmp_path, command
+):
     done = subprocess.run(
         [sys.executable, site / "bin" / "cvqmpt", *command.split()],
         cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(site)}, capture_output=True, text=True,

@@ -1,9 +1,15 @@
-"""How long the fastest motion along a curve takes by toppra, an implementation of time scaling by others."""
+"""How long the fastest motion along a curve takes by toppra, an implementation of time scaling by
+others.
+"""
 
 import numpy as np
 import toppra
 from toppra.algorithm import TOPPRA
-from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
+from toppra.constraint import (
+    DiscretizationType,
+    JointAccelerationConstraint,
+    JointVelocityConstraint,
+)
 from toppra.interpolator import AbstractGeometricPath
 
 
@@ -25,8 +31,12 @@ def toppra_duration(curve, velocity, acceleration):
     toppra.setup_logging("ERROR")
     constraints = [
         JointVelocityConstraint(np.stack([-velocity, velocity], axis=1)),
-        JointAccelerationConstraint(np.stack([-acceleration, acceleration], axis=1), DiscretizationType.Interpolation),
+        JointAccelerationConstraint(
+            np.stack([-acceleration, acceleration], axis=1), DiscretizationType.Interpolation
+        ),
     ]
     grid = np.unique(np.concatenate([curve.grid, 0.5 * (curve.grid[1:] + curve.grid[:-1])]))
-    _, speed, _ = TOPPRA(constraints, Curve(curve), gridpoints=grid).compute_parameterization(0.0, 0.0)
+    _, speed, _ = TOPPRA(constraints, Curve(curve), gridpoints=grid).compute_parameterization(
+        0.0, 0.0
+    )
     return float((2.0 * np.diff(grid) / (speed[1:] + speed[:-1])).sum())

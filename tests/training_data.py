@@ -70,12 +70,16 @@ def shard(rng, seeds, paths_per_scene):
         "shape_size": size,
         "shape_pose": pose,
         "path_scene": np.repeat(np.arange(s), paths_per_scene).astype(np.int32),
-        "path_start": np.concatenate(([0], np.cumsum([len(c[0]) for c in curves]))).astype(np.int32),
+        "path_start": np.concatenate(([0], np.cumsum([len(c[0]) for c in curves]))).astype(
+            np.int32
+        ),
         "waypoints": np.concatenate([c[0] for c in curves]),
         "length": np.array([c[1] for c in curves], dtype=np.float32),
         "straight": np.array([c[2] for c in curves], dtype=np.float32),
         "trivial": np.arange(p) % 3 == 0,
-        "twin_of": np.where(np.arange(p) % paths_per_scene == 1, np.arange(p) - 1, -1).astype(np.int32),
+        "twin_of": np.where(np.arange(p) % paths_per_scene == 1, np.arange(p) - 1, -1).astype(
+            np.int32
+        ),
     }
     return arrays
 
@@ -93,14 +97,24 @@ def write_shard(folder, number, arrays):
         if is_new:
             writer.writerow(["shard", "sha256", "scenes", "paths"])
         digest = hashlib.sha256(buffer.getvalue()).hexdigest()
-        writer.writerow([f"{number:06d}", digest, len(arrays["scene_seed"]), len(arrays["path_scene"])])
+        writer.writerow(
+            [f"{number:06d}", digest, len(arrays["scene_seed"]), len(arrays["path_scene"])]
+        )
 
 
 def write_dataset(folder, *, shards=((20, 1, 2), (40, 3, 4)), paths_per_scene=7, seed=0, **changes):
-    """Write scenes of the given seeds, paths of each of them; `changes` replace fields of the description."""
+    """Write scenes of the given seeds, paths of each of them;
+    `changes` replace fields of the description.
+    """
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
-    description = {"schema": 1, "robot": "panda", "lower": LOWER, "upper": UPPER, "families": ["cubes"]}
+    description = {
+        "schema": 1,
+        "robot": "panda",
+        "lower": LOWER,
+        "upper": UPPER,
+        "families": ["cubes"],
+    }
     description |= {"kinematics": kinematics(), **changes}
     (folder / "dataset.json").write_text(json.dumps(description))
     for number, seeds in enumerate(shards):

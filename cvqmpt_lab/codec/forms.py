@@ -62,7 +62,9 @@ class Array:
             index = ", ".join(str(i) for i in np.argwhere(~np.isfinite(array))[0])
             raise InvalidInputError(f"{where}[{index}] is NaN or infinite; it must be finite")
         if (most := np.abs(array).max(initial=0.0)) > self.largest:
-            raise InvalidInputError(f"{where} holds {most:.3g}, more than {self.largest:g}; give metres")
+            raise InvalidInputError(
+                f"{where} holds {most:.3g}, more than {self.largest:g}; give metres"
+            )
         array.setflags(write=False)
         return array
 
@@ -77,7 +79,9 @@ class Array:
         """Nested arrays of numbers."""
         inner: dict[str, Any] = {"type": "number"}
         for n in reversed(self.shape):
-            inner = {"type": "array", "items": inner} | ({} if n is None else {"minItems": n, "maxItems": n})
+            inner = {"type": "array", "items": inner} | (
+                {} if n is None else {"minItems": n, "maxItems": n}
+            )
         return inner | {"description": self.what}
 
 
@@ -87,7 +91,8 @@ class Tagged:
 
     key: str
     choices: Mapping[str, type]
-    by_path: Mapping[str, type] = field(default_factory=dict)  # replaced when a file that has them is read
+    # replaced when a file that has them is read
+    by_path: Mapping[str, type] = field(default_factory=dict)
 
     def read(self, value: Any, where: str) -> Any:
         """The dataclass that the name chooses."""
@@ -99,7 +104,9 @@ class Tagged:
             raise InvalidInputError(f"{at(where, self.key)} is missing; one of {listed}")
         name = fields.pop(self.key)
         if isinstance(name, str) and name in self.by_path:
-            raise InvalidInputError(f"{at(where, self.key)} {name!r} names a file: load what names it from a file too")
+            raise InvalidInputError(
+                f"{at(where, self.key)} {name!r} names a file: load what names it from a file too"
+            )
         if not isinstance(name, str) or name not in self.choices:
             raise UnknownChoiceError(at(where, self.key), name, (*self.choices, *self.by_path))
         return from_plain(self.choices[name], fields, where)
@@ -115,7 +122,9 @@ class Tagged:
         for name, kind in (*self.choices.items(), *self.by_path.items()):
             plain = of(kind)
             properties = {self.key: {"const": name}, **plain["properties"]}
-            choices.append({**plain, "properties": properties, "required": [self.key, *plain["required"]]})
+            choices.append(
+                {**plain, "properties": properties, "required": [self.key, *plain["required"]]}
+            )
         return {"oneOf": choices}
 
 
@@ -142,11 +151,18 @@ class OneOrMore:
 
 
 PRINTABLE, NAME_LENGTHS = "1 to 200 printable characters", {"minLength": 1, "maxLength": 200}
-Name = Annotated[str, Condition(str, lambda s: 0 < len(s) <= 200 and s.isprintable(), PRINTABLE, NAME_LENGTHS)]
+Name = Annotated[
+    str, Condition(str, lambda s: 0 < len(s) <= 200 and s.isprintable(), PRINTABLE, NAME_LENGTHS)
+]
 UP_TO, ABOVE_0 = f"up to {LARGEST:g} [m]", {"exclusiveMinimum": 0, "maximum": LARGEST}
-Length = Annotated[float, Condition(float, lambda x: 0.0 < x <= LARGEST, f"a positive length, {UP_TO}", ABOVE_0)]
+Length = Annotated[
+    float, Condition(float, lambda x: 0.0 < x <= LARGEST, f"a positive length, {UP_TO}", ABOVE_0)
+]
 FROM_0 = {"minimum": 0, "maximum": LARGEST}
-Padding = Annotated[float, Condition(float, lambda x: 0.0 <= x <= LARGEST, f"a length of 0 or more, {UP_TO}", FROM_0)]
+Padding = Annotated[
+    float,
+    Condition(float, lambda x: 0.0 <= x <= LARGEST, f"a length of 0 or more, {UP_TO}", FROM_0),
+]
 
 Angle = Annotated[
     float,
@@ -160,7 +176,9 @@ Angle = Annotated[
 
 
 def numbers(value: Any, where: str, what: str = "numbers") -> FloatArray:
-    """Return a float copy of an array or of nested lists of numbers; refuse text, booleans and ragged lists."""
+    """Return a float copy of an array or of nested lists of numbers;
+    refuse text, booleans and ragged lists.
+    """
     try:
         if not isinstance(value, np.ndarray):
             entries = np.array(value, dtype=object).ravel()

@@ -1,4 +1,6 @@
-"""Json schemas of problem and task files, for editors: from the annotations and comments of their fields."""
+"""Json schemas of problem and task files, for editors:
+from the annotations and comments of their fields.
+"""
 
 import ast
 import dataclasses
@@ -59,7 +61,12 @@ class _Builder:
             return {"type": "array", "items": self.of(parts[0])}
         if origin is tuple:
             items = [self.of(part) for part in parts]
-            return {"type": "array", "prefixItems": items, "minItems": len(items), "maxItems": len(items)}
+            return {
+                "type": "array",
+                "prefixItems": items,
+                "minItems": len(items),
+                "maxItems": len(items),
+            }
         if origin is Mapping:
             return {"type": "object"}
         return self._object(kind) if dataclasses.is_dataclass(kind) else dict(SCALARS[kind])
@@ -74,7 +81,9 @@ class _Builder:
 
     def _object(self, kind: Any) -> dict[str, Any]:
         notes, kinds = _notes(kind), field_kinds(kind)
-        properties = {name: {**self.of(part), "description": notes[name]} for name, part in kinds.items()}
+        properties = {
+            name: {**self.of(part), "description": notes[name]} for name, part in kinds.items()
+        }
         return {
             "type": "object",
             "description": inspect.getdoc(kind).split("\n")[0],  # type: ignore[union-attr]

@@ -1,8 +1,10 @@
-"""Frozen dataclasses to json and back: the annotations of their fields say how they are read, written and checked.
+"""Frozen dataclasses to json and back: the annotations of their fields say how they are read,
+written and checked.
 
-Understood are numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses and `Annotated[T, form]`.
-A form (see `forms`) has `read(value, where)`, which makes a T from json or checks one; `write(value)`, its json; and
-`schema(of)`, its json schema, where `of` gives that of a type. A field "_comment" is ignored in every object.
+Understood are numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses and
+`Annotated[T, form]`. A form (see `forms`) has `read(value, where)`, which makes a T from json or
+checks one; `write(value)`, its json; and `schema(of)`, its json schema, where `of` gives that of a
+type. A field "_comment" is ignored in every object.
 """
 
 import contextlib
@@ -29,7 +31,8 @@ UNIONS = (types.UnionType, typing.Union)  # understood with None only
 
 
 def from_plain(kind: Any, value: Any, where: str = "", complete: bool = False) -> Any:
-    """Make a value of type `kind` from json, or check one; errors name, after `where`, the field that is wrong.
+    """Make a value of type `kind` from json, or check one; errors name, after `where`, the field
+    that is wrong.
 
     complete: fields with a default must be given too.
     """
@@ -53,7 +56,9 @@ def from_plain(kind: Any, value: Any, where: str = "", complete: bool = False) -
 
 
 def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
-    """Json of a value of type `kind` (its own); fields with their default value are left out unless complete."""
+    """Json of a value of type `kind` (its own);
+    fields with their default value are left out unless complete.
+    """
     kind = type(value) if kind is None else kind
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if value is None:
@@ -78,7 +83,9 @@ def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
 
 
 class Checked:
-    """Base of frozen dataclasses (eq=False) that check their fields when made and are compared by content."""
+    """Base of frozen dataclasses (eq=False) that check their fields when made and are compared by
+    content.
+    """
 
     __signature__ = ReadableSignature()
 
@@ -86,7 +93,9 @@ class Checked:
         name = getattr(self, "name", None)
         where = type(self).__name__ + (f" {shown(name)}: " if isinstance(name, str) else "")
         for field, kind in field_kinds(type(self)).items():
-            object.__setattr__(self, field, from_plain(kind, getattr(self, field), at(where, field)))
+            object.__setattr__(
+                self, field, from_plain(kind, getattr(self, field), at(where, field))
+            )
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other) and self._content() == other._content()
@@ -101,7 +110,11 @@ class Checked:
 def differences(recorded: object, asked: object, name: str = "") -> list[str]:
     """Describe every setting in which two json values differ, nested ones by dotted name."""
     if not (isinstance(recorded, dict) and isinstance(asked, dict)):
-        return [] if recorded == asked else [f"{name} was {json.dumps(recorded)}, now {json.dumps(asked)}"]
+        return (
+            []
+            if recorded == asked
+            else [f"{name} was {json.dumps(recorded)}, now {json.dumps(asked)}"]
+        )
     found = []
     for key in sorted(recorded.keys() | asked.keys()):
         found += differences(recorded.get(key), asked.get(key), f"{name}.{key}" if name else key)
@@ -144,7 +157,8 @@ def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
 
 def field_kinds(kind: Any) -> dict[str, Any]:
     """The annotation of each field of a dataclass."""
-    return _field_kinds(kind)  # mypy takes classes that define __hash__ for arguments no cache can have
+    # mypy takes classes that define __hash__ for arguments no cache can have
+    return _field_kinds(kind)
 
 
 @cache
@@ -156,7 +170,9 @@ def _field_kinds(kind: Any) -> dict[str, Any]:
 @cache
 def field_defaults(kind: Any) -> dict[str, Any]:
     """The default of each field of a dataclass that has one."""
-    given = {field.name: (field.default, field.default_factory) for field in dataclasses.fields(kind)}
+    given = {
+        field.name: (field.default, field.default_factory) for field in dataclasses.fields(kind)
+    }
     missing = dataclasses.MISSING
     return {
         name: default if make is missing else make()
@@ -177,7 +193,9 @@ def _dataclass(kind: Any, value: Any, where: str, complete: bool) -> Any:
         if name not in value and name not in optional:
             raise InvalidInputError(f"{at(where, name)} is missing; fields: {listed}")
     parts = {
-        name: from_plain(part, value[name], at(where, name), complete) for name, part in kinds.items() if name in value
+        name: from_plain(part, value[name], at(where, name), complete)
+        for name, part in kinds.items()
+        if name in value
     }
     with located(where):
         return kind(**parts)
@@ -200,7 +218,8 @@ def _scalar(kind: Any, value: Any, where: str) -> Any:
             if kind is int and made < 0:
                 raise InvalidInputError(f"{where} is {shown(value)}; it cannot be negative")
             if kind is not float or math.isfinite(made):
-                return made + 0.0 if kind is float else made  # + 0.0 turns -0.0 into 0.0: one form per value
+                # + 0.0 turns -0.0 into 0.0: one form per value
+                return made + 0.0 if kind is float else made
     must = "a finite float" if kind is float else kind.__name__
     raise InvalidInputError(f"{where} is {shown(value)}; it must be {must}")
 
@@ -241,7 +260,9 @@ class Document(Checked):
         if schema != cls.SCHEMA:
             option = OPTIONS.get(schema if isinstance(schema, str) else "")
             cure = f": give it with {option}" if option else ""
-            raise InvalidInputError(f"schema is {shown(schema)}{cure}; this version reads {cls.SCHEMA!r}")
+            raise InvalidInputError(
+                f"schema is {shown(schema)}{cure}; this version reads {cls.SCHEMA!r}"
+            )
         return from_plain(cls, fields)
 
     def save(self, path: Path | str) -> None:
@@ -267,7 +288,9 @@ def to_text(plain: Any, indent: int = 0) -> str:
     flat = json.dumps(plain, allow_nan=False)
     if not isinstance(plain, dict | list) or len(flat) + indent <= LINE or _is_row(plain):
         return flat
-    heads = [f"{json.dumps(key)}: " for key in plain] if isinstance(plain, dict) else [""] * len(plain)
+    heads = (
+        [f"{json.dumps(key)}: " for key in plain] if isinstance(plain, dict) else [""] * len(plain)
+    )
     items = plain.values() if isinstance(plain, dict) else plain
     lines = [head + to_text(item, indent + 1) for head, item in zip(heads, items, strict=True)]
     brackets, pad = "{}" if isinstance(plain, dict) else "[]", "\n" + " " * (indent + 1)
@@ -279,5 +302,7 @@ def _is_row(plain: Any) -> bool:
     if not isinstance(plain, list):
         return False
     rows = [item for item in plain if not isinstance(item, float | int | None)]
-    small = all(isinstance(row, list) and _is_row(row) for row in rows) and sum(map(len, rows)) <= 16
+    small = (
+        all(isinstance(row, list) and _is_row(row) for row in rows) and sum(map(len, rows)) <= 16
+    )
     return not rows or (small and len(rows) == len(plain))

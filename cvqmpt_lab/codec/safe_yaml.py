@@ -1,4 +1,6 @@
-"""Yaml of others: plain values only, no tags, no aliases (a few of which grow without end), no key twice."""
+"""Yaml of others:
+plain values only, no tags, no aliases (a few of which grow without end), no key twice.
+"""
 
 import re
 from typing import Any
@@ -25,5 +27,6 @@ def yaml_value(text: str) -> Any:
                 raise InvalidInputError(f"key {twice!r} occurs twice")
             return super().construct_mapping(node, deep)
 
-    Loader.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))  # 1e-3 too
+    # 1e-3 too
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))
     return yaml.load(text, Loader)

@@ -1,4 +1,6 @@
-"""Signatures of dataclasses as `help` shows them: types by their names, without the forms that read and write them."""
+"""Signatures of dataclasses as `help` shows them:
+types by their names, without the forms that read and write them.
+"""
 
 import inspect
 import types
@@ -38,5 +40,7 @@ def readable(kind: Any) -> str:
         return " | ".join(map(repr, parts))
     if kind is Ellipsis or isinstance(kind, str):
         return "..." if kind is Ellipsis else kind
-    name = "None" if kind in (None, types.NoneType) else getattr(origin or kind, "__name__", str(kind))
+    name = (
+        "None" if kind in (None, types.NoneType) else getattr(origin or kind, "__name__", str(kind))
+    )
     return f"{name}[{', '.join(map(readable, parts))}]" if parts else name

@@ -11,7 +11,13 @@ import numpy as np
 
 from cvqmpt_lab.collision.clusters import Cloud
 from cvqmpt_lab.collision.exact import carried_pairs, reach_with
-from cvqmpt_lab.collision.geometry import CELL, RobotGeometry, SceneGeometry, robot_geometry, scene_geometry
+from cvqmpt_lab.collision.geometry import (
+    CELL,
+    RobotGeometry,
+    SceneGeometry,
+    robot_geometry,
+    scene_geometry,
+)
 from cvqmpt_lab.collision.primitives import ShapeSpec, outline
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
 from cvqmpt_lab.collision.sphere_cover import ANY_RADIUS
@@ -25,7 +31,8 @@ from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, PointCl
 
 NO_VERTICES = np.empty((0, 3))
 MOST_BLOCKS = 2000  # As large as the pieces that shapes are cut into: a metre and a fifth cubed
-MOST_CELLS = 256  # Of the distance grid, along an edge: a long reach has coarser cells instead of more memory
+# Of the distance grid, along an edge: a long reach has coarser cells instead of more memory
+MOST_CELLS = 256
 PIECES = "pieces."  # Before the names of the arrays of `RobotGeometry.pieces`
 
 
@@ -73,32 +80,42 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
 
 
 def _require_few_pieces(name: str, spec: ShapeSpec) -> None:
-    """InvalidInputError for a shape that would be cut into thousands of pieces: seconds, and soon minutes."""
+    """InvalidInputError for a shape that would be cut into thousands of pieces:
+    seconds, and soon minutes.
+    """
     points, _ = outline(spec._replace(T_owner_shape=np.eye(4)))
     size = np.ptp(points, axis=0)
     if spec.kind != SPHERE and np.prod(np.maximum(size / ANY_RADIUS, 1.0)) > MOST_BLOCKS:
         raise InvalidInputError(
-            f"{name} is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m large, too large to plan with: give sizes in "
+            f"{name} is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m large, too large to plan "
+            f"with: give sizes in "
             f"metres"
         )
 
 
 @lru_cache(maxsize=8)
 def scene_arrays(scene: Scene, reach: float, clearance: float = 0.0) -> SceneGeometry:
-    """Obstacles of a scene with their distance grid over the cube of half edge reach [m] about the base.
+    """Obstacles of a scene with their distance grid over the cube of half edge reach [m] about the
+    base.
 
     clearance: by which every obstacle is inflated [m].
     """
     placed = [(item.shape, item.T_world_object) for item in scene.obstacles]
-    clouds = [_cloud(shape, T, reach, clearance) for shape, T in placed if isinstance(shape, Measured)]
+    clouds = [
+        _cloud(shape, T, reach, clearance) for shape, T in placed if isinstance(shape, Measured)
+    ]
     solids = [(shape, T) for shape, T in placed if not isinstance(shape, Measured)]
-    specs = [_inflated(spec, clearance) for shape, T in solids for spec in SPECS[type(shape)](shape, T)]
+    specs = [
+        _inflated(spec, clearance) for shape, T in solids for spec in SPECS[type(shape)](shape, T)
+    ]
     cell = max(CELL, 2.0 * reach / MOST_CELLS)
     return scene_geometry(specs, np.full(3, -reach), np.full(3, reach), cell, clouds)
 
 
 def _cloud(shape: Measured, T: np.ndarray, reach: float, clearance: float) -> Cloud:
-    """The balls of a small cloud; of a large one and of a map, boxes in reach; inflated by a clearance [m]."""
+    """The balls of a small cloud; of a large one and of a map, boxes in reach;
+    inflated by a clearance [m].
+    """
     low, high, padding = blocks_of(shape, T, reach + clearance)
     return Cloud(0.5 * (low + high), 0.5 * (high - low), padding + clearance, T)
 

@@ -1,8 +1,9 @@
 """Whether a posed robot touches an obstacle or itself: conservative by construction.
 
-The balls of each body are checked from large to small; where the distance grid shows that a ball is free, all below it
-are. Pieces in the other leaves are checked against each nearby obstacle by `separation.separated`, which needs a
-separating slab to say "free". Poses that are not finite are collisions.
+The balls of each body are checked from large to small; where the distance grid shows that a ball is
+free, all below it are. Pieces in the other leaves are checked against each nearby obstacle by
+`separation.separated`, which needs a separating slab to say "free". Poses that are not finite are
+collisions.
 """
 
 import numpy as np
@@ -181,7 +182,9 @@ def _touches_body(robot, piece, x, y, z, radius, other, pose, margin):
 
 @kernel(inline="source")
 def _bodies_touch(r, t, robot, a, b, xa, ya, za, margin):
-    """Whether two bodies come within margin; xa, ya, za: where the largest ball of a is in the world."""
+    """Whether two bodies come within margin; xa, ya, za:
+    where the largest ball of a is in the world.
+    """
     la, lb = robot.body_link[a], robot.body_link[b]
     node, end, root = robot.body_start[a], robot.body_end[a], robot.body_start[b]
     xb, yb, zb = _placed(r, t, lb, robot.sphere, root)
@@ -209,7 +212,9 @@ def _bodies_touch(r, t, robot, a, b, xa, ya, za, margin):
 
 @kernel
 def in_contact(link_rotation, link_translation, robot, scene, margin):
-    """Whether the robot comes within margin [m] of an obstacle or itself, or a link pose is not finite."""
+    """Whether the robot comes within margin [m] of an obstacle or itself, or a link pose is not
+    finite.
+    """
     for k in range(robot.order.shape[0]):
         if _touches_obstacle(link_rotation, link_translation, robot, scene, robot.order[k], margin):
             return True
@@ -219,7 +224,9 @@ def in_contact(link_rotation, link_translation, robot, scene, margin):
         a, b = robot.pairs[k, 0], robot.pairs[k, 1]
         if a != placed:
             placed, link = a, robot.body_link[a]
-            x, y, z = _placed(link_rotation, link_translation, link, robot.sphere, robot.body_start[a])
+            x, y, z = _placed(
+                link_rotation, link_translation, link, robot.sphere, robot.body_start[a]
+            )
         if _bodies_touch(link_rotation, link_translation, robot, a, b, x, y, z, margin):
             return True
     return False

@@ -1,4 +1,6 @@
-"""Sorting the primitives of clouds, points or small boxes, into boxes of at most a handful of neighbours."""
+"""Sorting the primitives of clouds, points or small boxes, into boxes of at most a handful of
+neighbours.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -36,11 +38,13 @@ class Clusters(NamedTuple):
     rotation: np.ndarray  # (n, 3, 3), of the cloud's frame
     radius: np.ndarray  # (n,) inflation of the primitives [m]
     start: np.ndarray  # (n + 1,) int64 range in `primitives`; empty for a cluster of one primitive
-    primitives: np.ndarray  # (k, 6) centres, from the cluster's in the cloud's axes, and half edges [m]
+    # (k, 6) centres, from the cluster's in the cloud's axes, and half edges [m]
+    primitives: np.ndarray
 
 
 def cluster_primitives(clouds: Sequence[Cloud], voxel: float) -> Clusters:
-    """Return the primitives of clouds in clusters of those whose centres lie in the same voxel of this edge [m].
+    """Return the primitives of clouds in clusters of those whose centres lie in the same voxel of
+    this edge [m].
 
     Raises InvalidInputError for primitives that are not finite or a negative radius.
     """
@@ -48,7 +52,12 @@ def cluster_primitives(clouds: Sequence[Cloud], voxel: float) -> Clusters:
     if not parts:
         none = np.empty((0, 3))
         return Clusters(
-            none, none, np.empty((0, 3, 3)), np.empty(0), np.zeros(1, np.int64), primitives=np.empty((0, 6))
+            none,
+            none,
+            np.empty((0, 3, 3)),
+            np.empty(0),
+            np.zeros(1, np.int64),
+            primitives=np.empty((0, 6)),
         )
     offsets = np.cumsum([0, *(len(part.primitives) for part in parts)])
     starts = [part.start[:-1] + offset for part, offset in zip(parts, offsets[:-1], strict=True)]
@@ -89,7 +98,9 @@ def _check(cloud: Cloud, number: int) -> None:
             f"cloud {number}: point {bad} is {cloud.centre[bad]}; remove points that are not finite"
         )
     if not 0.0 <= cloud.radius < np.inf:
-        raise InvalidInputError(f"cloud {number}: radius {cloud.radius} of its points; give a length >= 0 [m]")
+        raise InvalidInputError(
+            f"cloud {number}: radius {cloud.radius} of its points; give a length >= 0 [m]"
+        )
 
 
 def _curve_position(points: np.ndarray, step: float) -> np.ndarray:

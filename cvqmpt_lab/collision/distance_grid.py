@@ -1,9 +1,11 @@
-"""A grid of distances to the nearest obstacle: one look-up shows that a ball is free of all obstacles.
+"""A grid of distances to the nearest obstacle: one look-up shows that a ball is free of all
+obstacles.
 
-Each cell holds a lower bound, rounded down to a byte, and each block of 2^3 cells a list of the obstacles nearby. The
-grid is filled by blocks of 8^3 cells: obstacles that can matter inside a block are collected, and each lowers the
-distances of all its cells. Distances from a box along the axes are sums of one term an axis, 24 in all, so that the
-512 cells cost an addition and a comparison each. Turned boxes are measured cell by cell, where they can be nearest.
+Each cell holds a lower bound, rounded down to a byte, and each block of 2^3 cells a list of the
+obstacles nearby. The grid is filled by blocks of 8^3 cells: obstacles that can matter inside a
+block are collected, and each lowers the distances of all its cells. Distances from a box along the
+axes are sums of one term an axis, 24 in all, so that the 512 cells cost an addition and a
+comparison each. Turned boxes are measured cell by cell, where they can be nearest.
 """
 
 from typing import Annotated, NamedTuple
@@ -33,17 +35,21 @@ class DistanceGrid(NamedTuple):
     cell: float  # Edge of a cell [m]
     cells_per_metre: float  # Its inverse [1/m]
     distance: Annotated[np.ndarray, "uint8 cells_x cells_y cells_z"]  # In units of RANGE / 255
-    list_start: Annotated[np.ndarray, "int64 lists_x lists_y lists_z"]  # First of `items` of a 2^3 block
+    # First of `items` of a 2^3 block
+    list_start: Annotated[np.ndarray, "int64 lists_x lists_y lists_z"]
     list_count: Annotated[np.ndarray, "int32 lists_x lists_y lists_z"]  # Length of its list
     items: Annotated[np.ndarray, "int32 listed"]  # Obstacle indices
 
 
 @kernel(inline="machine")
 def _distances(bounds, i, x, y, z, half):
-    """Distances of obstacle i from a cube (lower bound; exact for parallel axes) and from its centre [m]."""
+    """Distances of obstacle i from a cube (lower bound;
+    exact for parallel axes) and from its centre [m].
+    """
     dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
     cube2 = centre2 = 0.0
-    if bounds[i, 1] == 0.0 and bounds[i, 2] == 0.0 and bounds[i, 5] == 0.0:  # axis-aligned, the common case
+    # axis-aligned, the common case
+    if bounds[i, 1] == 0.0 and bounds[i, 2] == 0.0 and bounds[i, 5] == 0.0:
         a, b, c = abs(dx) - bounds[i, 12], abs(dy) - bounds[i, 13], abs(dz) - bounds[i, 14]
         centre2 = max(a, 0.0) ** 2 + max(b, 0.0) ** 2 + max(c, 0.0) ** 2
         cube2 = max(a - half, 0.0) ** 2 + max(b - half, 0.0) ** 2 + max(c - half, 0.0) ** 2
@@ -59,7 +65,8 @@ def _distances(bounds, i, x, y, z, half):
 
 @kernel
 def _relevant(bounds, grid, corner, candidates, reach, near, kept):
-    """Copy to kept the candidates that can be nearest somewhere in a block, or are within reach of it; how many.
+    """Copy to kept the candidates that can be nearest somewhere in a block, or are within reach of
+    it; how many.
 
     near: (candidates,), of those kept the distance from the block [m].
     """
@@ -77,7 +84,9 @@ def _relevant(bounds, grid, corner, candidates, reach, near, kept):
 
 @kernel
 def _gaps(low, high, first, edge, gaps):
-    """Write squared distances of intervals of an edge, one after the other from first on, from low..high [m^2]."""
+    """Write squared distances of intervals of an edge, one after the other from first on, from
+    low..high [m^2].
+    """
     for k in range(gaps.shape[0]):
         gap = max(low - (first + (k + 1) * edge), first + k * edge - high, 0.0)
         gaps[k] = gap * gap
@@ -85,7 +94,9 @@ def _gaps(low, high, first, edge, gaps):
 
 @kernel
 def _lower(best2, x, yz):
-    """Lower squared distances best2 (COARSE, COARSE^2) to the sums of x (COARSE,) and yz (COARSE^2,)."""
+    """Lower squared distances best2 (COARSE, COARSE^2) to the sums of x (COARSE,) and yz
+    (COARSE^2,).
+    """
     for cx in range(COARSE):
         gap2 = x[cx]
         for c in range(COARSE * COARSE):
@@ -105,7 +116,8 @@ def _lower_inflated(best, x, yz, inflation):
 
 @kernel
 def _add_straight(bounds, i, grid, reach, matters, work):
-    """Lower the distances of a block's cells to those from a box along the axes; append it to its lists.
+    """Lower the distances of a block's cells to those from a box along the axes; append it to its
+    lists.
 
     matters: False when no distance of the block can be lowered. work: see `_Work`.
     """
@@ -140,7 +152,11 @@ def _add_turned(bounds, i, grid, reach, work):
     edge, corner, upper, best = grid.cell, work.corner, work.upper, work.best
     for s in range(LISTS):
         lx, ly, lz = 2 * (s >> 4), 2 * (s >> 2 & 3), 2 * (s & 3)
-        x, y, z = corner[0] + (lx + 1) * edge, corner[1] + (ly + 1) * edge, corner[2] + (lz + 1) * edge
+        x, y, z = (
+            corner[0] + (lx + 1) * edge,
+            corner[1] + (ly + 1) * edge,
+            corner[2] + (lz + 1) * edge,
+        )
         near, from_centre = _distances(bounds, i, x, y, z, edge)
         if near <= reach:
             work.listed[s, work.counts[s]] = i
@@ -185,11 +201,13 @@ class Work(NamedTuple):
     """Work arrays of one block."""
 
     corner: Annotated[np.ndarray, "3"]  # Of the block [m]
-    gaps: Annotated[np.ndarray, "3 8"]  # Squared distances of a box from cells along each axis [m^2]
+    # Squared distances of a box from cells along each axis [m^2]
+    gaps: Annotated[np.ndarray, "3 8"]
     yz: Annotated[np.ndarray, "64"]  # Sums of those along y and z
     best2: Annotated[np.ndarray, "8 64"]  # Squared distances of the cells [m^2], and ...
     best: Annotated[np.ndarray, "8 64"]  # ... distances [m]; the smaller counts
-    upper: Annotated[np.ndarray, "64"]  # Upper bound on the distances of each list block's cells [m]
+    # Upper bound on the distances of each list block's cells [m]
+    upper: Annotated[np.ndarray, "64"]
     counts: Annotated[np.ndarray, "int64 64"]  # How many obstacles each list holds
     listed: Annotated[np.ndarray, "int32 64 most"]  # Those
     near: Annotated[np.ndarray, "most"]  # Distances of obstacles from the block [m]
@@ -240,7 +258,8 @@ def fill_blocks(
         _add_all(bounds, grid, kept, near, n, reach, work)
         _store(grid, bx, by, bz, work.best2, work.best)
         listed = 0
-        for s in range(LISTS):  # work.counts.sum() would import scipy.linalg wherever this is loaded
+        # work.counts.sum() would import scipy.linalg wherever this is loaded
+        for s in range(LISTS):
             listed += work.counts[s]
         if used + listed > items.shape[0]:
             return block, used
@@ -265,15 +284,24 @@ def assign(
     items: Annotated[np.ndarray, "int32 listed"],
     fill: bool,
 ):
-    """Count (fill False) or write (fill True) the obstacles within RANGE of each coarse block; span: work array."""
+    """Count (fill False) or write (fill True) the obstacles within RANGE of each coarse block;
+    span: work array.
+    """
     low, high = span[0], span[1]
     for i in range(bounds.shape[0]):
         for a in range(3):
             extent = RANGE + bounds[i, 15]
             for k in range(3):
                 extent += abs(bounds[i, 3 * a + k]) * bounds[i, 12 + k]
-            low[a] = int(min(max(np.floor((bounds[i, 9 + a] - extent - origin[a]) / edge), 0.0), blocks[a]))
-            high[a] = int(min(max(np.floor((bounds[i, 9 + a] + extent - origin[a]) / edge) + 1.0, 0.0), blocks[a]))
+            low[a] = int(
+                min(max(np.floor((bounds[i, 9 + a] - extent - origin[a]) / edge), 0.0), blocks[a])
+            )
+            high[a] = int(
+                min(
+                    max(np.floor((bounds[i, 9 + a] + extent - origin[a]) / edge) + 1.0, 0.0),
+                    blocks[a],
+                )
+            )
         for bx in range(low[0], high[0]):
             for by in range(low[1], high[1]):
                 for bz in range(low[2], high[2]):
@@ -336,7 +364,11 @@ def _work_arrays(most: int) -> Work:
 def cell_of(grid, x, y, z):
     """Return the cell (3 ints) of a point and whether the point lies in the grid (else cell 0)."""
     scale = grid.cells_per_metre
-    fx, fy, fz = (x - grid.origin[0]) * scale, (y - grid.origin[1]) * scale, (z - grid.origin[2]) * scale
+    fx, fy, fz = (
+        (x - grid.origin[0]) * scale,
+        (y - grid.origin[1]) * scale,
+        (z - grid.origin[2]) * scale,
+    )
     nx, ny, nz = grid.distance.shape
     if 0.0 <= fx < nx and 0.0 <= fy < ny and 0.0 <= fz < nz:
         return int(fx), int(fy), int(fz), True

@@ -1,7 +1,8 @@
 """Exact collision checking with coal: convex hulls of the links against the shapes of a scene.
 
-The certificate and the `exact` backend use it. Links against each other are pinocchio's pairs; links against
-obstacles are coal's broad phases, one a link and one for the world, so that ten thousand obstacles cost no pairs.
+The certificate and the `exact` backend use it. Links against each other are pinocchio's pairs;
+links against obstacles are coal's broad phases, one a link and one for the world, so that ten
+thousand obstacles cost no pairs.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,11 +23,16 @@ from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
 
-LONGEST_REACH = 20.0  # [m] of an arm with what it carries; more is a misplaced unit, and would never end
-INFLATIONS = (1e-3, 1e-2, 0.05, 0.25)  # [m] of boxes in a broad phase, which then reports what is that close
-FEW_PAIRS = 100  # of the robot's own pieces are all measured; of more, those whose enclosing balls are close
+# [m] of an arm with what it carries; more is a misplaced unit, and would never end
+LONGEST_REACH = 20.0
+# [m] of boxes in a broad phase, which then reports what is that close
+INFLATIONS = (1e-3, 1e-2, 0.05, 0.25)
+# of the robot's own pieces are all measured; of more, those whose enclosing balls are close
+FEW_PAIRS = 100
 ROUNDING = 1e-6
-"""[m] coal's GJK stops when a distance d [m] is known to ROUNDING (1 + d); what it returns is never less than d."""
+"""[m] coal's GJK stops when a distance d [m] is known to ROUNDING (1 + d);
+what it returns is never less than d.
+"""
 
 
 @dataclass(frozen=True)
@@ -59,16 +65,19 @@ class _World(NamedTuple):
     """Obstacles in a broad phase."""
 
     phase: coal.DynamicAABBTreeCollisionManager
-    objects: list[coal.CollisionObject]  # They must outlive the broad phase, which reads their boxes
+    # They must outlive the broad phase, which reads their boxes
+    objects: list[coal.CollisionObject]
 
 
 class CollisionChecker:
     """Whether a robot, carrying attachments, touches itself or the obstacles of a scene.
 
-    Pieces that do not move against each other (a base link and the walls, a hand and what it carries) are no pair.
-    margin: pieces closer than this [m] count as touching. clearance: kept from obstacles beyond it [m].
-    Contact is defined to 1e-5 m only: two checkers agree where a margin is kept. Each thread needs its own
-    checker.
+    Pieces that do not move against each other (a base link and the walls, a hand and what it
+    carries) are no pair.
+    margin: pieces closer than this [m] count as touching. clearance: kept from obstacles beyond it
+        [m].
+    Contact is defined to 1e-5 m only: two checkers agree where a margin is kept. Each thread needs
+    its own checker.
     """
 
     def __init__(
@@ -87,15 +96,19 @@ class CollisionChecker:
         _forget_guesses(self._own_results)
         for request in self._own_results.collisionRequests:
             request.security_margin = margin
-            request.enable_contact = True  # else coal calls some pairs free that overlap by half a millimetre
+            # else coal calls some pairs free that overlap by half a millimetre
+            request.enable_contact = True
         self._own = pin.TreeBroadPhaseManager_DynamicAABBTreeCollisionManager(
             self._model, self._geometry, self._own_results
         )
-        phases = list(enumerate(self._own.getBroadPhaseManagers()))[:0:-1]  # tip first, without the base
+        # tip first, without the base
+        phases = list(enumerate(self._own.getBroadPhaseManagers()))[:0:-1]
         links = [(k, phase.getManager(), phase.getCollisionObjects()) for k, phase in phases]
         self._links = [link for link in links if link[1].size() > 0]
         objects = self._geometry.geometryObjects
-        self._pieces = [item.name for k, *_ in self._links for item in objects if item.parentJoint == k]
+        self._pieces = [
+            item.name for k, *_ in self._links for item in objects if item.parentJoint == k
+        ]
         self._moving = [item for *_, items in self._links for item in items]
         self._balls = np.array([g.parentJoint for g in objects], dtype=int), balls_around(objects)
         pairs = [(p.first, p.second) for p in self._geometry.collisionPairs]
@@ -117,15 +130,18 @@ class CollisionChecker:
         return np.array([self.in_collision(q) for q in configurations], dtype=bool)
 
     def clear_of_obstacles(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Whether the robot surely touches no obstacle at any configuration in hulls of corners (k, c, n), (k,) bool.
+        """Whether the robot surely touches no obstacle at any configuration in hulls of corners (k,
+        c, n), (k,) bool.
 
-        q (k, n) lie in the hulls: distances there are compared with how far any point of a link can move.
-        "No" may mean "not known".
+        q (k, n) lie in the hulls: distances there are compared with how far any point of a link can
+        move. "No" may mean "not known".
         """
         moved = self._needed(self._sweep.in_world(q, hulls), self._outer)
         clear = moved.max(axis=1, initial=0.0) <= INFLATIONS[-1]
         for k in np.flatnonzero(clear):
-            pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q[k])
+            pin.updateGeometryPlacements(
+                self._model, self._data, self._geometry, self._own_results, q[k]
+            )
             self._own.update()
             clear[k] = not self._meets_obstacle(moved[k])
         return clear
@@ -138,11 +154,15 @@ class CollisionChecker:
         return np.array([self._apart(*pair) for pair in zip(q, moved, strict=True)], dtype=bool)
 
     def _needed(self, moved: np.ndarray, margin: float) -> np.ndarray:
-        """What coal's distances must exceed [m] where points may have moved that far: with margin and rounding."""
+        """What coal's distances must exceed [m] where points may have moved that far:
+        with margin and rounding.
+        """
         return (moved + margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)
 
     def moved(self, q: np.ndarray, hull: np.ndarray) -> float:
-        """The furthest [m] that any point of the robot can move from q (n,) inside the hull of corners (c, n)."""
+        """The furthest [m] that any point of the robot can move from q (n,) inside the hull of
+        corners (c, n).
+        """
         return float(self._sweep.in_world(q[None], hull[None]).max(initial=0.0))
 
     def _apart(self, q: np.ndarray, gaps: np.ndarray) -> bool:
@@ -156,11 +176,16 @@ class CollisionChecker:
             return all(found[k].min_distance > gap for k, gap in enumerate(gaps.tolist()))
         pin.updateGeometryPlacements(self._model, self._data, geometry, results, q)
         (first, second), (joints, balls) = self._own_pairs, self._balls
-        R, t = (np.array([getattr(T, part) for T in self._data.oMi]) for part in ("rotation", "translation"))
+        R, t = (
+            np.array([getattr(T, part) for T in self._data.oMi])
+            for part in ("rotation", "translation")
+        )
         centres = np.einsum("kij,kj->ki", R[joints], balls[:, :3]) + t[joints]
         between = np.linalg.norm(centres[first] - centres[second], axis=1)
         near = np.flatnonzero(between - balls[first, 3] - balls[second, 3] <= gaps)
-        return all(pin.computeDistance(geometry, results, k).min_distance > gaps[k] for k in near.tolist())
+        return all(
+            pin.computeDistance(geometry, results, k).min_distance > gaps[k] for k in near.tolist()
+        )
 
     def colliding_pair(self, q: np.ndarray) -> CollidingPair | None:
         """The first overlapping pair by name, or None."""
@@ -172,14 +197,20 @@ class CollisionChecker:
         request = self._callback.data.request
         request.security_margin = self._outer
         world = self._world(0.0)
-        for j, i in np.argwhere(_box_gaps(self._obstacle_boxes, _boxes(self._moving)) <= self._outer):
+        for j, i in np.argwhere(
+            _box_gaps(self._obstacle_boxes, _boxes(self._moving)) <= self._outer
+        ):
             if coal.collide(self._moving[i], world.objects[j], request, coal.CollisionResult()):
                 return CollidingPair(self._pieces[i], self._obstacles[j].name)
         return None
 
     def contact(self, q: np.ndarray) -> str:
         """The first overlapping pair in words; with a clearance, that it is closer than that."""
-        closer = f", closer than the clearance of {1e3 * self._clearance:g} mm" if self._clearance else ""
+        closer = (
+            f", closer than the clearance of {1e3 * self._clearance:g} mm"
+            if self._clearance
+            else ""
+        )
         return f"{self.colliding_pair(q)}{closer}"
 
     def _own_pair(self, k: int) -> CollidingPair:
@@ -187,14 +218,17 @@ class CollisionChecker:
         return CollidingPair(objects[pair.first].name, objects[pair.second].name)
 
     def clearance(self, q: np.ndarray) -> float:
-        """Smallest distance of all pairs [m]; zero or negative (penetration) in collision, inf without pairs."""
+        """Smallest distance of all pairs [m];
+        zero or negative (penetration) in collision, inf without pairs.
+        """
         return self.nearest(q).distance
 
     def nearest(self, q: np.ndarray) -> Nearest:
-        """The smallest distance of all pairs, measured pair by pair in the order of the gaps between their boxes.
+        """The smallest distance of all pairs, measured pair by pair in the order of the gaps
+        between their boxes.
 
-        coal's broad phases measure no distances here: they hand every pair the same result, which then holds the last
-        pair's distance, not the least.
+        coal's broad phases measure no distances here: they hand every pair the same result, which
+        then holds the last pair's distance, not the least.
         """
         nearest, geometry, results = Nearest(np.inf, None), self._geometry, self._own_results
         pin.updateGeometryPlacements(self._model, self._data, geometry, results, q)
@@ -234,7 +268,9 @@ class CollisionChecker:
         return self._worlds[inflation]
 
     def _meets_obstacle(self, margins: np.ndarray) -> bool:
-        """Whether a link, where the broad phase has it now, is closer to an obstacle than its margin [m]."""
+        """Whether a link, where the broad phase has it now, is closer to an obstacle than its
+        margin [m].
+        """
         request, result = self._callback.data.request, self._callback.data.result
         for (_, manager, _), margin in zip(self._links, margins.tolist(), strict=True):
             request.security_margin = margin
@@ -248,7 +284,8 @@ class CollisionChecker:
 def _forget_guesses(results: pin.GeometryData) -> None:
     """Let GJK begin at the boxes' centres: pinocchio begins where a pair's last call ended.
 
-    The last digits of distances, and verdicts on contact, would then depend on what was asked before.
+    The last digits of distances, and verdicts on contact, would then depend on what was asked
+    before.
     """
     hits, distances = results.collisionRequests, results.distanceRequests
     kinds = (hits, coal.CollisionRequest), (distances, coal.DistanceRequest)
@@ -266,7 +303,10 @@ def _boxes(objects: Sequence[coal.CollisionObject]) -> np.ndarray:
 
 def _box_gaps(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Distances (a, b) [m] between boxes (a, 2, 3) and (b, 2, 3)."""
-    (low, high), (least, most) = first.transpose(1, 2, 0)[..., None], second.transpose(1, 2, 0)[:, :, None]
+    (low, high), (least, most) = (
+        first.transpose(1, 2, 0)[..., None],
+        second.transpose(1, 2, 0)[:, :, None],
+    )
     apart = np.maximum(np.maximum(low - most, least - high), 0.0)
     return np.sqrt(np.einsum("iab,iab->ab", apart, apart))
 
@@ -292,23 +332,31 @@ def _carried(piece: Solid, hand: pin.Frame) -> pin.GeometryObject:
 
 
 def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
-    """(link piece, attachment) index pairs: all but the pieces that, like the attachment, are fixed to the hand."""
-    hand = robot.model.frames[robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)].parentJoint
+    """(link piece, attachment) index pairs:
+    all but the pieces that, like the attachment, are fixed to the hand.
+    """
+    hand = robot.model.frames[
+        robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)
+    ].parentJoint
     joints = [item.parentJoint for item in robot.collision_model.geometryObjects]
-    return [(i, k) for k in range(len(attachments)) for i, joint in enumerate(joints) if joint != hand]
+    return [
+        (i, k) for k in range(len(attachments)) for i, joint in enumerate(joints) if joint != hand
+    ]
 
 
 def reach_with(robot: Robot, attachments: Sequence[Attachment]) -> float:
     """Radius [m] of a ball around the base that neither the robot nor what it carries can leave.
 
-    InvalidInputError, naming what is too long or too far away, when that is more than LONGEST_REACH.
+    InvalidInputError, naming what is too long or too far away, when that is more than
+    LONGEST_REACH.
     """
     middles = ((a, float(np.linalg.norm(a.T_hand_object[:3, 3]))) for a in attachments)
     carried = {f"attachment {a.name!r}": far + bounding_radius(a.shape) for a, far in middles}
     for name, length in {f"robot {robot.name}": robot.reach, **carried}.items():
         if not length <= LONGEST_REACH:
             raise InvalidInputError(
-                f"{name} reaches {length:.3g} m, more than {LONGEST_REACH:g}: give positions, sizes and slider "
+                f"{name} reaches {length:.3g} m, more than {LONGEST_REACH:g}: give positions, "
+                f"sizes and slider "
                 f"limits in metres"
             )
     return robot.reach + max(carried.values(), default=0.0)
@@ -323,7 +371,8 @@ def obstacles_within(scene: Scene, reach: float) -> Iterator[Solid]:
 
 
 def solids(name: str, shape: Shape, T: np.ndarray, reach: float = np.inf) -> Iterator[Solid]:
-    """The shape itself at pose T; of a small cloud its balls; of a large one and of a map, boxes in reach.
+    """The shape itself at pose T; of a small cloud its balls; of a large one and of a map, boxes in
+    reach.
 
     Boxes are three times as fast to check as coal's octrees, which descend from 2^16 cells.
     """

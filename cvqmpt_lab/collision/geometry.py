@@ -1,7 +1,9 @@
-"""Robot and scene for the collision kernels: named tuples of arrays, and the functions that make them.
+"""Robot and scene for the collision kernels: named tuples of arrays, and the functions that make
+them.
 
-A *piece* is a convex part of a robot geometry. A *body* is a set of geometries on one link that are checked against the
-same others; it has one tree of balls. An *item* is an obstacle, or a box around neighbouring primitives of a cloud.
+A *piece* is a convex part of a robot geometry. A *body* is a set of geometries on one link that are
+checked against the same others; it has one tree of balls. An *item* is an obstacle, or a box around
+neighbouring primitives of a cloud.
 """
 
 from collections.abc import Sequence
@@ -47,8 +49,10 @@ class SceneGeometry(NamedTuple):
 
     shapes: ConvexShapes  # All items
     bounds: Annotated[np.ndarray, "items 16"]  # Oriented boxes around them, see `distance_grid`
-    primitive_start: Annotated[np.ndarray, "int64 ranges"]  # Of each item's primitives; a shape has none
-    primitives: Annotated[np.ndarray, "primitives 6"]  # Centres and half edges in their items' frames [m]
+    # Of each item's primitives; a shape has none
+    primitive_start: Annotated[np.ndarray, "int64 ranges"]
+    # Centres and half edges in their items' frames [m]
+    primitives: Annotated[np.ndarray, "primitives 6"]
     grid: DistanceGrid  # Distances over the robot's reach
     reach: float  # Largest ball whose neighbours the grid lists [m]
 
@@ -60,12 +64,15 @@ def robot_geometry(
 ) -> RobotGeometry:
     """Pieces of a robot and their trees of balls.
 
-    specs: geometries, posed in their links. link: pose row of each; those of link 0, which is fixed to the world, are
-    not checked against obstacles. pairs: geometries to check against each other.
+    specs: geometries, posed in their links. link: pose row of each; those of link 0, which is fixed
+        to the world, are not checked against obstacles. pairs: geometries to check against each
+        other.
     """
     bodies, body_pairs = _bodies(link, pairs)
     piece_specs: list[ShapeSpec] = []
-    trees = [sphere_tree([leaf for g in body for leaf in _cut(specs[g], piece_specs)]) for body in bodies]
+    trees = [
+        sphere_tree([leaf for g in body for leaf in _cut(specs[g], piece_specs)]) for body in bodies
+    ]
     end = np.cumsum([len(tree.leaf) for tree in trees], dtype=np.int64)
     start = end - [len(tree.leaf) for tree in trees]
     rows = np.array([link[members[0]] for members in bodies], dtype=np.int64)
@@ -88,22 +95,32 @@ def robot_geometry(
 
 
 def swing(kinematics: Kinematics, robot: RobotGeometry) -> np.ndarray:
-    """Return how far any point of the robot can move per unit of each joint (n,) [m/rad, or 1 for sliders]."""
+    """Return how far any point of the robot can move per unit of each joint (n,) [m/rad, or 1 for
+    sliders].
+    """
     n = len(kinematics.parent)
     extent = np.zeros(n + 1)  # of what hangs on each pose row, from its origin
     for row, first in zip(robot.body_link, robot.body_start, strict=True):
         ball = robot.sphere[first]
         extent[row] = max(extent[row], np.linalg.norm(ball[:3]) + ball[3])
     for j in reversed(range(n)):
-        slide = max(abs(kinematics.lower[j]), abs(kinematics.upper[j])) if kinematics.prismatic[j] else 0.0
+        slide = (
+            max(abs(kinematics.lower[j]), abs(kinematics.upper[j]))
+            if kinematics.prismatic[j]
+            else 0.0
+        )
         step = np.linalg.norm(kinematics.translation[j]) + slide
         up = kinematics.parent[j]
         extent[up] = max(extent[up], step + extent[j + 1])
     return np.where(kinematics.prismatic, 1.0, extent[1:])
 
 
-def _bodies(link: Sequence[int], pairs: Sequence[tuple[int, int]]) -> tuple[list[list[int]], list[tuple[int, int]]]:
-    """Geometries grouped by link and by the others they are checked against; pairs of groups to check."""
+def _bodies(
+    link: Sequence[int], pairs: Sequence[tuple[int, int]]
+) -> tuple[list[list[int]], list[tuple[int, int]]]:
+    """Geometries grouped by link and by the others they are checked against;
+    pairs of groups to check.
+    """
     partners: list[set[int]] = [set() for _ in link]
     for a, b in pairs:
         partners[a].add(b)
@@ -118,7 +135,9 @@ def _bodies(link: Sequence[int], pairs: Sequence[tuple[int, int]]) -> tuple[list
 
 
 def _cut(spec: ShapeSpec, pieces: list[ShapeSpec]) -> list[Piece]:
-    """Append the pieces of one geometry, return them as leaves; cylinders and spheres stay one piece."""
+    """Append the pieces of one geometry, return them as leaves;
+    cylinders and spheres stay one piece.
+    """
     points, inflation = outline(spec)
     parts = [points] if spec.kind == SPHERE else cut_into_pieces(points)
     if spec.kind not in (HULL, BOX) or len(parts) == 1:
@@ -141,7 +160,8 @@ def scene_geometry(
     """Return obstacles and clouds with a grid over the box lower..upper (3,) [m].
 
     Balls outside the grid, or larger than `REACH`, are compared with every item: correct, but slow.
-    Raises InvalidInputError for poses, vertices or points that are not finite, and for empty meshes.
+    Raises InvalidInputError for poses, vertices or points that are not finite, and for empty
+    meshes.
     """
     solid = pack_shapes(specs)
     clusters = cluster_primitives(clouds, cell)

@@ -1,4 +1,6 @@
-"""How far points of a robot can move while its joints change: bounds from Jacobians and a ball around each link."""
+"""How far points of a robot can move while its joints change:
+bounds from Jacobians and a ball around each link.
+"""
 
 from collections.abc import Sequence
 
@@ -10,7 +12,9 @@ from cvqmpt_lab.robot.robot import Robot
 
 
 class Sweep:
-    """Bounds on the motion of points of a robot whose configuration stays in a convex hull; many hulls at once."""
+    """Bounds on the motion of points of a robot whose configuration stays in a convex hull;
+    many hulls at once.
+    """
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:
         """links: joints of `in_world`; `between` is about the collision pairs of the geometry."""
@@ -23,26 +27,36 @@ class Sweep:
             balls[k] = _ball_around([item for item in objects if item.parentJoint == k])
         joints = [item.parentJoint for item in objects]
         pairs = [(joints[p.first], joints[p.second]) for p in geometry.collisionPairs]
-        unique, pair = np.unique(np.array(pairs, dtype=int).reshape(-1, 2), axis=0, return_inverse=True)
+        unique, pair = np.unique(
+            np.array(pairs, dtype=int).reshape(-1, 2), axis=0, return_inverse=True
+        )
         a, b = unique.T
         alone = np.array(links, dtype=int)
-        self._centres = [(int(k), balls[k, :3].copy()) for k in np.unique(np.concatenate([alone, a, b]))]
+        self._centres = [
+            (int(k), balls[k, :3].copy()) for k in np.unique(np.concatenate([alone, a, b]))
+        ]
         self._in_world = _Motions(alone, support[alone], balls, robot.kinematics.prismatic)
         sides = np.concatenate([support[a] & ~support[b], support[b] & ~support[a]])
         self._of_pairs = _Motions(np.concatenate([a, b]), sides, balls, robot.kinematics.prismatic)
         self._pair = pair.reshape(-1)
 
     def in_world(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Bounds (k, l) [m] on the motion of any point of each link from q (k, n), in hulls with corners (k, c, n)."""
+        """Bounds (k, l) [m] on the motion of any point of each link from q (k, n), in hulls with
+        corners (k, c, n).
+        """
         return self._in_world.bounds(*self._posed(q), hulls - q[:, None])
 
     def between(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Bounds (k, p) [m] on the motion of any two points of each pair of pieces against each other."""
+        """Bounds (k, p) [m] on the motion of any two points of each pair of pieces against each
+        other.
+        """
         bounds = self._of_pairs.bounds(*self._posed(q), hulls - q[:, None])
         return bounds.reshape(len(q), 2, -1).sum(1)[:, self._pair]
 
     def _posed(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """At each of q (k, n): the Jacobians' columns (6, k, n), and the centres of the joints' balls (3, k, j)."""
+        """At each of q (k, n):
+        the Jacobians' columns (6, k, n), and the centres of the joints' balls (3, k, j).
+        """
         columns, poses = np.empty((len(q), 6, self._model.nv)), self._data.oMi
         centres = np.zeros((len(q), self._model.njoints, 3))
         for row, column, moved in zip(q, columns, centres, strict=True):
@@ -56,23 +70,30 @@ class Sweep:
 class _Motions:
     """Links, each moved by some joints while the others stand still."""
 
-    def __init__(self, links: np.ndarray, moving: np.ndarray, balls: np.ndarray, slides: np.ndarray) -> None:
-        """links: (l,) joints that carry them. moving: (l, n). balls: (joints, 4), around what each carries."""
+    def __init__(
+        self, links: np.ndarray, moving: np.ndarray, balls: np.ndarray, slides: np.ndarray
+    ) -> None:
+        """links: (l,) joints that carry them. moving: (l, n). balls:
+        (joints, 4), around what each carries.
+        """
         self._links, self._moving, self._radii = links, moving.astype(float), balls[links, 3, None]
         self._turning = (moving & ~slides).astype(float)
 
     def bounds(self, columns: np.ndarray, centres: np.ndarray, changes: np.ndarray) -> np.ndarray:
-        """Bounds (k, l) [m] on the motion of any point of each link, changes (k, c, n) leading to corners of hulls.
+        """Bounds (k, l) [m] on the motion of any point of each link, changes (k, c, n) leading to
+        corners of hulls.
 
-        The first-order part is the Jacobian's, |J dq|; the rest is half the second derivative along a straight line.
-        For joints i and j, j further out, d/dq_i of (axis_j x (point - origin_j)) is a rotation of that vector, so its
-        length is at most lever_j, the speed of the point per turn of j. A lever grows as the joints after it move.
+        The first-order part is the Jacobian's, |J dq|; the rest is half the second derivative along
+        a straight line. For joints i and j, j further out, d/dq_i of (axis_j x (point - origin_j))
+        is a rotation of that vector, so its length is at most lever_j, the speed of the point per
+        turn of j. A lever grows as the joints after it move.
         """
         if len(self._radii) == 0:
             return np.zeros((len(changes), 0))
         v0, v1, v2, w0, w1, w2 = columns[:, :, None]
         x, y, z = centres[:, :, self._links, None]
-        twists = np.empty((2, 3, len(changes), *self._moving.shape))  # of each link's centre, and its turn
+        # of each link's centre, and its turn
+        twists = np.empty((2, 3, len(changes), *self._moving.shape))
         twists[0] = v0 + w1 * z - w2 * y, v1 + w2 * x - w0 * z, v2 + w0 * y - w1 * x
         twists[1] = columns[3:, :, None]
         twists *= self._moving

@@ -1,8 +1,9 @@
 """Whether a motion is free at every state of it, not only at samples.
 
-In the middle of a stretch, distances by coal are compared with how far any link can move inside it. A stretch that
-is not proven is cut, down to FINEST; one that is not proven even then is reported, although its middle is free.
-Nothing depends on which of several pairs coal finds first: that is chance.
+In the middle of a stretch, distances by coal are compared with how far any link can move inside it.
+A stretch that is not proven is cut, down to FINEST; one that is not proven even then is reported,
+although its middle is free. Nothing depends on which of several pairs coal finds first: that is
+chance.
 """
 
 from collections import deque
@@ -15,14 +16,19 @@ import numpy as np
 from cvqmpt_lab.collision.exact import CollisionChecker
 
 LONGEST = 0.2  # [rad] half of a stretch that is tried first
-FINEST = 1e-7  # [rad] half of a stretch that is not cut further if it cannot be proven and its middle is free
-COARSE = 1e-4  # [rad] the same after the first such stretch, or after MOST_FINE looks at shorter ones
+# [rad] half of a stretch that is not cut further if it cannot be proven and its middle is free
+FINEST = 1e-7
+# [rad] the same after the first such stretch, or after MOST_FINE looks at shorter ones
+COARSE = 1e-4
 MOST_FINE = 4000  # about 0.2 s; else sliding along an obstacle at micrometres would take hours
 DOUBTFUL = 0.01
-"""[rad] half of a stretch, or less, whose middle is asked for a collision when it cannot be proven."""
+"""[rad] half of a stretch, or less, whose middle is asked for a collision when it cannot be proven.
+"""
 PARTS = 2  # Into which such a stretch is cut
 BATCH = 64
-"""Stretches looked at together; they are next to each other, so that little is wasted before a collision."""
+"""Stretches looked at together;
+they are next to each other, so that little is wasted before a collision.
+"""
 
 
 class Unproven(NamedTuple):
@@ -44,7 +50,9 @@ class MotionProof:
 
 
 def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
-    """Prove that straight joint motions through states (m, n), m >= 1, touch nothing; stops at a collision."""
+    """Prove that straight joint motions through states (m, n), m >= 1, touch nothing;
+    stops at a collision.
+    """
     line = _Polyline(states)
     obstacles = _walk(line, checker.clear_of_obstacles, checker.in_collision)
     if obstacles.colliding is not None:
@@ -105,7 +113,8 @@ class _Polyline:
         self.length = float(self._along[-1])
 
     def stretches(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Middles (k, n) of stretches (k, 2), begin and half length; and their ends with all states between them.
+        """Middles (k, n) of stretches (k, 2), begin and half length; and their ends with all states
+        between them.
 
         The latter as (k, c, n): shorter ones repeat their end.
         """

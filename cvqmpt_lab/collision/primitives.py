@@ -7,7 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, MAX_HULL_VERTICES, SPHERE, ConvexShapes
+from cvqmpt_lab.collision.separation import (
+    BOX,
+    CYLINDER,
+    HULL,
+    MAX_HULL_VERTICES,
+    SPHERE,
+    ConvexShapes,
+)
 from cvqmpt_lab.collision.sphere_cover import convex_hull
 from cvqmpt_lab.errors import InvalidInputError
 
@@ -19,14 +26,17 @@ class ShapeSpec(NamedTuple):
 
     kind: int  # HULL, BOX, CYLINDER or SPHERE
     size: tuple[float, ...]
-    """Full edges of a box, (radius, radius, height) of a cylinder, (radius,) of a sphere, () for a hull [m]."""
+    """Full edges of a box, (radius, radius, height) of a cylinder, (radius,) of a sphere, () for a
+    hull [m].
+    """
     vertices: np.ndarray  # (n, 3) of a hull in the shape's frame, else (0, 3) [m]
     T_owner_shape: np.ndarray  # (4, 4) pose in the frame of the link or the world
     inflation: float = 0.0  # of a box, cylinder or hull, to all sides [m]
 
 
 def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:
-    """Return points (k, 3) and an inflation radius [m], so that the inflated hull of the points holds the shape.
+    """Return points (k, 3) and an inflation radius [m], so that the inflated hull of the points
+    holds the shape.
 
     The points are in the frame of the owner, a link or the world.
     """
@@ -47,9 +57,11 @@ def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:
 
 
 def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
-    """Return shapes as a struct of arrays, in the order given; of a mesh only the vertices of its hull.
+    """Return shapes as a struct of arrays, in the order given; of a mesh only the vertices of its
+    hull.
 
-    Raises InvalidInputError for a pose, size or vertex that is not finite, and for a mesh without vertices.
+    Raises InvalidInputError for a pose, size or vertex that is not finite, and for a mesh without
+    vertices.
     """
     _check(specs)
     n = len(specs)
@@ -73,7 +85,9 @@ def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
             size[i] *= 0.5
     kind = np.array([spec.kind for spec in specs], dtype=np.int64)
     vertices = np.ascontiguousarray(np.concatenate(corners).T)
-    return ConvexShapes(kind, size, radius, rotation, translation, np.cumsum(count) - count, count, vertices)
+    return ConvexShapes(
+        kind, size, radius, rotation, translation, np.cumsum(count) - count, count, vertices
+    )
 
 
 def _check(specs: Sequence[ShapeSpec]) -> None:
@@ -82,12 +96,17 @@ def _check(specs: Sequence[ShapeSpec]) -> None:
     wrong = ~np.isfinite(poses).all(axis=1)
     for i, spec in enumerate(specs):
         if wrong[i] or not all(map(math.isfinite, spec.size)):
-            raise InvalidInputError(f"shape {i}: its pose or size {spec.size} is not finite; give numbers [m]")
+            raise InvalidInputError(
+                f"shape {i}: its pose or size {spec.size} is not finite; give numbers [m]"
+            )
         if min(spec.size, default=0.0) < 0.0:
-            raise InvalidInputError(f"shape {i}: its size {spec.size} is negative; give lengths >= 0 [m]")
+            raise InvalidInputError(
+                f"shape {i}: its size {spec.size} is negative; give lengths >= 0 [m]"
+            )
         if spec.kind == HULL and not 0 < len(spec.vertices) < MAX_HULL_VERTICES:
             raise InvalidInputError(
-                f"shape {i}: a mesh with {len(spec.vertices)} vertices; give 1 to {MAX_HULL_VERTICES - 1}"
+                f"shape {i}: a mesh with {len(spec.vertices)} vertices; give 1 to "
+                f"{MAX_HULL_VERTICES - 1}"
             )
         if spec.kind == HULL and not np.isfinite(spec.vertices).all():
             raise InvalidInputError(f"shape {i}: a mesh vertex is not finite; give numbers [m]")

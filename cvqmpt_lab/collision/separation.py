@@ -1,8 +1,9 @@
-"""Nearest point to the origin on a simplex of up to four points, in scalars (the inner step of GJK).
+"""Nearest point to the origin on a simplex of up to four points, in scalars (the inner step of
+GJK).
 
-Voronoi-region tests after Ericson, "Real-Time Collision Detection", section 5.1. Each function returns
-``(n, p0, p1, p2, v)``: the smallest face that carries the nearest point (its first n points count) and that
-point v. Points are tuples of three floats [m].
+Voronoi-region tests after Ericson, "Real-Time Collision Detection", section 5.1. Each function
+returns ``(n, p0, p1, p2, v)``: the smallest face that carries the nearest point (its first n points
+count) and that point v. Points are tuples of three floats [m].
 """
 
 from typing import Annotated, NamedTuple
@@ -73,7 +74,8 @@ def _nearest_on_triangle(a, b, c):
         return _nearest_on_segment(b, c)
     if not area2 > 0.0:
         return _nearest_on_segment(a, b)
-    # The foot of the perpendicular from the origin, along the normal: accurate even far from the corners.
+    # The foot of the perpendicular from the origin, along the normal: accurate even far from the
+    # corners.
     height = dot(normal, a) / area2
     return 3, a, b, c, (height * normal[0], height * normal[1], height * normal[2])
 
@@ -92,7 +94,9 @@ def _beyond_face(a, b, c, opposite):
 
 @kernel
 def _nearest_on_tetrahedron(a, b, c, d):
-    """Return the nearest point on tetrahedron abcd, where d is the newest corner; n = 4 when it encloses."""
+    """Return the nearest point on tetrahedron abcd, where d is the newest corner;
+    n = 4 when it encloses.
+    """
     found = (4, a, b, c, _ORIGIN)
     best = 1e300
     if _beyond_face(d, a, b, c):
@@ -136,26 +140,29 @@ class ConvexShapes(NamedTuple):
     """Convex shapes.
 
     Every shape is a core (below) inflated by ``radius``, so that a sphere is an inflated point.
-    Hulls have identity ``rotation`` and zero ``translation``: their vertices are in the owner's frame.
+    Hulls have identity ``rotation`` and zero ``translation``: their vertices are in the owner's
+    frame.
     """
 
     kind: Annotated[np.ndarray, "int64 shapes"]  # HULL, BOX, CYLINDER (axis z) or SPHERE
-    # Half sizes of a box; (radius, radius, half length) of a cylinder; largest |coordinates| of a hull; 0 of a sphere
+    # Half sizes of a box; (radius, radius, half length) of a cylinder; largest |coordinates| of a
+    # hull; 0 of a sphere
     size: Annotated[np.ndarray, "shapes 3"]  # [m]
     radius: Annotated[np.ndarray, "shapes"]  # Inflation of the core [m]; for a sphere its radius
     rotation: Annotated[np.ndarray, "shapes 3 3"]  # Orientation of the core in its owner's frame
     translation: Annotated[np.ndarray, "shapes 3"]  # Position of the core in its owner's frame [m]
     vertex_start: Annotated[np.ndarray, "int64 shapes"]  # First column of ``vertices``
     vertex_count: Annotated[np.ndarray, "int64 shapes"]  # Number of columns of ``vertices``
-    vertices: Annotated[np.ndarray, "3 vertices"]  # Of all hulls; rows of coordinates, so that loops vectorise [m]
+    # Of all hulls; rows of coordinates, so that loops vectorise [m]
+    vertices: Annotated[np.ndarray, "3 vertices"]
 
 
 @kernel(inline="machine")
 def _hull_support(x, y, z, size, d):
     """Return the vertex farthest along d among x, y, z (n,), to about 1e-10 of the hull's size.
 
-    The low bits of each (positive) projection hold the index of its vertex: the search becomes a maximum of integers,
-    the only form that compiles to vector instructions.
+    The low bits of each (positive) projection hold the index of its vertex: the search becomes a
+    maximum of integers, the only form that compiles to vector instructions.
     """
     offset = 1.001 * (size[0] * abs(d[0]) + size[1] * abs(d[1]) + size[2] * abs(d[2])) + 1e-200
     best = np.int64(0)
@@ -197,7 +204,9 @@ def _posed_support(kind, size, x, y, z, pose, d):
 
 
 @kernel
-def _gjk(ka, size_a, xa, ya, za, pose_a, kb, size_b, xb, yb, zb, pose_b, axis, above, below, tolerance):
+def _gjk(
+    ka, size_a, xa, ya, za, pose_a, kb, size_b, xb, yb, zb, pose_b, axis, above, below, tolerance
+):
     """Return the widest slab found between two cores [m]; see `separating_gap` for when it stops."""
     v = axis
     n = np.int64(0)
@@ -251,9 +260,10 @@ def compose(r, t, pose):
 def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
     """Return the widest empty slab found between shape i of a and shape j of b [m].
 
-    A positive gap is certified: the slab was measured with the support points of both shapes. Zero or less
-    means that no slab was found. The search stops when a slab is wider than ``above``, when the distance is
-    known to be at most ``below``, or when the gap is within ``tolerance`` of the distance.
+    A positive gap is certified: the slab was measured with the support points of both shapes. Zero
+    or less means that no slab was found. The search stops when a slab is wider than ``above``, when
+    the distance is known to be at most ``below``, or when the gap is within ``tolerance`` of the
+    distance.
 
     pose: of b's owner in the frame of a's owner, 12-tuple: rotation by rows, then translation [m].
     axis: first direction tried, 3-tuple from b towards a of any length, in the frame of a's owner.
@@ -292,7 +302,9 @@ def separated(a, i, b, j, pose, axis, margin):
 
 @kernel
 def distance(a, i, b, j, pose, axis, tolerance):
-    """Return a lower bound [m] of the distance of two shapes, at most tolerance below it; 0 in contact."""
+    """Return a lower bound [m] of the distance of two shapes, at most tolerance below it;
+    0 in contact.
+    """
     return max(separating_gap(a, i, b, j, pose, axis, np.inf, 0.0, tolerance), 0.0)
 
 
@@ -313,5 +325,22 @@ def box_separated(a, i, half, radius, pose, axis, margin):
     size = (a.size[i, 0], a.size[i, 1], a.size[i, 2])
     pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
     limit = margin + inflation
-    gap = _gjk(a.kind[i], size, x, y, z, pose_a, np.int64(BOX), half, x, y, z, pose, axis, limit, limit, 1e-9)
+    gap = _gjk(
+        a.kind[i],
+        size,
+        x,
+        y,
+        z,
+        pose_a,
+        np.int64(BOX),
+        half,
+        x,
+        y,
+        z,
+        pose,
+        axis,
+        limit,
+        limit,
+        1e-9,
+    )
     return gap > limit

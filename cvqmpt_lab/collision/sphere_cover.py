@@ -1,6 +1,8 @@
-"""Covering convex shapes by spheres: a tree of balls per rigid body, whose leaves are small convex pieces.
+"""Covering convex shapes by spheres: a tree of balls per rigid body, whose leaves are small convex
+pieces.
 
-A hull is cut in two across its longest axis until the ball around each piece is small. The union of the pieces is the
+A hull is cut in two across its longest axis until the ball around each piece is small. The union of
+the pieces is the
 hull: checking the pieces whose balls may touch something checks the hull. Runs once a robot.
 """
 
@@ -42,7 +44,9 @@ def shrink_sphere(
     centre: Annotated[np.ndarray, "3"],
     best: Annotated[np.ndarray, "3"],
 ):
-    """Write the centre of what `enclosing_sphere` returns into best, return its radius; centre: work array."""
+    """Write the centre of what `enclosing_sphere` returns into best, return its radius; centre:
+    work array.
+    """
     smallest = np.inf
     for a in range(3):
         centre[a] = 0.5 * (points[0, a] + points[points.shape[0] - 1, a])
@@ -65,7 +69,8 @@ def shrink_sphere(
 def enclosing_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
     """Centre (3,) and radius of a nearly smallest ball around points (k, 3) [m].
 
-    Badoiu and Clarkson, "Smaller core-sets for balls", 2003: ever shorter steps towards the farthest point.
+    Badoiu and Clarkson, "Smaller core-sets for balls", 2003: ever shorter steps towards the
+    farthest point.
     """
     centre = np.empty(3)
     radius = shrink_sphere(np.ascontiguousarray(points), ROUNDS, np.empty(3), centre)
@@ -151,4 +156,6 @@ def sphere_tree(pieces: Sequence[Piece]) -> SphereTree:
         skips[node] = len(spheres)
 
     visit(pieces)
-    return SphereTree(np.array(spheres), np.array(skips, dtype=np.int64), np.array(leaves, dtype=np.int64))
+    return SphereTree(
+        np.array(spheres), np.array(skips, dtype=np.int64), np.array(leaves, dtype=np.int64)
+    )

@@ -11,9 +11,12 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.robot.robot import Robot
 
 BEND = 2.81
-"""No entry of the rotation vector has a larger second derivative, per squared sum of the joints' turns: the left
-Jacobian's inverse is at most pi / 2, its derivative 1.29, and the angular velocity changes at most by half."""
-RATE = 0.5 * np.pi  # Nor a larger first one, up to angle pi, where the rotation vector changes its sign
+"""No entry of the rotation vector has a larger second derivative, per squared sum of the joints'
+turns: the left Jacobian's inverse is at most pi / 2, its derivative 1.29, and the angular velocity
+changes at most by half.
+"""
+# Nor a larger first one, up to angle pi, where the rotation vector changes its sign
+RATE = 0.5 * np.pi
 MOST_PARTS, ROUNDS = 8, 4  # Into how many a stretch is cut at once, and how often
 
 
@@ -28,12 +31,16 @@ class Violation:
 
 
 def largest_violation(
-    robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.ndarray, spacing: float, tolerance: float
+    robot: Robot,
+    regions: Sequence[TaskSpaceRegion],
+    states: np.ndarray,
+    spacing: float,
+    tolerance: float,
 ) -> Violation:
     """How far straight joint motions through states (m, n), m >= 1, leave regions, by pinocchio.
 
-    Checks states every `spacing` [rad], and closer where the violation in between may exceed `tolerance` [m, rad],
-    until one state's violation does.
+    Checks states every `spacing` [rad], and closer where the violation in between may exceed
+    `tolerance` [m, rad], until one state's violation does.
     """
     radians = metres = highest = 0.0
     at, most = None, -np.inf
@@ -46,7 +53,9 @@ def largest_violation(
                 break
             allowed = np.maximum(tolerance - use.highest, 1e-3 * use.between)
             ratio = use.between / allowed
-            parts = np.clip(np.ceil(np.where(use.flips, ratio, np.sqrt(ratio))), 2, MOST_PARTS).astype(int)
+            parts = np.clip(
+                np.ceil(np.where(use.flips, ratio, np.sqrt(ratio))), 2, MOST_PARTS
+            ).astype(int)
             counts = np.where(doubtful, parts, 1)
             known, q = np.concatenate([[0], np.cumsum(counts)]), _cut(q, counts)
             x, new = np.empty((len(q), 6)), np.ones(len(q), dtype=bool)
@@ -61,7 +70,9 @@ def largest_violation(
 
 
 def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
-    """States (m, n) with the straight segments between them cut into pieces of at most spacing [rad]."""
+    """States (m, n) with the straight segments between them cut into pieces of at most spacing
+    [rad].
+    """
     lengths = np.linalg.norm(np.diff(states, axis=0), axis=1)
     counts = np.maximum(1, np.ceil(lengths / spacing)).astype(int)
     return _cut(states, counts)
@@ -70,7 +81,9 @@ def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
 def _cut(states: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """States (m, n) with segment k between them cut into counts[k] pieces."""
     segment = np.repeat(np.arange(len(counts)), counts)
-    share = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[segment]
+    share = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + 1) / counts[
+        segment
+    ]
     cut = states[segment] + share[:, None] * (states[segment + 1] - states[segment])
     return np.concatenate([states[:1], cut])
 
@@ -84,7 +97,8 @@ class _Use(NamedTuple):
     metres: float  # Largest of the positions [m]
     highest: np.ndarray  # (m - 1,) the larger `outside` of a stretch's ends [m, rad]
     between: np.ndarray  # (m - 1,) what may be added inside the stretch [m, rad]
-    flips: np.ndarray  # (m - 1,) bool, whether the rotation vector may change its sign: `between` is linear
+    # (m - 1,) bool, whether the rotation vector may change its sign: `between` is linear
+    flips: np.ndarray
 
 
 def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray, x: np.ndarray) -> _Use:

@@ -1,6 +1,7 @@
 """Inverse kinematics as projection: a pose is a task-space region whose bounds are all zero.
 
-Newton's method from random configurations works for any serial robot, by the projection that the planners use.
+Newton's method from random configurations works for any serial robot, by the projection that the
+planners use.
 """
 
 from collections.abc import Sequence
@@ -24,14 +25,18 @@ ONE_POSE = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
 
 
 def solve_poses(robot: Robot, poses: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
-    """Configurations inside the limits that reach end-effector poses (k, 4, 4): k arrays (<= ATTEMPTS, n)."""
+    """Configurations inside the limits that reach end-effector poses (k, 4, 4):
+    k arrays (<= ATTEMPTS, n).
+    """
     return _solved(robot, poses, first_guesses(robot, rng, len(poses), ATTEMPTS), ())
 
 
 def _solved(
     robot: Robot, poses: np.ndarray, guesses: np.ndarray, within: Sequence[TaskSpaceRegion]
 ) -> list[np.ndarray]:
-    """The same from first guesses (k, attempts, n), which it overwrites, inside regions kept at the same time."""
+    """The same from first guesses (k, attempts, n), which it overwrites, inside regions kept at the
+    same time.
+    """
     regions, reached = pose_regions(robot, within), np.empty(guesses.shape[:2], dtype=np.int64)
     reach_poses(
         robot.kinematics,
@@ -48,14 +53,22 @@ def _solved(
 
 
 def pose_regions(robot: Robot, within: Sequence[TaskSpaceRegion] = ()) -> Regions:
-    """A region that is one pose, to be written into its reference frame, and regions kept at the same time."""
+    """A region that is one pose, to be written into its reference frame, and regions kept at the
+    same time.
+    """
     return stack_regions(robot, (ONE_POSE, *within))
 
 
 def first_guesses(
-    robot: Robot, rng: np.random.Generator, poses: int, attempts: int, near: np.ndarray | None = None
+    robot: Robot,
+    rng: np.random.Generator,
+    poses: int,
+    attempts: int,
+    near: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Configurations (poses, attempts, n) that Newton's method starts from, anywhere or `NEAR` one (n,)."""
+    """Configurations (poses, attempts, n) that Newton's method starts from, anywhere or `NEAR` one
+    (n,).
+    """
     shape = (poses, attempts, robot.dof)
     if near is None:
         return robot.random_configurations(rng, poses * attempts).reshape(shape)
@@ -88,7 +101,8 @@ def sample_region(
     within: Sequence[TaskSpaceRegion] = (),
     near: np.ndarray | None = None,
 ) -> GoalSample:
-    """Draw up to count collision-free configurations whose end effector lies in a region, one per pose.
+    """Draw up to count collision-free configurations whose end effector lies in a region, one per
+    pose.
 
     within: regions kept at the same time; that of a held handle puts its door where the hand is.
     near: configuration (n,) that Newton's method starts around, `NEAR` away, instead of anywhere.
@@ -98,8 +112,11 @@ def sample_region(
     while len(found) < count and tried < max_poses:
         poses = region.sample_poses(rng, min(POSES, max_poses - tried))
         guesses = first_guesses(robot, rng, len(poses), ATTEMPTS, near)
-        few = (slice(first, first + count) for first in range(0, len(poses), count))  # no more than needed
-        for candidates in (one for part in few for one in _solved(robot, poses[part], guesses[part], within)):
+        # no more than needed
+        few = (slice(first, first + count) for first in range(0, len(poses), count))
+        for candidates in (
+            one for part in few for one in _solved(robot, poses[part], guesses[part], within)
+        ):
             tried += 1
             free = next((q for q in candidates if not checker.in_collision(q)), None)
             if free is not None:

@@ -8,7 +8,12 @@ import numpy as np
 
 from cvqmpt_lab.codec.forms import Angle, Condition, Schema
 from cvqmpt_lab.codec.plain import COMMENT, at, field_kinds, from_plain, located, mapping, to_plain
-from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, TaskSpaceRegionChain, upright
+from cvqmpt_lab.constraints.task_space_region import (
+    FREE,
+    TaskSpaceRegion,
+    TaskSpaceRegionChain,
+    upright,
+)
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, nearest, shown
 from cvqmpt_lab.poses import Placement, Pose, pose
 
@@ -59,7 +64,9 @@ class Plane:
 
     def region(self) -> TaskSpaceRegion:
         """The region in full."""
-        return _region(_along(self.point, self.normal), np.eye(4), [FREE, FREE, self.tolerance] + [FREE] * 3)
+        return _region(
+            _along(self.point, self.normal), np.eye(4), [FREE, FREE, self.tolerance] + [FREE] * 3
+        )
 
 
 @dataclass(frozen=True)
@@ -94,12 +101,19 @@ class Near:
 
 
 BY_POSITION = {"plane": Plane, "line": Line, "pose": Near}
-NAMED: Mapping[str, Any] = {"upright": Upright, "fixed-orientation": FixedOrientation, **BY_POSITION}
-"""What may stand for a region, `{"upright": {...}}` or `{"upright": 0.1}`, a value of its first field."""
+NAMED: Mapping[str, Any] = {
+    "upright": Upright,
+    "fixed-orientation": FixedOrientation,
+    **BY_POSITION,
+}
+"""What may stand for a region, `{"upright": {...}}` or `{"upright":
+0.1}`, a value of its first field.
+"""
 
 
 def region(name: str, **fields: Any) -> TaskSpaceRegion:
-    """A region by its name with the fields that problem files give it: ``region("plane", normal=..., point=...)``.
+    """A region by its name with the fields that problem files give it: ``region("plane",
+    normal=..., point=...)``.
 
     Names and fields: see `NAMED`; UnknownChoiceError or InvalidInputError for others.
     """
@@ -117,7 +131,8 @@ def _along(point: Vector, direction: Vector) -> np.ndarray:
     """A frame (4, 4) at a point whose z axis points along a direction."""
     if not any(direction):
         raise InvalidInputError("the direction is 0, 0, 0")
-    z = np.ldexp(direction, -np.frexp(np.abs(direction).max())[1])  # of a length whose square is a number
+    # of a length whose square is a number
+    z = np.ldexp(direction, -np.frexp(np.abs(direction).max())[1])
     z /= np.linalg.norm(z)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)

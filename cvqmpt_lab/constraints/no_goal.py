@@ -1,4 +1,6 @@
-"""Why no configuration was found for a region of poses: reach, the constraint and collisions, in words."""
+"""Why no configuration was found for a region of poses:
+reach, the constraint and collisions, in words.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -28,14 +30,20 @@ def why_none(
     checker: CollisionChecker,
     constraint: Sequence[TaskSpaceRegion],
 ) -> str:
-    """The reasons that hold, "; " between them: out of reach, against the constraint, in collision; "" if none."""
+    """The reasons that hold, "; " between them: out of reach, against the constraint, in collision;
+    "" if none.
+    """
     rng = np.random.default_rng(0)
     T = region.sample_poses(rng, POSES)
     found = solve_poses(robot, T, rng)
     missed = T[[len(rows) == 0 for rows in found]]
     reasons = (
         _reach(robot, missed, rng) if len(missed) else "",
-        *(_broken(member, T) for member in constraint if not isinstance(member, TaskSpaceRegionChain)),
+        *(
+            _broken(member, T)
+            for member in constraint
+            if not isinstance(member, TaskSpaceRegionChain)
+        ),
         _collisions(checker, np.concatenate(found)),
     )
     return "; ".join(filter(None, reasons))
@@ -46,16 +54,27 @@ def _reach(robot: Robot, T: np.ndarray, rng: np.random.Generator) -> str:
     axis, reach = robot.kinematics.translation[0], hand_reach(robot)
     away = np.linalg.norm(T[:, :3, 3] - axis, axis=1)
     if away.min() > reach:
-        return f"they lie {away.min():.2f} m or more from {robot.joint_names[0]}, the hand reaches {reach:.2f} m"
+        return (
+            f"they lie {away.min():.2f} m or more from {robot.joint_names[0]}, the hand "
+            f"reaches {reach:.2f} m"
+        )
     turned = sum(_position_reached(robot, pose, rng) for pose in T)
     if turned:
-        return f"turned otherwise the hand gets to {turned} of {len(T)} of their places, turned as asked to none"
-    near = f"from {away.min():.2f} m on from {robot.joint_names[0]}, where the hand reaches {reach:.2f} m"
+        return (
+            f"turned otherwise the hand gets to {turned} of {len(T)} of their places, turned "
+            f"as asked to none"
+        )
+    near = (
+        f"from {away.min():.2f} m on from {robot.joint_names[0]}, where the hand reaches "
+        f"{reach:.2f} m"
+    )
     return f"they lie {near}, but the joint limits do not let it get there"
 
 
 def hand_reach(robot: Robot) -> float:
-    """Distance [m] from the first joint that the hand gets to, in random configurations and around the best one."""
+    """Distance [m] from the first joint that the hand gets to, in random configurations and around
+    the best one.
+    """
     axis, rng = robot.kinematics.translation[0], np.random.default_rng(0)
     configurations, best, reach = robot.random_configurations(rng, HANDS), robot.lower, 0.0
     for spread in SPREADS:

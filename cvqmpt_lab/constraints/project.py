@@ -2,10 +2,11 @@
 
     while |F(q)| > tol:   q <- q - J(q)^+ F(q),    J^+ = J^T (J J^T)^-1
 
-F (m,) and J (m, n) are the residual and Jacobian of task-space regions, see `regions` [m, rad]; the paper prints J
-for J^+. Only rows outside their bounds enter a step (the others are zero); J J^T is damped a little, so that zero and
-dependent rows do no harm. A joint that stands at a limit and would be pushed beyond it is held and the step computed
-again without it; what still leaves the limits is clipped.
+F (m,) and J (m, n) are the residual and Jacobian of task-space regions, see `regions` [m, rad]; the
+paper prints J for J^+. Only rows outside their bounds enter a step (the others are zero); J J^T is
+damped a little, so that zero and dependent rows do no harm. A joint that stands at a limit and
+would be pushed beyond it is held and the step computed again without it; what still leaves the
+limits is clipped.
 """
 
 from typing import Annotated, Any, NamedTuple
@@ -18,7 +19,8 @@ from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
 DAMPING = 1e-9  # relative to the trace of J J^T
 LONGEST_STEP = 1.0  # [rad] Newton steps are shortened to this norm
-STALLED = 0.9  # with stop_on_stall, the first step that leaves more than this share of |F| is the last
+# with stop_on_stall, the first step that leaves more than this share of |F| is the last
+STALLED = 0.9
 
 
 class ProjectionScratch(NamedTuple):
@@ -37,7 +39,16 @@ class ProjectionScratch(NamedTuple):
 def projection_scratch(n: int, regions: Regions) -> ProjectionScratch:
     """Work arrays for n joints and the m bounded rows of regions."""
     m = len(regions.axis)
-    shapes: tuple[Any, ...] = (n + 1, 3, 3), (n + 1, 3), (len(regions.link), 9), m, (m, n), (m, m), m, n
+    shapes: tuple[Any, ...] = (
+        (n + 1, 3, 3),
+        (n + 1, 3),
+        (len(regions.link), 9),
+        m,
+        (m, n),
+        (m, m),
+        m,
+        n,
+    )
     return ProjectionScratch(*map(np.zeros, shapes))
 
 
@@ -95,7 +106,9 @@ def newton_step(scratch, out):
 
 @kernel(inline="source")
 def _hold_joints_at_limits(kinematics, q, scratch):
-    """Take joints that stand at a limit and would leave it out of the Jacobian; whether there are any."""
+    """Take joints that stand at a limit and would leave it out of the Jacobian;
+    whether there are any.
+    """
     found = False
     for j in range(q.shape[0]):
         below = q[j] <= kinematics.lower[j] and scratch.step[j] < 0.0
@@ -123,7 +136,9 @@ def newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scr
             return -1 - iteration
         before = square
         outside, J = scratch.residual, scratch.jacobian
-        jacobian(kinematics, regions, rotation, translation, scratch.displacement, False, outside, J)
+        jacobian(
+            kinematics, regions, rotation, translation, scratch.displacement, False, outside, J
+        )
         for _ in range(2):
             newton_step(scratch, scratch.step)
             if not _hold_joints_at_limits(kinematics, q, scratch):
@@ -160,9 +175,13 @@ def project_batch(
     scratch: ProjectionScratch,
     iterations: Annotated[np.ndarray, "int64 count"],
 ):
-    """Project every row of configurations (b, n) in place; writes iterations (b,), < 0 where it failed."""
+    """Project every row of configurations (b, n) in place;
+    writes iterations (b,), < 0 where it failed.
+    """
     for i in range(configurations.shape[0]):
-        iterations[i] = project(kinematics, regions, configurations[i], tolerance, max_iterations, scratch)
+        iterations[i] = project(
+            kinematics, regions, configurations[i], tolerance, max_iterations, scratch
+        )
 
 
 @entry
@@ -177,9 +196,11 @@ def reach_poses(
     scratch: ProjectionScratch,
     iterations: Annotated[np.ndarray, "int64 count attempts"],
 ):
-    """Project configurations (k, a, n) in place onto one pose each: `regions` with its reference frame put there.
+    """Project configurations (k, a, n) in place onto one pose each: `regions` with its reference
+    frame put there.
 
-    rotations, translations: (k, 3, 3) and (k, 3) [m], poses for the reference frame of the only region.
+    rotations, translations: (k, 3, 3) and (k, 3) [m], poses for the reference frame of the only
+        region.
     iterations: (k, a), written: Newton's, < 0 where a configuration did not get there.
     """
     for i in range(configurations.shape[0]):

@@ -4,13 +4,14 @@ A region bounds the pose of an end frame e seen from a reference frame w (Berens
 
     T = (T0_w)^-1  T0_e  (Tw_e)^-1,    x = (translation of T, rotation vector of T),
 
-F = signed distance of x outside [lower, upper], zero inside. Several regions stack their rows: their intersection. No
-rows at all is the unconstrained problem. The rotation vector e of R = exp([e]x) has de/dt = Jl^-1(e) w, with the
-angular velocity w in the frame that R maps into, and
+F = signed distance of x outside [lower, upper], zero inside. Several regions stack their rows:
+their intersection. No rows at all is the unconstrained problem. The rotation vector e of R =
+exp([e]x) has de/dt = Jl^-1(e) w, with the angular velocity w in the frame that R maps into, and
 
     Jl^-1(e) = I - [e]x / 2 + (1 / t^2 - cot(t / 2) / (2 t)) [e]x^2,    t = |e|.
 
-The cotangent of half the angle stays finite at t = pi, where the usual (1 + cos t) / sin t is 0 / 0.
+The cotangent of half the angle stays finite at t = pi, where the usual (1 + cos t) / sin t is 0 /
+0.
 """
 
 from typing import Annotated, NamedTuple
@@ -26,7 +27,9 @@ NEAR_PI = 1e-4  # [rad] above pi - NEAR_PI, the axis is read from the symmetric 
 
 @kernel
 def _axis_near_pi(a, b, c, cosine, angle, x, y, z):
-    """Rotation vector near angle pi: (R + R^T) / 2 = cos(t) I + (1 - cos(t)) u u^T holds the axis u."""
+    """Rotation vector near angle pi:
+    (R + R^T) / 2 = cos(t) I + (1 - cos(t)) u u^T holds the axis u.
+    """
     if a[0] >= b[1] and a[0] >= c[2]:
         ux, uy, uz = a[0] - cosine, 0.5 * (a[1] + b[0]), 0.5 * (a[2] + c[0])
     elif b[1] >= c[2]:
@@ -41,7 +44,9 @@ def _axis_near_pi(a, b, c, cosine, angle, x, y, z):
 
 @kernel
 def rotation_vector(a, b, c):
-    """Axis times angle (3 floats) [rad] of the rotation with columns a, b, c; the angle lies in [0, pi]."""
+    """Axis times angle (3 floats) [rad] of the rotation with columns a, b, c;
+    the angle lies in [0, pi].
+    """
     x, y, z = 0.5 * (b[2] - c[1]), 0.5 * (c[0] - a[2]), 0.5 * (a[1] - b[0])
     sine = np.sqrt(x * x + y * y + z * z)
     cosine = 0.5 * (a[0] + b[1] + c[2] - 1.0)
@@ -112,7 +117,11 @@ def _displacement(regions, k, link_rotation, link_translation):
     link, base = regions.link[k], regions.base[k]
     offset, origin = regions.end_translation, regions.reference_translation
     x, y, z = _turned(link_rotation, link, offset[k, 0], offset[k, 1], offset[k, 2])
-    end = (x + link_translation[link, 0], y + link_translation[link, 1], z + link_translation[link, 2])
+    end = (
+        x + link_translation[link, 0],
+        y + link_translation[link, 1],
+        z + link_translation[link, 2],
+    )
     x, y, z = _turned(link_rotation, base, origin[k, 0], origin[k, 1], origin[k, 2])
     position = _into_reference(
         regions,
@@ -136,7 +145,8 @@ def _displacement(regions, k, link_rotation, link_translation):
 
 @kernel(inline="source")
 def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translation, end, linear):
-    """Velocity (3) and angular velocity (3) of the end frame against the reference, per unit of joint j.
+    """Velocity (3) and angular velocity (3) of the end frame against the reference, per unit of
+    joint j.
 
     linear: whether the velocity is wanted; else it is zero.
     """
@@ -157,7 +167,9 @@ def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translatio
     dx = end[0] - link_translation[j + 1, 0]
     dy = end[1] - link_translation[j + 1, 1]
     dz = end[2] - link_translation[j + 1, 2]
-    velocity = _into_reference(regions, k, link_rotation, zy * dz - zz * dy, zz * dx - zx * dz, zx * dy - zy * dx)
+    velocity = _into_reference(
+        regions, k, link_rotation, zy * dz - zz * dy, zz * dx - zx * dz, zx * dy - zy * dx
+    )
     return velocity, angular
 
 
@@ -171,7 +183,8 @@ def _pick(vector, axis):
 def residual(regions, link_rotation, link_translation, out, displacement):
     """Write the residual (m,) into out; link poses come from forward_kinematics.
 
-    displacement: (k, 9), end point in the world, position and rotation vector of each region, for `jacobian`.
+    displacement: (k, 9), end point in the world, position and rotation vector of each region, for
+        `jacobian`.
     Returns the squared norm of the residual.
     """
     m = regions.region.shape[0]
@@ -203,7 +216,9 @@ def _log_map_rate(vector, factor, square, w):
 
 
 @kernel(inline="machine")
-def jacobian(kinematics, regions, link_rotation, link_translation, displacement, full, out_of_bounds, out):
+def jacobian(
+    kinematics, regions, link_rotation, link_translation, displacement, full, out_of_bounds, out
+):
     """Write the Jacobian (m, n) of the residual into out.
 
     displacement, out_of_bounds: what `residual` wrote for the same link poses.
@@ -229,7 +244,9 @@ def jacobian(kinematics, regions, link_rotation, link_translation, displacement,
         factor, square = log_map_factor(vector)
         bounds_position = regions.axis[first] < 3  # rows of a region are sorted by axis
         for j in range(n):
-            v, w = _relative_velocity(kinematics, regions, k, j, link_rotation, link_translation, end, bounds_position)
+            v, w = _relative_velocity(
+                kinematics, regions, k, j, link_rotation, link_translation, end, bounds_position
+            )
             rate = _log_map_rate(vector, factor, square, w)
             for row in range(first, last):
                 axis = regions.axis[row]
@@ -252,8 +269,19 @@ def batch_residual_and_jacobian(
     residuals: Annotated[np.ndarray, "count m"],
     jacobians: Annotated[np.ndarray, "count m n"],
 ):
-    """Write residuals and Jacobians of configurations; rotation, translation, displacement: work arrays."""
+    """Write residuals and Jacobians of configurations; rotation, translation, displacement:
+    work arrays.
+    """
     for i in range(configurations.shape[0]):
         forward_kinematics(kinematics, configurations[i], rotation, translation)
         residual(regions, rotation, translation, residuals[i], displacement)
-        jacobian(kinematics, regions, rotation, translation, displacement, full, residuals[i], jacobians[i])
+        jacobian(
+            kinematics,
+            regions,
+            rotation,
+            translation,
+            displacement,
+            full,
+            residuals[i],
+            jacobians[i],
+        )

@@ -1,4 +1,6 @@
-"""How much of its bounds a path uses: the state closest to each bound or furthest over it; which bound is broken."""
+"""How much of its bounds a path uses: the state closest to each bound or furthest over it;
+which bound is broken.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +18,9 @@ UNITS = ("m",) * 3 + ("rad",) * 3
 
 @dataclass(frozen=True)
 class BoundUse:
-    """The state of a path that stands closest to a bound of one entry of one region, or furthest beyond it."""
+    """The state of a path that stands closest to a bound of one entry of one region, or furthest
+    beyond it.
+    """
 
     region: int  # Which of the regions, from 0
     row: int  # Which row of its `Bw`, 0 to 5
@@ -38,13 +42,19 @@ class BoundUse:
         """For people: "rotation about y 0.071 of 0.100 rad"."""
         if self.lower == -self.upper:
             return f"{ROWS[self.row]} {abs(self.value):.3g} of {self.upper:.3g} {self.unit}"
-        return f"{ROWS[self.row]} {self.value:.3g} of {self.lower:.3g} to {self.upper:.3g} {self.unit}"
+        return (
+            f"{ROWS[self.row]} {self.value:.3g} of {self.lower:.3g} to {self.upper:.3g} {self.unit}"
+        )
 
 
 def bounds_text(regions: Sequence[TaskSpaceRegion]) -> str:
-    """For people: "rotation about y -0.1 to 0.1 rad, rotation about z ..."; regions are divided by semicolons."""
+    """For people: "rotation about y -0.1 to 0.1 rad, rotation about z ...";
+    regions are divided by semicolons.
+    """
     texts = (
-        ", ".join(f"{ROWS[row]} {low:g} to {high:g} {UNITS[row]}" for row, (low, high) in _bounded(region))
+        ", ".join(
+            f"{ROWS[row]} {low:g} to {high:g} {UNITS[row]}" for row, (low, high) in _bounded(region)
+        )
         for region in regions
     )
     return "; ".join(texts) or "none"
@@ -55,8 +65,11 @@ def _bounded(region: TaskSpaceRegion) -> list[tuple[int, FloatArray]]:
     return [(int(row), region.Bw[row]) for row in region.bounded_rows]
 
 
-def bound_usage(robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.ndarray) -> tuple[BoundUse, ...]:
-    """The largest use of every bound of a constraint, `problem.constraint`, over states (m, n), m >= 1.
+def bound_usage(
+    robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.ndarray
+) -> tuple[BoundUse, ...]:
+    """The largest use of every bound of a constraint, `problem.constraint`, over states (m, n), m
+    >= 1.
 
     Poses by pinocchio: nothing here is shared with the planners' kernels.
     """
@@ -71,12 +84,16 @@ def bound_usage(robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.nda
 
 
 def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
-    """Where the end effector stands in a region, (m, 6): position [m] and rotation vector [rad] that `Bw` bounds."""
+    """Where the end effector stands in a region, (m, 6):
+    position [m] and rotation vector [rad] that `Bw` bounds.
+    """
     return displaced(region, robot.poses(states), region.reference_poses(robot, states))
 
 
 def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray) -> np.ndarray:
-    """The same (m, 6) of end-effector poses (m, 4, 4), where the region's frame stands at references (1 or m, 4, 4)."""
+    """The same (m, 6) of end-effector poses (m, 4, 4), where the region's frame stands at
+    references (1 or m, 4, 4).
+    """
     T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
     return np.hstack([T[:, :3, 3], rotation_vectors(T[:, :3, :3])])
 
@@ -92,9 +109,11 @@ KINDS = {
 
 
 def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
-    """Which bound the displacement of (m, 6) that breaks a region least breaks most, and by how much.
+    """Which bound the displacement of (m, 6) that breaks a region least breaks most, and by how
+    much.
 
-    "`upright` by 0.41 rad: rotation about y 0.51 of 0.1 rad (it tilts by 29°)"; "" when one keeps the region to 1e-4.
+    "`upright` by 0.41 rad: rotation about y 0.51 of 0.1 rad (it tilts by 29°)"; "" when one keeps
+    the region to 1e-4.
     """
     rows = region.bounded_rows
     lower, upper = region.Bw[rows].T

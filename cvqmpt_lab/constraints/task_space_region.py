@@ -1,4 +1,6 @@
-"""Task-space regions: bounds on the pose of a frame of the robot (Berenson et al. 2011; paper, section IV-A)."""
+"""Task-space regions: bounds on the pose of a frame of the robot (Berenson et al. 2011;
+paper, section IV-A).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,9 +20,12 @@ from cvqmpt_lab.robot.robot import Robot
 TOLERANCE = 1e-4  # on |F|, OMPL's default
 MAX_ITERATIONS = 50  # Newton steps, OMPL's default
 FREE = np.inf
-UPRIGHT_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])  # hand x = world z
+# hand x = world z
+UPRIGHT_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 ROWS = ("x [m]", "y [m]", "z [m]", "turn about x [rad]", "turn about y [rad]", "turn about z [rad]")
-ROWS_TEXT = "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [rad]; null = free"
+ROWS_TEXT = (
+    "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [rad]; null = free"
+)
 
 
 class BoundsForm:
@@ -30,7 +35,10 @@ class BoundsForm:
         """A read-only array (6, 2) with +-inf where there is no bound."""
         if isinstance(value, list | tuple):
             value = [
-                [sign * FREE if bound is None else bound for bound, sign in zip(row, (-1, 1), strict=True)]
+                [
+                    sign * FREE if bound is None else bound
+                    for bound, sign in zip(row, (-1, 1), strict=True)
+                ]
                 if isinstance(row, list | tuple) and len(row) == 2
                 else row
                 for row in value
@@ -47,7 +55,8 @@ class BoundsForm:
         turns = np.abs(Bw[3:], where=np.isfinite(Bw[3:]), out=np.zeros((3, 2)))
         if (most := turns.max()) > TURN:
             raise InvalidInputError(
-                f"{where} bounds a rotation by {most:g} rad, more than 2 pi: degrees? 10 degrees are 0.1745 rad"
+                f"{where} bounds a rotation by {most:g} rad, more than 2 pi: degrees? 10 degrees "
+                f"are 0.1745 rad"
             )
         Bw.setflags(write=False)
         return Bw
@@ -58,7 +67,12 @@ class BoundsForm:
 
     def schema(self, of: Schema) -> dict[str, Any]:
         """Six pairs of numbers or null."""
-        pair = {"type": "array", "items": {"type": ["number", "null"]}, "minItems": 2, "maxItems": 2}
+        pair = {
+            "type": "array",
+            "items": {"type": ["number", "null"]},
+            "minItems": 2,
+            "maxItems": 2,
+        }
         rows = [{**pair, "title": row} for row in ROWS]
         return {"type": "array", "prefixItems": rows, "minItems": 6, "maxItems": 6}
 
@@ -70,15 +84,18 @@ class TaskSpaceRegion(Checked):
     T0_w: Pose  # (4, 4), pose of w in the world
     Tw_e: Pose  # (4, 4), pose of e in w when the displacement is zero
     Bw: Annotated[FloatArray, BoundsForm()]
-    """(6, 2), lower and upper bounds of position x, y, z [m] and rotation vector x, y, z [rad]; +-inf (null in json)
-    leaves an entry free, a rotation entry also when it spans [-pi, pi]."""
+    """(6, 2), lower and upper bounds of position x, y, z [m] and rotation vector x, y, z [rad];
+    +-inf (null in json) leaves an entry free, a rotation entry also when it spans [-pi, pi].
+    """
 
     def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
         """Pose row that carries frame w (0 = the world), and T_link_w (4, 4)."""
         return 0, self.T0_w
 
     def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
-        """T_world_w at configurations q (k, n), by pinocchio: (1, 4, 4) where it is the same at all, else (k, 4, 4)."""
+        """T_world_w at configurations q (k, n), by pinocchio:
+        (1, 4, 4) where it is the same at all, else (k, 4, 4).
+        """
         return self.T0_w[None]
 
     @property
@@ -92,17 +109,22 @@ class TaskSpaceRegion(Checked):
         """Poses T_world_e (count, 4, 4) drawn uniformly between the bounds; free turns within +-pi."""
         lower, upper = self.Bw.T.copy()
         if np.isinf(self.Bw[:3]).any():
-            raise InvalidInputError("cannot sample poses: the position is unbounded: bound Bw rows 0-2")
+            raise InvalidInputError(
+                "cannot sample poses: the position is unbounded: bound Bw rows 0-2"
+            )
         lower[3:], upper[3:] = np.maximum(lower[3:], -np.pi), np.minimum(upper[3:], np.pi)
         x = np.empty((0, 6))
         for _ in range(1000):
             drawn = rng.uniform(lower, upper, (count - len(x), 6))
-            short = (drawn[:, 3:] ** 2).sum(axis=1) <= np.pi**2  # a longer vector stands for another turn
+            # a longer vector stands for another turn
+            short = (drawn[:, 3:] ** 2).sum(axis=1) <= np.pi**2
             x = np.concatenate([x, drawn[short]])
             if len(x) == count:
                 break
         else:
-            raise InvalidInputError("cannot sample poses of a region: its rotation bounds lie beyond angle pi")
+            raise InvalidInputError(
+                "cannot sample poses of a region: its rotation bounds lie beyond angle pi"
+            )
         T_w_displaced = np.tile(np.eye(4), (count, 1, 1))
         T_w_displaced[:, :3, :3] = rotation_matrices(x[:, 3:])
         T_w_displaced[:, :3, 3] = x[:, :3]
@@ -111,17 +133,21 @@ class TaskSpaceRegion(Checked):
 
 @dataclass(frozen=True, eq=False)
 class TaskSpaceRegionChain(TaskSpaceRegion):
-    """A region that hangs on a link which the robot moves (TSR chain): poses of e seen from a frame w of that link.
+    """A region that hangs on a link which the robot moves (TSR chain): poses of e seen from a frame
+    w of that link.
 
-    The chain goes from the world through the joints that move `base`, e.g. the hinge of a door, and one region to the
-    end effector. The joints are the robot's (see `with_articulated_object`), free within their limits. `T0_w` is the
-    pose of w in the base frame: `sample_poses` gives poses in the base frame.
+    The chain goes from the world through the joints that move `base`, e.g. the hinge of a door, and
+    one region to the end effector. The joints are the robot's (see `with_articulated_object`), free
+    within their limits. `T0_w` is the pose of w in the base frame: `sample_poses` gives poses in
+    the base frame.
     """
 
     base: Name  # Name of a body frame of the robot, e.g. "dagger_door_left/handle_bar"
 
     def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
-        """Pose row that carries frame w, and T_link_w (4, 4); UnknownChoiceError when there is no such base."""
+        """Pose row that carries frame w, and T_link_w (4, 4);
+        UnknownChoiceError when there is no such base.
+        """
         row, T_link_base = robot.link_of(self.base)
         return row, T_link_base @ self.T0_w
 
@@ -136,14 +162,16 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
 
 @lru_cache(maxsize=16)
 def upright(tilt: float = 0.1, axis: str = "x") -> TaskSpaceRegion:
-    """An axis of the hand ("x", "-z", ...) points up within tilt [rad]; yaw about it and position are free.
+    """An axis of the hand ("x", "-z", ...) points up within tilt [rad]; yaw about it and position
+    are free.
 
-    With the hand's x the published experiment code's constraint: rotation vector of R_t^T R, entries 1 and 2
-    in +-0.1 rad.
+    With the hand's x the published experiment code's constraint: rotation vector of R_t^T R,
+    entries 1 and 2 in +-0.1 rad.
     """
     T0_w, Tw_e = np.eye(4), np.eye(4)
     T0_w[:3, :3] = UPRIGHT_ROTATION
-    Tw_e[:3, :3] = np.roll(np.eye(3), -"xyz".index(axis[-1]), axis=0)  # the axis of e is x of w, ...
+    # the axis of e is x of w, ...
+    Tw_e[:3, :3] = np.roll(np.eye(3), -"xyz".index(axis[-1]), axis=0)
     if axis[0] == "-":
         Tw_e[:3, :3] = np.diag([-1.0, -1.0, 1.0]) @ Tw_e[:3, :3]  # ... or opposite to it
     return TaskSpaceRegion(T0_w, Tw_e, np.array([[-FREE, FREE]] * 4 + [[-tilt, tilt]] * 2))
@@ -163,21 +191,29 @@ class RegionConstraint:
         """Signed distance outside the bounds, (m,) or (b, m) [m, rad]."""
         return self.residual_and_jacobian(q)[0]
 
-    def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """F(q) and dF/dq, (m,) and (m, n) or (b, m) and (b, m, n); rows inside their bounds are zero unless full."""
+    def residual_and_jacobian(
+        self, q: np.ndarray, full: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """F(q) and dF/dq, (m,) and (m, n) or (b, m) and (b, m, n);
+        rows inside their bounds are zero unless full.
+        """
         batch = np.array(q, dtype=float, order="C", ndmin=2)
         n, regions = self.robot.dof, self.regions
         scratch = projection_scratch(n, regions)
         work = scratch.link_rotation, scratch.link_translation, scratch.displacement
         residual = np.zeros((len(batch), len(regions.axis)))
         jacobian = np.zeros((*residual.shape, n))
-        batch_residual_and_jacobian(self.robot.kinematics, regions, batch, full, *work, residual, jacobian)
+        batch_residual_and_jacobian(
+            self.robot.kinematics, regions, batch, full, *work, residual, jacobian
+        )
         return (residual, jacobian) if np.ndim(q) == 2 else (residual[0], jacobian[0])
 
     def project(
         self, q: np.ndarray, tolerance: float = TOLERANCE, max_iterations: int = MAX_ITERATIONS
     ) -> np.ndarray | None:
-        """Move q (n,) onto the manifold by Algorithm 1, inside the joint limits; None when it fails."""
+        """Move q (n,) onto the manifold by Algorithm 1, inside the joint limits;
+        None when it fails.
+        """
         q = np.array(q, dtype=float)
         regions = self.regions
         scratch = projection_scratch(self.robot.dof, regions)
@@ -193,8 +229,8 @@ class RegionConstraint:
 def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: float = 0.0) -> Regions:
     """Plain arrays of regions of the end effector.
 
-    shrink: bounds are moved inwards by this much [m, rad], at most a tenth of their width, so that straight joint
-    motions between two states at the bounds stay inside.
+    shrink: bounds are moved inwards by this much [m, rad], at most a tenth of their width, so that
+        straight joint motions between two states at the bounds stay inside.
     """
     link, T_link_e = robot.end_effector_link
     references = [member.reference_link(robot) for member in members]

@@ -1,1 +1,3 @@
-"""Planners of others: found by name, called under a time limit, their answers checked; three adapters ship."""
+"""Planners of others: found by name, called under a time limit, their answers checked;
+three adapters ship.
+"""

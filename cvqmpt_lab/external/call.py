@@ -1,7 +1,9 @@
-"""Calling a planner of others: time, standard output and answer are checked, and whatever happens is a result.
+"""Calling a planner of others: time, standard output and answer are checked, and whatever happens
+is a result.
 
-Its answer is a path, an array (m, n) from the start to one of the goals [rad or m], straight between its rows; or None
-where it found none; or a `search.query.Proposal`, from which our search goes on.
+Its answer is a path, an array (m, n) from the start to one of the goals [rad or m], straight
+between its rows; or None where it found none; or a `search.query.Proposal`, from which our search
+goes on.
 """
 
 import contextlib
@@ -22,7 +24,8 @@ from cvqmpt_lab.search.query import Observation, Proposal, Query
 from cvqmpt_lab.search.result import JointPath, PlanStatus
 
 LATE_SHARE, LATE_S = 0.1, 0.1  # of its seconds, and [s], by which a planner may be late
-INTERRUPT_SHARE, INTERRUPT_S = 2.0, 0.5  # of its seconds, and [s] more, after which it is interrupted
+# of its seconds, and [s] more, after which it is interrupted
+INTERRUPT_SHARE, INTERRUPT_S = 2.0, 0.5
 AGAIN_S = 0.2  # [s] after which it is interrupted again
 LONGEST_STEP = 0.1  # [rad] between states of a path, which are added on its straight segments
 STDOUT = 1  # its file descriptor
@@ -59,7 +62,9 @@ class ExternalPlanner:
         if seconds is not None and took > (1.0 + LATE_SHARE) * seconds + LATE_S and failure is None:
             failure = PlanStatus.OVERTIME
         if failure is PlanStatus.OVERTIME:
-            detail = "; ".join(filter(None, (f"{took:.3g} s where {seconds:g} s were given", detail)))
+            detail = "; ".join(
+                filter(None, (f"{took:.3g} s where {seconds:g} s were given", detail))
+            )
         if failure is not None:
             return replace(nothing, failure=failure, detail=_joined(detail, output))
         if isinstance(answer, Proposal):
@@ -69,7 +74,9 @@ class ExternalPlanner:
             return replace(nothing, failure=ended, detail=_joined("", output))
         states, trouble = _states(answer, query.space.robot.dof)
         if states is None:
-            return replace(nothing, failure=PlanStatus.MALFORMED_PATH, detail=_joined(trouble, output))
+            return replace(
+                nothing, failure=PlanStatus.MALFORMED_PATH, detail=_joined(trouble, output)
+            )
         return replace(nothing, path=JointPath(states), detail=_joined("", output))
 
 
@@ -86,7 +93,10 @@ def _states(answer: Any, n: int) -> tuple[np.ndarray | None, str]:
         return None, f"row {row} of {len(states)} that it returned is not finite"
     steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
     parts = np.maximum(1, np.ceil(steps / LONGEST_STEP)).astype(int)
-    dense = [a + (b - a) * np.arange(k)[:, None] / k for a, b, k in zip(states, states[1:], parts, strict=False)]
+    dense = [
+        a + (b - a) * np.arange(k)[:, None] / k
+        for a, b, k in zip(states, states[1:], parts, strict=False)
+    ]
     return np.concatenate([*dense, states[-1:]]), ""
 
 
@@ -94,7 +104,8 @@ def _states(answer: Any, n: int) -> tuple[np.ndarray | None, str]:
 def _interrupted_after(seconds: float | None) -> Iterator[None]:
     """Raise `_Interrupted` after seconds, again and again; nothing in threads beside the main one.
 
-    Python alone can be interrupted. Compiled code that never returns ends with its process (`experiments.executors`).
+    Python alone can be interrupted. Compiled code that never returns ends with its process
+    (`experiments.executors`).
     """
     if seconds is None or threading.current_thread() is not threading.main_thread():
         yield
@@ -114,13 +125,17 @@ def _interrupted_after(seconds: float | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _output() -> Iterator[list[str]]:
-    """Send what is written to standard output, by compiled code too, to standard error; a list for a word on it."""
+    """Send what is written to standard output, by compiled code too, to standard error;
+    a list for a word on it.
+    """
     said: list[str] = []
     with tempfile.TemporaryFile() as kept, contextlib.ExitStack() as stack:
         sys.stdout.flush()
         own = os.dup(STDOUT)
         os.dup2(kept.fileno(), STDOUT)
-        text = stack.enter_context(os.fdopen(os.dup(kept.fileno()), "w", encoding="utf-8", errors="replace"))
+        text = stack.enter_context(
+            os.fdopen(os.dup(kept.fileno()), "w", encoding="utf-8", errors="replace")
+        )
         try:
             with contextlib.redirect_stdout(text):
                 yield said

@@ -1,7 +1,8 @@
-"""Planners of others by name: ``package.module:planner``, an entry point of a distribution, or an adapter that ships.
+"""Planners of others by name: ``package.module:planner``, an entry point of a distribution, or an
+adapter that ships.
 
-A planner is a function (problem, budget, seed) -> path, or a class without arguments whose instances are called so;
-see `external.call` for what it may return.
+A planner is a function (problem, budget, seed) -> path, or a class without arguments whose
+instances are called so; see `external.call` for what it may return.
 """
 
 import importlib
@@ -20,7 +21,9 @@ GROUP = "cvqmpt.planners"  # of entry points
 
 
 class Peer(NamedTuple):
-    """An adapter that ships: its module, whose planner is called `plan`, and the distributions that it needs."""
+    """An adapter that ships:
+    its module, whose planner is called `plan`, and the distributions that it needs.
+    """
 
     module: str
     needs: dict[str, str]  # distribution by the name under which it is imported
@@ -28,7 +31,10 @@ class Peer(NamedTuple):
 
 PEERS = {
     "roboplan": Peer("cvqmpt_lab.external.roboplan_peer", {"roboplan": "roboplan"}),
-    "sscbirrt": Peer("cvqmpt_lab.external.sscbirrt_peer", {"sscbirrt": "sscbirrt", "mujoco": "mujoco", "ssik": "ssik"}),
+    "sscbirrt": Peer(
+        "cvqmpt_lab.external.sscbirrt_peer",
+        {"sscbirrt": "sscbirrt", "mujoco": "mujoco", "ssik": "ssik"},
+    ),
     "hpp": Peer("cvqmpt_lab.external.hpp_peer", {"pyhpp": "hpp-python"}),
 }
 
@@ -44,7 +50,8 @@ class Found(NamedTuple):
 def find_external(name: str) -> Found:
     """The planner of that name, made once a process.
 
-    InvalidInputError: there is none, it cannot be imported or called, or several distributions have one.
+    InvalidInputError: there is none, it cannot be imported or called, or several distributions have
+    one.
     """
     if name in PEERS:
         return _peer(name, PEERS[name])
@@ -54,7 +61,9 @@ def find_external(name: str) -> Found:
     entries = [entry for entry in _entry_points() if entry.name == name]
     if len(entries) != 1:
         who = ", ".join(_distribution(entry) for entry in entries)
-        raise InvalidInputError(f"planner {name!r} is of {len(entries)} distributions, {who}: keep one of them")
+        raise InvalidInputError(
+            f"planner {name!r} is of {len(entries)} distributions, {who}: keep one of them"
+        )
     module, _, attribute = entries[0].value.partition(":")
     return Found(_made(name, _attribute(name, module, attribute)), _distribution(entries[0]))
 
@@ -65,11 +74,14 @@ def external_names() -> list[str]:
 
 
 def refuse_clash(name: str, ours: Collection[str]) -> None:
-    """InvalidInputError if the name is one of ours and an installed distribution has a planner of that name, too."""
+    """InvalidInputError if the name is one of ours and an installed distribution has a planner of
+    that name, too.
+    """
     for entry in _entry_points():
         if entry.name == name and name in ours:
             raise InvalidInputError(
-                f"planner {name!r} of {_distribution(entry)} has the name of one of ours: rename it in its entry "
+                f"planner {name!r} of {_distribution(entry)} has the name of one of ours: rename "
+                f"it in its entry "
                 f"points {GROUP}, or call it {entry.value}"
             )
 
@@ -85,18 +97,23 @@ def _distribution(entry: metadata.EntryPoint) -> str:
 
 
 def _peer(name: str, peer: Peer) -> Found:
-    missing = [wanted for module, wanted in peer.needs.items() if importlib.util.find_spec(module) is None]
+    missing = [
+        wanted for module, wanted in peer.needs.items() if importlib.util.find_spec(module) is None
+    ]
     if missing:
         verb = "is" if len(missing) == 1 else "are"
         raise InvalidInputError(
-            f"planner {name} needs {' and '.join(missing)}, which {verb} not installed: {install_command('peers')}"
+            f"planner {name} needs {' and '.join(missing)}, which {verb} not installed: "
+            f"{install_command('peers')}"
         )
     versions = [f"{wanted} {metadata.version(wanted)}" for wanted in peer.needs.values()]
     return Found(_attribute(name, peer.module, "plan"), ", ".join(versions))
 
 
 def _attribute(name: str, module: str, attribute: str) -> Any:
-    """What a module calls so; modules of the folder from which the command was started are found, too."""
+    """What a module calls so;
+    modules of the folder from which the command was started are found, too.
+    """
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
@@ -105,13 +122,22 @@ def _attribute(name: str, module: str, attribute: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name is not None and (module == error.name or module.startswith(f"{error.name}.")):
             raise InvalidInputError(
-                f"planner {name}: there is no module {error.name!r}; install it, or start in its folder"
+                f"planner {name}: there is no module {error.name!r}; install it, or start in its "
+                f"folder"
             ) from error
-        raise InvalidInputError(f"planner {name}: {module} needs {error.name!r}; install it") from error
+        raise InvalidInputError(
+            f"planner {name}: {module} needs {error.name!r}; install it"
+        ) from error
     except Exception as error:
-        raise InvalidInputError(f"planner {name}: importing {module} raises {_said(error)}") from error
+        raise InvalidInputError(
+            f"planner {name}: importing {module} raises {_said(error)}"
+        ) from error
     if not hasattr(loaded, attribute):
-        choices = [key for key, value in vars(loaded).items() if callable(value) and not key.startswith("_")]
+        choices = [
+            key
+            for key, value in vars(loaded).items()
+            if callable(value) and not key.startswith("_")
+        ]
         raise UnknownChoiceError(f"planner of {module}", attribute, choices)
     return getattr(loaded, attribute)
 
@@ -122,10 +148,13 @@ def _made(name: str, planner: Any) -> Callable[..., Any]:
         try:
             planner = planner()
         except Exception as error:
-            raise InvalidInputError(f"planner {name}: making it without arguments raises {_said(error)}") from error
+            raise InvalidInputError(
+                f"planner {name}: making it without arguments raises {_said(error)}"
+            ) from error
     if not callable(planner):
         raise InvalidInputError(
-            f"planner {name} is {shown(planner)}: give a function (problem, budget, seed), or a class of such"
+            f"planner {name} is {shown(planner)}: give a function (problem, budget, seed), or a "
+            f"class of such"
         )
     return planner
 
@@ -143,4 +172,8 @@ def _made_by(module: str) -> str:
     from hashlib import sha256
 
     path = Path(sys.modules[module].__file__ or "")
-    return f"{path.name} sha256 {sha256(path.read_bytes()).hexdigest()[:16]}" if path.is_file() else module
+    return (
+        f"{path.name} sha256 {sha256(path.read_bytes()).hexdigest()[:16]}"
+        if path.is_file()
+        else module
+    )

@@ -1,7 +1,8 @@
-"""HPP (C++, pinocchio, coal): its diffusing planner with continuous collision checks, then its random shortcuts.
+"""HPP (C++, pinocchio, coal): its diffusing planner with continuous collision checks, then its
+random shortcuts.
 
-HPP bounds nothing from two sides: the hand is kept upright exactly. Its wheels find their libraries by LD_LIBRARY_PATH
-alone; here they are loaded one by one instead.
+HPP bounds nothing from two sides: the hand is kept upright exactly. Its wheels find their libraries
+by LD_LIBRARY_PATH alone; here they are loaded one by one instead.
 """
 
 import ctypes
@@ -60,7 +61,9 @@ def _load(library: str) -> None:
 def _libraries() -> Path:
     """The folder lib that pinocchio's Python package lies in."""
     package = Path(str(sys.modules["pinocchio"].__file__)).resolve()
-    return next(folder for folder in package.parents if (folder / "libpinocchio_default.so").is_file())
+    return next(
+        folder for folder in package.parents if (folder / "libpinocchio_default.so").is_file()
+    )
 
 
 class _Hpp(NamedTuple):
@@ -86,7 +89,9 @@ def _posed(problem: PlanningProblem, hpp: _Hpp) -> Any:
     turns, both, kinds = pin.StdVec_Bool(), pin.StdVec_Bool(), hpp.constraints.ComparisonTypes()
     turns[:], both[:] = (False, True, True), (True, True)
     kinds[:] = [hpp.constraints.ComparisonType.EqualToZero] * 2
-    tilt = hpp.constraints.Orientation("upright", hpp.robot, link, T_link_e, pin.SE3(region.T0_w), turns)
+    tilt = hpp.constraints.Orientation(
+        "upright", hpp.robot, link, T_link_e, pin.SE3(region.T0_w), turns
+    )
     projector = hpp.core.ConfigProjector(hpp.robot, "upright", TOLERANCE, PROJECTIONS)
     projector.add(hpp.constraints.Implicit(tilt, kinds, both), 0)
     kept = hpp.core.ConstraintSet(hpp.robot, "upright")
@@ -96,14 +101,18 @@ def _posed(problem: PlanningProblem, hpp: _Hpp) -> Any:
     for check in ("CollisionValidation", "JointBoundValidation"):
         posed.addConfigValidation(check)
     posed.pathValidation(hpp.core.Progressive(hpp.robot, PENETRATION))
-    posed.pathProjector(hpp.core.ProgressiveProjector(posed.distance(), posed.steeringMethod(), PROJECTION_STEP))
+    posed.pathProjector(
+        hpp.core.ProgressiveProjector(posed.distance(), posed.steeringMethod(), PROJECTION_STEP)
+    )
     posed.initConfig(problem.start.copy())
     posed.addGoalConfig(problem.goals[0].copy())
     return posed
 
 
 def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
-    """A path (m, n) [rad] by `DiffusingPlanner` and `RandomShortcut`; None where there is none in the seconds."""
+    """A path (m, n) [rad] by `DiffusingPlanner` and `RandomShortcut`;
+    None where there is none in the seconds.
+    """
     began, hpp = time.perf_counter(), _hpp(problem)
     posed = _posed(problem, hpp)
     ctypes.CDLL(None).srand(seed)  # HPP draws by C's rand

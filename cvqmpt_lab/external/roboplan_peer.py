@@ -1,7 +1,7 @@
 """roboplan (pinocchio, coal; C++): RRT-Connect, states projected on a box of roll, pitch and yaw.
 
-Set up as in its own example of constrained planning, but for the first path found; its shortcutting knows no
-constraints and is left out.
+Set up as in its own example of constrained planning, but for the first path found; its shortcutting
+knows no constraints and is left out.
 """
 
 import tempfile
@@ -26,7 +26,9 @@ NODES = 10_000_000  # more than any time is enough for
 def _scene(problem: PlanningProblem) -> roboplan.core.Scene:
     with tempfile.TemporaryDirectory() as folder:
         urdf, srdf = urdf_of(problem, Path(folder), np.linalg.inv(upright_region(problem).Tw_e))
-        scene = roboplan.core.Scene("world", roboplan.core.loadUrdfSceneDescriptionFromXml(urdf, []))
+        scene = roboplan.core.Scene(
+            "world", roboplan.core.loadUrdfSceneDescriptionFromXml(urdf, [])
+        )
     scene.importSrdf(srdf)
     scene.addGroup(GROUP, list(problem.robot.joint_names))
     return scene

@@ -1,4 +1,5 @@
-"""sscbirrt (C++, MuJoCo, analytical inverse kinematics by ssik): CBiRRT on a task-space region, its defaults.
+"""sscbirrt (C++, MuJoCo, analytical inverse kinematics by ssik): CBiRRT on a task-space region, its
+defaults.
 
 Its regions bound roll, pitch and yaw; its paths are smoothed by itself.
 """
@@ -39,11 +40,18 @@ def _world(problem: PlanningProblem) -> _World:
 
 
 def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
-    """A path (m, n) [rad] by `sscbirrt.mujoco.plan`; None where it finds none in the budget's seconds."""
+    """A path (m, n) [rad] by `sscbirrt.mujoco.plan`;
+    None where it finds none in the budget's seconds.
+    """
     region, world = upright_region(problem), _world(problem)
     kept = TSR(T0_w=region.T0_w, Tw_e=region.Tw_e, Bw=rpy_box(region))
     settings = CBiRRTConfig(timeout=budget.seconds or FOREVER)
     found = sscbirrt.plan(
-        *world, start=problem.start, goal=problem.goals[0], constraint=kept, config=settings, seed=seed
+        *world,
+        start=problem.start,
+        goal=problem.goals[0],
+        constraint=kept,
+        config=settings,
+        seed=seed,
     )
     return np.array(found.path) if found.success else None

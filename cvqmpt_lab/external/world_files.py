@@ -1,7 +1,8 @@
-"""A problem's robot and obstacles as URDF and MJCF, so that other planners check the same bodies against each other.
+"""A problem's robot and obstacles as URDF and MJCF, so that other planners check the same bodies
+against each other.
 
-Both files have the joint axes of `Robot.kinematics` as z, a body for every convex piece of a link and one for every
-obstacle, which is fixed to the world. Lengths in metres.
+Both files have the joint axes of `Robot.kinematics` as z, a body for every convex piece of a link
+and one for every obstacle, which is fixed to the world. Lengths in metres.
 """
 
 import struct
@@ -22,7 +23,8 @@ from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 
 HAND, TOOL = "hand", "tool"
 UPTURNED = 1e-9  # cosine of a pitch that is 90 degrees
-TURNING = 1.0  # velocity and effort in the URDF, which asks for them; planners of paths do not use them
+# velocity and effort in the URDF, which asks for them; planners of paths do not use them
+TURNING = 1.0
 
 
 class Body(NamedTuple):
@@ -35,9 +37,13 @@ class Body(NamedTuple):
 
 
 def bodies_of(problem: PlanningProblem) -> list[Body]:
-    """The robot's pieces in the order of `Robot.links`, then the obstacles; InvalidInputError for what is no solid."""
+    """The robot's pieces in the order of `Robot.links`, then the obstacles;
+    InvalidInputError for what is no solid.
+    """
     if problem.attachments:
-        raise InvalidInputError(f"the hand carries {problem.attachments[0].name!r}: it must be empty")
+        raise InvalidInputError(
+            f"the hand carries {problem.attachments[0].name!r}: it must be empty"
+        )
     found = [
         Body(f"piece_{k}", piece.link, piece.T_link_geometry, ConvexMesh(piece.vertices))
         for k, piece in enumerate(problem.robot.links)
@@ -45,7 +51,8 @@ def bodies_of(problem: PlanningProblem) -> list[Body]:
     for k, item in enumerate(problem.scene.obstacles):
         if not isinstance(item.shape, Box | Cylinder | Sphere | ConvexMesh):
             raise InvalidInputError(
-                f"obstacle {item.name!r} is of type {type(item.shape).__name__}: give boxes, cylinders, spheres or "
+                f"obstacle {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
+                f"cylinders, spheres or "
                 "convex meshes"
             )
         found.append(Body(f"obstacle_{k}", 0, item.T_world_object, item.shape))
@@ -61,7 +68,9 @@ def unchecked_pairs(problem: PlanningProblem) -> Iterator[tuple[str, str]]:
 
 
 def urdf_of(problem: PlanningProblem, folder: Path, T_hand_tool: np.ndarray) -> tuple[str, str]:
-    """URDF and SRDF of robot and obstacles, with a frame (4, 4) in the hand, as text; meshes go into a folder."""
+    """URDF and SRDF of robot and obstacles, with a frame (4, 4) in the hand, as text;
+    meshes go into a folder.
+    """
     root = ElementTree.Element("robot", name="arm")
     for k in range(problem.robot.dof + 1):
         ElementTree.SubElement(root, "link", name=f"link_{k}")
@@ -72,15 +81,20 @@ def urdf_of(problem: PlanningProblem, folder: Path, T_hand_tool: np.ndarray) -> 
         collision = ElementTree.SubElement(link, "collision", name=f"{body.name}_0")
         _urdf_shape(ElementTree.SubElement(collision, "geometry"), body, folder)
         checking = ElementTree.SubElement(link, "collision_checking")
-        ElementTree.SubElement(checking, "convex", name=f"{body.name}_0")  # pinocchio: the mesh is its convex hull
+        # pinocchio: the mesh is its convex hull
+        ElementTree.SubElement(checking, "convex", name=f"{body.name}_0")
         _fixed_joint(root, f"link_{body.link}", body.name, body.T_link_body)
     row, T_link_hand = problem.robot.end_effector_link
     ElementTree.SubElement(root, "link", name=TOOL)
     _fixed_joint(root, f"link_{row}", TOOL, T_link_hand @ T_hand_tool)
     srdf = ElementTree.Element("robot", name="arm")
     for first, second in unchecked_pairs(problem):
-        ElementTree.SubElement(srdf, "disable_collisions", link1=first, link2=second, reason="Never")
-    return ElementTree.tostring(root, encoding="unicode"), ElementTree.tostring(srdf, encoding="unicode")
+        ElementTree.SubElement(
+            srdf, "disable_collisions", link1=first, link2=second, reason="Never"
+        )
+    return ElementTree.tostring(root, encoding="unicode"), ElementTree.tostring(
+        srdf, encoding="unicode"
+    )
 
 
 def _moving_joint(root: ElementTree.Element, robot: Robot, j: int, name: str) -> None:
@@ -92,7 +106,9 @@ def _moving_joint(root: ElementTree.Element, robot: Robot, j: int, name: str) ->
     ElementTree.SubElement(joint, "child", link=f"link_{j + 1}")
     ElementTree.SubElement(joint, "axis", xyz="0 0 1")
     limits = {"lower": repr(float(arm.lower[j])), "upper": repr(float(arm.upper[j]))}
-    ElementTree.SubElement(joint, "limit", {**limits, "velocity": str(TURNING), "effort": str(TURNING)})
+    ElementTree.SubElement(
+        joint, "limit", {**limits, "velocity": str(TURNING), "effort": str(TURNING)}
+    )
 
 
 def _fixed_joint(root: ElementTree.Element, parent: str, child: str, T: np.ndarray) -> None:
@@ -103,11 +119,15 @@ def _fixed_joint(root: ElementTree.Element, parent: str, child: str, T: np.ndarr
 
 
 def _origin(element: ElementTree.Element, rotation: np.ndarray, translation: np.ndarray) -> None:
-    ElementTree.SubElement(element, "origin", xyz=_numbers(translation), rpy=_numbers(_rpy(rotation)))
+    ElementTree.SubElement(
+        element, "origin", xyz=_numbers(translation), rpy=_numbers(_rpy(rotation))
+    )
 
 
 def _rpy(rotation: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw [rad] of a rotation (3, 3): R = Rz(yaw) Ry(pitch) Rx(roll); yaw 0 at a pitch of +-90 degrees."""
+    """Roll, pitch, yaw [rad] of a rotation (3, 3): R = Rz(yaw) Ry(pitch) Rx(roll);
+    yaw 0 at a pitch of +-90 degrees.
+    """
     across = np.hypot(rotation[0, 0], rotation[1, 0])
     pitch = np.arctan2(-rotation[2, 0], across)
     if across < UPTURNED:
@@ -155,12 +175,17 @@ def mjcf_of(problem: PlanningProblem) -> str:
     arm, bodies = problem.robot.kinematics, bodies_of(problem)
     for j, name in enumerate(problem.robot.joint_names):
         link = _placed(links[arm.parent[j]], f"link_{j + 1}", arm.rotation[j], arm.translation[j])
-        kind, limits = ("slide" if arm.prismatic[j] else "hinge"), _numbers(np.r_[arm.lower[j], arm.upper[j]])
+        kind, limits = (
+            ("slide" if arm.prismatic[j] else "hinge"),
+            _numbers(np.r_[arm.lower[j], arm.upper[j]]),
+        )
         ElementTree.SubElement(link, "joint", name=name, type=kind, axis="0 0 1", range=limits)
         ElementTree.SubElement(link, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
         links.append(link)
     for body in bodies:
-        part = _placed(links[body.link], body.name, body.T_link_body[:3, :3], body.T_link_body[:3, 3])
+        part = _placed(
+            links[body.link], body.name, body.T_link_body[:3, :3], body.T_link_body[:3, 3]
+        )
         _mjcf_shape(part, assets, body)
     row, T_link_hand = problem.robot.end_effector_link
     _placed(links[row], HAND, T_link_hand[:3, :3], T_link_hand[:3, 3], "site")
@@ -171,23 +196,33 @@ def mjcf_of(problem: PlanningProblem) -> str:
 
 
 def _placed(
-    parent: ElementTree.Element, name: str, rotation: np.ndarray, translation: np.ndarray, tag: str = "body"
+    parent: ElementTree.Element,
+    name: str,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    tag: str = "body",
 ) -> ElementTree.Element:
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
     quaternion = _numbers(np.array([w, x, y, z]))
-    return ElementTree.SubElement(parent, tag, name=name, pos=_numbers(translation), quat=quaternion)
+    return ElementTree.SubElement(
+        parent, tag, name=name, pos=_numbers(translation), quat=quaternion
+    )
 
 
 def _mjcf_shape(part: ElementTree.Element, assets: ElementTree.Element, body: Body) -> None:
     name = f"{body.name}_geom"
     match body.shape:
         case Box(size):
-            ElementTree.SubElement(part, "geom", name=name, type="box", size=_numbers(0.5 * np.array(size)))
+            ElementTree.SubElement(
+                part, "geom", name=name, type="box", size=_numbers(0.5 * np.array(size))
+            )
         case Cylinder(radius, height):
             sizes = _numbers(np.array([radius, 0.5 * height]))
             ElementTree.SubElement(part, "geom", name=name, type="cylinder", size=sizes)
         case Sphere(radius):
             ElementTree.SubElement(part, "geom", name=name, type="sphere", size=repr(radius))
         case ConvexMesh(vertices):
-            ElementTree.SubElement(assets, "mesh", name=body.name, vertex=_numbers(vertices.ravel()), inertia="convex")
+            ElementTree.SubElement(
+                assets, "mesh", name=body.name, vertex=_numbers(vertices.ravel()), inertia="convex"
+            )
             ElementTree.SubElement(part, "geom", name=name, type="mesh", mesh=body.name)

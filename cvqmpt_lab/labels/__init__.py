@@ -1,1 +1,3 @@
-"""Training data: random scenes with labels, in shards, and the examples that the edge validity model learns from."""
+"""Training data:
+random scenes with labels, in shards, and the examples that the edge validity model learns from.
+"""

@@ -1,7 +1,9 @@
-"""The edge validity model: fitted to exactly checked edges of several arms' roadmaps, judged on arms it has not seen.
+"""The edge validity model: fitted to exactly checked edges of several arms' roadmaps, judged on
+arms it has not seen.
 
-Compared are a logistic curve of the smallest clearance, one of clearance and length, and a small network of the
-smallest clearances of base, middle and tool, and length. The first is what planners use (`vqmpt.edge_curve`).
+Compared are a logistic curve of the smallest clearance, one of clearance and length, and a small
+network of the smallest clearances of base, middle and tool, and length. The first is what planners
+use (`vqmpt.edge_curve`).
 """
 
 import json
@@ -47,7 +49,9 @@ class Examples(NamedTuple):
 
 
 def by_class(clearance: np.ndarray) -> np.ndarray:
-    """Smallest clearances (b, 3) of the first, the middle and the last third of n joints, from every joint's (b, n)."""
+    """Smallest clearances (b, 3) of the first, the middle and the last third of n joints, from
+    every joint's (b, n).
+    """
     n = clearance.shape[1]
     cuts = (0, max(n // 3, 1), max(2 * n // 3, 1), n)
     thirds = [clearance[:, a:b] if b > a else clearance for a, b in pairwise(cuts)]
@@ -64,7 +68,9 @@ def data_robot(data: Path) -> tuple[Robot, str]:
 def scene_examples(
     robot: Robot, shard: RoadmapShard, scene: int, families: Sequence[str], rng: np.random.Generator
 ) -> dict[str, Examples]:
-    """Some edges of a scene that the robot itself allows, by the source that their clearances are read in."""
+    """Some edges of a scene that the robot itself allows, by the source that their clearances are
+    read in.
+    """
     arrays, graph = shard.arrays, shard.graph
     possible = np.flatnonzero(graph.edge_possible)
     edges = rng.choice(possible, min(EDGES, len(possible)), replace=False)
@@ -79,16 +85,22 @@ def scene_examples(
     in_grid = (space.robot, space.scene.grid, motions, clearance[SCENE])
     scene_clearances(robot.kinematics, model.empty, *in_grid)
     nothing = np.zeros(len(free), dtype=int)
-    return {source: Examples(by_class(clearance[source]), length, free, nothing) for source in SOURCES}
+    return {
+        source: Examples(by_class(clearance[source]), length, free, nothing) for source in SOURCES
+    }
 
 
 def examples_of(
     data: Path, scenes: int, rng: np.random.Generator, on_progress: Callable[[int, int], None]
 ) -> dict[str, Examples]:
-    """Edges of at most so many scenes of a folder of roadmap labels, by source; InvalidInputError where it has none."""
+    """Edges of at most so many scenes of a folder of roadmap labels, by source;
+    InvalidInputError where it has none.
+    """
     (robot, _), found = data_robot(data), []
     families = read_json_object(data / DESCRIPTION_FILE)["families"]
-    every = [(s, k) for s in read_roadmap_shards(data) for k in range(len(s.arrays["family"]))][:scenes]
+    every = [(s, k) for s in read_roadmap_shards(data) for k in range(len(s.arrays["family"]))][
+        :scenes
+    ]
     for done, (shard, scene) in enumerate(every, start=1):
         found.append(scene_examples(robot, shard, scene, families, rng))
         on_progress(done, len(every))
@@ -131,7 +143,11 @@ def judge(log_odds: np.ndarray, examples: Examples) -> Judged:
         own = examples.scene == scene
         if 0 < examples.free[own].sum() < own.sum():
             areas.append(area(log_odds[own], examples.free[own]))
-    return Judged(float(np.median(areas)), area(log_odds, examples.free), calibration_error(log_odds, examples.free))
+    return Judged(
+        float(np.median(areas)),
+        area(log_odds, examples.free),
+        calibration_error(log_odds, examples.free),
+    )
 
 
 def area(score: np.ndarray, free: np.ndarray) -> float:
@@ -150,8 +166,12 @@ def calibration_error(odds: np.ndarray, free: np.ndarray) -> float:
     return float(np.abs(gap).sum() / len(free))
 
 
-def fitted(examples: Examples, seed: int) -> Iterator[tuple[str, Callable[[np.ndarray], np.ndarray], np.ndarray]]:
-    """Every kind of model by name: its log odds of its features, and its weights where it is a curve."""
+def fitted(
+    examples: Examples, seed: int
+) -> Iterator[tuple[str, Callable[[np.ndarray], np.ndarray], np.ndarray]]:
+    """Every kind of model by name:
+    its log odds of its features, and its weights where it is a curve.
+    """
     from cvqmpt_lab.training.edge_training import fit_logistic, fit_network  # torch: only to train
 
     for name in ("clearance", "clearance, length"):
@@ -170,19 +190,25 @@ def train_edge_model(
     metadata: dict[str, Any],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[dict[str, Any]]:
-    """Fit to folders of roadmap labels, at most `scenes` scenes of each; write out/edge_curves.json.
+    """Fit to folders of roadmap labels, at most `scenes` scenes of each; write
+    out/edge_curves.json.
 
-    judged: folders of labels to judge on. Returns a row for each of them, source and model, as in the file.
+    judged: folders of labels to judge on. Returns a row for each of them, source and model, as in
+        the file.
     InvalidInputError: a folder has no scene with a free edge.
     """
     rng = np.random.default_rng(whole_number("seed", seed))
     whole_number("scenes", scenes, 1)
     learned = [examples_of(folder, scenes, rng, on_progress) for folder in data]
-    tests = {data_robot(folder)[1]: examples_of(folder, scenes, rng, on_progress) for folder in judged}
+    tests = {
+        data_robot(folder)[1]: examples_of(folder, scenes, rng, on_progress) for folder in judged
+    }
     curves: dict[str, dict[str, float]] = {}
     rows: list[dict[str, Any]] = []
     for source in SOURCES:
-        for name, log_odds, weights in fitted(Examples.joined([part[source] for part in learned]), seed):
+        for name, log_odds, weights in fitted(
+            Examples.joined([part[source] for part in learned]), seed
+        ):
             if name == "clearance":
                 curves[source] = {"slope": float(weights[0]), "bias": float(weights[1])}
             for robot, found in tests.items():

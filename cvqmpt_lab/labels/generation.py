@@ -1,4 +1,6 @@
-"""Datasets of labelled random scenes in shards (`training.shards`); an interrupted generation can be continued."""
+"""Datasets of labelled random scenes in shards (`training.shards`);
+an interrupted generation can be continued.
+"""
 
 import json
 from abc import ABC, abstractmethod
@@ -37,13 +39,16 @@ Shard = tuple[IndexRow, bytes]
 
 @dataclass(frozen=True)
 class SceneRecipe(ABC):
-    """Which scenes a dataset is made of, and of which robot; what is labelled in them is its subclasses' business."""
+    """Which scenes a dataset is made of, and of which robot;
+    what is labelled in them is its subclasses' business.
+    """
 
     scenes: int  # in all, families taking turns
     paths_per_scene: int  # pairs tried in each; some give no label
     families: tuple[str, ...] = tuple(FAMILIES)
     seed: int = 0
-    robot: Mapping[str, Any] = field(default_factory=PANDA.copy)  # as field 'robot' of a problem file
+    # as field 'robot' of a problem file
+    robot: Mapping[str, Any] = field(default_factory=PANDA.copy)
 
     def __post_init__(self) -> None:
         for family in self.families:
@@ -54,7 +59,9 @@ class SceneRecipe(ABC):
         whole_number("paths per scene", self.paths_per_scene, 1)
 
     def scene_of(self, index: int) -> tuple[int, int]:
-        """Family index and scene number of scene `index` of this dataset; numbers decide which scenes validate."""
+        """Family index and scene number of scene `index` of this dataset;
+        numbers decide which scenes validate.
+        """
         turn, family = divmod(index, len(self.families))
         return family, FIRST_SCENE + self.seed * SCENES_PER_SEED + turn
 
@@ -89,8 +96,10 @@ def generate(
 ) -> int:
     """Write the shards that `out` does not have yet; returns the number of paths in all.
 
-    apply: calls a function with every number and gives its results in any order; one after the other by default.
-    InvalidInputError: `out` holds a dataset of another recipe, is being written by another run, or cannot be written.
+    apply: calls a function with every number and gives its results in any order; one after the
+        other by default.
+    InvalidInputError: `out` holds a dataset of another recipe, is being written by another run, or
+    cannot be written.
     """
     recipe.check()
     make_folder(out / SHARDS_FOLDER)
@@ -116,7 +125,9 @@ def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
     if path.exists():
         existing = read_json_object(path).get("recipe", {})
         if existing != settings:
-            raise InvalidInputError(f"{out} holds a dataset of another recipe, {existing}; choose another --out")
+            raise InvalidInputError(
+                f"{out} holds a dataset of another recipe, {existing}; choose another --out"
+            )
         return
     description = {
         "schema": SCHEMA,

@@ -30,7 +30,8 @@ DETOUR = 1.03  # a path is nearly straight unless it is this much longer than th
 MOST_STRAIGHT = 0.5  # share of a scene's paths that may be straight lines or nearly so
 REDRAWS = 10  # pairs drawn to find one that is not trivial
 CANDIDATES = 512  # configurations drawn per scene to choose starts and goals from
-TWIN_EVERY = 8  # scenes of each family: their first non-trivial paths get a second, independent label
+# scenes of each family: their first non-trivial paths get a second, independent label
+TWIN_EVERY = 8
 SHAPES = {
     Box: lambda box: (0, box.size),
     Cylinder: lambda cylinder: (1, (cylinder.radius, cylinder.radius, cylinder.height)),
@@ -94,10 +95,14 @@ def scene_shapes(scenes: Sequence[tuple[int, int, Scene]]) -> dict[str, np.ndarr
     return {
         "family": np.array([family for family, _, _ in scenes], np.uint8),
         "scene_seed": np.array([number for _, number, _ in scenes], np.int64),
-        "shape_start": np.cumsum([0, *(len(scene.obstacles) for _, _, scene in scenes)], dtype=np.int32),
+        "shape_start": np.cumsum(
+            [0, *(len(scene.obstacles) for _, _, scene in scenes)], dtype=np.int32
+        ),
         "shape_kind": np.array([kind for kind, _ in described], np.uint8),
         "shape_size": np.array([size for _, size in described], np.float32).reshape(-1, 3),
-        "shape_pose": np.array([item.T_world_object[:3] for item in items], np.float32).reshape(-1, 3, 4),
+        "shape_pose": np.array([item.T_world_object[:3] for item in items], np.float32).reshape(
+            -1, 3, 4
+        ),
     }
 
 
@@ -114,9 +119,11 @@ def _labels(
     settings: NearShortestSettings,
     with_twins: bool,
 ) -> list[_Label]:
-    """Labelled paths of one scene: half of the starts and goals anywhere, half with the hand near an obstacle.
+    """Labelled paths of one scene: half of the starts and goals anywhere, half with the hand near
+    an obstacle.
 
-    Most motions are nearly straight and say little about the scene: beyond MOST_STRAIGHT they are left out.
+    Most motions are nearly straight and say little about the scene: beyond MOST_STRAIGHT they are
+    left out.
     """
     candidates = space.robot.random_configurations(rng, CANDIDATES)
     candidates = candidates[space.valid_batch(candidates)]
@@ -175,7 +182,9 @@ def packed(robot: Robot, configurations: np.ndarray) -> np.ndarray:
 
 
 def dataset_card(folder: Path) -> str:
-    """What a dataset holds, counted from its shards, and how far two labels of one problem lie apart."""
+    """What a dataset holds, counted from its shards, and how far two labels of one problem lie
+    apart.
+    """
     dataset = open_dataset(folder)
     every = range(len(dataset.families))
     lines = [
@@ -183,10 +192,13 @@ def dataset_card(folder: Path) -> str:
         "",
         f"Recipe: `{json.dumps(read_json_object(folder / DESCRIPTION_FILE).get('recipe'))}`",
         "",
-        "Scenes whose number is divisible by 20 validate, the others train. Twins are second, independent labels; "
-        "the ratio is their mean waypoint distance over that from the first label to the straight line.",
+        "Scenes whose number is divisible by 20 validate, the others train. Twins are second, "
+        "independent labels; "
+        "the ratio is their mean waypoint distance over that from the first label to the straight "
+        "line.",
         "",
-        "| family | scenes | paths | trivial | length rad | straight rad | twins | twin / straight-line distance |",
+        "| family | scenes | paths | trivial | length rad | straight rad | twins | twin / "
+        "straight-line distance |",
         "|---|---|---|---|---|---|---|---|",
         *(_card_row(dataset, dataset.families[k], [k]) for k in every),
         _card_row(dataset, "all", every),
@@ -199,22 +211,36 @@ def _card_row(dataset: PathDataset, name: str, families: Sequence[int]) -> str:
     scenes, paths = dataset.scenes, dataset.paths
     chosen = np.isin(scenes.family, families)
     own = chosen[paths.scene]
-    first, twins = np.flatnonzero(own & (paths.twin_of < 0)), np.flatnonzero(own & (paths.twin_of >= 0))
+    first, twins = (
+        np.flatnonzero(own & (paths.twin_of < 0)),
+        np.flatnonzero(own & (paths.twin_of >= 0)),
+    )
     share = f"{100 * paths.trivial[first].mean():.0f} %" if len(first) else "-"
-    means = [f"{array[first].mean():.2f}" if len(first) else "-" for array in (paths.length, paths.straight)]
+    means = [
+        f"{array[first].mean():.2f}" if len(first) else "-"
+        for array in (paths.length, paths.straight)
+    ]
     ratio = _ratio(dataset, twins)
-    return f"| {name} | {chosen.sum()} | {len(first)} | {share} | {' | '.join(means)} | {len(twins)} | {ratio} |"
+    return (
+        f"| {name} | {chosen.sum()} | {len(first)} | {share} | {' | '.join(means)} | "
+        f"{len(twins)} | {ratio} |"
+    )
 
 
 def _ratio(dataset: PathDataset, twins: np.ndarray) -> str:
-    """Mean waypoint distance of twins to their first labels, over that of the latter to the straight line."""
+    """Mean waypoint distance of twins to their first labels, over that of the latter to the
+    straight line.
+    """
     if len(twins) == 0:
         return "-"
     span = np.array(dataset.robot.upper) - np.array(dataset.robot.lower)
     apart = off_line = 0.0
     marks = np.linspace(0.0, 1.0, 32)
     for twin in twins.tolist():
-        one, other = (_resampled(dataset.paths.joints(p) * span, marks) for p in (twin, dataset.paths.twin_of[twin]))
+        one, other = (
+            _resampled(dataset.paths.joints(p) * span, marks)
+            for p in (twin, dataset.paths.twin_of[twin])
+        )
         line = other[0] + marks[:, None] * (other[-1] - other[0])
         apart += float(np.linalg.norm(one - other, axis=1).mean())
         off_line += float(np.linalg.norm(other - line, axis=1).mean())

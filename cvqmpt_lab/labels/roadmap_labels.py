@@ -1,4 +1,6 @@
-"""Labels on a roadmap: every node and edge checked in random scenes, and shortest paths by Dijkstra."""
+"""Labels on a roadmap:
+every node and edge checked in random scenes, and shortest paths by Dijkstra.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -28,7 +30,13 @@ from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.search.roadmap_nodes import spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
-from cvqmpt_lab.training.shards import LINKS, ROADMAP_FILE, RoadmapGraph, packed_shard, read_roadmap_shards
+from cvqmpt_lab.training.shards import (
+    LINKS,
+    ROADMAP_FILE,
+    RoadmapGraph,
+    packed_shard,
+    read_roadmap_shards,
+)
 from cvqmpt_lab.vqmpt.sampler import links_of
 from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
 from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
@@ -40,8 +48,10 @@ NEIGHBOURS = 12  # of a node of a roadmap without dictionary
 MARGIN = 0.002  # [m] that free motions keep from obstacles
 BODY_POINTS = 16
 SHIPPED_DICTIONARY = "vq_mpt"
-CHECKS = 60  # state checks an edge, on average: scenes that need more have a wall millimetres from the base
-LINK_CHECKS = 600  # likewise a link: near self-collision it needs more than an edge that the robot itself allows
+# state checks an edge, on average: scenes that need more have a wall millimetres from the base
+CHECKS = 60
+# likewise a link: near self-collision it needs more than an edge that the robot itself allows
+LINK_CHECKS = 600
 
 
 @dataclass(frozen=True)
@@ -73,8 +83,10 @@ class RoadmapRecipe(SceneRecipe):
                 scenes.append((family, scene_number, scene))
         if not labels:
             raise InvalidInputError(
-                f"{robot.name}: every scene of shard {number} needs too many checks (a wall millimetres from the base, "
-                "or a dictionary trained too briefly); give another --seed or --base, or --dictionary"
+                f"{robot.name}: every scene of shard {number} needs too many checks (a wall "
+                f"millimetres from the base, "
+                "or a dictionary trained too briefly); give another --seed or --base, or "
+                "--dictionary"
             )
         arrays = {name: np.concatenate([each[name] for each in labels]) for name in labels[0]}
         paths = np.repeat(np.arange(len(scenes)), arrays["path_scene"])
@@ -91,7 +103,9 @@ class RoadmapRecipe(SceneRecipe):
         family, seed, cost, straight, differs = (
             np.concatenate([shard.arrays[name] for shard in shards]) for name in names
         )
-        family_of_path = np.concatenate([s.arrays["family"][s.arrays["path_scene"]] for s in shards])
+        family_of_path = np.concatenate(
+            [s.arrays["family"][s.arrays["path_scene"]] for s in shards]
+        )
         codes = np.concatenate([np.diff(shard.arrays["code_start"]) for shard in shards])
         each = [(shard, scene) for shard in shards for scene in range(len(shard.arrays["family"]))]
         free = np.array([(s.node_free(k).mean(), s.edge_free(k).mean()) for s, k in each])
@@ -104,8 +118,10 @@ class RoadmapRecipe(SceneRecipe):
                 return f"{start}| - | - | {paths.sum()} | - | - | - | - |"
             nodes, edges = free[own].mean(axis=0)
             return (
-                f"{start}| {nodes:.2f} | {edges:.2f} | {paths.sum()} | {100 * (~solved[paths]).mean():.0f} % | "
-                f"{100 * differs[solved].mean():.0f} % | {(cost[solved] / straight[solved]).mean():.2f} | "
+                f"{start}| {nodes:.2f} | {edges:.2f} | {paths.sum()} | "
+                f"{100 * (~solved[paths]).mean():.0f} % | "
+                f"{100 * differs[solved].mean():.0f} % | "
+                f"{(cost[solved] / straight[solved]).mean():.2f} | "
                 f"{codes[solved].mean():.1f} |"
             )
 
@@ -133,17 +149,22 @@ def _graph(model: str | None, robot: Robot) -> RoadmapGraph:
 
 
 def roadmap_of(model: str | None, robot: Robot) -> Roadmap:
-    """The roadmap of a dictionary; without one of the shipped dictionary, or of free configurations of other robots.
+    """The roadmap of a dictionary; without one of the shipped dictionary, or of free configurations
+    of other robots.
 
-    InvalidInputError for a robot that the dictionary is not of, or without enough free configurations.
+    InvalidInputError for a robot that the dictionary is not of, or without enough free
+    configurations.
     """
-    if model is None and incompatibility(SHIPPED_DICTIONARY, SHIPPED_DICTIONARY, robot_signature(robot)):
+    if model is None and incompatibility(
+        SHIPPED_DICTIONARY, SHIPPED_DICTIONARY, robot_signature(robot)
+    ):
         return free_roadmap(robot)
     try:
         return dictionary_roadmap(model or SHIPPED_DICTIONARY, robot)
     except OtherRobotError as error:
         raise InvalidInputError(
-            f"{model} is no dictionary of {robot.name}; leave --dictionary out for a roadmap of free configurations"
+            f"{model} is no dictionary of {robot.name}; leave --dictionary out for a roadmap of "
+            f"free configurations"
         ) from error
 
 
@@ -153,7 +174,8 @@ def free_roadmap(robot: Robot) -> Roadmap:
     if len(nodes) <= NEIGHBOURS:
         raise InvalidInputError(
             f"{robot.name} collides with itself in all but {len(nodes)} configurations tried; "
-            f"give --srdf or repair its collision geometry (cvqmpt robot --robot {robot.name} shows the pairs)"
+            f"give --srdf or repair its collision geometry (cvqmpt robot --robot {robot.name} "
+            f"shows the pairs)"
         )
     return Roadmap.of(nodes, NEIGHBOURS)
 
@@ -161,23 +183,28 @@ def free_roadmap(robot: Robot) -> Roadmap:
 def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
     """Nodes and undirected edges of a roadmap, and which of them the robot itself allows.
 
-    InvalidInputError for a roadmap of fewer nodes than ends are linked to, or one whose edges are too long to check.
+    InvalidInputError for a roadmap of fewer nodes than ends are linked to, or one whose edges are
+    too long to check.
     """
     if len(roadmap.nodes) <= LINKS:
-        raise InvalidInputError(f"{robot.name}'s roadmap has {len(roadmap.nodes)} nodes; labels need more than {LINKS}")
+        raise InvalidInputError(
+            f"{robot.name}'s roadmap has {len(roadmap.nodes)} nodes; labels need more than {LINKS}"
+        )
     edges = links_of(roadmap).edges
     space = unconstrained_space(robot, Scene("nothing", ()))
     checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS)
     if checked is None:  # although nothing is near
         raise InvalidInputError(
-            f"nodes of {robot.name}'s roadmap are far apart; train its dictionary longer, or leave --dictionary out"
+            f"nodes of {robot.name}'s roadmap are far apart; train its dictionary longer, or "
+            f"leave --dictionary out"
         )
     own_node, own_edge = checked
     return RoadmapGraph(roadmap.nodes, edges, own_node, own_edge, *body_points(robot))
 
 
 def body_points(robot: Robot, count: int = BODY_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """Points that stand for the arm's body: the joint that moves each (k,), and where in its frame (k, 3) [m].
+    """Points that stand for the arm's body: the joint that moves each (k,), and where in its frame
+    (k, 3) [m].
 
     They are centres of balls that cover the links, far from each other in most configurations.
     """
@@ -204,7 +231,8 @@ def verdicts(
     possible: np.ndarray | None = None,
     checks: int = CHECKS,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Whether nodes (N, n) and edges (E, 2) keep MARGIN, (N,) and (E,) bool, or None after too many checks.
+    """Whether nodes (N, n) and edges (E, 2) keep MARGIN, (N,) and (E,) bool, or None after too many
+    checks.
 
     possible: edges (E,) that may; others are not checked.
     """
@@ -217,7 +245,9 @@ def verdicts(
 
 @lru_cache(maxsize=1)
 def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
-    """State checks an edge that a scene may take: CHECKS, or more where already an empty scene takes more."""
+    """State checks an edge that a scene may take:
+    CHECKS, or more where already an empty scene takes more.
+    """
     space, checks = unconstrained_space(robot, Scene("nothing", ())), CHECKS
     while verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks) is None:
         checks *= 4
@@ -227,11 +257,13 @@ def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
 def roadmap_labels(
     robot: Robot, scene: Scene, graph: RoadmapGraph, pairs: int, seed: Sequence[int]
 ) -> dict[str, np.ndarray] | None:
-    """Check all of a roadmap in a scene and find shortest paths between `pairs` pairs; None after too many CHECKS.
+    """Check all of a roadmap in a scene and find shortest paths between `pairs` pairs; None after
+    too many CHECKS.
 
-    Half of the starts and goals have the hand near an obstacle. Pairs whose straight motion is free are left out.
-    Arrays are as in `training.shards`, but path_scene, code_start and link_start hold counts of paths, of each path's
-    codes and of the ends of links: those of the paths, and CONFINED more.
+    Half of the starts and goals have the hand near an obstacle. Pairs whose straight motion is free
+    are left out. Arrays are as in `training.shards`, but path_scene, code_start and link_start hold
+    counts of paths, of each path's codes and of the ends of links: those of the paths, and CONFINED
+    more.
     """
     space, rng = unconstrained_space(robot, scene), np.random.default_rng(seed)
     checks = checks_of(robot, graph)
@@ -252,7 +284,9 @@ def roadmap_labels(
         return None
     link_free = linked[1]
     nodes, links = nodes[: count + len(ends)], links[: LINKS * len(ends)]
-    cost, before = _shortest_paths(nodes, graph.edges[edge_free], links[link_free[: len(links)]], count)
+    cost, before = _shortest_paths(
+        nodes, graph.edges[edge_free], links[link_free[: len(links)]], count
+    )
     _, in_empty_scene = _shortest_paths(nodes, graph.edges[graph.edge_possible], links, count)
     rows: list[tuple[int, int]] = []
     for s, g in rng.permutation(every).tolist():
@@ -279,13 +313,17 @@ def roadmap_labels(
 
 
 def _nearest_rows(nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Rows (e, LINKS) of the nodes (N, n) nearest to each of ends (e, n), in the order that labels are stored in."""
+    """Rows (e, LINKS) of the nodes (N, n) nearest to each of ends (e, n), in the order that labels
+    are stored in.
+    """
     squares = (ends**2).sum(1)[:, None] + (nodes**2).sum(1) - 2.0 * ends @ nodes.T
     return np.argpartition(squares, LINKS, axis=1)[:, :LINKS]
 
 
 def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
-    """Free configurations (at most STARTS + GOALS, n), every second one with the hand near an obstacle."""
+    """Free configurations (at most STARTS + GOALS, n), every second one with the hand near an
+    obstacle.
+    """
     candidates = space.robot.random_configurations(rng, CANDIDATES)
     candidates = candidates[space.valid_batch(candidates)]
     near = near_obstacles(space, candidates)
@@ -296,12 +334,16 @@ def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
 
 
 def _confined(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
-    """Free configurations (at most CONFINED, n) among obstacles: those around which most configurations collide."""
+    """Free configurations (at most CONFINED, n) among obstacles:
+    those around which most configurations collide.
+    """
     robot = space.robot
     candidates = robot.random_configurations(rng, 2 * CANDIDATES)
     candidates = candidates[near_obstacles(space, candidates)]
     candidates = candidates[space.valid_batch(candidates)]
-    around = candidates[:, None] + SPREAD * rng.standard_normal((len(candidates), NEARBY, robot.dof))
+    around = candidates[:, None] + SPREAD * rng.standard_normal(
+        (len(candidates), NEARBY, robot.dof)
+    )
     around = np.clip(around, robot.lower, robot.upper).reshape(-1, robot.dof)
     free = space.valid_batch(around).reshape(len(candidates), NEARBY).sum(axis=1)
     return candidates[np.argsort(free, kind="stable")[:CONFINED]]
@@ -310,10 +352,13 @@ def _confined(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
 def _shortest_paths(
     nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Shortest paths from every start over edges both ways to every goal, by Dijkstra: costs (s, g) [rad], inf if none.
+    """Shortest paths from every start over edges both ways to every goal, by Dijkstra: costs (s, g)
+    [rad], inf if none.
 
-    nodes: the roadmap's `count` nodes, STARTS starts, then goals. links: from starts and goals to nodes.
-    Also returns the predecessor of each row on the way from a start (s, rows), negative where there is none.
+    nodes: the roadmap's `count` nodes, STARTS starts, then goals. links: from starts and goals to
+        nodes.
+    Also returns the predecessor of each row on the way from a start (s, rows), negative where there
+    is none.
     """
     leaving = links[:, 0] < count + STARTS
     pairs = np.concatenate([edges, edges[:, ::-1], links[leaving], links[~leaving][:, ::-1]])

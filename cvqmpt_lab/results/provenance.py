@@ -1,4 +1,6 @@
-"""Where numbers come from: commit, versions, machine, weights, seeds and settings of a results directory."""
+"""Where numbers come from:
+commit, versions, machine, weights, seeds and settings of a results directory.
+"""
 
 import importlib.metadata
 import json
@@ -21,7 +23,9 @@ _PACKAGES = (
     "coal", "cvqmpt-lab", "example-robot-data", "numba", "numpy", "ompl", "pin", "rerun-sdk", "scipy", "torch",
 )  # fmt: skip
 DIGESTS = ("weights", "problem_files", "planners")
-"""Fields of a session, by name: sha256, of planners of others what made them; later sessions must not change them."""
+"""Fields of a session, by name: sha256, of planners of others what made them;
+later sessions must not change them.
+"""
 # What the fields of a session are, and of a configuration, that others read.
 _FORMS: Mapping[str, Any] = {
     **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),
@@ -31,7 +35,12 @@ _FORMS: Mapping[str, Any] = {
     **dict.fromkeys(DIGESTS, Mapping[str, Any]),
 }
 _BUDGET: Mapping[str, Any] = {"suite": str, "cutoff_s": float | None, "iterations": int | None}
-_THREAD_VARIABLES = ("MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_THREAD_VARIABLES = (
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+)
 _CHECKOUT = Path(__file__).resolve().parents[2]
 
 
@@ -46,8 +55,8 @@ def provenance(
     """Describe one session of runs, ready for json; unknown facts are None and nothing here fails.
 
     weights: digest of each model in use, by the model's name. processes: how many ran side by side.
-    problems: digest of each problem that was read from a file, by its name. planners: distributions and versions of
-    each planner of others, by its name.
+    problems: digest of each problem that was read from a file, by its name. planners: distributions
+        and versions of each planner of others, by its name.
     """
     commit, dirty = _git_state(_CHECKOUT)
     return {
@@ -70,11 +79,17 @@ def provenance(
 
 
 def _git_state(checkout: Path) -> tuple[str | None, bool | None]:
-    """Commit and whether the tree has uncommitted changes; (None, None) where this is not a checkout."""
+    """Commit and whether the tree has uncommitted changes;
+    (None, None) where this is not a checkout.
+    """
     top = _git(checkout, "rev-parse", "--show-toplevel")
-    if top is None or Path(top) != checkout:  # e.g. installed in an environment inside another repository
+    # e.g. installed in an environment inside another repository
+    if top is None or Path(top) != checkout:
         return None, None
-    commit, changes = _git(checkout, "rev-parse", "--verify", "HEAD"), _git(checkout, "status", "--porcelain")
+    commit, changes = (
+        _git(checkout, "rev-parse", "--verify", "HEAD"),
+        _git(checkout, "status", "--porcelain"),
+    )
     return commit, None if changes is None else bool(changes)
 
 
@@ -127,7 +142,9 @@ def digests_in(record: Mapping[str, Any], field: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class ProvenanceFile:
-    """``provenance.json`` of a results directory: the first session, and later ones under ``continued``."""
+    """``provenance.json`` of a results directory:
+    the first session, and later ones under ``continued``.
+    """
 
     directory: Path
 
@@ -137,10 +154,13 @@ class ProvenanceFile:
         return self.directory / PROVENANCE_FILE
 
     def read(self) -> dict[str, Any]:
-        """Return the whole record; RunStoreError when it is missing, no json, or not of the form that others read."""
+        """Return the whole record;
+        RunStoreError when it is missing, no json, or not of the form that others read.
+        """
         if not self.path.is_file():
             raise RunStoreError(
-                f"{self.directory} has no {PROVENANCE_FILE}, so its runs cannot be traced; use another --out"
+                f"{self.directory} has no {PROVENANCE_FILE}, so its runs cannot be traced; use "
+                f"another --out"
             )
         try:
             record = read_json_object(self.path)
@@ -149,7 +169,9 @@ class ProvenanceFile:
         if not isinstance(record.get("configuration"), dict):
             raise RunStoreError(f"{self.path} records no configuration; use another --out")
         with located(f"{self.path}"):
-            later = from_plain(tuple[Mapping[str, Any], ...], record.get("continued", []), "continued")
+            later = from_plain(
+                tuple[Mapping[str, Any], ...], record.get("continued", []), "continued"
+            )
             for part in (record, *later):
                 _check(part, _FORMS)
             _check(record["configuration"], _BUDGET)
@@ -160,17 +182,22 @@ class ProvenanceFile:
         self._write({**session, "configuration": dict(configuration)})
 
     def require_same(self, configuration: Mapping[str, object], session: Mapping[str, Any]) -> None:
-        """Raise RunStoreError unless the recorded configuration is this one, and what is in both has one digest."""
+        """Raise RunStoreError unless the recorded configuration is this one, and what is in both
+        has one digest.
+        """
         record = self.read()
         then, now = dict(record["configuration"]), json.loads(_json_text(configuration))
         for field in DIGESTS:
             known, used = digests_in(record, field), session.get(field, {})
             both = known.keys() & used.keys()
-            then[field], now[field] = ({name: part[name] for name in both} for part in (known, used))
+            then[field], now[field] = (
+                {name: part[name] for name in both} for part in (known, used)
+            )
         found = differences(then, now)
         if found:
             raise RunStoreError(
-                f"{self.directory} holds runs of another configuration ({'; '.join(found)}); use another --out"
+                f"{self.directory} holds runs of another configuration ({'; '.join(found)}); use "
+                f"another --out"
             )
 
     def add_continuation(self, session: Mapping[str, object]) -> None:

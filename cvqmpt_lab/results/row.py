@@ -1,7 +1,8 @@
 """Result rows and their csv form.
 
-One row is one run of one planner on one problem, or on one phase of a task, with one seed. Undefined
-values are None in Python and empty in csv, never 0 or -1. A failed run is a row like any other.
+One row is one run of one planner on one problem, or on one phase of a task, with one seed.
+Undefined values are None in Python and empty in csv, never 0 or -1. A failed run is a row like any
+other.
 """
 
 import csv
@@ -16,7 +17,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cvqmpt_lab.codec.plain import field_kinds, from_plain
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError, UnknownChoiceError, shown
+from cvqmpt_lab.errors import (
+    CvqmptError,
+    InvalidInputError,
+    RunStoreError,
+    UnknownChoiceError,
+    shown,
+)
 from cvqmpt_lab.files import read_text, write_text
 
 SCHEMA = "2"
@@ -25,7 +32,8 @@ BY_ROLLOUTS = "solved by rollouts"  # begins `detail` of planners that join stat
 ROLLOUTS_ALONE = f"{BY_ROLLOUTS} alone"  # no tree was grown between them
 FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet would run
 
-PAPER_PHASES = ("reach-handle", "reach-can", "carry")  # the paper times these, as far as can be inferred
+# the paper times these, as far as can be inferred
+PAPER_PHASES = ("reach-handle", "reach-can", "carry")
 
 
 class FailReason(StrEnum):
@@ -70,12 +78,12 @@ class RunKey(NamedTuple):
 class ResultRow:
     """One run; the fields are the columns of ``runs.csv``, in this order.
 
-    Times end in ``_s`` [s], lengths in ``_rad`` [rad, Euclidean in joint space] or ``_m`` [m]. numpy
-    scalars are converted to plain Python values.
+    Times end in ``_s`` [s], lengths in ``_rad`` [rad, Euclidean in joint space] or ``_m`` [m].
+    numpy scalars are converted to plain Python values.
 
-    InvalidInputError or UnknownChoiceError for a value of the wrong type or not finite, text that is empty,
-    unprintable or like a formula, a negative number (other than a clearance), ``solved`` without ``certified``, or a
-    run that neither is solved nor has a ``fail_reason``, or both.
+    InvalidInputError or UnknownChoiceError for a value of the wrong type or not finite, text that
+    is empty, unprintable or like a formula, a negative number (other than a clearance), ``solved``
+    without ``certified``, or a run that neither is solved nor has a ``fail_reason``, or both.
     """
 
     schema: str = SCHEMA
@@ -85,7 +93,8 @@ class ResultRow:
     sampler_used: str | None = None
     seed: int
     backend: str
-    solved: bool  # certified: the planner claimed a path and the independent certificate accepted it
+    # certified: the planner claimed a path and the independent certificate accepted it
+    solved: bool
     fail_reason: FailReason | None = None
     detail: str | None = None  # one line more, for people
     fallback: str | None = None  # why the path did not come the way the planner's name promises
@@ -109,14 +118,16 @@ class ResultRow:
     max_violation_m: float | None = None
     min_clearance_m: float | None = None  # negative where bodies overlap
     path_sha256: str | None = None
-    # Of scanned scenes: from depth images in files to the map (not in `t_total_s`), and to the certificate; whether
-    # the path is free in the scene that was scanned, which planners do not know, and its clearance there.
+    # Of scanned scenes: from depth images in files to the map (not in `t_total_s`), and to the
+    # certificate; whether the path is free in the scene that was scanned, which planners do not
+    # know, and its clearance there.
     t_sense_s: float | None = None
     t_whole_s: float | None = None
     true_free: bool | None = None
     true_clearance_m: float | None = None
-    # Where time was given to improve the first path: what of it was used (in `t_total_s`), how many searches were
-    # begun in it, and the length of the first path, shortened; `path_length_rad` is of the best.
+    # Where time was given to improve the first path: what of it was used (in `t_total_s`), how many
+    # searches were begun in it, and the length of the first path, shortened; `path_length_rad` is
+    # of the best.
     t_improve_s: float | None = None
     n_restarts: int | None = None
     path_length_first_rad: float | None = None
@@ -127,14 +138,17 @@ class ResultRow:
     cloud: str | None = None
     uniform_share: float | None = None
     sequences: str | None = None
-    # G = F(q)^T F(q), mean over fixed draws of what is sampled, before projection [the constraint's units, squared].
+    # G = F(q)^T F(q), mean over fixed draws of what is sampled, before projection [the constraint's
+    # units, squared].
     g_sampled: float | None = None
-    # Whether all that is computed from the scene's cloud was computed in this run: `t_encode_s`, a part of `t_total_s`,
-    # is then what a new scene costs, and `t_total_s` without it the time where the scene is known.
+    # Whether all that is computed from the scene's cloud was computed in this run: `t_encode_s`, a
+    # part of `t_total_s`, is then what a new scene costs, and `t_total_s` without it the time where
+    # the scene is known.
     scene_new: bool | None = None
     # States whose clearance was read from a distance field: approximate checks.
     n_clearances: int | None = None
-    # Wall clock around `pipeline.solve` up to the path, shortened: all but goals, clouds, `t_improve_s`, certificate.
+    # Wall clock around `pipeline.solve` up to the path, shortened: all but goals, clouds,
+    # `t_improve_s`, certificate.
     t_wall_s: float | None = None
 
     def __post_init__(self) -> None:
@@ -142,11 +156,13 @@ class ResultRow:
             object.__setattr__(self, column, _checked(column, kind, getattr(self, column)))
         if self.solved and not self.certified:
             raise InvalidInputError(
-                f"solved is True but certified is {self.certified}; a path without a certificate is a failure"
+                f"solved is True but certified is {self.certified}; a path without a certificate "
+                f"is a failure"
             )
         if self.solved is not (self.fail_reason is None):
             raise InvalidInputError(
-                f"solved is {self.solved} but fail_reason is {self.fail_reason}; give one to failures only"
+                f"solved is {self.solved} but fail_reason is {self.fail_reason}; give one to "
+                f"failures only"
             )
 
     @property
@@ -172,9 +188,12 @@ def _checked(column: str, kind: Any, value: object) -> object:
             return None if value is None else FailReason(str(value))
         raise UnknownChoiceError(column, value, FailReason)
     plain = from_plain(kind, value, column)
-    if isinstance(plain, str) and not (plain and plain.isprintable() and not plain.startswith(FORMULA)):
+    if isinstance(plain, str) and not (
+        plain and plain.isprintable() and not plain.startswith(FORMULA)
+    ):
         raise InvalidInputError(
-            f"{column} is {plain!r}; it must be one non-empty line that does not begin like a formula"
+            f"{column} is {plain!r}; it must be one non-empty line that does not begin like a "
+            f"formula"
         )
     if isinstance(plain, float) and plain < 0 and column not in SIGNED:
         raise InvalidInputError(f"{column} is {plain}; it cannot be negative")
@@ -184,7 +203,9 @@ def _checked(column: str, kind: Any, value: object) -> object:
 
 
 def one_line(text: str) -> str | None:
-    """Any text as a cell takes it: one printable line, quoted where it begins like a formula; None if empty."""
+    """Any text as a cell takes it: one printable line, quoted where it begins like a formula;
+    None if empty.
+    """
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return f"'{line}" if line.startswith(FORMULA) else line or None
 
@@ -224,8 +245,12 @@ def natural_key(text: str) -> tuple[tuple[str | int, ...], str]:
 
 
 def sorted_rows(rows: Iterable[ResultRow]) -> list[ResultRow]:
-    """Rows in the one deterministic order: suite, problem (numbers as numbers), planner, seed, backend."""
-    return sorted(rows, key=lambda r: (r.suite, natural_key(r.problem), r.planner, r.seed, r.backend))
+    """Rows in the one deterministic order:
+    suite, problem (numbers as numbers), planner, seed, backend.
+    """
+    return sorted(
+        rows, key=lambda r: (r.suite, natural_key(r.problem), r.planner, r.seed, r.backend)
+    )
 
 
 def _parse_row(where: str, fields: list[str], columns: int) -> ResultRow:
@@ -236,7 +261,9 @@ def _parse_row(where: str, fields: list[str], columns: int) -> ResultRow:
         try:
             values[column] = _from_text(kind, text)
         except ValueError:
-            raise RunStoreError(f"{where}, column {column}: {shown(text)} cannot stand there") from None
+            raise RunStoreError(
+                f"{where}, column {column}: {shown(text)} cannot stand there"
+            ) from None
     try:
         return ResultRow(**values)
     except CvqmptError as error:
@@ -246,11 +273,14 @@ def _parse_row(where: str, fields: list[str], columns: int) -> ResultRow:
 def _parse_header(path: Path, fields: list[str]) -> int:
     """Number of the columns that a file has."""
     known = COLUMNS[: max(FIRST_COLUMNS, len(fields))]
-    for index, (found, expected) in enumerate(zip_longest(fields, known, fillvalue="nothing"), start=1):
+    for index, (found, expected) in enumerate(
+        zip_longest(fields, known, fillvalue="nothing"), start=1
+    ):
         if found != expected:
             raise RunStoreError(
                 f"{path}, line 1, column {index}: expected {expected}, found {shown(found)[1:-1]}; "
-                f"the file is not a table of runs of this version (schema {SCHEMA}), use another --out"
+                f"the file is not a table of runs of this version (schema {SCHEMA}), use another "
+                f"--out"
             )
     return len(known)
 
@@ -260,7 +290,11 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         columns = _parse_header(path, next(reader, [])) if header else len(COLUMNS)
-        return [_parse_row(f"{path}, line {reader.line_num}", fields, columns) for fields in reader if fields]
+        return [
+            _parse_row(f"{path}, line {reader.line_num}", fields, columns)
+            for fields in reader
+            if fields
+        ]
     except csv.Error as error:
         raise RunStoreError(f"{path}, line {reader.line_num}, column unknown: {error}") from error
 
@@ -268,7 +302,8 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
 def read_rows(path: Path) -> list[ResultRow]:
     """Read a csv of runs; floats come back exactly as they were.
 
-    InvalidInputError when the file cannot be read; RunStoreError names the file, line and column that are wrong.
+    InvalidInputError when the file cannot be read; RunStoreError names the file, line and column
+    that are wrong.
     """
     return parse_rows(Path(path), read_text(path))
 

@@ -21,7 +21,9 @@ ProblemKey = tuple[str, str, int]  # (suite, problem, seed), which the runs of a
 
 
 class Interval(NamedTuple):
-    """An estimate with its confidence interval; None where undefined, +inf where failures make it so."""
+    """An estimate with its confidence interval;
+    None where undefined, +inf where failures make it so.
+    """
 
     estimate: float | None
     low: float | None
@@ -41,9 +43,10 @@ UNDEFINED = Interval(None, None, None, 0)
 def wilson_interval(successes: float, n: int) -> Interval:
     """Success rate with Wilson's score interval (Wilson 1927), as fractions in [0, 1].
 
-    Each bound p satisfies (rate - p)^2 = z^2 p (1 - p) / n. Where a trial succeeds in part (2 of 5 seeds), successes
-    is the sum of these shares; the interval is then wide rather than narrow, because a share between 0 and 1 varies no
-    more than a trial of that probability. InvalidInputError unless 0 <= successes <= n.
+    Each bound p satisfies (rate - p)^2 = z^2 p (1 - p) / n. Where a trial succeeds in part (2 of 5
+    seeds), successes is the sum of these shares; the interval is then wide rather than narrow,
+    because a share between 0 and 1 varies no more than a trial of that probability.
+    InvalidInputError unless 0 <= successes <= n.
     """
     if not 0 <= successes <= n:
         raise InvalidInputError(f"{successes} successes of {n} runs; successes must lie in 0..n")
@@ -57,12 +60,13 @@ def wilson_interval(successes: float, n: int) -> Interval:
 
 
 def median_interval(values: ArrayLike) -> Interval:
-    """Median with an order-statistic (sign-test) interval; failures are +inf. InvalidInputError for NaN.
+    """Median with an order-statistic (sign-test) interval; failures are +inf. InvalidInputError for
+    NaN.
 
     The interval runs from the r-th smallest to the r-th largest value, with the largest r for which
     P(r <= B <= n - r), B ~ Binomial(n, 1/2), is at least CONFIDENCE. That probability is the exact
-    coverage for any continuous distribution and a lower bound otherwise (0.957 for n = 30). No such r
-    exists for n < 6: the interval is then the whole range, and its lower coverage says so.
+    coverage for any continuous distribution and a lower bound otherwise (0.957 for n = 30). No such
+    r exists for n < 6: the interval is then the whole range, and its lower coverage says so.
     """
     ordered = np.sort(_checked(values))
     n = len(ordered)
@@ -79,8 +83,9 @@ def median_interval(values: ArrayLike) -> Interval:
 def mean_of_solved(values: ArrayLike) -> Interval:
     """Mean of the finite values with a percentile-bootstrap interval; failures (+inf) are left out.
 
-    It flatters planners that fail on hard problems: print it only beside the success rate and `median_interval`. One
-    value has no interval. Every bootstrap has the same random seed. InvalidInputError for NaN.
+    It flatters planners that fail on hard problems: print it only beside the success rate and
+    `median_interval`. One value has no interval. Every bootstrap has the same random seed.
+    InvalidInputError for NaN.
     """
     array = _checked(values)
     array = array[np.isfinite(array)]
@@ -100,14 +105,18 @@ def geometric_mean_interval(values: ArrayLike) -> Interval:
     """
     array = _checked(values)
     if not ((array > 0.0) & np.isfinite(array)).all():
-        raise InvalidInputError(f"geometric mean of {array.min()} to {array.max()}; give finite positive values")
+        raise InvalidInputError(
+            f"geometric mean of {array.min()} to {array.max()}; give finite positive values"
+        )
     logs = mean_of_solved(np.log(array))
     middle, low, high = (None if x is None else math.exp(x) for x in logs[:3])
     return Interval(middle, low, high, logs.n)
 
 
 def ratio_of_means_interval(pairs: Sequence[tuple[float, float]]) -> Interval:
-    """Mean of the first numbers over mean of the second ones, with a percentile-bootstrap interval over the pairs."""
+    """Mean of the first numbers over mean of the second ones, with a percentile-bootstrap interval
+    over the pairs.
+    """
     n = len(pairs)
     if n == 0:
         return UNDEFINED
@@ -137,5 +146,7 @@ def jointly_solved(rows_by_planner: Mapping[str, Iterable[ResultRow]]) -> tuple[
 def _checked(values: ArrayLike) -> np.ndarray:
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 1 or np.isnan(array).any():
-        raise InvalidInputError(f"values of shape {array.shape} with NaN or not one-dimensional; failures are +inf")
+        raise InvalidInputError(
+            f"values of shape {array.shape} with NaN or not one-dimensional; failures are +inf"
+        )
     return array

@@ -1,7 +1,7 @@
 """A directory of runs that survives interruption and can be continued.
 
-The paths of its rows lie beside them: ``paths.npz``, arrays of states by the hash that stands in the row. Read one
-with ``numpy.load("paths.npz")[row.path_sha256]``.
+The paths of its rows lie beside them: ``paths.npz``, arrays of states by the hash that stands in
+the row. Read one with ``numpy.load("paths.npz")[row.path_sha256]``.
 """
 
 import errno
@@ -33,13 +33,16 @@ BROKEN = (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.erro
 class RunStore:
     """A directory with ``runs.csv``, ``paths.npz`` and ``provenance.json`` that grows run by run.
 
-    One process appends (its workers hand it their rows). Before `append` returns, the paths of a run and then its
-    rows are on disk, the rows in ``runs.partial.csv`` with an empty line after them. `finish`, or leaving the ``with``
-    block for any reason, merges them into ``runs.csv`` and ``paths.npz``. After a kill the next `open` merges what was
-    left, without a run whose rows were cut short.
+    One process appends (its workers hand it their rows). Before `append` returns, the paths of a
+    run and then its rows are on disk, the rows in ``runs.partial.csv`` with an empty line after
+    them. `finish`, or leaving the ``with`` block for any reason, merges them into ``runs.csv`` and
+    ``paths.npz``. After a kill the next `open` merges what was left, without a run whose rows were
+    cut short.
     """
 
-    def __init__(self, directory: Path, lock: int, later_session: Mapping[str, object] | None) -> None:
+    def __init__(
+        self, directory: Path, lock: int, later_session: Mapping[str, object] | None
+    ) -> None:
         """Use `RunStore.open`."""
         self.directory = directory
         self._lock: int | None = lock
@@ -50,22 +53,31 @@ class RunStore:
 
     @classmethod
     def open(
-        cls, directory: Path, configuration: Mapping[str, object], session: Mapping[str, object] | None = None
+        cls,
+        directory: Path,
+        configuration: Mapping[str, object],
+        session: Mapping[str, object] | None = None,
     ) -> "RunStore":
-        """Create a store, or continue one that was made with an equal configuration and the same weights.
+        """Create a store, or continue one that was made with an equal configuration and the same
+        weights.
 
-        configuration: every setting that must not change within one table (suite, cutoff, ...), as json values.
-        session: of `provenance`; a continued store lists it, once it adds a row, under ``continued``.
+        configuration: every setting that must not change within one table (suite, cutoff, ...), as
+            json values.
+        session: of `provenance`; a continued store lists it, once it adds a row, under
+            ``continued``.
 
-        RunStoreError when the directory cannot be written, is in use, was made with another configuration or other
-        weights (the message names which), or holds runs without provenance or with foreign columns.
+        RunStoreError when the directory cannot be written, is in use, was made with another
+        configuration or other weights (the message names which), or holds runs without provenance
+        or with foreign columns.
         """
         directory = Path(directory)
         try:
             directory.mkdir(parents=True, exist_ok=True)
             lock = lock_folder(directory)
         except OSError as error:
-            raise RunStoreError(f"cannot use {directory}: {error.strerror}; use another --out") from error
+            raise RunStoreError(
+                f"cannot use {directory}: {error.strerror}; use another --out"
+            ) from error
         try:
             if not os.access(directory, os.W_OK):
                 raise RunStoreError(f"{directory} is read-only; choose a writable --out")
@@ -98,7 +110,9 @@ class RunStore:
             self._merge()
 
     def _merge(self) -> None:
-        merge_paths(self.directory, {row.path_sha256 for row in self._rows.values() if row.path_sha256})
+        merge_paths(
+            self.directory, {row.path_sha256 for row in self._rows.values() if row.path_sha256}
+        )
         rows_csv.write_rows(self.directory / RUNS_FILE, self._rows.values())
         (self.directory / PARTIAL_FILE).unlink(missing_ok=True)
 
@@ -113,7 +127,8 @@ class RunStore:
     def append(self, rows: Sequence[ResultRow], paths: Sequence[np.ndarray] = ()) -> None:
         """Add all rows of one run and its paths' states (m, n), and force them to disk.
 
-        A row with a known key replaces the earlier one. RunStoreError when the store is finished or the disk full.
+        A row with a known key replaces the earlier one. RunStoreError when the store is finished or
+        the disk full.
         """
         if self._lock is None:
             raise RunStoreError(f"the store {self.directory} is finished; open it again to append")
@@ -125,7 +140,9 @@ class RunStore:
         try:
             if paths:
                 self._append_to(PARTIAL_PATHS, b"".join(map(array_bytes, paths)))
-            self._append_to(PARTIAL_FILE, (rows_csv.csv_text(rows, header=False) + "\n").encode("utf-8"))
+            self._append_to(
+                PARTIAL_FILE, (rows_csv.csv_text(rows, header=False) + "\n").encode("utf-8")
+            )
         except OSError as error:
             raise RunStoreError(f"cannot append to {self.directory}: {error.strerror}") from error
 
@@ -174,7 +191,9 @@ def array_bytes(states: np.ndarray) -> bytes:
 
 
 class StoredPaths(Mapping[str, np.ndarray]):
-    """Read-only view of a folder's ``paths.npz``; a path is read, and compared with its hash, when it is asked for."""
+    """Read-only view of a folder's ``paths.npz``;
+    a path is read, and compared with its hash, when it is asked for.
+    """
 
     def __init__(self, directory: Path) -> None:
         """Empty when there is no such file; RunStoreError when it is damaged."""
@@ -183,7 +202,9 @@ class StoredPaths(Mapping[str, np.ndarray]):
             self._arrays = np.load(self._path, allow_pickle=False) if self._path.exists() else {}
             self._names = frozenset(self._arrays)
         except BROKEN as error:
-            raise RunStoreError(f"{self._path} is damaged: {error}; run again into another folder") from error
+            raise RunStoreError(
+                f"{self._path} is damaged: {error}; run again into another folder"
+            ) from error
 
     def __getitem__(self, sha256: str) -> np.ndarray:
         """States (m, n) [rad or m]; RunStoreError when they are not those that were stored."""
@@ -192,9 +213,13 @@ class StoredPaths(Mapping[str, np.ndarray]):
         try:
             states = self._arrays[sha256]
         except BROKEN as error:
-            raise RunStoreError(f"{self._path} is damaged: path {sha256} cannot be read: {error}") from error
+            raise RunStoreError(
+                f"{self._path} is damaged: path {sha256} cannot be read: {error}"
+            ) from error
         if not isinstance(states, np.ndarray) or states_hash(states) != sha256:
-            raise RunStoreError(f"{self._path} is damaged: what it holds as path {sha256} has another hash")
+            raise RunStoreError(
+                f"{self._path} is damaged: what it holds as path {sha256} has another hash"
+            )
         return states
 
     def __iter__(self) -> Iterator[str]:
@@ -205,9 +230,11 @@ class StoredPaths(Mapping[str, np.ndarray]):
 
 
 def merge_paths(directory: Path, wanted: Collection[str]) -> None:
-    """Move what `array_bytes` left in PARTIAL_PATHS to PATHS_FILE, which then holds the paths with wanted hashes.
+    """Move what `array_bytes` left in PARTIAL_PATHS to PATHS_FILE, which then holds the paths with
+    wanted hashes.
 
-    An array that was cut short, by a kill or a full disk, ends what is read: its row was never written.
+    An array that was cut short, by a kill or a full disk, ends what is read: its row was never
+    written.
     """
     partial = Path(directory) / PARTIAL_PATHS
     if not partial.is_file():
@@ -215,7 +242,9 @@ def merge_paths(directory: Path, wanted: Collection[str]) -> None:
     kept = {states_hash(states): states for states in _whole_arrays(read_bytes(partial))}
     arrays: dict[str, Any] = {**StoredPaths(directory), **kept}
     with replacing(Path(directory) / PATHS_FILE) as temporary, temporary.open("wb") as handle:
-        np.savez_compressed(handle, **{name: arrays[name] for name in sorted(arrays.keys() & set(wanted))})
+        np.savez_compressed(
+            handle, **{name: arrays[name] for name in sorted(arrays.keys() & set(wanted))}
+        )
         handle.flush()
         os.fsync(handle.fileno())
     partial.unlink()

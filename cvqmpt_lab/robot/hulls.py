@@ -13,15 +13,20 @@ from cvqmpt_lab.robot.robot import LinkGeometry, in_link
 FARTHEST = 1e4  # [m] from the origin of its frame, of a vertex
 THINNEST = 1e-6  # [m] of a mesh up to 1 m across; of a larger one in proportion
 
-# In coal 3.0 the first direction in which a process asks for the furthest point of a box decides, for all boxes
-# afterwards, whether they are larger by 1e-10 of their size on one side. They are: it is decided here, along an axis.
-# Else the last digits of all distances would depend on the first problem of a process.
+# In coal 3.0 the first direction in which a process asks for the furthest point of a box decides,
+# for all boxes afterwards, whether they are larger by 1e-10 of their size on one side. They are: it
+# is decided here, along an axis. Else the last digits of all distances would depend on the first
+# problem of a process.
 _BOX, _BESIDE = coal.Box(1.0, 1.0, 1.0), coal.Transform3s(np.eye(3), np.array([2.0, 0.0, 0.0]))
-coal.distance(_BOX, coal.Transform3s(), _BOX, _BESIDE, coal.DistanceRequest(), coal.DistanceResult())
+coal.distance(
+    _BOX, coal.Transform3s(), _BOX, _BESIDE, coal.DistanceRequest(), coal.DistanceResult()
+)
 
 
 def coal_distance(*bodies: Any) -> float:
-    """Distance [m] of two of coal's objects, or of two shapes, a pose after each; negative where they overlap."""
+    """Distance [m] of two of coal's objects, or of two shapes, a pose after each;
+    negative where they overlap.
+    """
     return float(coal.distance(*bodies, coal.DistanceRequest(), coal.DistanceResult()))
 
 
@@ -38,22 +43,29 @@ def replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:
                 shape.buildConvexHull(True, "Qt")
             except RuntimeError as error:  # e.g. a corner with more than 255 neighbours
                 reason = str(error).rpartition("message: ")[2].strip()
-                raise InvalidInputError(f"{what} has no convex hull ({reason}): simplify it") from error
+                raise InvalidInputError(
+                    f"{what} has no convex hull ({reason}): simplify it"
+                ) from error
             item.geometry = shape.convex
 
 
 def require_volume(points: np.ndarray, what: str) -> None:
-    """InvalidInputError for points (n, 3) that are too far away, or whose hull is too thin, for Qhull (it crashes)."""
+    """InvalidInputError for points (n, 3) that are too far away, or whose hull is too thin, for
+    Qhull (it crashes).
+    """
     farthest = float(np.abs(points).max())
     if not farthest <= FARTHEST:
-        raise InvalidInputError(f"{what} has a vertex at {farthest:.3g} m, beyond {FARTHEST:g}: give metres")
+        raise InvalidInputError(
+            f"{what} has a vertex at {farthest:.3g} m, beyond {FARTHEST:g}: give metres"
+        )
     centred = points - points.mean(axis=0)
     along = np.ptp(centred @ np.linalg.svd(centred, full_matrices=False)[2].T, axis=0)
     thickness = float(along.min()) if len(points) > 3 else 0.0
     least = THINNEST * max(1.0, float(along.max()))
     if not thickness >= least:
         raise InvalidInputError(
-            f"{what} is {thickness:.2g} m thick, less than {least:.2g}: give a mesh with volume, or a box"
+            f"{what} is {thickness:.2g} m thick, less than {least:.2g}: give a mesh with volume, "
+            f"or a box"
         )
 
 
@@ -66,13 +78,17 @@ def convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
 
 
 def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeometry:
-    """A convex piece as arrays; frames: of `axis_frames`. InvalidInputError for one beyond FARTHEST."""
+    """A convex piece as arrays; frames: of `axis_frames`.
+
+    InvalidInputError for one beyond FARTHEST.
+    """
     link, T_link_geometry = in_link(frames, item.parentJoint, item.placement)
     vertices = hull_vertices(item.geometry)
     farthest = float(np.abs(vertices).max())
     if not farthest <= FARTHEST:
         raise InvalidInputError(
-            f"collision shape {item.name} has a vertex at {farthest:.3g} m, beyond {FARTHEST:g}: give metres"
+            f"collision shape {item.name} has a vertex at {farthest:.3g} m, beyond {FARTHEST:g}: "
+            f"give metres"
         )
     return LinkGeometry(item.name, link, T_link_geometry, vertices)
 
@@ -92,11 +108,15 @@ def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
     if isinstance(shape, coal.Cylinder | coal.Capsule):
         half = shape.halfLength + (shape.radius if isinstance(shape, coal.Capsule) else 0.0)
         return prism_vertices(shape.radius, half)
-    raise InvalidInputError(f"collision shape {type(shape).__name__} is not supported: use a mesh, box or cylinder")
+    raise InvalidInputError(
+        f"collision shape {type(shape).__name__} is not supported: use a mesh, box or cylinder"
+    )
 
 
 def enclosing_points(shape: coal.CollisionGeometry) -> np.ndarray:
-    """Points (n, 3) [m] whose hull contains any shape: vertices of a polytope, else the corners of its box."""
+    """Points (n, 3) [m] whose hull contains any shape:
+    vertices of a polytope, else the corners of its box.
+    """
     if isinstance(shape, coal.ConvexBase):
         return hull_vertices(shape)
     shape.computeLocalAABB()

@@ -1,8 +1,8 @@
 """Forward kinematics of a tree of hinges and sliders, compiled, on plain arrays.
 
-Joint frames are chosen so that every joint turns about, or slides along, its own z axis (`Robot` prepares them):
-T_j = T_parent(j) T_joint(j) Rot_z(q_j), or Trans_z(q_j). Row 0 of every pose array is the world; joint j (from 0) is
-row j + 1.
+Joint frames are chosen so that every joint turns about, or slides along, its own z axis (`Robot`
+prepares them): T_j = T_parent(j) T_joint(j) Rot_z(q_j), or Trans_z(q_j). Row 0 of every pose array
+is the world; joint j (from 0) is row j + 1.
 """
 
 from typing import Annotated, NamedTuple
@@ -12,7 +12,8 @@ import numpy as np
 from cvqmpt_lab.jit import entry, kernel
 
 _TWO_OVER_PI = 2.0 / np.pi
-# pi / 2 as a sum of three doubles; the first two have 33 significant bits, so that k times them is exact.
+# pi / 2 as a sum of three doubles; the first two have 33 significant bits, so that k times them is
+# exact.
 _QUARTER_HIGH = 1.5707963267341256
 _QUARTER_MIDDLE = 6.077100506303966e-11
 _QUARTER_LOW = 2.0222662487959506e-21
@@ -24,28 +25,38 @@ _C2, _C3, _C4, _C5, _C6, _C7, _C8 = _C[2:9]
 
 @kernel(inline="machine")
 def sine_and_cosine(angle):
-    """Sine and cosine of an angle [rad] below 1e5, to 1e-15; not-a-number for angles that are not finite.
+    """Sine and cosine of an angle [rad] below 1e5, to 1e-15; not-a-number for angles that are not
+    finite.
 
-    k pi / 2 is taken off in three exact parts; on the rest, in [-pi / 4, pi / 4], Taylor's series are exact.
+    k pi / 2 is taken off in three exact parts; on the rest, in [-pi / 4, pi / 4], Taylor's series
+    are exact.
     """
     k = np.floor(angle * _TWO_OVER_PI + 0.5)
     x = ((angle - k * _QUARTER_HIGH) - k * _QUARTER_MIDDLE) - k * _QUARTER_LOW
     z = x * x
     s = x + x * z * (_S1 + z * (_S2 + z * (_S3 + z * (_S4 + z * (_S5 + z * (_S6 + z * _S7))))))
-    c = 1.0 - z * (0.5 - z * (_C2 + z * (_C3 + z * (_C4 + z * (_C5 + z * (_C6 + z * (_C7 + z * _C8)))))))
+    c = 1.0 - z * (
+        0.5 - z * (_C2 + z * (_C3 + z * (_C4 + z * (_C5 + z * (_C6 + z * (_C7 + z * _C8))))))
+    )
     quadrant = k - 4.0 * np.floor(0.25 * k)
     odd = quadrant == 1.0 or quadrant == 3.0
     sine = c if odd else s
     cosine = s if odd else c
-    return (-sine if quadrant >= 2.0 else sine, -cosine if quadrant == 1.0 or quadrant == 2.0 else cosine)
+    return (
+        -sine if quadrant >= 2.0 else sine,
+        -cosine if quadrant == 1.0 or quadrant == 2.0 else cosine,
+    )
 
 
 class Kinematics(NamedTuple):
     """A kinematic tree of n joints."""
 
-    parent: Annotated[np.ndarray, "int64 n"]  # Pose row of the parent frame (0 = world, j + 1 = joint j)
-    rotation: Annotated[np.ndarray, "n 3 3"]  # Rotation of the joint frame in its parent frame at q = 0
-    translation: Annotated[np.ndarray, "n 3"]  # Origin of the joint frame in its parent frame at q = 0 [m]
+    # Pose row of the parent frame (0 = world, j + 1 = joint j)
+    parent: Annotated[np.ndarray, "int64 n"]
+    # Rotation of the joint frame in its parent frame at q = 0
+    rotation: Annotated[np.ndarray, "n 3 3"]
+    # Origin of the joint frame in its parent frame at q = 0 [m]
+    translation: Annotated[np.ndarray, "n 3"]
     prismatic: Annotated[np.ndarray, "bool n"]  # True for a slider, False for a hinge
     lower: Annotated[np.ndarray, "n"]  # Joint limits [rad or m]
     upper: Annotated[np.ndarray, "n"]  # Joint limits [rad or m]
@@ -56,7 +67,8 @@ class Kinematics(NamedTuple):
 def forward_kinematics(kinematics, q, link_rotation, link_translation):
     """Write the pose of every joint frame at q (n,) [rad or m].
 
-    link_rotation, link_translation: (n + 1, 3, 3) and (n + 1, 3) [m], overwritten; row 0 is the world.
+    link_rotation, link_translation: (n + 1, 3, 3) and (n + 1, 3) [m], overwritten; row 0 is the
+        world.
     """
     turn, offset = kinematics.rotation, kinematics.translation
     for a in range(3):
@@ -99,7 +111,9 @@ def write_link_poses(
 
 
 def link_poses(kinematics: Kinematics, configurations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m] of all joint frames at configurations (m, n)."""
+    """Rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m] of all joint frames at
+    configurations (m, n).
+    """
     m, rows = len(configurations), len(kinematics.parent) + 1
     rotations, translations = np.empty((m, rows, 3, 3)), np.empty((m, rows, 3))
     write_link_poses(kinematics, configurations, rotations, translations)

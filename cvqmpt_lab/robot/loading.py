@@ -17,7 +17,13 @@ from cvqmpt_lab.codec.plain import from_plain, mapping
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.hulls import link_geometry, replace_meshes_by_hulls
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
-from cvqmpt_lab.robot.robot import Robot, axis_frames, in_link, kinematics_arrays, positive_per_joint
+from cvqmpt_lab.robot.robot import (
+    Robot,
+    axis_frames,
+    in_link,
+    kinematics_arrays,
+    positive_per_joint,
+)
 from cvqmpt_lab.robot.self_collision import checked_pairs, left_out_pairs
 from cvqmpt_lab.robot.source import (
     ARTICULATED,
@@ -58,8 +64,8 @@ def load_robot(
 ) -> Robot:
     """Load the arm of hinge and slider joints between the base of a URDF and a frame of it.
 
-    Continuous joints turn by up to 2 pi either way; joints that are not between the two are held at the value
-    nearest to 0, and those that mimic them at the value that follows.
+    Continuous joints turn by up to 2 pi either way; joints that are not between the two are held at
+    the value nearest to 0, and those that mimic them at the value that follows.
 
     Parameters
     ----------
@@ -67,7 +73,8 @@ def load_robot(
     srdf: file with the link pairs to skip; without one they are found by sampling.
     locked: joints to fix, with their values [rad or m].
     package_dirs: folders in which ``package://`` mesh paths are looked up first.
-    acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2]; only timing a path needs them.
+    acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2]; only timing a path needs
+        them.
     base: (4, 4), pose of the base link in the world.
     """
     source: dict[str, Any] = {
@@ -85,14 +92,18 @@ def load_robot(
 
 
 def robot_from_source(source: Mapping[str, Any]) -> Robot:
-    """The robot that a problem file names: ``{"name": "panda"}`` or ``{"urdf": ..., "end_effector": ...}``.
+    """The robot that a problem file names: ``{"name": "panda"}`` or ``{"urdf": ..., "end_effector":
+    ...}``.
 
-    Either may have an "articulated" object, the json of an `ArticulatedObject`, whose joint then comes last.
+    Either may have an "articulated" object, the json of an `ArticulatedObject`, whose joint then
+    comes last.
     """
     try:
         alone = {k: v for k, v in mapping(source, WHERE).items() if k != ARTICULATED}
         arm = json.dumps(alone, sort_keys=True)
-        articulated = json.dumps(source[ARTICULATED], sort_keys=True) if ARTICULATED in source else ""
+        articulated = (
+            json.dumps(source[ARTICULATED], sort_keys=True) if ARTICULATED in source else ""
+        )
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"problem field 'robot' is malformed: {error}") from error
     packages = os.environ.get(ROS_VARIABLE, "")
@@ -116,12 +127,15 @@ def _cached_mechanism(robot: Robot, articulated: str) -> Robot:
 
 
 def unpickled(source: Mapping[str, Any], files: Sequence[tuple[str, str]]) -> Robot:
-    """The robot of a source, built again; InvalidInputError if its files hold something else than when pickled."""
+    """The robot of a source, built again;
+    InvalidInputError if its files hold something else than when pickled.
+    """
     robot = robot_from_source(source)
     if [digest for _, digest in robot.files] != [digest for _, digest in files]:
         changed = next((path for path, digest in files if content_digest(path) != digest), source)
         raise InvalidInputError(
-            f"robot {robot.name} was pickled from other files than there are now, see {changed}: make the pickle anew"
+            f"robot {robot.name} was pickled from other files than there are now, see {changed}: "
+            f"make the pickle anew"
         )
     return robot
 
@@ -144,7 +158,9 @@ def _built(source: Mapping[str, Any]) -> Robot:
     accelerations = None
     if files.acceleration_limits is not None:
         names = list(model.names)[1:]
-        accelerations = positive_per_joint("acceleration limit", files.acceleration_limits, names, "rad/s^2")
+        accelerations = positive_per_joint(
+            "acceleration limit", files.acceleration_limits, names, "rad/s^2"
+        )
     hand = model.frames[model.getFrameId(files.end_effector, pin.FrameType.BODY)]
     robot = Robot(
         name=model.name,
@@ -170,19 +186,24 @@ def _built(source: Mapping[str, Any]) -> Robot:
 def _models(
     urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]
 ) -> tuple[pin.Model, pin.GeometryModel, dict[str, str]]:
-    """Pinocchio's models of the joints that are not held, standing on the given base; digests of the meshes' files."""
+    """Pinocchio's models of the joints that are not held, standing on the given base;
+    digests of the meshes' files.
+    """
     check_bodies(urdf.root, urdf.path)
     root = one_coordinate_a_joint(urdf)
     meshes = find_collision_meshes(root, urdf.path, [Path(folder) for folder in files.package_dirs])
     digests = {path: content_digest(path) for path in meshes}
-    for element in root.findall("joint"):  # pinocchio cannot hold joints where one is called like a link
+    # pinocchio cannot hold joints where one is called like a link
+    for element in root.findall("joint"):
         element.set("name", JOINT + element.get("name", ""))
     text = ElementTree.tostring(root, encoding="unicode")
     try:
         model = pin.buildModelFromXML(text)
         geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:
-        raise InvalidInputError(f"cannot load {files.urdf}: {' '.join(str(error).split())}") from error
+        raise InvalidInputError(
+            f"cannot load {files.urdf}: {' '.join(str(error).split())}"
+        ) from error
     if len(geometry.geometryObjects) != len(root.findall("link/collision")):
         raise InvalidInputError(
             f"cannot load {files.urdf}: its parser leaves collision bodies out; see its words above"
@@ -217,11 +238,18 @@ def _place(model: pin.Model, geometry: pin.GeometryModel, base: pin.SE3) -> None
 def _refuse_far(robot: Robot, urdf: Urdf) -> None:
     if robot.reach <= MOST_REACH:
         return
-    slides = {j.name: max(abs(j.lower), abs(j.upper)) for j in urdf.joints.values() if j.kind == "prismatic"}
+    slides = {
+        j.name: max(abs(j.lower), abs(j.upper))
+        for j in urdf.joints.values()
+        if j.kind == "prismatic"
+    }
     name, slide = max(slides.items(), key=lambda item: item[1], default=("", 0.0))
     slides_far = slide > MOST_REACH / 2
-    reason = f"joint {name!r} slides to {slide:g} m" if slides_far else "its links or base lie far away"
+    reason = (
+        f"joint {name!r} slides to {slide:g} m" if slides_far else "its links or base lie far away"
+    )
     raise InvalidInputError(
-        f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because {reason}: at most {MOST_REACH:g} m; "
+        f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because {reason}: at most "
+        f"{MOST_REACH:g} m; "
         "are all lengths in metres?"
     )

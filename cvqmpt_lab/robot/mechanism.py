@@ -44,7 +44,8 @@ class ArticulatedObject(Checked):
     upper: float  # [rad or m]
     parts: tuple[Part, ...]  # what moves
     casing: tuple[Part, ...] = ()  # fixed pieces beside the parts, checked against the robot alone
-    may_touch: tuple[tuple[str, str], ...] = ()  # (robot piece, part) pairs not checked: at the handle
+    # (robot piece, part) pairs not checked: at the handle
+    may_touch: tuple[tuple[str, str], ...] = ()
     velocity: Length = 1.0  # limit [rad/s or m/s]; only timing a path needs it
     acceleration: Length = 2.0  # limit [rad/s^2 or m/s^2]; only timing a path needs it
 
@@ -53,7 +54,8 @@ class ArticulatedObject(Checked):
         what = f"articulated object {self.name!r}"
         if not self.lower < self.upper:
             raise InvalidInputError(
-                f"{what} has range [{self.lower}, {self.upper}]: lower < upper needed, else leave it in the scene"
+                f"{what} has range [{self.lower}, {self.upper}]: lower < upper needed, else leave "
+                f"it in the scene"
             )
         if not self.parts:
             raise InvalidInputError(f"{what} moves nothing: give 'parts'")
@@ -72,12 +74,19 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     parts = _add_pieces(geometry, item.parts, joint)
     casing = _add_pieces(geometry, item.casing, 0)
     objects = geometry.geometryObjects
-    pairs = [(i, k) for k in parts for i in arm if (objects[i].name, objects[k].name) not in item.may_touch]
+    pairs = [
+        (i, k)
+        for k in parts
+        for i in arm
+        if (objects[i].name, objects[k].name) not in item.may_touch
+    ]
     pairs += [(i, k) for k in casing for i in arm if objects[i].parentJoint != 0]
     for i, k in pairs:
         geometry.addCollisionPair(pin.CollisionPair(i, k))
     left_out = [LeftOut(*names, "may touch") for names in item.may_touch]
-    left_out += [LeftOut(part.name, fixed.name, "casing") for part in item.parts for fixed in item.casing]
+    left_out += [
+        LeftOut(part.name, fixed.name, "casing") for part in item.parts for fixed in item.casing
+    ]
     frames = axis_frames(model)
     accelerations = robot.acceleration_limits
     return replace(
@@ -90,18 +99,24 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
         links=(*robot.links, *(link_geometry(objects[k], frames) for k in (*parts, *casing))),
         self_collision_pairs=(*robot.self_collision_pairs, *pairs),
         left_out_pairs=(*robot.left_out_pairs, *left_out),
-        acceleration_limits=None if accelerations is None else np.append(accelerations, item.acceleration),
+        acceleration_limits=None
+        if accelerations is None
+        else np.append(accelerations, item.acceleration),
     )
 
 
 def _check_names(robot: Robot, item: ArticulatedObject) -> None:
     if "articulated" in robot.source:
-        raise InvalidInputError(f"robot {robot.name} has an articulated object already: start from the arm")
+        raise InvalidInputError(
+            f"robot {robot.name} has an articulated object already: start from the arm"
+        )
     pieces, parts = [piece.name for piece in robot.links], [part.name for part in item.parts]
     known = {*pieces, *robot.frame_names, *robot.joint_names}
     for name in (item.name, *(part.name for part in (*item.parts, *item.casing))):
         if name in known:
-            raise InvalidInputError(f"robot {robot.name} has a {name!r} already: rename that of {item.name!r}")
+            raise InvalidInputError(
+                f"robot {robot.name} has a {name!r} already: rename that of {item.name!r}"
+            )
     for pair in item.may_touch:
         for what, name, names in zip(("robot piece", "part"), pair, (pieces, parts), strict=True):
             if name not in names:

@@ -1,8 +1,10 @@
-"""Proof that two convex pieces of a robot stay apart over the whole ranges of the joints between them.
+"""Proof that two convex pieces of a robot stay apart over the whole ranges of the joints between
+them.
 
-Branch and bound over boxes of joint values. When joint j alone changes by d, the distance of the pieces changes by at
-most L_j |d|. So in a box with centre q and half widths h it is at least distance(q) - sum_j L_j h_j; where that is too
-little, the box is halved along the joint with the largest L_j h_j.
+Branch and bound over boxes of joint values. When joint j alone changes by d, the distance of the
+pieces changes by at most L_j |d|. So in a box with centre q and half widths h it is at least
+distance(q) - sum_j L_j h_j; where that is too little, the box is halved along the joint with the
+largest L_j h_j.
 """
 
 from collections.abc import Sequence
@@ -24,7 +26,8 @@ def proven_apart(
     shapes: tuple[coal.CollisionGeometry, coal.CollisionGeometry],
     gap: float,
 ) -> bool:
-    """Whether the pieces stay more than gap [m] apart at all joint values; "no" may mean "not known".
+    """Whether the pieces stay more than gap [m] apart at all joint values; "no" may mean "not
+    known".
 
     shapes: of the pieces, in their frames; the vertices of the pieces contain them.
     """
@@ -35,7 +38,8 @@ def proven_apart(
     low, high = kinematics.lower[joints][None], kinematics.upper[joints][None]
     (ball_a, radius_a), (ball_b, radius_b) = (piece.ball for piece in pieces)
     while len(low):
-        q = np.tile(kinematics.lower, (len(low), 1))  # joints that are not between the pieces change nothing
+        # joints that are not between the pieces change nothing
+        q = np.tile(kinematics.lower, (len(low), 1))
         q[:, joints] = 0.5 * (low + high)
         R, t = link_poses(kinematics, q)
         needed = 0.5 * (high - low) @ lever + gap
@@ -53,7 +57,9 @@ def proven_apart(
 
 
 def _halved(low: np.ndarray, high: np.ndarray, lever: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both halves of each box, (k, m) each to (2 k, m), along the joint that moves the pieces furthest."""
+    """Both halves of each box, (k, m) each to (2 k, m), along the joint that moves the pieces
+    furthest.
+    """
     row, widest = np.arange(len(low)), ((high - low) * lever).argmax(axis=1)
     middle = 0.5 * (low[row, widest] + high[row, widest])
     below, above = high.copy(), low.copy()
@@ -75,26 +81,38 @@ def _distance(
     return coal_distance(shapes[0], placed[0], shapes[1], placed[1])
 
 
-def distance_levers(kinematics: Kinematics, first: LinkGeometry, second: LinkGeometry) -> dict[int, float]:
-    """L_j of each joint j between two pieces [m/rad, or m/m]: for a hinge, of the two sides that it turns against
-    each other, the one whose points are closer to its axis in all configurations.
+def distance_levers(
+    kinematics: Kinematics, first: LinkGeometry, second: LinkGeometry
+) -> dict[int, float]:
+    """L_j of each joint j between two pieces [m/rad, or m/m]: for a hinge, of the two sides that it
+    turns against each other, the one whose points are closer to its axis in all configurations.
     """
     sides = [_chain(kinematics, piece.link) for piece in (first, second)]
     sides = [[j for j in side if j not in other] for side, other in (sides, sides[::-1])]
     levers = {}
-    for joints, piece, others, other in zip(sides, (first, second), sides[::-1], (second, first), strict=True):
-        own, far = piece.vertices_in_link, float(np.linalg.norm(other.vertices_in_link, axis=1).max())
-        far += sum(_step(kinematics, j) for j in others)  # of the other piece from where both chains part
+    for joints, piece, others, other in zip(
+        sides, (first, second), sides[::-1], (second, first), strict=True
+    ):
+        own, far = (
+            piece.vertices_in_link,
+            float(np.linalg.norm(other.vertices_in_link, axis=1).max()),
+        )
+        # of the other piece from where both chains part
+        far += sum(_step(kinematics, j) for j in others)
         to_other = {}
         for j in reversed(joints):
             off_axis = np.cross(kinematics.translation[j], kinematics.rotation[j, :, 2])
             to_other[j] = float(np.linalg.norm(off_axis)) + far
             far += _step(kinematics, j)
-        around = float(np.linalg.norm(own[:, :2], axis=1).max())  # of the own piece around joint j's axis z
-        reach = float(np.linalg.norm(own, axis=1).max())  # of the own piece from the origin of joint j
+        # of the own piece around joint j's axis z
+        around = float(np.linalg.norm(own[:, :2], axis=1).max())
+        # of the own piece from the origin of joint j
+        reach = float(np.linalg.norm(own, axis=1).max())
         for j in joints:
             levers[j] = 1.0 if kinematics.prismatic[j] else min(around, to_other[j])
-            around = float(np.linalg.norm(kinematics.translation[j, :2])) + _slide(kinematics, j) + reach
+            around = (
+                float(np.linalg.norm(kinematics.translation[j, :2])) + _slide(kinematics, j) + reach
+            )
             reach += _step(kinematics, j)
     return levers
 
@@ -110,7 +128,9 @@ def _chain(kinematics: Kinematics, row: int) -> list[int]:
 
 def _slide(kinematics: Kinematics, j: int) -> float:
     """How far joint j slides from 0 [m]; zero for a hinge."""
-    return float(max(abs(kinematics.lower[j]), abs(kinematics.upper[j])) if kinematics.prismatic[j] else 0.0)
+    return float(
+        max(abs(kinematics.lower[j]), abs(kinematics.upper[j])) if kinematics.prismatic[j] else 0.0
+    )
 
 
 def _step(kinematics: Kinematics, j: int) -> float:

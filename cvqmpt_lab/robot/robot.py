@@ -1,7 +1,7 @@
 """A robot arm: its joints, limits and collision geometry.
 
-`Robot` has its model twice: as pinocchio objects for the exact backend and the certificate, and as arrays for the
-compiled kernels. Tests compare the two.
+`Robot` has its model twice: as pinocchio objects for the exact backend and the certificate, and as
+arrays for the compiled kernels. Tests compare the two.
 """
 
 import hashlib
@@ -25,9 +25,10 @@ DIGEST_DECIMALS = 9  # [rad or m]: rounding of compilers and processors must not
 class LeftOut(NamedTuple):
     """Two links, or a link and a piece of a door, that are not checked against each other, and why.
 
-    Reasons: "SRDF: " and the word of its maker; "fixed to each other"; "adjacent" (one joint between them); "proven
-    apart" (at all joint values); "overlap in N % of random states" (convex hulls too large, on the word of sampling);
-    "may touch" (a hand and the door it holds, on the word of the problem file); "casing" (a door and its fixed frame).
+    Reasons: "SRDF: " and the word of its maker; "fixed to each other"; "adjacent" (one joint
+    between them); "proven apart" (at all joint values); "overlap in N % of random states" (convex
+    hulls too large, on the word of sampling); "may touch" (a hand and the door it holds, on the
+    word of the problem file); "casing" (a door and its fixed frame).
     """
 
     first: str
@@ -58,7 +59,8 @@ class LinkGeometry:
 
 
 SLOW = 0.1  # share of the speed limits for first tries on a real arm: 0.2 rad/s on the Panda
-PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)  # [rad/s^2], data sheet; velocities: its URDF
+# [rad/s^2], data sheet; velocities: its URDF
+PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,13 +73,17 @@ class JointLimits:
 
     def __post_init__(self) -> None:
         for name, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2")):
-            values = positive_per_joint(f"{name} limit", getattr(self, name), self.joint_names, unit)
+            values = positive_per_joint(
+                f"{name} limit", getattr(self, name), self.joint_names, unit
+            )
             object.__setattr__(self, name, values)
 
     def scaled(self, speed: float) -> "JointLimits":
         """Both limits times speed, a number above 0 and at most 1."""
         if not 0.0 < speed <= 1.0:
-            raise InvalidInputError(f"speed factor {speed}: give a number above 0 and at most 1 (full speed)")
+            raise InvalidInputError(
+                f"speed factor {speed}: give a number above 0 and at most 1 (full speed)"
+            )
         return JointLimits(self.joint_names, speed * self.velocity, speed * self.acceleration)
 
 
@@ -88,17 +94,22 @@ def positive_per_joint(
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError) as error:
-        raise InvalidInputError(f"{what}s {values!r}: give {len(joint_names)} numbers [{unit}]") from error
+        raise InvalidInputError(
+            f"{what}s {values!r}: give {len(joint_names)} numbers [{unit}]"
+        ) from error
     if array.ndim == 0:
         array = np.full(len(joint_names), float(array))
     if array.shape != (len(joint_names),):
         names = ", ".join(joint_names)
         raise InvalidInputError(
-            f"{what}s have shape {array.shape}: give {len(joint_names)} numbers [{unit}], one each for {names}"
+            f"{what}s have shape {array.shape}: give {len(joint_names)} numbers [{unit}], one "
+            f"each for {names}"
         )
     for name, value in zip(joint_names, array, strict=True):
         if not (np.isfinite(value) and value > 0.0):
-            raise InvalidInputError(f"{what} {value} of joint {name!r}: give a finite number above 0 [{unit}]")
+            raise InvalidInputError(
+                f"{what} {value} of joint {name!r}: give a finite number above 0 [{unit}]"
+            )
     array.flags.writeable = False
     return array
 
@@ -122,10 +133,12 @@ class Robot(Pictured):
     model: pin.Model
     collision_model: pin.GeometryModel  # meshes replaced by their convex hulls
     end_effector: str  # frame that constraints and goals are about
-    end_effector_link: tuple[int, np.ndarray]  # pose row of the end effector's link, T_link_frame (4, 4)
+    # pose row of the end effector's link, T_link_frame (4, 4)
+    end_effector_link: tuple[int, np.ndarray]
     kinematics: Kinematics  # arrays for the kernels
     links: tuple[LinkGeometry, ...]  # convex pieces
-    self_collision_pairs: tuple[tuple[int, int], ...]  # indices into `links` of the pairs that are checked
+    # indices into `links` of the pairs that are checked
+    self_collision_pairs: tuple[tuple[int, int], ...]
     left_out_pairs: tuple[LeftOut, ...] = ()
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
     acceleration_limits: np.ndarray | None = None  # (n,) [rad/s^2 or m/s^2], or None if not given
@@ -137,7 +150,8 @@ class Robot(Pictured):
 
     def __repr__(self) -> str:
         return (
-            f"Robot {self.name!r}: {self.dof} joints, end effector {self.end_effector}, reach {self.reach:.2f} m, "
+            f"Robot {self.name!r}: {self.dof} joints, end effector {self.end_effector}, reach "
+            f"{self.reach:.2f} m, "
             f"{len(self.links)} convex pieces\njoints      {', '.join(self.joint_names)}"
         )
 
@@ -180,16 +194,22 @@ class Robot(Pictured):
 
     @cached_property
     def kinematics_digest(self) -> str:
-        """Hash of joint names, placements, axes and limits: what weights are trained for; no collision shapes."""
+        """Hash of joint names, placements, axes and limits: what weights are trained for;
+        no collision shapes.
+        """
         k = self.kinematics
         digest = hashlib.sha256("\n".join(self.joint_names).encode())
         for array in (k.parent, k.prismatic, k.rotation, k.translation, k.lower, k.upper):
-            digest.update((np.round(array.astype(np.float64), DIGEST_DECIMALS) + 0.0).astype("<f8").tobytes())
+            digest.update(
+                (np.round(array.astype(np.float64), DIGEST_DECIMALS) + 0.0).astype("<f8").tobytes()
+            )
         return digest.hexdigest()[:32]
 
     @cached_property
     def reach(self) -> float:
-        """Radius [m] of a ball around the base frame that no moving link, and no end-effector frame, can leave."""
+        """Radius [m] of a ball around the base frame that no moving link, and no end-effector
+        frame, can leave.
+        """
         k = self.kinematics
         distance = np.zeros(self.dof + 1)
         for j in range(self.dof):
@@ -211,7 +231,9 @@ class Robot(Pictured):
         """The same at configurations (k, n), as (k, 4, 4)."""
         name = frame or self.end_effector
         if not self.model.existFrame(name, pin.FrameType.BODY):
-            raise InvalidInputError(f"robot {self.name} has no frame {name!r}; see `Robot.frame_names`")
+            raise InvalidInputError(
+                f"robot {self.name} has no frame {name!r}; see `Robot.frame_names`"
+            )
         frame_id = self.model.getFrameId(name, pin.FrameType.BODY)
         poses, data = np.empty((len(q), 4, 4)), self._of_thread.data
         for T, row in zip(poses, np.asarray(q, dtype=float), strict=True):
@@ -220,7 +242,9 @@ class Robot(Pictured):
         return poses
 
     def link_of(self, frame: str) -> tuple[int, np.ndarray]:
-        """Pose row that carries a body frame, and T_link_frame (4, 4); UnknownChoiceError lists the frames."""
+        """Pose row that carries a body frame, and T_link_frame (4, 4);
+        UnknownChoiceError lists the frames.
+        """
         if frame not in self.frame_names:
             raise UnknownChoiceError(f"frame of robot {self.name}", frame, self.frame_names)
         body = self.model.frames[self.model.getFrameId(frame, pin.FrameType.BODY)]
@@ -231,11 +255,15 @@ class Robot(Pictured):
         """Names of the robot's body frames."""
         return tuple(f.name for f in self.model.frames if f.type == pin.FrameType.BODY)
 
-    def joint_outside_limits(self, q: np.ndarray, tolerance: float = 1e-9) -> tuple[str, float] | None:
+    def joint_outside_limits(
+        self, q: np.ndarray, tolerance: float = 1e-9
+    ) -> tuple[str, float] | None:
         """Name of the joint furthest outside its limits and by how much [rad or m], or None."""
         excess = np.maximum(self.lower - q, q - self.upper)
         worst = int(np.argmax(excess))
-        return (self.joint_names[worst], float(excess[worst])) if excess[worst] > tolerance else None
+        return (
+            (self.joint_names[worst], float(excess[worst])) if excess[worst] > tolerance else None
+        )
 
     def random_configurations(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Uniform configurations (count, n) inside the limits."""
@@ -244,7 +272,9 @@ class Robot(Pictured):
 
 # From pinocchio's model to the arrays of the kernels, whose joint frames have the joint axis as z.
 def axis_frames(model: pin.Model) -> list[np.ndarray]:
-    """Rotation (3, 3) of each pose row that turns pinocchio's joint frame so that its z is the joint axis."""
+    """Rotation (3, 3) of each pose row that turns pinocchio's joint frame so that its z is the
+    joint axis.
+    """
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     frames = [np.eye(3)]
@@ -267,9 +297,13 @@ def kinematics_arrays(model: pin.Model, frames: list[np.ndarray]) -> Kinematics:
         moves[[j - 1 for j in model.supports[k] if j > 0], k] = True
     return Kinematics(
         parent=parent,
-        rotation=np.array([frames[parent[j]].T @ placements[j].rotation @ frames[j + 1] for j in range(n)]),
+        rotation=np.array(
+            [frames[parent[j]].T @ placements[j].rotation @ frames[j + 1] for j in range(n)]
+        ),
         translation=np.array([frames[parent[j]].T @ placements[j].translation for j in range(n)]),
-        prismatic=np.array([j.shortname().startswith("JointModelP") for j in list(model.joints)[1:]]),
+        prismatic=np.array(
+            [j.shortname().startswith("JointModelP") for j in list(model.joints)[1:]]
+        ),
         lower=np.array(model.lowerPositionLimit),
         upper=np.array(model.upperPositionLimit),
         moves=moves,

@@ -1,9 +1,10 @@
-"""Which pairs of links are checked against each other: all but those for which there is a reason not to.
+"""Which pairs of links are checked against each other: all but those for which there is a reason
+not to.
 
-An SRDF names the pairs that its maker leaves out. Without one, a pair is left out if its links are fixed to each other
-or neighbours (one joint moves them, and no other body lies between), if they are proven to stay `GAP` apart at all
-joint values, or if they overlap in nearly every random configuration. All others are checked. The result depends on the
-robot alone and is cached.
+An SRDF names the pairs that its maker leaves out. Without one, a pair is left out if its links are
+fixed to each other or neighbours (one joint moves them, and no other body lies between), if they
+are proven to stay `GAP` apart at all joint values, or if they overlap in nearly every random
+configuration. All others are checked. The result depends on the robot alone and is cached.
 """
 
 import contextlib
@@ -27,13 +28,20 @@ from cvqmpt_lab.robot.urdf import Urdf
 
 SAMPLES = 2000  # random configurations
 GAP = 0.01  # [m] a pair that may come so near is checked
-CONTACT = 1e-6  # [m] of an overlap: at 0 coal calls hulls free that are 1.3 mm deep in each other, by where GJK begins
-ALWAYS = 0.95  # share of them in which two hulls overlap "always": because of their shapes, not of the configuration
+# [m] of an overlap: at 0 coal calls hulls free that are 1.3 mm deep in each other, by where GJK
+# begins
+CONTACT = 1e-6
+# share of them in which two hulls overlap "always": because of their shapes, not of the
+# configuration
+ALWAYS = 0.95
 SPREAD = 0.15  # by which the share among `CHUNK` of them may be smaller: five standard deviations
 CHUNK = 50  # configurations after which pairs that are decided are dropped
-FIXED, ADJACENT, APART = "fixed to each other", "adjacent", "proven apart"  # reasons for leaving out a pair
-OVERLAP, FROM_SRDF = "overlap in ", "SRDF: "  # before the share of random states; before what an SRDF says
-SOURCES = sources_digest(Path(__file__).parent)  # of the rule: other sources make cached files invalid
+# reasons for leaving out a pair
+FIXED, ADJACENT, APART = "fixed to each other", "adjacent", "proven apart"
+# before the share of random states; before what an SRDF says
+OVERLAP, FROM_SRDF = "overlap in ", "SRDF: "
+# of the rule: other sources make cached files invalid
+SOURCES = sources_digest(Path(__file__).parent)
 
 Pair = tuple[str, str]  # names of two links
 
@@ -46,9 +54,14 @@ def left_out_pairs(
     urdf: Urdf,
     srdf: Path | None,
 ) -> tuple[LeftOut, ...]:
-    """The pairs that an SRDF leaves out; without one, the cached ones, or those found now, which are then cached."""
+    """The pairs that an SRDF leaves out;
+    without one, the cached ones, or those found now, which are then cached.
+    """
     if srdf is not None:
-        return tuple(pair._replace(reason=FROM_SRDF + pair.reason.removeprefix(FROM_SRDF)) for pair in read_srdf(srdf))
+        return tuple(
+            pair._replace(reason=FROM_SRDF + pair.reason.removeprefix(FROM_SRDF))
+            for pair in read_srdf(srdf)
+        )
     names = [link_of_piece(model, item) for item in geometry.geometryObjects]
     near = neighbours(urdf, set(names))
     key = robot_digest(geometry, links, kinematics, names, near)
@@ -78,22 +91,28 @@ def robot_digest(
     names: Sequence[str],
     near: Collection[Pair],
 ) -> str:
-    """Digest of all that the pairs depend on: every joint's axis, placement and limits, and every piece.
+    """Digest of all that the pairs depend on: every joint's axis, placement and limits, and every
+    piece.
 
-    names: URDF links of the pieces. near: of `neighbours`. Axes are in `kinematics.rotation`: joints turn about z.
+    names: URDF links of the pieces. near: of `neighbours`. Axes are in `kinematics.rotation`:
+        joints turn about z.
     """
     digest = hashlib.sha256(f"{SOURCES} {sorted(near)!r}".encode())
     for array in kinematics:
         digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())
     for name, piece, item in zip(names, links, geometry.geometryObjects, strict=True):
         kind = type(item.geometry).__name__
-        digest.update(f"{name!r} {piece.name!r} {piece.link} {kind} {piece.vertices.shape}".encode())
+        digest.update(
+            f"{name!r} {piece.name!r} {piece.link} {kind} {piece.vertices.shape}".encode()
+        )
         digest.update(piece.T_link_geometry.tobytes() + piece.vertices.tobytes())
     return digest.hexdigest()
 
 
 def neighbours(urdf: Urdf, bodies: Collection[str]) -> set[Pair]:
-    """Pairs (nearer to the base, further out) of links with bodies, with none but links without bodies between them."""
+    """Pairs (nearer to the base, further out) of links with bodies, with none but links without
+    bodies between them.
+    """
     above = {joint.child: joint.parent for joint in urdf.joints.values()}
     found = set()
     for link in bodies:
@@ -137,7 +156,9 @@ def found_pairs(
     for k, item in enumerate(geometry.geometryObjects):
         pieces.setdefault(link_of_piece(model, item), []).append(k)
     every = list(combinations(pieces, 2))
-    joints = {name: geometry.geometryObjects[indices[0]].parentJoint for name, indices in pieces.items()}
+    joints = {
+        name: geometry.geometryObjects[indices[0]].parentJoint for name, indices in pieces.items()
+    }
     reasons = {}
     for pair in every:
         a, b = joints[pair[0]], joints[pair[1]]
@@ -155,19 +176,26 @@ def found_pairs(
         seen = sampling.close([pair for pair in pairs if pair in undecided], rows, GAP)
         often -= {pair for pair, hits in seen.items() if hits.mean() < ALWAYS - SPREAD}
         apart -= {pair for pair, hits in seen.items() if hits.any()}
-    touching = sampling.close([pair for pair in pairs if pair in often], np.arange(SAMPLES), CONTACT)
+    touching = sampling.close(
+        [pair for pair in pairs if pair in often], np.arange(SAMPLES), CONTACT
+    )
     for pair, hits in touching.items():
         if hits.mean() >= ALWAYS:
             reasons[pair] = f"{OVERLAP}{100.0 * hits.mean():.4g} % of random states"
     shapes = [item.geometry for item in geometry.geometryObjects]
     for first, second in sorted(apart):
         bodies = ((i, k) for i in pieces[first] for k in pieces[second])
-        if all(proven_apart(kinematics, (links[i], links[k]), (shapes[i], shapes[k]), GAP) for i, k in bodies):
+        if all(
+            proven_apart(kinematics, (links[i], links[k]), (shapes[i], shapes[k]), GAP)
+            for i, k in bodies
+        ):
             reasons[first, second] = APART
     return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
 
 
-def _balls(links: Sequence[LinkGeometry], kinematics: Kinematics, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _balls(
+    links: Sequence[LinkGeometry], kinematics: Kinematics, states: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Centres (k, p, 3) and radii (p,) [m] of balls around the pieces, in each state (k, n)."""
     rotations, translations = link_poses(kinematics, states)
     centres, radii = np.empty((len(states), len(links), 3)), np.empty(len(links))
@@ -185,9 +213,12 @@ class _Sampling:
     geometry: pin.GeometryModel
     pieces: Mapping[str, list[int]]  # indices of the pieces of each link
     states: np.ndarray  # (k, n) [rad or m]
-    balls: tuple[np.ndarray, np.ndarray]  # of `_balls`: pieces whose balls are apart need no exact check
+    # of `_balls`: pieces whose balls are apart need no exact check
+    balls: tuple[np.ndarray, np.ndarray]
 
-    def close(self, pairs: Sequence[Pair], rows: np.ndarray, margin: float) -> dict[Pair, np.ndarray]:
+    def close(
+        self, pairs: Sequence[Pair], rows: np.ndarray, margin: float
+    ) -> dict[Pair, np.ndarray]:
         """Whether each pair of links is closer than a margin [m], in each of the states `rows`."""
         tested = pin.GeometryModel(self.geometry)
         tested.removeAllCollisionPairs()
@@ -225,7 +256,9 @@ def srdf_pairs(text: str, path: Path) -> tuple[LeftOut, ...]:
     if root.tag != "robot":
         raise InvalidInputError(f"SRDF file {path} has the root <{root.tag}>, not <robot>")
     return tuple(
-        LeftOut(item.get("link1", ""), item.get("link2", ""), item.get("reason", "left out by the SRDF"))
+        LeftOut(
+            item.get("link1", ""), item.get("link2", ""), item.get("reason", "left out by the SRDF")
+        )
         for item in root.findall("disable_collisions")
     )
 
@@ -234,6 +267,8 @@ def srdf_text(name: str, pairs: Sequence[LeftOut]) -> str:
     """An SRDF file that leaves out these pairs."""
     robot = ElementTree.Element("robot", name=name)
     for pair in pairs:
-        ElementTree.SubElement(robot, "disable_collisions", link1=pair.first, link2=pair.second, reason=pair.reason)
+        ElementTree.SubElement(
+            robot, "disable_collisions", link1=pair.first, link2=pair.second, reason=pair.reason
+        )
     ElementTree.indent(robot)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'

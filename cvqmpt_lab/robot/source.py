@@ -44,11 +44,16 @@ class PerJoint:
 class RobotOptions:
     """Options of any robot."""
 
-    srdf: str | None = None  # file with the link pairs to skip; None: the named arm's own, or sampled
-    locked: Mapping[str, float] = field(default_factory=dict)  # joints to fix, with their values [rad or m]
-    package_dirs: tuple[str, ...] = ()  # folders in which ``package://`` mesh paths are looked up first
-    acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None  # (n,) or () [rad/s^2 or m/s^2]
-    base: Pose | None = None  # (4, 4), pose of the URDF's base link in the world; None: the identity
+    # file with the link pairs to skip; None: the named arm's own, or sampled
+    srdf: str | None = None
+    # joints to fix, with their values [rad or m]
+    locked: Mapping[str, float] = field(default_factory=dict)
+    # folders in which ``package://`` mesh paths are looked up first
+    package_dirs: tuple[str, ...] = ()
+    # (n,) or () [rad/s^2 or m/s^2]
+    acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None
+    # (4, 4), pose of the URDF's base link in the world; None: the identity
+    base: Pose | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,7 +69,8 @@ class NamedRobot(RobotOptions):
     """A robot with a name; options given here replace those of the name."""
 
     name: str  # a key of `ARMS`
-    end_effector: str | None = None  # frame that constraints and goals are about, instead of the usual one
+    # frame that constraints and goals are about, instead of the usual one
+    end_effector: str | None = None
     finger_opening: float | None = None  # [m] of each finger of the Panda
 
     @property
@@ -72,7 +78,8 @@ class NamedRobot(RobotOptions):
         """The URDF, options and end effector that the name stands for."""
         if self.name in ELSEWHERE:
             raise InvalidInputError(
-                f"robot {self.name!r} is not in the package {EXAMPLES}: {ELSEWHERE[self.name]}; give its file as "
+                f"robot {self.name!r} is not in the package {EXAMPLES}: {ELSEWHERE[self.name]}; "
+                f"give its file as "
                 "--urdf, or 'urdf' and 'end_effector' in a problem file"
             )
         name = ALIASES.get(self.name, self.name)
@@ -82,10 +89,13 @@ class NamedRobot(RobotOptions):
         fingers: Mapping[str, float] = {}
         if self.finger_opening is not None:
             if name != "panda":
-                raise InvalidInputError(f"'finger_opening' is the panda's, not that of {self.name!r}; use 'locked'")
+                raise InvalidInputError(
+                    f"'finger_opening' is the panda's, not that of {self.name!r}; use 'locked'"
+                )
             if not 0.0 <= self.finger_opening <= FINGER_OPENING:
                 raise InvalidInputError(
-                    f"finger opening {self.finger_opening} m: give a value from 0 to {FINGER_OPENING} m"
+                    f"finger opening {self.finger_opening} m: give a value from 0 to "
+                    f"{FINGER_OPENING} m"
                 )
             fingers = dict.fromkeys(arm.locked, self.finger_opening)
         accelerations = numbers(arm.acceleration_limits, WHERE) if arm.acceleration_limits else None
@@ -102,7 +112,9 @@ class NamedRobot(RobotOptions):
 
 
 def seen_from(folder: Path, source: Any) -> Any:
-    """A robot's source, its paths made absolute from a folder; `read_source` refuses what is no object."""
+    """A robot's source, its paths made absolute from a folder;
+    `read_source` refuses what is no object.
+    """
     if not isinstance(source, Mapping):
         return source
     named = [name for name in ("urdf", "srdf") if isinstance(source.get(name), str)]
@@ -119,7 +131,9 @@ def read_source(source: Mapping[str, Any]) -> UrdfRobot:
     if "urdf" in values:
         return from_plain(UrdfRobot, values, WHERE)
     if "name" not in values:
-        raise InvalidInputError(f"{WHERE} needs 'name' ({', '.join(ARMS)}) or 'urdf' and 'end_effector'")
+        raise InvalidInputError(
+            f"{WHERE} needs 'name' ({', '.join(ARMS)}) or 'urdf' and 'end_effector'"
+        )
     return from_plain(NamedRobot, values, WHERE).described
 
 
@@ -164,9 +178,15 @@ ARMS: Mapping[str, NamedArm] = {
     "tiago": NamedArm("tiago_description/robots/tiago.urdf", "hand_tool_link"),
     "tiago-no-hand": NamedArm("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
     "tiago-dual-left": NamedArm("tiago_description/robots/tiago_dual.urdf", "hand_left_palm_link"),
-    "tiago-dual-right": NamedArm("tiago_description/robots/tiago_dual.urdf", "hand_right_palm_link"),
-    "tiago-pro-left": NamedArm("tiago_pro_description/robots/tiago_pro.urdf", "gripper_left_base_link"),
-    "tiago-pro-right": NamedArm("tiago_pro_description/robots/tiago_pro.urdf", "gripper_right_base_link"),
+    "tiago-dual-right": NamedArm(
+        "tiago_description/robots/tiago_dual.urdf", "hand_right_palm_link"
+    ),
+    "tiago-pro-left": NamedArm(
+        "tiago_pro_description/robots/tiago_pro.urdf", "gripper_left_base_link"
+    ),
+    "tiago-pro-right": NamedArm(
+        "tiago_pro_description/robots/tiago_pro.urdf", "gripper_right_base_link"
+    ),
     "talos-left-arm": NamedArm(TALOS, "gripper_left_base_link", locked=STANDING),
     "talos-right-arm": NamedArm(TALOS, "gripper_right_base_link", locked=STANDING),
     "baxter-left": NamedArm("baxter_description/urdf/baxter.urdf", "left_gripper", BAXTER_SRDF),
@@ -188,11 +208,14 @@ ELSEWHERE = {
 # What the files of a robot hold.
 SETTLED = 1e8  # [ns] after a change of a file, when another one surely gives it another time
 
-_DIGESTS: dict[str, tuple[tuple[int, ...], str]] = {}  # by path: times, size, inode; sha256 of the content
+# by path: times, size, inode; sha256 of the content
+_DIGESTS: dict[str, tuple[tuple[int, ...], str]] = {}
 
 
 def content_digest(path: str) -> str:
-    """sha256 of what a file holds, "" if there is none; read again only if its times or its size have changed."""
+    """sha256 of what a file holds, "" if there is none;
+    read again only if its times or its size have changed.
+    """
     try:
         status = os.stat(path)  # noqa: PTH116, since a Path takes 20 us
         stamp = status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
@@ -224,14 +247,18 @@ def example_robots() -> Path:
 def _installed_share() -> Path:
     """The share folder in which example-robot-data is, or would be, installed."""
     shares = [Path(entry) / "cmeel.prefix" / "share" for entry in sys.path]
-    return next((share for share in shares if (share / EXAMPLES).is_dir()), Path(sys.prefix) / "share")
+    return next(
+        (share for share in shares if (share / EXAMPLES).is_dir()), Path(sys.prefix) / "share"
+    )
 
 
-def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: Sequence[Path]) -> list[str]:
+def find_collision_meshes(
+    root: ElementTree.Element, urdf: Path, package_dirs: Sequence[Path]
+) -> list[str]:
     """Replace the names of collision meshes in a URDF by absolute paths, and return these.
 
-    The unit that a DAE file states, which pinocchio's loader ignores, goes into the mesh's scale. Errors name a mesh
-    that is not found, or whose unit is none.
+    The unit that a DAE file states, which pinocchio's loader ignores, goes into the mesh's scale.
+    Errors name a mesh that is not found, or whose unit is none.
     """
     found = []
     for mesh in root.findall("link/collision/geometry/mesh"):
@@ -239,7 +266,9 @@ def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: S
         if not name.startswith(SCHEME):
             path = urdf.parent / name.removeprefix("file://")
             if not path.is_file():
-                raise InvalidInputError(f"{urdf.name}: mesh {name!r} is not there: {path} is no file")
+                raise InvalidInputError(
+                    f"{urdf.name}: mesh {name!r} is not there: {path} is no file"
+                )
         else:
             package, _, rest = name.removeprefix(SCHEME).partition("/")
             path = in_package(package, rest, urdf, package_dirs)
@@ -254,8 +283,12 @@ def find_collision_meshes(root: ElementTree.Element, urdf: Path, package_dirs: S
 
 
 def in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
-    """The file of "package://PACKAGE/REST" that a URDF or scene names; InvalidInputError says where it was sought."""
-    ros_folders = [Path(name) for name in os.environ.get(ROS_VARIABLE, "").split(os.pathsep) if name]
+    """The file of "package://PACKAGE/REST" that a URDF or scene names;
+    InvalidInputError says where it was sought.
+    """
+    ros_folders = [
+        Path(name) for name in os.environ.get(ROS_VARIABLE, "").split(os.pathsep) if name
+    ]
     for folder in (*package_dirs, *ros_folders, *urdf.resolve().parents, _installed_share()):
         inside = [folder / package / rest]  # the folder holds the package, or is it
         for path in [*inside, folder / rest] if folder.name == package else inside:
@@ -263,7 +296,9 @@ def in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path]
                 return path
     given = ", ".join(str(folder) for folder in package_dirs) or "not given"
     raise InvalidInputError(
-        f"{urdf.name}: mesh {SCHEME}{package}/{rest} is in none of these places: --package-dir ({given}), "
-        f"{ROS_VARIABLE} ({os.environ.get(ROS_VARIABLE) or 'not set'}), the folders above {urdf.resolve().parent}; "
+        f"{urdf.name}: mesh {SCHEME}{package}/{rest} is in none of these places: --package-dir "
+        f"({given}), "
+        f"{ROS_VARIABLE} ({os.environ.get(ROS_VARIABLE) or 'not set'}), the folders above "
+        f"{urdf.resolve().parent}; "
         f"give --package-dir DIR, the folder that holds {package}"
     )

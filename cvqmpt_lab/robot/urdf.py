@@ -1,4 +1,6 @@
-"""Links, joints and collision bodies of a URDF, checked before pinocchio parses it: its errors name too little."""
+"""Links, joints and collision bodies of a URDF, checked before pinocchio parses it:
+its errors name too little.
+"""
 
 import copy
 import math
@@ -84,7 +86,9 @@ class Urdf:
 
     @property
     def likely_end_effectors(self) -> list[str]:
-        """Links at the ends of the chains with the most joints: tool frames first, the hand rather than its fingers."""
+        """Links at the ends of the chains with the most joints:
+        tool frames first, the hand rather than its fingers.
+        """
         stands_on = Counter(joint.parent for joint in self.joints.values() if joint.kind != "fixed")
         parents = {joint.parent for joint in self.joints.values()}
         joints_before: dict[str, int] = {}
@@ -109,7 +113,9 @@ def read_urdf(path: Path) -> Urdf:
     except ElementTree.ParseError as error:
         raise InvalidInputError(f"cannot read URDF {path}: {error}") from error
     if root.tag != "robot":
-        raise InvalidInputError(f"{path} does not contain a valid URDF: its root is <{root.tag}>, not <robot>")
+        raise InvalidInputError(
+            f"{path} does not contain a valid URDF: its root is <{root.tag}>, not <robot>"
+        )
     if not root.get("name"):
         raise InvalidInputError(f"{path} does not contain a valid URDF: its <robot> has no name")
     links = tuple(link.get("name", "") for link in root.findall("link"))
@@ -140,9 +146,11 @@ def _joint(element: ElementTree.Element, path: Path) -> Joint:
         stated = limit is None or attribute in limit.attrib
         if not stated and element.get("type") != "continuous":
             raise InvalidInputError(
-                f"joint {shown(name)} of {path.name}: its <limit> states no {attribute}; URDF needs velocity and effort"
+                f"joint {shown(name)} of {path.name}: its <limit> states no {attribute}; URDF "
+                f"needs velocity and effort"
             )
-    unstated = math.nan if limit is None else 0.0  # the format's default of a <limit> without lower or upper
+    # the format's default of a <limit> without lower or upper
+    unstated = math.nan if limit is None else 0.0
     return Joint(
         name=name,
         kind=element.get("type", ""),
@@ -161,7 +169,9 @@ def _refuse_no_tree(path: Path, links: Sequence[str], joints: Sequence[Joint]) -
     for what, listed in (("link", links), ("joint", [joint.name for joint in joints])):
         twice = [name for name, count in Counter(listed).items() if count > 1]
         if twice:
-            raise InvalidInputError(f"{path.name} has more than one {what} called {shown(twice[0])}: rename one")
+            raise InvalidInputError(
+                f"{path.name} has more than one {what} called {shown(twice[0])}: rename one"
+            )
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
@@ -173,25 +183,35 @@ def _refuse_no_tree(path: Path, links: Sequence[str], joints: Sequence[Joint]) -
     if moved_twice:
         movers = [joint.name for joint in joints if joint.child == moved_twice[0]]
         raise InvalidInputError(
-            f"link {shown(moved_twice[0])} of {path.name} is the child of {', '.join(map(shown, movers[:8]))}: "
+            f"link {shown(moved_twice[0])} of {path.name} is the child of "
+            f"{', '.join(map(shown, movers[:8]))}: "
             "a link has one parent"
         )
     roots = [link for link in links if link not in children]
     if len(roots) != 1:
         found = ", ".join(map(shown, roots[:8])) or "none"
         raise InvalidInputError(f"{path.name} needs one link that no joint moves; it has {found}")
-    reached, below = [roots[0]], {link: [j.child for j in joints if j.parent == link] for link in links}
+    reached, below = (
+        [roots[0]],
+        {link: [j.child for j in joints if j.parent == link] for link in links},
+    )
     for link in reached:
         reached += below[link]
     if len(reached) < len(links):
         loose = ", ".join(map(shown, [link for link in links if link not in reached][:8]))
-        raise InvalidInputError(f"links {loose} of {path.name} hang on no link that stands still: a ring of joints")
+        raise InvalidInputError(
+            f"links {loose} of {path.name} hang on no link that stands still: a ring of joints"
+        )
 
 
-def held_joints(urdf: Urdf, end_effector: str, locked: Mapping[str, float], base_given: bool) -> tuple[HeldJoint, ...]:
-    """The joints that planning does not move, with their values: those locked, and those off the chain.
+def held_joints(
+    urdf: Urdf, end_effector: str, locked: Mapping[str, float], base_given: bool
+) -> tuple[HeldJoint, ...]:
+    """The joints that planning does not move, with their values: those locked, and those off the
+    chain.
 
-    InvalidInputError names every joint that can be neither moved nor held, and the options that hold them.
+    InvalidInputError names every joint that can be neither moved nor held, and the options that
+    hold them.
     """
     if end_effector not in urdf.links:
         raise UnknownChoiceError("end-effector frame", end_effector, urdf.links)
@@ -203,7 +223,9 @@ def held_joints(urdf: Urdf, end_effector: str, locked: Mapping[str, float], base
         if joint.mimics is not None:
             followers.append(joint)
         elif joint.name not in chain:
-            held[joint.name] = HeldJoint(joint.name, joint.neutral, "not between the base and the end effector")
+            held[joint.name] = HeldJoint(
+                joint.name, joint.neutral, "not between the base and the end effector"
+            )
         elif joint.kind == "floating" and base_given:
             held[joint.name] = HeldJoint(joint.name, 0.0, "the base is given")
     for joint in followers:
@@ -219,7 +241,11 @@ def held_joints(urdf: Urdf, end_effector: str, locked: Mapping[str, float], base
             + ", ".join(f"{joint.name!r} {joint.hindrance}" for joint in offending)
             + "; hold them: "
             + " ".join(f"--lock {joint.name}={joint.neutral:g}" for joint in offending)
-            + (", or place the base: --base X,Y,Z" if any(j.kind == "floating" for j in offending) else "")
+            + (
+                ", or place the base: --base X,Y,Z"
+                if any(j.kind == "floating" for j in offending)
+                else ""
+            )
         )
     if not chain - set(held) - {j.name for j in urdf.joints.values() if j.kind == "fixed"}:
         raise InvalidInputError(
@@ -233,16 +259,21 @@ def _locked_value(urdf: Urdf, name: str, value: float) -> float:
     if name not in urdf.movable:
         raise UnknownChoiceError("joint to lock", name, urdf.movable)
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(float(value)):
-        raise InvalidInputError(f"joint {name!r} cannot be locked at {value!r}: give a finite number [rad or m]")
+        raise InvalidInputError(
+            f"joint {name!r} cannot be locked at {value!r}: give a finite number [rad or m]"
+        )
     if urdf.joints[name].kind != "prismatic" and abs(value) > TURN:
         raise InvalidInputError(
-            f"joint {name!r} cannot be locked at {value:g} rad, more than 2 pi: degrees? Give radians"
+            f"joint {name!r} cannot be locked at {value:g} rad, more than 2 pi: degrees? Give "
+            f"radians"
         )
     return float(value)
 
 
 def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
-    """The file with continuous joints limited to a turn either way, and floating and planar ones fixed."""
+    """The file with continuous joints limited to a turn either way, and floating and planar ones
+    fixed.
+    """
     root = copy.deepcopy(urdf.root)
     for element in root.findall("joint"):
         kind = element.get("type")
@@ -257,7 +288,8 @@ def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
     return root
 
 
-# Collision bodies: pinocchio leaves out those that it does not understand, and planning would go on without them.
+# Collision bodies: pinocchio leaves out those that it does not understand, and planning would go on
+# without them.
 SIZES: Mapping[str, Mapping[str, int]] = {  # numbers [m] in each attribute of a shape
     "box": {"size": 3},
     "cylinder": {"radius": 1, "length": 1},
@@ -267,7 +299,9 @@ SIZES: Mapping[str, Mapping[str, int]] = {  # numbers [m] in each attribute of a
 
 
 def collada_unit(data: bytes) -> float:
-    """The unit [m] that a COLLADA file states, 1 if none; InvalidInputError if it is no positive number."""
+    """The unit [m] that a COLLADA file states, 1 if none;
+    InvalidInputError if it is no positive number.
+    """
     stated = re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']*)", data)
     if stated is None:
         return 1.0
@@ -298,7 +332,9 @@ def check_bodies(root: ElementTree.Element, path: Path) -> None:
 def _check_body(body: ElementTree.Element) -> None:
     shapes = [shape for geometry in body.findall("geometry") for shape in geometry]
     if len(shapes) != 1:
-        raise InvalidInputError(f"it has {len(shapes)} shapes; give one <geometry> with one of {', '.join(SIZES)}")
+        raise InvalidInputError(
+            f"it has {len(shapes)} shapes; give one <geometry> with one of {', '.join(SIZES)}"
+        )
     shape = shapes[0]
     if shape.tag not in SIZES:
         raise UnknownChoiceError("shape", shape.tag, SIZES)
@@ -325,5 +361,7 @@ def _numbers(element: ElementTree.Element, name: str, count: int) -> list[float]
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)) or "_" in text:
-        raise InvalidInputError(f"{name} of its {element.tag} is {shown(text)}; it must be {count} finite numbers")
+        raise InvalidInputError(
+            f"{name} of its {element.tag} is {shown(text)}; it must be {count} finite numbers"
+        )
     return numbers

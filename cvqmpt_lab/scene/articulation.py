@@ -14,7 +14,8 @@ from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 
-REST_GAP = 1e-3  # [m] pieces that come closer to the object somewhere on its path are part of its casing, ...
+# [m] pieces that come closer to the object somewhere on its path are part of its casing, ...
+REST_GAP = 1e-3
 DEEPEST = 1e-4  # [m] ... unless it goes deeper into them: then they are obstacles that stop it
 CREEP = 1e-3  # [m] of motion between checks of pieces closer than REST_GAP
 
@@ -30,10 +31,10 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
     """Take the articulation `name` out of a scene, whatever its present value.
 
     A closed door stands between the boards of its cabinet with half a millimetre of play: less than
-    planners keep from obstacles. Such boards become the object's casing, which is checked against the
-    robot only. A fixed obstacle belongs to the casing when somewhere on the object's whole path it is
-    closer than `REST_GAP`, and nowhere entered deeper than `DEEPEST`. Anything else stays an obstacle
-    for the moving object too, e.g. a box in its path and its neighbour doors.
+    planners keep from obstacles. Such boards become the object's casing, which is checked against
+    the robot only. A fixed obstacle belongs to the casing when somewhere on the object's whole path
+    it is closer than `REST_GAP`, and nowhere entered deeper than `DEEPEST`. Anything else stays an
+    obstacle for the moving object too, e.g. a box in its path and its neighbour doors.
 
     may_touch: (robot piece, part) pairs that may touch, see `ArticulatedObject`.
     """
@@ -41,7 +42,9 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
     movers = [scene[part] for part in joint.moves]
     cloud = next((item.name for item in movers if isinstance(item.shape, Measured)), None)
     if cloud is not None:
-        raise InvalidInputError(f"{cloud!r}, a part of {name!r}, is measured points: give a box or a mesh in its place")
+        raise InvalidInputError(
+            f"{cloud!r}, a part of {name!r}, is measured points: give a box or a mesh in its place"
+        )
     moved = {part for item in scene.articulations for part in item.moves}
     standing = (item for item in scene.obstacles if item.name not in moved)
     fixed = [item for item in standing if not isinstance(item.shape, Measured)]

@@ -1,4 +1,6 @@
-"""Point clouds and occupancy maps as boxes that hold them: the same boxes for the compiled checker and for coal."""
+"""Point clouds and occupancy maps as boxes that hold them:
+the same boxes for the compiled checker and for coal.
+"""
 
 from typing import NamedTuple
 
@@ -7,7 +9,8 @@ import numpy as np
 from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.scene.shapes import Measured, OccupancyMap, PointCloud, require_resolution
 
-MOST_BALLS = 1000  # clouds of more points are checked as boxes, which hold the balls and a little more
+# clouds of more points are checked as boxes, which hold the balls and a little more
+MOST_BALLS = 1000
 CELL = np.sqrt(2.0)  # edge of a cloud's cells, in radii of its balls
 MOST_CELLS_ACROSS = 60_000  # along an edge of a cloud; of finer ones the cells are made larger
 DENSE = 1 << 26  # grids of no more cells are searched as a whole: one byte a cell
@@ -31,19 +34,27 @@ class Cells(NamedTuple):
 
 
 def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf) -> Blocks:
-    """Boxes that together hold a map or the balls of a cloud, within reach [m] of the parent's origin.
+    """Boxes that together hold a map or the balls of a cloud, within reach [m] of the parent's
+    origin.
 
-    Of a map they are its cells. Of a small cloud they are its points, so that the inflated boxes are its balls. Points
-    of a large one are gathered in cells, and a box reaches as far as its points: inflated, the boxes hold every ball,
-    and none of their points is farther than sqrt(3) `CELL` radii from one.
+    Of a map they are its cells. Of a small cloud they are its points, so that the inflated boxes
+    are its balls. Points of a large one are gathered in cells, and a box reaches as far as its
+    points: inflated, the boxes hold every ball, and none of their points is farther than sqrt(3)
+    `CELL` radii from one.
     """
     if isinstance(shape, PointCloud):
         points, edge, half, padding = shape.points, CELL * shape.radius, 0.0, shape.radius
         if len(points) <= MOST_BALLS:
             return Blocks(points, points, padding)
     else:
-        points, edge, half, padding = shape.centres, shape.resolution, 0.5 * shape.resolution, shape.padding
-    columns = np.ascontiguousarray(points.T)  # a coordinate each: many times as fast as rows of three
+        points, edge, half, padding = (
+            shape.centres,
+            shape.resolution,
+            0.5 * shape.resolution,
+            shape.padding,
+        )
+    # a coordinate each: many times as fast as rows of three
+    columns = np.ascontiguousarray(points.T)
     if reach < np.inf:
         away = T_parent_shape[:3, :3] @ columns + T_parent_shape[:3, 3:]
         farthest = reach + np.sqrt(3.0) * half + padding
@@ -73,7 +84,9 @@ def cells_with(columns: np.ndarray, edge: float) -> Cells:
 
 
 def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -> OccupancyMap:
-    """The cells that hold some of points (m, 3), m >= 1 [m], of the grid through the origin; see `OccupancyMap`."""
+    """The cells that hold some of points (m, 3), m >= 1 [m], of the grid through the origin;
+    see `OccupancyMap`.
+    """
     require_resolution(resolution)
     place = np.floor(points / resolution)
     first = place.min(axis=0)
@@ -113,7 +126,9 @@ def _joined(boxes: Cells, axis: int) -> Cells:
             follows &= (low[1:, k] == low[:-1, k]) & (high[1:, k] == high[:-1, k])
     start = np.flatnonzero(np.append(True, ~follows))
     last = np.append(start[1:], len(low)) - 1
-    return Cells(low[start], high[last], np.minimum.reduceat(least, start), np.maximum.reduceat(most, start))
+    return Cells(
+        low[start], high[last], np.minimum.reduceat(least, start), np.maximum.reduceat(most, start)
+    )
 
 
 def _in_order(boxes: Cells, axis: int) -> Cells:
@@ -125,7 +140,9 @@ def _in_order(boxes: Cells, axis: int) -> Cells:
 
 
 def seen_points(shape: Measured) -> FloatArray:
-    """Points (p, 3) [m] on what was measured, in its frame: those of a cloud, middles of a map's outermost cells."""
+    """Points (p, 3) [m] on what was measured, in its frame:
+    those of a cloud, middles of a map's outermost cells.
+    """
     if isinstance(shape, PointCloud):
         return shape.points
     return shape.centres[exposed(shape.cells.astype(np.int64))]

@@ -1,7 +1,8 @@
 """Point clouds from files and to files: PCD, PLY, NPY, lines of numbers.
 
-A header is believed only as far as the file's size bears it out: counts are compared with what the file can hold
-before anything is read, and with what was read afterwards. Memory stays within a small multiple of the file's size.
+A header is believed only as far as the file's size bears it out: counts are compared with what the
+file can hold before anything is read, and with what was read afterwards. Memory stays within a
+small multiple of the file's size.
 """
 
 import contextlib
@@ -34,7 +35,10 @@ PLY_TYPES = {
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+NPY_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 
 
 class CloudRead(NamedTuple):
@@ -52,25 +56,31 @@ class Column(NamedTuple):
 
 
 def read_cloud(path: Path | str, scale: float = 1.0) -> CloudRead:
-    """Read the points of a file, whose suffix says what it is (see `READERS`); scale: [m] of one unit of the file.
+    """Read the points of a file, whose suffix says what it is (see `READERS`); scale: [m] of one
+    unit of the file.
 
-    InvalidInputError for a file that cannot be read, contradicts itself, has no finite point, or is evidently not in
-    metres.
+    InvalidInputError for a file that cannot be read, contradicts itself, has no finite point, or is
+    evidently not in metres.
     """
     path = Path(path)
     reader = READERS[kind_of(path, READERS, "cloud")]
     data = file_bytes(path, "cloud")
     with parsing(path, "cloud"), np.errstate(over="ignore", invalid="ignore"):
         points = scale * reader(data).astype(np.float64)
-    finite = np.logical_and.reduce([np.isfinite(axis) for axis in points.T])  # 5 times as fast as by rows
+    # 5 times as fast as by rows
+    finite = np.logical_and.reduce([np.isfinite(axis) for axis in points.T])
     if not finite.any():
-        raise InvalidInputError(f"cloud {path}: none of its {len(points)} points is finite; give one that has some")
+        raise InvalidInputError(
+            f"cloud {path}: none of its {len(points)} points is finite; give one that has some"
+        )
     check_lengths(points[finite], f"cloud {path}")
     return CloudRead(points[finite], int(len(points) - finite.sum()))
 
 
 def write_cloud(path: Path | str, points: FloatArray) -> None:
-    """Write points (m, 3) [m] in single precision, whole or not at all; the suffix says how (see `WRITERS`)."""
+    """Write points (m, 3) [m] in single precision, whole or not at all;
+    the suffix says how (see `WRITERS`).
+    """
     path = Path(path)
     write = WRITERS[kind_of(path, WRITERS, "cloud")]
     write_bytes(path, write(np.ascontiguousarray(points, dtype="<f4")))
@@ -81,7 +91,9 @@ def file_bytes(path: Path, what: str) -> bytes:
     if path.exists() and not path.is_file():
         raise InvalidInputError(f"cannot read {what} {path}: it is no regular file")
     if path.exists() and path.stat().st_size > MOST_BYTES:
-        raise InvalidInputError(f"cannot read {what} {path}: more than {MOST_BYTES} bytes; make it smaller")
+        raise InvalidInputError(
+            f"cannot read {what} {path}: more than {MOST_BYTES} bytes; make it smaller"
+        )
     return read_bytes(path, what)
 
 
@@ -95,7 +107,9 @@ def kind_of(path: Path, kinds: Mapping[str, object], what: str) -> str:
 
 @contextlib.contextmanager
 def parsing(path: Path, what: str) -> Iterator[None]:
-    """Whatever a parser raises on a damaged file becomes an InvalidInputError in one line that names the file."""
+    """Whatever a parser raises on a damaged file becomes an InvalidInputError in one line that
+    names the file.
+    """
     try:
         yield
     except Exception as error:  # parsers of other people's formats raise anything
@@ -104,7 +118,8 @@ def parsing(path: Path, what: str) -> Iterator[None]:
 
 
 def check_lengths(points: FloatArray, what: str, room: float = ROOM) -> None:
-    """Refuse points (m, 3) [m], m >= 1, that cannot be metres: the message says which unit they may be in.
+    """Refuse points (m, 3) [m], m >= 1, that cannot be metres: the message says which unit they may
+    be in.
 
     room: [m] within which at least half of them must lie.
     """
@@ -112,25 +127,29 @@ def check_lengths(points: FloatArray, what: str, room: float = ROOM) -> None:
     largest, middling = float(off.max()), float(np.median(off))
     if largest > FARTHEST:
         raise InvalidInputError(
-            f"{what}: point {int(np.argmax(off))} is {largest:.3g} m off the origin, more than {FARTHEST:g}; "
+            f"{what}: point {int(np.argmax(off))} is {largest:.3g} m off the origin, more than "
+            f"{FARTHEST:g}; "
             "scale or remove it (millimetres: scale 0.001)"
         )
     if middling > room:
         raise InvalidInputError(
-            f"{what}: half of it is more than {middling:.3g} m off the origin: no metres? give a scale "
+            f"{what}: half of it is more than {middling:.3g} m off the origin: no metres? give a "
+            f"scale "
             "(millimetres: 0.001), or move it to the robot"
         )
     extent = max(float(np.ptp(axis)) for axis in points.T)
     if len(points) > 1 and extent < SPECK:
         raise InvalidInputError(
-            f"{what}: all of it lies within {1e3 * extent:.3g} mm: no metres? give a scale (kilometres: 1000)"
+            f"{what}: all of it lies within {1e3 * extent:.3g} mm: no metres? give a scale "
+            f"(kilometres: 1000)"
         )
 
 
 def read_array(data: bytes) -> np.ndarray:
     """The array of a NPY file, read-only, without the memory that a wrong header asks for.
 
-    InvalidInputError or numpy's ValueError for a file that is damaged, of an unknown version, or of Python objects.
+    InvalidInputError or numpy's ValueError for a file that is damaged, of an unknown version, or of
+    Python objects.
     """
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
@@ -140,8 +159,12 @@ def read_array(data: bytes) -> np.ndarray:
     if kind.hasobject:
         raise InvalidInputError("it holds Python objects, which may run code; write plain numbers")
     if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(data) - stream.tell():
-        raise InvalidInputError(f"its header says shape {shape} of {kind}, the file holds another size")
-    return np.frombuffer(data, kind, offset=stream.tell()).reshape(shape, order="F" if by_column else "C")
+        raise InvalidInputError(
+            f"its header says shape {shape} of {kind}, the file holds another size"
+        )
+    return np.frombuffer(data, kind, offset=stream.tell()).reshape(
+        shape, order="F" if by_column else "C"
+    )
 
 
 def _read_npy(data: bytes) -> np.ndarray:
@@ -151,7 +174,9 @@ def _read_npy(data: bytes) -> np.ndarray:
         names = array.dtype.names
         return _points([Column(name, "") for name in names], lambda k: array[names[k]].reshape(-1))
     if array.dtype.kind not in "fiu" or array.ndim < 2 or array.shape[-1] < 3:
-        raise InvalidInputError(f"it has shape {array.shape} of {array.dtype}; give numbers of shape (m, 3)")
+        raise InvalidInputError(
+            f"it has shape {array.shape} of {array.dtype}; give numbers of shape (m, 3)"
+        )
     return array.reshape(-1, array.shape[-1])[:, :3]
 
 
@@ -202,14 +227,20 @@ def _pcd_columns(header: Mapping[str, Sequence[str]]) -> list[Column]:
     fields, kinds, sizes = header["FIELDS"], header["TYPE"], [int(word) for word in header["SIZE"]]
     counts = [int(word) for word in header.get("COUNT", ["1"] * len(fields))]
     if not len(fields) == len(kinds) == len(sizes) == len(counts):
-        raise InvalidInputError("its header's FIELDS, SIZE, TYPE and COUNT have not the same length")
+        raise InvalidInputError(
+            "its header's FIELDS, SIZE, TYPE and COUNT have not the same length"
+        )
     if min(counts) < 1 or sum(counts) > MOST_COLUMNS:
-        raise InvalidInputError(f"its header's COUNT is {counts}; give 1 or more, {MOST_COLUMNS} together")
+        raise InvalidInputError(
+            f"its header's COUNT is {counts}; give 1 or more, {MOST_COLUMNS} together"
+        )
     for kind, size in zip(kinds, sizes, strict=True):
         if (kind, size) not in PCD_TYPES:
             raise InvalidInputError(f"its header's TYPE {kind} of SIZE {size} does not exist")
     described = zip(fields, kinds, sizes, counts, strict=True)
-    columns = ((Column(name, PCD_TYPES[kind, size]), count) for name, kind, size, count in described)
+    columns = (
+        (Column(name, PCD_TYPES[kind, size]), count) for name, kind, size, count in described
+    )
     return [column for column, count in columns for _ in range(count)]
 
 
@@ -221,23 +252,30 @@ def _unpacked(body: bytes, columns: Sequence[Column], count: int) -> np.ndarray:
     row = _row_bytes(columns)
     if unpacked != count * row or packed > len(body) - 8 or unpacked > EXPANSION * packed:
         raise InvalidInputError(
-            f"its header says {count} points of {row} bytes, its compressed part {unpacked} bytes in {packed} "
+            f"its header says {count} points of {row} bytes, its compressed part {unpacked} bytes "
+            f"in {packed} "
             f"of {len(body) - 8}"
         )
     raw = lzf.decompress(body[8 : 8 + packed], unpacked) if unpacked else b""
     if raw is None or len(raw) != unpacked:
         raise InvalidInputError("its compressed points cannot be unpacked")
     begins = count * np.cumsum([0, *(np.dtype(column.kind).itemsize for column in columns)])
-    return _points(columns, lambda k: np.frombuffer(raw, f"<{columns[k].kind}", count, int(begins[k])))
+    return _points(
+        columns, lambda k: np.frombuffer(raw, f"<{columns[k].kind}", count, int(begins[k]))
+    )
 
 
 def _read_ply(data: bytes) -> np.ndarray:
-    """Points (m, 3) of the element "vertex", which must come first and hold plain numbers; others are not read."""
+    """Points (m, 3) of the element "vertex", which must come first and hold plain numbers;
+    others are not read.
+    """
     end = data.find(b"end_header", 0, LONGEST_HEADER)
     begin = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or begin == 0:
         raise InvalidInputError("it does not begin with a PLY header: no PLY, or cut short")
-    form, columns, count = _ply_vertices([line.split() for line in data[:end].decode("utf-8").splitlines()])
+    form, columns, count = _ply_vertices(
+        [line.split() for line in data[:end].decode("utf-8").splitlines()]
+    )
     body = data[begin:]
     if form == "ascii":
         lines = body.decode("ascii").split("\n", count)[:count] if 0 <= count <= len(body) else []
@@ -258,10 +296,14 @@ def _ply_vertices(lines: Sequence[Sequence[str]]) -> tuple[str, list[Column], in
     for line in lines[first + 1 : last]:
         if line[:1] == ["property"]:
             if len(line) != 3 or line[1] not in PLY_TYPES:
-                raise InvalidInputError(f"its property {' '.join(line[1:])!r} of 'vertex' is no plain number")
+                raise InvalidInputError(
+                    f"its property {' '.join(line[1:])!r} of 'vertex' is no plain number"
+                )
             columns.append(Column(line[2], PLY_TYPES[line[1]]))
     if len(columns) > MOST_COLUMNS:
-        raise InvalidInputError(f"its element 'vertex' has {len(columns)} properties; {MOST_COLUMNS} at most")
+        raise InvalidInputError(
+            f"its element 'vertex' has {len(columns)} properties; {MOST_COLUMNS} at most"
+        )
     return form, columns, int(lines[first][2])
 
 
@@ -275,7 +317,9 @@ def _places(columns: Sequence[Column]) -> list[int]:
     names = [column.name for column in columns]
     for axis in "xyz":
         if names.count(axis) != 1:
-            raise InvalidInputError(f"it has no single column {axis!r}; columns: {', '.join(names) or 'none'}")
+            raise InvalidInputError(
+                f"it has no single column {axis!r}; columns: {', '.join(names) or 'none'}"
+            )
     return [names.index(axis) for axis in "xyz"]
 
 
@@ -288,7 +332,8 @@ def _from_rows(body: bytes, columns: Sequence[Column], count: int, order: str) -
     size = _row_bytes(columns)
     if count < 0 or count * size > len(body):
         raise InvalidInputError(
-            f"its header says {count} points, the file holds {len(body) // max(1, size)}: cut short?"
+            f"its header says {count} points, the file holds {len(body) // max(1, size)}: cut "
+            f"short?"
         )
     kinds = np.dtype([(f"{k}", order + item.kind) for k, item in enumerate(columns)])
     rows = np.frombuffer(body, kinds, count)
@@ -314,15 +359,19 @@ def _numbers(text: str, chosen: Sequence[int]) -> np.ndarray:
 def _write_pcd(points: np.ndarray) -> bytes:
     count = len(points)
     header = (
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\n"
-        f"COUNT 1 1 1\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n"
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE "
+        "F F F\n"
+        f"COUNT 1 1 1\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA "
+        f"binary\n"
     )
     return header.encode() + points.tobytes()
 
 
 def _write_ply(points: np.ndarray) -> bytes:
     axes = "".join(f"property float {axis}\n" for axis in "xyz")
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
+    )
     return header.encode() + points.tobytes()
 
 

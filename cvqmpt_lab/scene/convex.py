@@ -1,9 +1,11 @@
-"""A triangle mesh as a union of convex pieces that holds its surface and, if it is closed, what it encloses.
+"""A triangle mesh as a union of convex pieces that holds its surface and, if it is closed, what it
+encloses.
 
-The mesh is cut by planes along its axes. A piece is the convex hull of what lies between the cuts: of the surface, and
-of the corners between the cuts that are inside. So the union holds the mesh wherever the cuts are; what is too much of
-it is hull that is not solid. The piece with most of that is cut next, where its halves' hulls are smallest, through
-what is not solid. How much is solid is measured on a grid.
+The mesh is cut by planes along its axes. A piece is the convex hull of what lies between the cuts:
+of the surface, and of the corners between the cuts that are inside. So the union holds the mesh
+wherever the cuts are; what is too much of it is hull that is not solid. The piece with most of that
+is cut next, where its halves' hulls are smallest, through what is not solid. How much is solid is
+measured on a grid.
 """
 
 from collections.abc import Callable, Iterator
@@ -27,9 +29,12 @@ SLACK = 1e-9  # [m] that such a hull is larger, for rounding
 ENOUGH = 0.02  # share of the mesh's own hull that the pieces together may hold too much
 CELLS = 56  # of the grid along the mesh's longest side
 SAMPLES_PER_CELL = 20  # of the surface in a cell that it crosses
-SKETCH, COARSE = 600, 120  # triangles by which cuts are compared: all of a piece that has few, else fewer
-EVEN_CUTS, FACE_CUTS = 3, 4  # along each axis: evenly spread, and beside the largest faces across it
-ASIDE = 1e-8 * np.array([0.0, 0.618, 0.414])  # of a cell, by which rays pass the corners and edges of faces
+# triangles by which cuts are compared: all of a piece that has few, else fewer
+SKETCH, COARSE = 600, 120
+# along each axis: evenly spread, and beside the largest faces across it
+EVEN_CUTS, FACE_CUTS = 3, 4
+# of a cell, by which rays pass the corners and edges of faces
+ASIDE = 1e-8 * np.array([0.0, 0.618, 0.414])
 FLAT = 1e-12  # area, in squares of its longest edge, of a triangle without area
 LEAST_FACE = 0.01  # share of a piece's surface, of faces beside which it is cut
 NUDGE = 1e-4  # of a piece's length, between a face and the cut beside it
@@ -53,7 +58,9 @@ class FilledCells:
         self._inside = filled & ~surface
         self._share = filled - 0.5 * surface
         self._closed, self._triangles = closed, triangles
-        self._ends = [np.ascontiguousarray(end(axis=1).T[1:]) for end in (triangles.min, triangles.max)]
+        self._ends = [
+            np.ascontiguousarray(end(axis=1).T[1:]) for end in (triangles.min, triangles.max)
+        ]
         if self._closed:  # correct the cells' volume by the mesh's own
             cells_volume = self._share.sum() * self._cell**3
             ratio = np.clip(abs(as_mesh(triangles).volume) / cells_volume, 0.5, 1.5)
@@ -62,19 +69,25 @@ class FilledCells:
     def volume(self, low: FloatArray, high: FloatArray) -> float:
         """Solid volume [m^3] between two corners (3,), about."""
         first, last = self._cells_of(np.array([low, high]), self._share.shape)
-        last = np.where(last == np.array(self._share.shape) - 1, last + 1, last)  # the outermost cells
+        # the outermost cells
+        last = np.where(last == np.array(self._share.shape) - 1, last + 1, last)
         part = self._share[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
         return float(part.sum()) * self._cell**3
 
-    def voids(self, planes: FloatArray, low: FloatArray, high: FloatArray) -> Callable[[int, float], float]:
-        """A function from an axis and a coordinate to the area [m^2] there of a hull but not of the solid.
+    def voids(
+        self, planes: FloatArray, low: FloatArray, high: FloatArray
+    ) -> Callable[[int, float], float]:
+        """A function from an axis and a coordinate to the area [m^2] there of a hull but not of the
+        solid.
 
-        planes: (p, 4) of the hull: outward normals, and offsets [m] that are negative for an origin inside.
+        planes: (p, 4) of the hull: outward normals, and offsets [m] that are negative for an origin
+            inside.
         """
         first, last = self._cells_of(np.array([low, high]), self._share.shape)
         x, y, z = (self._low[k] + self._cell * np.arange(first[k], last[k] + 1) for k in range(3))
         a, b, c, d = planes.T
-        beyond = (x[:, None, None] * a + y[:, None] * b) + d  # of every column of cells and plane, at z = 0
+        # of every column of cells and plane, at z = 0
+        beyond = (x[:, None, None] * a + y[:, None] * b) + d
         up, down, along = c > 0.0, c < 0.0, c == 0.0
         top = (beyond[..., up] / -c[up]).min(axis=2, initial=np.inf)
         bottom = (beyond[..., down] / -c[down]).max(axis=2, initial=-np.inf)
@@ -91,26 +104,33 @@ class FilledCells:
         return area
 
     def holds(self, points: FloatArray) -> np.ndarray:
-        """Whether points (k, 3) are inside a closed mesh, to about 1e-9 of its size; of an open one, well inside."""
+        """Whether points (k, 3) are inside a closed mesh, to about 1e-9 of its size;
+        of an open one, well inside.
+        """
         if self._closed:
             return np.array([self._encloses(point + ASIDE * self._cell) for point in points])
         return self._inside[tuple(self._cells_of(points, self._inside.shape).T)]
 
     def _encloses(self, point: FloatArray) -> bool:
-        """Whether the mesh winds around a point (3,): of the faces that a ray along x crosses, fewer or more look its
-        way than against it. Also where the same count along the whole line is not 0: a ray has met an edge.
+        """Whether the mesh winds around a point (3,): of the faces that a ray along x crosses,
+        fewer or more look its way than against it. Also where the same count along the whole line
+        is not 0: a ray has met an edge.
         """
         (y0, z0), (y1, z1) = self._ends
         near = (y0 < point[1]) & (y1 > point[1]) & (z0 < point[2]) & (z1 > point[2])
         a, b, c = np.moveaxis(self._triangles[near] - point, 1, 0)
-        turns = np.stack([u[:, 1] * v[:, 2] - u[:, 2] * v[:, 1] for u, v in ((b, c), (c, a), (a, b))])
+        turns = np.stack(
+            [u[:, 1] * v[:, 2] - u[:, 2] * v[:, 1] for u, v in ((b, c), (c, a), (a, b))]
+        )
         looks = (turns > 0.0).all(axis=0).astype(int) - (turns < 0.0).all(axis=0)
         ahead = looks * (turns[0] * a[:, 0] + turns[1] * b[:, 0] + turns[2] * c[:, 0]) > 0.0
         return bool(looks[ahead].sum() != 0 or looks.sum() != 0)
 
     def _cells_of(self, points: FloatArray, shape: np.ndarray | tuple[int, ...]) -> np.ndarray:
         """Indices (k, 3) of the cells with points (k, 3)."""
-        return np.clip(np.round((points - self._low) / self._cell).astype(int), 0, np.array(shape) - 1)
+        return np.clip(
+            np.round((points - self._low) / self._cell).astype(int), 0, np.array(shape) - 1
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +146,9 @@ class Piece:
     def hull(self) -> FloatArray:
         """Vertices (k, 3) of its hull, the solid corners of the space included [m]."""
         corners = np.array(list(product(*zip(self.low, self.high, strict=True))))
-        return hull_of(np.concatenate([self.triangles.reshape(-1, 3), corners[self.solid.holds(corners)]]))
+        return hull_of(
+            np.concatenate([self.triangles.reshape(-1, 3), corners[self.solid.holds(corners)]])
+        )
 
     @cached_property
     def faces(self) -> ConvexHull:
@@ -177,8 +199,12 @@ class Piece:
             faces = np.abs(twice[:, axis]) > ACROSS * area
             at, which = np.unique(np.round(self.triangles[faces, 0, axis], 6), return_inverse=True)
             size = np.bincount(which, area[faces], len(at))
-            largest = [at[k] for k in np.argsort(-size)[:FACE_CUTS] if size[k] > LEAST_FACE * area.sum()]
-            beside = [face + side * NUDGE * length[axis] for face in largest for side in (-1.0, 1.0)]
+            largest = [
+                at[k] for k in np.argsort(-size)[:FACE_CUTS] if size[k] > LEAST_FACE * area.sum()
+            ]
+            beside = [
+                face + side * NUDGE * length[axis] for face in largest for side in (-1.0, 1.0)
+            ]
             evenly = low[axis] + length[axis] * np.arange(1, EVEN_CUTS + 1) / (EVEN_CUTS + 1)
             inside = (cut for cut in (*beside, *evenly) if self.low[axis] < cut < self.high[axis])
             yield from ((int(axis), float(cut)) for cut in inside)
@@ -187,11 +213,12 @@ class Piece:
 def convex_pieces(triangles: FloatArray) -> tuple[FloatArray, ...]:
     """Cut a mesh into convex pieces.
 
-    triangles: (f, 3, 3), f >= 1, finite; closed or open, whichever way round [m]. Those without area are left out.
+    triangles: (f, 3, 3), f >= 1, finite; closed or open, whichever way round [m]. Those without
+        area are left out.
 
-    Returns vertices (k, 3) of up to `MOST_PIECES` pieces, whose hulls together hold every triangle, and all that a
-    closed mesh encloses [m].
-    InvalidInputError where the mesh as a whole spans no volume.
+    Returns vertices (k, 3) of up to `MOST_PIECES` pieces, whose hulls together hold every triangle,
+    and all that a closed mesh encloses [m]. InvalidInputError where the mesh as a whole spans no
+    volume.
     """
     edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
     without_points = triangles[edges.min(axis=1) > 0.0]  # flat ones among them can close a mesh
@@ -202,7 +229,11 @@ def convex_pieces(triangles: FloatArray) -> tuple[FloatArray, ...]:
     whole = Piece(triangles, points.min(axis=0), points.max(axis=0), FilledCells(triangles, closed))
     enough = ENOUGH * whole.faces.volume
     parts, final = [whole], list[Piece]()  # final: those that cannot be cut
-    while parts and len(parts) + len(final) < MOST_PIECES and sum(part.excess for part in parts) > enough:
+    while (
+        parts
+        and len(parts) + len(final) < MOST_PIECES
+        and sum(part.excess for part in parts) > enough
+    ):
         worst = max(parts, key=lambda part: part.excess)
         parts.remove(worst)
         halves = worst.halves()
@@ -245,7 +276,9 @@ def _volume(points: FloatArray) -> float:
 
 
 def hull_of(points: FloatArray) -> FloatArray:
-    """Vertices (k, 3) of the hull of points (n, 3), n >= 1, made `MIN_THICKNESS` thick where it is thinner [m]."""
+    """Vertices (k, 3) of the hull of points (n, 3), n >= 1, made `MIN_THICKNESS` thick where it is
+    thinner [m].
+    """
     if len(points) < 4 or thickness(points) < 2.0 * MIN_THICKNESS:
         points = _thickened(points)
     return points[ConvexHull(points).vertices]
@@ -254,7 +287,8 @@ def hull_of(points: FloatArray) -> FloatArray:
 def of_few_vertices(hull: ConvexHull) -> FloatArray:
     """Vertices (k, 3) of a hull, or of one of at most `MOST_VERTICES` that holds it [m].
 
-    Where that has more, its faces but `PLANES` of them are left out; those are moved outwards until they hold it.
+    Where that has more, its faces but `PLANES` of them are left out; those are moved outwards until
+    they hold it.
     """
     vertices = hull.points[hull.vertices]
     if len(vertices) <= MOST_VERTICES:
@@ -264,7 +298,9 @@ def of_few_vertices(hull: ConvexHull) -> FloatArray:
 
 
 def planes_around(hull: ConvexHull) -> FloatArray:
-    """Planes (p, 4) around a hull: outward normals, and offsets [m]; of one with many vertices about `PLANES`."""
+    """Planes (p, 4) around a hull: outward normals, and offsets [m];
+    of one with many vertices about `PLANES`.
+    """
     if len(hull.vertices) <= MOST_VERTICES:
         return hull.equations
     normals, vertices = hull.equations[:, :3], hull.points[hull.vertices]
@@ -279,13 +315,16 @@ def planes_around(hull: ConvexHull) -> FloatArray:
 
 
 def spread_points(triangles: FloatArray, count: int) -> FloatArray:
-    """Up to `MOST_SAMPLES` points (count, 3), spread over triangles (f, 3, 3) as evenly as their areas."""
+    """Up to `MOST_SAMPLES` points (count, 3), spread over triangles (f, 3, 3) as evenly as their
+    areas.
+    """
     count = min(count, MOST_SAMPLES)
     a, b, c = np.moveaxis(triangles, 1, 0)
     area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     k = np.arange(count)
     which = np.searchsorted(area, (k + 0.5) / count * area[-1]).clip(max=len(area) - 1)
-    u, v = (k * 0.7548776662466927) % 1.0, (k * 0.5698402909980532) % 1.0  # evenly spread in the square
+    # evenly spread in the square
+    u, v = (k * 0.7548776662466927) % 1.0, (k * 0.5698402909980532) % 1.0
     u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
     return a[which] + u[:, None] * (b - a)[which] + v[:, None] * (c - a)[which]
 
@@ -293,7 +332,8 @@ def spread_points(triangles: FloatArray, count: int) -> FloatArray:
 def _thickened(points: FloatArray) -> FloatArray:
     """Points (2 k, 3) whose hull holds the points and is thick enough, whatever they are."""
     centred = points - points.mean(axis=0)
-    turned = np.linalg.eigh(centred.T @ centred)[1].T  # rows: the direction in which they extend least, first
+    # rows: the direction in which they extend least, first
+    turned = np.linalg.eigh(centred.T @ centred)[1].T
     low, high = (points @ turned.T).min(axis=0), (points @ turned.T).max(axis=0)
     gap = np.maximum(0.0, 2.0 * MIN_THICKNESS - (high - low)) / 2.0
     if (gap[1:] > 0.0).any():  # no more than a line: a box around it

@@ -1,7 +1,8 @@
-"""Random scenes of several kinds, for training: what a sampler learns must not depend on one kitchen.
+"""Random scenes of several kinds, for training: what a sampler learns must not depend on one
+kitchen.
 
-A scene is its family and a number, which seeds numpy's `default_rng`. Evaluation scenes are made elsewhere; the
-kitchen of the tasks, with its published dimensions, is never among these.
+A scene is its family and a number, which seeds numpy's `default_rng`. Evaluation scenes are made
+elsewhere; the kitchen of the tasks, with its published dimensions, is never among these.
 """
 
 import math
@@ -25,11 +26,12 @@ SPHERE_LIFT = 0.33  # height [m] of the point around which spheres are scattered
 
 
 def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
-    """Return environment number `seed` of the published training data: cubes with random yaw and spheres.
+    """Return environment number `seed` of the published training data: cubes with random yaw and
+    spheres.
 
-    The seed, 0 to 2**32 - 1, seeds numpy's legacy generator, whose stream is frozen, so environment n is the same
-    everywhere. Order of the draws: cube distances, elevations, azimuths, yaws; sphere distances, elevations, azimuths.
-    The older 6-joint data used 6 cubes and 6 spheres.
+    The seed, 0 to 2**32 - 1, seeds numpy's legacy generator, whose stream is frozen, so environment
+    n is the same everywhere. Order of the draws: cube distances, elevations, azimuths, yaws; sphere
+    distances, elevations, azimuths. The older 6-joint data used 6 cubes and 6 spheres.
     """
     for what, value in (("seed", seed), ("n_cubes", n_cubes), ("n_spheres", n_spheres)):
         whole_number(what, value, 0, 2**32 - 1)
@@ -47,7 +49,9 @@ def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
 
 
 def _scattered(rng: np.random.RandomState, count: int, lift: float) -> FloatArray:
-    """Return (count, 3) points [m] on a spherical shell around the point `lift` above the robot base."""
+    """Return (count, 3) points [m] on a spherical shell around the point `lift` above the robot
+    base.
+    """
     distance = rng.uniform(0.4, 1.2, count)
     elevation = rng.uniform(-0.25 * math.pi, 0.5 * math.pi, count)
     azimuth = rng.uniform(0.0, 2.0 * math.pi, count)
@@ -56,12 +60,16 @@ def _scattered(rng: np.random.RandomState, count: int, lift: float) -> FloatArra
 
 
 BOARD = 0.02  # [m] thickness of boards and walls
-DIMENSION_SPREAD = 0.2  # dimensions of a random kitchen differ from the published ones by up to this share
-FIXED = ("floor", "pedestal", "wall", "handle", "knob", "plate")  # beginnings of dimensions that stay
+# dimensions of a random kitchen differ from the published ones by up to this share
+DIMENSION_SPREAD = 0.2
+# beginnings of dimensions that stay
+FIXED = ("floor", "pedestal", "wall", "handle", "knob", "plate")
 
 
 def family_scene(family: str, number: int) -> Scene:
-    """Return scene `number` of a family; UnknownChoiceError lists the families if there is no such one."""
+    """Return scene `number` of a family;
+    UnknownChoiceError lists the families if there is no such one.
+    """
     if family not in FAMILIES:
         raise UnknownChoiceError("scene family", family, FAMILIES)
     return FAMILIES[family](whole_number("number of the scene", number))
@@ -88,7 +96,9 @@ def _laid_table(
     counts: tuple[int, int],
     thing: Callable[[np.random.Generator], tuple[Box | Cylinder | Sphere, float]],
 ) -> Iterator[SceneObject]:
-    """A table top of a depth, width and height [m], `near` [m] away at an angle `yaw` [rad], and things on it."""
+    """A table top of a depth, width and height [m], `near` [m] away at an angle `yaw` [rad], and
+    things on it.
+    """
     depth, width, top = size
     x, T = near + depth / 2, pose((0.0, 0.0, 0.0), yaw)
     yield SceneObject("top", Box((depth, width, BOARD)), T @ pose((x, 0.0, top - BOARD / 2)))
@@ -111,21 +121,29 @@ def _clutter(rng: np.random.Generator) -> tuple[Box | Cylinder | Sphere, float]:
 
 
 def _cluttered_table(number: int) -> Scene:
-    """A table reached from its side, at elbow height, crowded with slim things as tall as a forearm."""
+    """A table reached from its side, at elbow height, crowded with slim things as tall as a
+    forearm.
+    """
     rng = np.random.default_rng([4, number])
     size = rng.uniform(0.5, 0.8), rng.uniform(0.6, 1.2), rng.uniform(0.05, 0.45)
     near, yaw = rng.uniform(0.25, 0.4), rng.uniform(-np.pi, np.pi)
-    return Scene(f"cluttered_table_{number}", tuple(_laid_table(rng, size, near, yaw, (8, 19), _slim)))
+    return Scene(
+        f"cluttered_table_{number}", tuple(_laid_table(rng, size, near, yaw, (8, 19), _slim))
+    )
 
 
 def _slim(rng: np.random.Generator) -> tuple[Box | Cylinder, float]:
     """A slim thing, and its height [m]."""
     radius, height = rng.uniform(0.02, 0.06), rng.uniform(0.15, 0.5)
-    return Cylinder(radius, height) if rng.random() < 0.5 else Box((2 * radius, 2 * radius, height)), height
+    return Cylinder(radius, height) if rng.random() < 0.5 else Box(
+        (2 * radius, 2 * radius, height)
+    ), height
 
 
 def _cage(number: int) -> Scene:
-    """Upright bars in a ring around the robot, with gaps that an arm fits through, and hoops of flat bars."""
+    """Upright bars in a ring around the robot, with gaps that an arm fits through, and hoops of
+    flat bars.
+    """
     rng = np.random.default_rng([5, number])
     ring, radius = rng.uniform(0.4, 0.65), rng.uniform(0.01, 0.03)
     low, high = rng.uniform(-0.4, 0.0), rng.uniform(0.7, 1.2)
@@ -140,7 +158,9 @@ def _cage(number: int) -> Scene:
     for hoop, level in enumerate(rng.uniform(low, high, rng.integers(1, 3))):
         for part in range(12):
             T = pose((0.0, 0.0, 0.0), part * np.pi / 6) @ pose((ring, 0.0, float(level)))
-            objects.append(SceneObject(f"hoop_{hoop}/{part}", Box((2 * radius, side, 2 * radius)), T))
+            objects.append(
+                SceneObject(f"hoop_{hoop}/{part}", Box((2 * radius, side, 2 * radius)), T)
+            )
     return Scene(f"cage_{number}", tuple(objects))
 
 
@@ -175,19 +195,28 @@ def _cabinets(name: str, rng: np.random.Generator, sizes: _CabinetSizes) -> Scen
     return Scene(name, tuple(objects))
 
 
-def _cabinet(name: str, T: np.ndarray, rng: np.random.Generator, sizes: _CabinetSizes) -> list[SceneObject]:
+def _cabinet(
+    name: str, T: np.ndarray, rng: np.random.Generator, sizes: _CabinetSizes
+) -> list[SceneObject]:
     """A cabinet open towards the robot: back, two sides, boards, a few things inside."""
     near, depth, width = rng.uniform(0.35, 0.65), rng.uniform(0.25, 0.4), rng.uniform(*sizes.width)
     boards = rng.integers(*sizes.boards)
-    levels = rng.uniform(-0.3, 0.3) + np.cumsum(np.concatenate([[0.0], rng.uniform(*sizes.gap, boards - 1)]))
+    levels = rng.uniform(-0.3, 0.3) + np.cumsum(
+        np.concatenate([[0.0], rng.uniform(*sizes.gap, boards - 1)])
+    )
     x, low, high = near + depth / 2, levels[0], levels[-1]
     parts = [
         ("back", (BOARD, width, high - low), (near + depth, 0.0, (low + high) / 2)),
         ("left", (depth, BOARD, high - low), (x, width / 2, (low + high) / 2)),
         ("right", (depth, BOARD, high - low), (x, -width / 2, (low + high) / 2)),
-        *((f"board_{i}", (depth, width, BOARD), (x, 0.0, float(level))) for i, level in enumerate(levels)),
+        *(
+            (f"board_{i}", (depth, width, BOARD), (x, 0.0, float(level)))
+            for i, level in enumerate(levels)
+        ),
     ]
-    objects = [SceneObject(f"{name}/{part}", Box(size), T @ pose(place)) for part, size, place in parts]
+    objects = [
+        SceneObject(f"{name}/{part}", Box(size), T @ pose(place)) for part, size, place in parts
+    ]
     for i in range(rng.integers(0, 4)):
         radius, height = rng.uniform(0.03, 0.05), rng.uniform(0.08, 0.2)
         level = float(levels[rng.integers(0, boards - 1)])

@@ -1,10 +1,11 @@
 """The kitchen of the place and multi-sequence tasks, built from parameters.
 
-World frame: robot base link, +x towards the kitchen's back wall, +y to the left as the robot looks at
-it, z up; metres and radians. The default parameters reproduce the kitchen of the published experiment
-code piece by piece within 5 mm. Row and door names ("dagger", "sektion", "hitman", "indigo") are the
-ones of that kitchen: dagger and indigo are right of the range, above and below the counter; sektion
-and hitman are left of it. Cabinets are hollow and have no back panel: the back wall closes them.
+World frame: robot base link, +x towards the kitchen's back wall, +y to the left as the robot looks
+at it, z up; metres and radians. The default parameters reproduce the kitchen of the published
+experiment code piece by piece within 5 mm. Row and door names ("dagger", "sektion", "hitman",
+"indigo") are the ones of that kitchen: dagger and indigo are right of the range, above and below
+the counter; sektion and hitman are left of it. Cabinets are hollow and have no back panel: the back
+wall closes them.
 """
 
 from collections.abc import Iterator, Mapping
@@ -25,16 +26,20 @@ from cvqmpt_lab.scene.objects import (
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 
 
-def kitchen(parameters: KitchenParameters | None = None, door_angles: Mapping[str, float] | None = None) -> Scene:
+def kitchen(
+    parameters: KitchenParameters | None = None, door_angles: Mapping[str, float] | None = None
+) -> Scene:
     """Build the kitchen with the robot's pedestal and the floor.
 
     The floor is visible but not an obstacle. Articulations: the hinges "dagger_door_left" (the only
-    one opened in the tasks: -1.57 to place, -0.45 pi in the multi-sequence task), "dagger_door_right",
-    "chewie_door_left", "chewie_door_right", "baker_door", "indigo_door_left", "indigo_door_right" and
-    the sliders "{hitman,indigo}_drawer_{top,bottom}".
+    one opened in the tasks: -1.57 to place, -0.45 pi in the multi-sequence task),
+        "dagger_door_right", "chewie_door_left", "chewie_door_right", "baker_door",
+        "indigo_door_left", "indigo_door_right" and the sliders
+        "{hitman,indigo}_drawer_{top,bottom}".
 
     parameters: dimensions; None: the published kitchen.
-    door_angles: values of articulations by name, hinges [rad], drawers [m]; all others are closed (0).
+    door_angles: values of articulations by name, hinges [rad], drawers [m]; all others are closed
+        (0).
     """
     p = KitchenParameters() if parameters is None else parameters
     parts = [
@@ -46,7 +51,9 @@ def kitchen(parameters: KitchenParameters | None = None, door_angles: Mapping[st
         Assembly(_wall_cabinets("dagger", p)),
         _wall_door("dagger_door_left", "dagger", 1, +1, p),
         _wall_door("dagger_door_right", "dagger", 0, -1, p),
-        Assembly(_base_cabinet("hitman", p.left_y, (p.left_y, p.left_y + p.left_countertop_width), p)),
+        Assembly(
+            _base_cabinet("hitman", p.left_y, (p.left_y, p.left_y + p.left_countertop_width), p)
+        ),
         *_drawers("hitman", p),
         Assembly(_base_cabinet("indigo", p.right_y, (p.right_wall_y, p.right_y + p.base_width), p)),
         *_drawers("indigo", p),
@@ -71,15 +78,24 @@ def _room(p: KitchenParameters) -> list[SceneObject]:
     floor = (-0.5 * p.floor_side, 0.5 * p.floor_side)
     pedestal_z = (p.pedestal_top_z - p.pedestal_height, p.pedestal_top_z)
     return [
-        box("robot_pedestal", (p.pedestal_x - half, p.pedestal_x + half), (-half, half), pedestal_z),
+        box(
+            "robot_pedestal", (p.pedestal_x - half, p.pedestal_x + half), (-half, half), pedestal_z
+        ),
         box("floor", floor, floor, (p.floor_z - p.floor_thickness, p.floor_z), obstacle=False),
         box("walls/back", back_x, (outer_y, outer_y + p.back_wall_width), wall_z),
-        box("walls/right", (back_x[0] - p.right_wall_length, back_x[0]), (outer_y, p.right_wall_y), wall_z),
+        box(
+            "walls/right",
+            (back_x[0] - p.right_wall_length, back_x[0]),
+            (outer_y, p.right_wall_y),
+            wall_z,
+        ),
     ]
 
 
 def _range(p: KitchenParameters) -> list[SceneObject]:
-    """Return the range's block, control panel, four stove plates and four knobs, and the extractor hood."""
+    """Return the range's block, control panel, four stove plates and four knobs, and the extractor
+    hood.
+    """
     back_x = p.back_wall_x - p.range_wall_gap
     front_x, top_z, half = back_x - p.range_depth, p.range_top_z, 0.5 * p.range_width
     y = (p.range_y - half, p.range_y + half)
@@ -96,11 +112,17 @@ def _range(p: KitchenParameters) -> list[SceneObject]:
     knob_x, knob_z = 0.5 * sum(panel_x), panel_z + 0.5 * p.knob_height
     for side, sign in (("left", +1), ("right", -1)):
         for row, (from_front, inset, radius) in plates.items():
-            centre = (front_x + from_front, p.range_y + sign * (half - inset), top_z + 0.5 * p.plate_height)
+            centre = (
+                front_x + from_front,
+                p.range_y + sign * (half - inset),
+                top_z + 0.5 * p.plate_height,
+            )
             pieces.append(cylinder(f"range/plate_{row}_{side}", radius, p.plate_height, centre))
         for which, inset in knobs.items():
             centre = (knob_x, p.range_y + sign * (half - inset), knob_z)
-            pieces.append(cylinder(f"range/knob_{which}_{side}", p.knob_radius, p.knob_height, centre))
+            pieces.append(
+                cylinder(f"range/knob_{which}_{side}", p.knob_radius, p.knob_height, centre)
+            )
     hood_x = p.back_wall_x + p.hood_into_wall
     hood_z = (p.hood_bottom_z, p.hood_bottom_z + p.hood_height)
     return [*pieces, box("extractor_hood", (hood_x - p.hood_depth, hood_x), y, hood_z)]
@@ -148,7 +170,9 @@ def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: KitchenParame
 
 
 def _base_door(name: str, cell_y: float, hinge_side: int, p: KitchenParameters) -> Assembly:
-    """Return a door of the right base cabinet, below its drawers, hinged at its left (+1) or right (-1)."""
+    """Return a door of the right base cabinet, below its drawers, hinged at its left (+1) or right
+    (-1).
+    """
     y = shrunk((cell_y, cell_y + p.cabinet_width), 0.5 * p.door_gap)
     z = (p.base_cabinet_bottom_z - p.base_door_overhang, p.indigo_door_top_z)
     x = (p.base_face_x, p.base_face_x + p.door_thickness)
@@ -157,11 +181,15 @@ def _base_door(name: str, cell_y: float, hinge_side: int, p: KitchenParameters) 
         box(f"{name}/panel", x, y, z),
         *handle(name, (*bar, z[1] - p.base_handle_end_inset - 0.5 * p.handle_length), "z", p),
     ]
-    hinge_y = cell_y + (p.cabinet_width - p.base_hinge_inset if hinge_side > 0 else p.base_hinge_inset)
+    hinge_y = cell_y + (
+        p.cabinet_width - p.base_hinge_inset if hinge_side > 0 else p.base_hinge_inset
+    )
     return hinged(name, objects, (0.5 * sum(x), hinge_y), hinge_side, p)
 
 
-def _base_cabinet(name: str, right_y: float, counter_y: Span, p: KitchenParameters) -> list[SceneObject]:
+def _base_cabinet(
+    name: str, right_y: float, counter_y: Span, p: KitchenParameters
+) -> list[SceneObject]:
     """Return a base cabinet (bottom, back, two sides) and the countertop above it."""
     back_x, board = p.cabinet_back_x, p.board_thickness
     x, y = (back_x - p.base_cabinet_depth, back_x), (right_y, right_y + p.base_width)
@@ -177,7 +205,9 @@ def _base_cabinet(name: str, right_y: float, counter_y: Span, p: KitchenParamete
 
 
 def _drawers(cabinet: str, p: KitchenParameters) -> Iterator[Assembly]:
-    """Yield the two drawers of a cabinet: hitman's fill it and have trays, indigo's are low, above its doors."""
+    """Yield the two drawers of a cabinet:
+    hitman's fill it and have trays, indigo's are low, above its doors.
+    """
     top_z, height = p.base_front_top_z, p.indigo_front_height
     if cabinet == "hitman":
         height = p.hitman_front_height

@@ -12,11 +12,12 @@ WALL_CELLS = {"dagger": 2, "sektion": 3}  # cells of each row, counted from its 
 
 @dataclass(frozen=True, eq=False)
 class KitchenParameters(Checked):
-    """Dimensions of the kitchen [m] and the door range [rad]; the defaults are the published kitchen.
+    """Dimensions of the kitchen [m] and the door range [rad]; the defaults are the published
+    kitchen.
 
-    Fields whose name ends in `_x`, `_y` or `_z` are world coordinates; all others are positive sizes.
-    Cabinets stand against the back wall, to the left and right of the range; moving or resizing one
-    piece moves what is attached to it.
+    Fields whose name ends in `_x`, `_y` or `_z` are world coordinates; all others are positive
+    sizes. Cabinets stand against the back wall, to the left and right of the range; moving or
+    resizing one piece moves what is attached to it.
     """
 
     # Room.
@@ -144,7 +145,12 @@ class KitchenParameters(Checked):
     @property
     def base_face_x(self) -> float:
         """Face of the doors and front panels of the base cabinets."""
-        return self.cabinet_back_x - self.base_cabinet_depth - self.base_front_gap - self.door_thickness
+        return (
+            self.cabinet_back_x
+            - self.base_cabinet_depth
+            - self.base_front_gap
+            - self.door_thickness
+        )
 
     @property
     def base_front_top_z(self) -> float:
@@ -180,23 +186,53 @@ def _fitting_rules(p: KitchenParameters) -> list[tuple[bool, str]]:
         (p.cabinet_width > boards, "cabinet_width leaves no room between two boards"),
         (p.cabinet_width > p.door_gap, "door_gap is wider than cabinet_width"),
         (p.wall_cabinet_height > boards, "wall_cabinet_height leaves no room between two boards"),
-        (p.wall_handle_side_inset < p.cabinet_width - p.door_gap, "wall_handle_side_inset is off the door"),
-        (p.base_handle_side_inset < p.cabinet_width - p.door_gap, "base_handle_side_inset is off the door"),
+        (
+            p.wall_handle_side_inset < p.cabinet_width - p.door_gap,
+            "wall_handle_side_inset is off the door",
+        ),
+        (
+            p.base_handle_side_inset < p.cabinet_width - p.door_gap,
+            "base_handle_side_inset is off the door",
+        ),
         (p.post_spacing < handle, "post_spacing is not below handle_length"),
-        (p.wall_handle_end_inset + handle <= wall_door_height, "wall_cabinet_height is below the handle"),
-        (p.base_handle_end_inset + handle <= base_door_height, "indigo's doors are too low for handles"),
-        (min(p.dagger_bottom_z, p.sektion_bottom_z) > counter_z, "wall cabinets reach into the countertop"),
+        (
+            p.wall_handle_end_inset + handle <= wall_door_height,
+            "wall_cabinet_height is below the handle",
+        ),
+        (
+            p.base_handle_end_inset + handle <= base_door_height,
+            "indigo's doors are too low for handles",
+        ),
+        (
+            min(p.dagger_bottom_z, p.sektion_bottom_z) > counter_z,
+            "wall cabinets reach into the countertop",
+        ),
         (p.hood_bottom_z > p.range_top_z, "the hood reaches into the range"),
         (handle <= drawer_width, "drawers are narrower than their handles"),
         (drawer_width > 2.0 * p.drawer_board_thickness, "drawers have no room between their sides"),
         (p.drawer_height <= p.indigo_front_height, "indigo_front_height is below drawer_height"),
-        (drawer_top <= p.hitman_front_height, "hitman's drawers are higher than their front panels"),
-        (p.drawer_length <= drawer_room, "drawer_length reaches through the back of the base cabinet"),
+        (
+            drawer_top <= p.hitman_front_height,
+            "hitman's drawers are higher than their front panels",
+        ),
+        (
+            p.drawer_length <= drawer_room,
+            "drawer_length reaches through the back of the base cabinet",
+        ),
         (p.drawer_travel <= p.drawer_length, "drawer_travel pulls the drawers out of the cabinet"),
-        (p.countertop_depth >= p.base_cabinet_depth, "countertop_depth is below base_cabinet_depth"),
-        (p.left_countertop_width >= p.base_width, "left_countertop_width is below two cabinet widths"),
+        (
+            p.countertop_depth >= p.base_cabinet_depth,
+            "countertop_depth is below base_cabinet_depth",
+        ),
+        (
+            p.left_countertop_width >= p.base_width,
+            "left_countertop_width is below two cabinet widths",
+        ),
         (left_end <= wall_end, "the left cabinets or countertop reach beyond back_wall_width"),
-        (all(r <= i <= half_range - r for r, i in zip(radii, insets, strict=True)), "stove plates overlap"),
+        (
+            all(r <= i <= half_range - r for r, i in zip(radii, insets, strict=True)),
+            "stove plates overlap",
+        ),
         (p.pedestal_top_z - p.pedestal_height <= p.floor_z, "the pedestal floats above the floor"),
         (p.door_range <= math.pi, "door_range turns the doors by more than half a turn"),
     ]

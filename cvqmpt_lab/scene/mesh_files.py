@@ -20,11 +20,12 @@ ROOM = 20.0  # [m] within which at least half of a mesh must lie
 def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
     """Read a mesh as vertices (k, 3) [m] of convex pieces; see `convex_pieces`.
 
-    scale: [m] of one unit of the file. The unit that a DAE file states is applied before, and which axis it calls up is
+    scale: [m] of one unit of the file. The unit that a DAE file states is applied before, and which
+        axis it calls up is
         ignored, both as for meshes of robots.
 
-    InvalidInputError for a file that cannot be read, has no triangle, too many, or none that span a volume, or is
-    evidently not in metres.
+    InvalidInputError for a file that cannot be read, has no triangle, too many, or none that span a
+    volume, or is evidently not in metres.
     """
     path = Path(path)
     triangles = scale * read_triangles(path)
@@ -38,15 +39,21 @@ def read_triangles(path: Path) -> FloatArray:
     suffix = kind_of(path, KINDS, "mesh")
     data = file_bytes(path, "mesh")
     with parsing(path, "mesh"):
-        mesh = trimesh.load_mesh(io.BytesIO(KINDS[suffix](data)), file_type=suffix[1:], process=False)
+        mesh = trimesh.load_mesh(
+            io.BytesIO(KINDS[suffix](data)), file_type=suffix[1:], process=False
+        )
         vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
         if len(faces) == 0:
             raise InvalidInputError("it has no triangle")
         if len(faces) > MOST_TRIANGLES:
-            raise InvalidInputError(f"it has {len(faces)} triangles; {MOST_TRIANGLES} at most: simplify it")
+            raise InvalidInputError(
+                f"it has {len(faces)} triangles; {MOST_TRIANGLES} at most: simplify it"
+            )
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise InvalidInputError(f"a triangle has a corner that is none of its {len(vertices)} vertices")
+            raise InvalidInputError(
+                f"a triangle has a corner that is none of its {len(vertices)} vertices"
+            )
         corners = vertices[faces]
         if not np.isfinite(corners).all():
             raise InvalidInputError("a corner of a triangle is not finite")
@@ -66,7 +73,8 @@ def _as_stl(data: bytes) -> bytes:
     if data.lstrip()[:5].lower() == b"solid":
         return _as_utf8(data)
     raise InvalidInputError(
-        f"as a binary STL it has {count} triangles in {84 + 50 * count} bytes, the file has {len(data)}: cut short?"
+        f"as a binary STL it has {count} triangles in {84 + 50 * count} bytes, the file has "
+        f"{len(data)}: cut short?"
     )
 
 

@@ -1,7 +1,9 @@
-"""Planning scenes of MoveIt: `.scene` text, and yaml of CollisionObjects as MotionBenchMaker writes them.
+"""Planning scenes of MoveIt: `.scene` text, and yaml of CollisionObjects as MotionBenchMaker writes
+them.
 
-Boxes, spheres, cylinders and meshes become objects of a `Scene`; other shapes, point maps, objects in the robot's hand
-and objects in several frames are refused by name, because a scene without them would be another one.
+Boxes, spheres, cylinders and meshes become objects of a `Scene`; other shapes, point maps, objects
+in the robot's hand and objects in several frames are refused by name, because a scene without them
+would be another one.
 """
 
 from collections import Counter
@@ -46,7 +48,8 @@ class Placed(NamedTuple):
 def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
     """The scene of a file, and the frame of its poses, "" where the file does not say.
 
-    An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file and the object.
+    An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file
+    and the object.
     """
     path = Path(path)
     parse = PARSERS[kind_of(path, PARSERS, "MoveIt scene")]
@@ -78,22 +81,29 @@ def _solid(kind: str, sizes: Sequence[float]) -> Shape:
 def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]:
     """Convex pieces of a mesh of vertices (k, 3) [m] and corners (f, 3) of triangles."""
     if len(triangles) > MOST_TRIANGLES:
-        raise InvalidInputError(f"mesh of {len(triangles)} triangles; {MOST_TRIANGLES} at most: simplify it")
+        raise InvalidInputError(
+            f"mesh of {len(triangles)} triangles; {MOST_TRIANGLES} at most: simplify it"
+        )
     corners = triangles.astype(int)
     if corners.size == 0 or corners.min() < 0 or corners.max() >= len(vertices):
-        raise InvalidInputError(f"a triangle has a corner that is none of the mesh's {len(vertices)} vertices")
+        raise InvalidInputError(
+            f"a triangle has a corner that is none of the mesh's {len(vertices)} vertices"
+        )
     yield from map(ConvexMesh, convex_pieces(vertices[corners]))
 
 
 def _matrix(position: Any, orientation: Any) -> FloatArray:
-    """A pose (4, 4) of x, y, z and a quaternion x, y, z, w; one of zeros stands for no turn, as in MoveIt."""
+    """A pose (4, 4) of x, y, z and a quaternion x, y, z, w;
+    one of zeros stands for no turn, as in MoveIt.
+    """
     turn = numbers(orientation, "orientation", "4 numbers, a quaternion x, y, z, w")
     quaternion = turn if turn.any() else [0.0, 0.0, 0.0, 1.0]
     return from_plain(Placement, {"xyz": position, "quaternion": quaternion}, "pose").matrix
 
 
-# `.scene` text: the scene's name; objects, each "* ID", in newer files its pose, the number of its shapes; then of each
-# shape kind, sizes, position, quaternion and colour; in newer files subframes; "." ends.
+# `.scene` text: the scene's name; objects, each "* ID", in newer files its pose, the number of its
+# shapes; then of each shape kind, sizes, position, quaternion and colour; in newer files subframes;
+# "." ends.
 class _Lines:
     """The lines that are left."""
 
@@ -126,7 +136,9 @@ class _Lines:
 
     def pose(self, what: str) -> FloatArray:
         """A line of a position, and one of a quaternion."""
-        return _matrix(self.floats(3, f"the position of {what}"), self.floats(4, f"the quaternion of {what}"))
+        return _matrix(
+            self.floats(3, f"the position of {what}"), self.floats(4, f"the quaternion of {what}")
+        )
 
     @property
     def starts_with_position(self) -> bool:
@@ -167,50 +179,73 @@ def _text_shape(lines: _Lines) -> Iterator[Shape]:
         return
     corners, triangles = map(int, lines.floats(2, "the numbers of vertices and triangles"))
     vertices = np.array([lines.floats(3, "a vertex") for _ in range(corners)])
-    yield from _pieces(vertices, np.array([lines.floats(3, "a triangle") for _ in range(triangles)]))
+    yield from _pieces(
+        vertices, np.array([lines.floats(3, "a triangle") for _ in range(triangles)])
+    )
 
 
-# Yaml: a PlanningScene, its world, or a list of CollisionObjects, with vectors as lists or as {x, y, z, w}.
+# Yaml: a PlanningScene, its world, or a list of CollisionObjects, with vectors as lists or as {x,
+# y, z, w}.
 def _from_yaml(text: str, path: Path) -> tuple[str, str, list[Placed]]:
     data = yaml_value(text)
-    whole = {"world": {"collision_objects": data}} if isinstance(data, list) else mapping(data, "", "world")
+    whole = (
+        {"world": {"collision_objects": data}}
+        if isinstance(data, list)
+        else mapping(data, "", "world")
+    )
     world = mapping(whole.get("world", whole), "world")
     if "collision_objects" not in world:
-        raise InvalidInputError("it has no 'collision_objects', neither in 'world' nor by themselves")
+        raise InvalidInputError(
+            "it has no 'collision_objects', neither in 'world' nor by themselves"
+        )
     _refuse_what_is_no_object(whole, world)
     found, frames = list[Placed](), list[str]()
     for k, item in enumerate(_listed(world["collision_objects"], "collision_objects")):
-        fields = mapping(item, f"collision_objects[{k}]", "id, primitives, primitive_poses, meshes, mesh_poses")
+        fields = mapping(
+            item, f"collision_objects[{k}]", "id, primitives, primitive_poses, meshes, mesh_poses"
+        )
         of = str(fields.get("id", "")).strip()
         with located(f"object {shown(of)}"):
             found += _yaml_object(fields, of, path)
         frames.append(str(_field(fields.get("header"), "frame_id") or ""))
     if len(set(frames)) > 1:
-        raise InvalidInputError(f"objects stand in frames {', '.join(sorted(set(frames)))}; write all in one")
+        raise InvalidInputError(
+            f"objects stand in frames {', '.join(sorted(set(frames)))}; write all in one"
+        )
     return str(whole.get("name") or ""), frames[0] if frames else "", found
 
 
 def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]) -> None:
     """Refuse what the scene would lack."""
     if _field(_field(world.get("octomap"), "octomap"), "data"):
-        raise InvalidInputError("it holds an octomap; write that as a cloud, and name it as a map_file")
+        raise InvalidInputError(
+            "it holds an octomap; write that as a cloud, and name it as a map_file"
+        )
     carried = _field(whole.get("robot_state"), "attached_collision_objects")
     if carried:
-        names = [str(_field(_field(item, "object"), "id")) for item in _listed(carried, "attached objects")]
+        names = [
+            str(_field(_field(item, "object"), "id"))
+            for item in _listed(carried, "attached objects")
+        ]
         raise InvalidInputError(
-            f"the robot carries {', '.join(names)}; take it out and write it as 'attachments' of the problem"
+            f"the robot carries {', '.join(names)}; take it out and write it as 'attachments' of "
+            f"the problem"
         )
     for item in _listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
         moved = _field(item, "transform")
         T = _matrix(_vector(_field(moved, "translation")), _vector(_field(moved, "rotation")))
         if not np.allclose(T, np.eye(4), atol=1e-9):
             frame = _field(item, "child_frame_id")
-            raise InvalidInputError(f"frame {shown(frame)} is moved by a transform; write poses without it")
+            raise InvalidInputError(
+                f"frame {shown(frame)} is moved by a transform; write poses without it"
+            )
 
 
 def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Placed]:
     if fields.get("operation", 0) not in (0, "add", "ADD"):
-        raise InvalidInputError(f"operation {shown(fields['operation'])}; only objects that are added are read")
+        raise InvalidInputError(
+            f"operation {shown(fields['operation'])}; only objects that are added are read"
+        )
     if fields.get("planes"):
         raise UnknownChoiceError("shape", "plane", KNOWN)
     T_object = _pose(fields["pose"]) if fields.get("pose") else np.eye(4)
@@ -225,7 +260,9 @@ def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Pla
         if not poses and len(shapes) == 1 and fields.get("pose"):
             poses = [None]  # newer messages may say the object's pose alone
         if len(poses) != len(shapes):
-            raise InvalidInputError(f"{len(shapes)} {plural[kind]} and {len(poses)} {kind}_poses; give as many")
+            raise InvalidInputError(
+                f"{len(shapes)} {plural[kind]} and {len(poses)} {kind}_poses; give as many"
+            )
         for item, there in zip(shapes, poses, strict=True):
             T = T_object if there is None else T_object @ _pose(there)
             yield from (Placed(of, shape, T) for shape in read(item))
@@ -242,7 +279,10 @@ def _primitive(item: Any) -> Shape:
 def _mesh(item: Any, path: Path) -> Iterator[Shape]:
     fields = mapping(item, "mesh", "vertices, triangles, or resource")
     if "resource" not in fields:
-        corners = [_field(one, "vertex_indices") or one for one in _listed(fields.get("triangles"), "triangles")]
+        corners = [
+            _field(one, "vertex_indices") or one
+            for one in _listed(fields.get("triangles"), "triangles")
+        ]
         vertices = [_vector(one) for one in _listed(fields.get("vertices"), "vertices")]
         yield from _pieces(
             numbers(vertices, "vertices", "x, y, z [m]").reshape(-1, 3),
@@ -252,20 +292,32 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
     name = str(fields["resource"])
     scales = set(numbers(fields.get("dimensions", 1.0), "dimensions", "scales").ravel().tolist())
     if len(scales) != 1:
-        raise InvalidInputError(f"mesh {name!r} is scaled differently along its axes; scale the file itself")
+        raise InvalidInputError(
+            f"mesh {name!r} is scaled differently along its axes; scale the file itself"
+        )
     package, _, rest = name.removeprefix(SCHEME).partition("/")
-    there = in_package(package, rest, path) if name.startswith(SCHEME) else path.parent / name.removeprefix("file://")
+    there = (
+        in_package(package, rest, path)
+        if name.startswith(SCHEME)
+        else path.parent / name.removeprefix("file://")
+    )
     yield from map(ConvexMesh, read_mesh(there, scales.pop()))
 
 
 def _pose(value: Any) -> FloatArray:
     fields = mapping(value, "pose", "position, orientation")
-    return _matrix(_vector(fields.get("position")), _vector(fields.get("orientation", [0, 0, 0, 1])))
+    return _matrix(
+        _vector(fields.get("position")), _vector(fields.get("orientation", [0, 0, 0, 1]))
+    )
 
 
 def _vector(value: Any) -> Any:
     """A list of numbers, written as such or as {x, y, z} or {x, y, z, w}."""
-    return [value.get(axis) for axis in "xyzw" if axis in value] if isinstance(value, Mapping) else value
+    return (
+        [value.get(axis) for axis in "xyzw" if axis in value]
+        if isinstance(value, Mapping)
+        else value
+    )
 
 
 def _listed(value: Any, what: str) -> Sequence[Any]:

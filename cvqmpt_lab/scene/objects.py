@@ -1,4 +1,6 @@
-"""Pieces of furniture (boxes, cylinders, handles, what a hinge or slider moves), and the tasks' household objects."""
+"""Pieces of furniture (boxes, cylinders, handles, what a hinge or slider moves), and the tasks'
+household objects.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,7 +24,9 @@ class Assembly(NamedTuple):
     articulation: Articulation | None = None
 
 
-def handle(name: str, centre: tuple[float, float, float], axis: str, p: KitchenParameters) -> list[SceneObject]:
+def handle(
+    name: str, centre: tuple[float, float, float], axis: str, p: KitchenParameters
+) -> list[SceneObject]:
     """Return a bar along `axis` ("y" or "z") at `centre`, and the two posts from it towards +x."""
     bar = cylinder(f"{name}/handle_bar", 0.5 * p.handle_diameter, p.handle_length, centre, axis)
     along = bar.T_world_object[:3, 2]
@@ -35,8 +39,12 @@ def handle(name: str, centre: tuple[float, float, float], axis: str, p: KitchenP
     return pieces
 
 
-def hinged(name: str, objects: list[SceneObject], hinge_xy: Span, hinge_side: int, p: KitchenParameters) -> Assembly:
-    """Return a door with a vertical hinge: a left (+1) one opens to -door_range, a right (-1) one to +."""
+def hinged(
+    name: str, objects: list[SceneObject], hinge_xy: Span, hinge_side: int, p: KitchenParameters
+) -> Assembly:
+    """Return a door with a vertical hinge:
+    a left (+1) one opens to -door_range, a right (-1) one to +.
+    """
     limits = (-p.door_range, 0.0) if hinge_side > 0 else (0.0, p.door_range)
     return articulated(name, "hinge", pose((*hinge_xy, 0.0)), limits, objects)
 
@@ -50,7 +58,9 @@ def articulated(
 ) -> Assembly:
     """Return the objects with a closed (value 0) articulation that moves all of them."""
     moves = tuple(item.name for item in objects)
-    return Assembly(objects, Articulation(name, kind, T_world_joint, *limits, value=0.0, moves=moves))
+    return Assembly(
+        objects, Articulation(name, kind, T_world_joint, *limits, value=0.0, moves=moves)
+    )
 
 
 def box(name: str, x: Span, y: Span, z: Span, obstacle: bool = True) -> SceneObject:
@@ -59,7 +69,9 @@ def box(name: str, x: Span, y: Span, z: Span, obstacle: bool = True) -> SceneObj
     return SceneObject(name, Box((x[1] - x[0], y[1] - y[0], z[1] - z[0])), pose(centre), obstacle)
 
 
-def cylinder(name: str, radius: float, height: float, centre: Iterable[float], axis: str = "z") -> SceneObject:
+def cylinder(
+    name: str, radius: float, height: float, centre: Iterable[float], axis: str = "z"
+) -> SceneObject:
     """Return a cylinder whose axis is a world axis."""
     return SceneObject(name, Cylinder(radius, height), oriented(axis, centre))
 
@@ -93,14 +105,22 @@ class ObjectModel:
     com: tuple[float, float, float]  # centre of mass in the link frame [m]
 
     def at_com(self, name: str, position_com: Sequence[float], yaw: float = 0.0) -> SceneObject:
-        """Return the object with its centre of mass at `position_com` (3,) [m], turned by `yaw` [rad]."""
+        """Return the object with its centre of mass at `position_com` (3,) [m], turned by `yaw`
+        [rad].
+        """
         T_world_link = pose(position_com, yaw) @ pose(-np.array(self.com))
         return SceneObject(name, self.shape, T_world_link @ pose(self.shape_centre))
 
 
 # YcbChipsCan as scaled in the published experiment code.
-CAN = ObjectModel(Cylinder(0.0373, 0.242), shape_centre=(-0.005, 0.012, 0.1265), com=(-0.005, 0.010, 0.100))
+CAN = ObjectModel(
+    Cylinder(0.0373, 0.242), shape_centre=(-0.005, 0.012, 0.1265), com=(-0.005, 0.010, 0.100)
+)
 # YcbCrackerBox.
-CRACKER_BOX = ObjectModel(Box((0.0616, 0.1575, 0.2068)), (0.028, -0.011, -0.005), com=(0.030, -0.010, -0.020))
+CRACKER_BOX = ObjectModel(
+    Box((0.0616, 0.1575, 0.2068)), (0.028, -0.011, -0.005), com=(0.030, -0.010, -0.020)
+)
 # YcbMustardBottle; the horizontal middle of its box is taken to be the centre of mass's.
-MUSTARD_BOTTLE = ObjectModel(Box((0.0589, 0.0986, 0.1905)), (0.005, 0.005, 0.0125), (0.005, 0.005, -0.015))
+MUSTARD_BOTTLE = ObjectModel(
+    Box((0.0589, 0.0986, 0.1905)), (0.005, 0.005, 0.0125), (0.005, 0.005, -0.015)
+)

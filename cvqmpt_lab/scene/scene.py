@@ -42,18 +42,25 @@ class Articulation(Checked):
     lower: float  # of its range, [rad] for a hinge, [m] for a slider
     upper: float  # of its range [rad or m]
     value: float  # where it is now [rad or m]
-    moves: tuple[Name, ...]  # names of the objects it moves; the scene stores their poses at `value`
+    # names of the objects it moves; the scene stores their poses at `value`
+    moves: tuple[Name, ...]
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.lower > self.upper:
-            raise InvalidInputError(f"articulation {self.name!r}: lower {self.lower} is above upper {self.upper}")
+            raise InvalidInputError(
+                f"articulation {self.name!r}: lower {self.lower} is above upper {self.upper}"
+            )
         self._check_range(self.value)
 
     def displacement(self, value: float) -> FloatArray:
-        """Return the (4, 4) world motion that carries the moved objects from `self.value` to `value`, in its range."""
+        """Return the (4, 4) world motion that carries the moved objects from `self.value` to
+        `value`, in its range.
+        """
         self._check_range(value)
-        return self.T_world_joint @ self.motion(value - self.value) @ np.linalg.inv(self.T_world_joint)
+        return (
+            self.T_world_joint @ self.motion(value - self.value) @ np.linalg.inv(self.T_world_joint)
+        )
 
     def motion(self, change: float) -> FloatArray:
         """Return the motion (4, 4) by a change of the value [rad or m], in the joint frame."""
@@ -64,7 +71,8 @@ class Articulation(Checked):
         if not self.lower <= value <= self.upper:
             unit = "rad" if self.kind == "hinge" else "m"
             raise InvalidInputError(
-                f"value {value!r} of {self.kind} {self.name!r} is outside its range [{self.lower}, {self.upper}] {unit}"
+                f"value {value!r} of {self.kind} {self.name!r} is outside its range "
+                f"[{self.lower}, {self.upper}] {unit}"
             )
 
 
@@ -83,20 +91,26 @@ class Scene(Checked, Pictured):
         scene = f"scene {self.name!r}"
         unique(self.names, f"objects of {scene}")
         unique((item.name for item in self.articulations), f"articulations of {scene}")
-        unique((name for item in self.articulations for name in item.moves), f"objects that {scene} moves")
+        unique(
+            (name for item in self.articulations for name in item.moves),
+            f"objects that {scene} moves",
+        )
         known = set(self.names)
         for articulation in self.articulations:
             for name in articulation.moves:
                 if name not in known:
                     raise InvalidInputError(
-                        f"articulation {articulation.name!r} moves {name!r}, which is no object of {scene}: "
+                        f"articulation {articulation.name!r} moves {name!r}, which is no object "
+                        f"of {scene}: "
                         f"add the object or correct `moves`"
                     )
 
     def __repr__(self) -> str:
         few = ", ".join(self.names[:SHOWN]) + (", ..." if len(self.objects) > SHOWN else "")
         joints = f", {len(self.articulations)} hinges and sliders" if self.articulations else ""
-        return f"Scene {self.name!r}: {len(self.objects)} objects{joints}\nobjects     {few or 'none'}"
+        return (
+            f"Scene {self.name!r}: {len(self.objects)} objects{joints}\nobjects     {few or 'none'}"
+        )
 
     def __getitem__(self, name: str) -> SceneObject:
         for item in self.objects:
@@ -135,7 +149,10 @@ class Scene(Checked, Pictured):
     def without(self, *names: str) -> "Scene":
         """Return a scene without these objects; articulations that then move nothing go too."""
         gone = {self[name].name for name in names}
-        moves = ((item, tuple(name for name in item.moves if name not in gone)) for item in self.articulations)
+        moves = (
+            (item, tuple(name for name in item.moves if name not in gone))
+            for item in self.articulations
+        )
         joints = (replace(item, moves=left) for item, left in moves)
         return replace(
             self,
@@ -144,20 +161,26 @@ class Scene(Checked, Pictured):
         )
 
     def with_joint(self, name: str, value: float) -> "Scene":
-        """Return a scene with the articulation `name` at `value` [rad] or [m], its objects re-posed.
+        """Return a scene with the articulation `name` at `value` [rad] or [m], its objects
+        re-posed.
 
         Raises
         ------
-        UnknownChoiceError, InvalidInputError: there is no such articulation; `value` is outside its range.
+        UnknownChoiceError, InvalidInputError: there is no such articulation; `value` is outside its
+        range.
         """
         joint = self.articulation(name)
         motion = joint.displacement(value)
         parts = [self[part] for part in joint.moves]
-        moved = {part.name: replace(part, T_world_object=motion @ part.T_world_object) for part in parts}
+        moved = {
+            part.name: replace(part, T_world_object=motion @ part.T_world_object) for part in parts
+        }
         return replace(
             self,
             objects=tuple(moved.get(item.name, item) for item in self.objects),
-            articulations=tuple(replace(item, value=value) if item is joint else item for item in self.articulations),
+            articulations=tuple(
+                replace(item, value=value) if item is joint else item for item in self.articulations
+            ),
         )
 
     def __hash__(self) -> int:
@@ -169,12 +192,16 @@ class Scene(Checked, Pictured):
 
 
 class SceneForm:
-    """A scene; in the file of a problem or task also the path of one that holds it (see `scene_files`)."""
+    """A scene;
+    in the file of a problem or task also the path of one that holds it (see `scene_files`).
+    """
 
     def read(self, value: Any, where: str) -> Scene:
         """Make the scene."""
         if isinstance(value, str):
-            raise InvalidInputError(f"{where} is {shown(value)}, a file: load what names it from a file too")
+            raise InvalidInputError(
+                f"{where} is {shown(value)}, a file: load what names it from a file too"
+            )
         return from_plain(Scene, value, where)
 
     def write(self, value: Scene) -> Any:
@@ -183,7 +210,9 @@ class SceneForm:
 
     def schema(self, of: Schema) -> dict[str, Any]:
         """Either."""
-        return {"anyOf": [of(Scene), {"type": "string", "description": "json file that holds a scene"}]}
+        return {
+            "anyOf": [of(Scene), {"type": "string", "description": "json file that holds a scene"}]
+        }
 
 
 NamedScene = Annotated[Scene, SceneForm()]
@@ -201,5 +230,6 @@ class Attachment(Checked):
         super().__post_init__()
         if isinstance(self.shape, OccupancyMap):
             raise InvalidInputError(
-                f"attachment {self.name!r} is an occupancy map; what is carried is a solid or a point cloud"
+                f"attachment {self.name!r} is an occupancy map; what is carried is a solid or a "
+                f"point cloud"
             )

@@ -1,8 +1,9 @@
 """Shapes that a json file names by path, put where they are named.
 
-`{"type": "cloud_file", "path": "scan.pcd", "radius": 0.01}` becomes a PointCloud, `{"type": "map_file", "path":
-"scan.pcd"}` an OccupancyMap, `{"type": "mesh_file", "path": "shelf.stl", "scale": 0.001}` a ConvexMesh; a mesh that is
-not convex becomes several objects, "shelf/0", "shelf/1", ...
+`{"type": "cloud_file", "path": "scan.pcd", "radius": 0.01}` becomes a PointCloud, `{"type":
+"map_file", "path": "scan.pcd"}` an OccupancyMap, `{"type": "mesh_file", "path": "shelf.stl",
+"scale": 0.001}` a ConvexMesh; a mesh that is not convex becomes several objects, "shelf/0",
+"shelf/1", ...
 """
 
 import logging
@@ -30,7 +31,8 @@ log = logging.getLogger(__name__)
 def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Json of a problem or task with the files read that its scene and attachments name.
 
-    data: not changed; its scene may be the path of a json file; what is no object with a shape by path stays as it is.
+    data: not changed; its scene may be the path of a json file; what is no object with a shape by
+        path stays as it is.
     folder: of the json file, from which paths go on.
     """
     read = dict(data)
@@ -58,7 +60,10 @@ def named_files(data: Mapping[str, Any], folder: Path) -> Iterator[Path]:
         path = folder / scene
         yield path
         yield from named_files({"scene": read_json_object(path, "scene")}, path.parent)
-    items = [*(scene["objects"] if isinstance(scene, Mapping) else ()), *data.get("attachments", ())]
+    items = [
+        *(scene["objects"] if isinstance(scene, Mapping) else ()),
+        *data.get("attachments", ()),
+    ]
     shapes = [item["shape"] for item in items]
     yield from (folder / shape["path"] for shape in shapes if shape["type"] in SHAPES_BY_PATH)
 
@@ -69,7 +74,12 @@ def _scene(scene: dict[str, Any], folder: Path) -> dict[str, Any]:
     joints = scene.get("articulations")
     if pieces and isinstance(joints, list):
         joints = [
-            {**joint, "moves": [piece for name in joint["moves"] for piece in pieces.get(str(name), [name])]}
+            {
+                **joint,
+                "moves": [
+                    piece for name in joint["moves"] for piece in pieces.get(str(name), [name])
+                ],
+            }
             if isinstance(joint, dict) and isinstance(joint.get("moves"), list)
             else joint
             for joint in joints
@@ -79,7 +89,9 @@ def _scene(scene: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list[str]]]:
-    """Json of objects with their shapes, and the names of the pieces by those of the objects read from files."""
+    """Json of objects with their shapes, and the names of the pieces by those of the objects read
+    from files.
+    """
     if not isinstance(items, list):
         return items, {}
     found: list[Any] = []
@@ -101,14 +113,21 @@ def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list
     return found, pieces
 
 
-def _shapes(named: CloudFile | MapFile | MeshFile, folder: Path) -> Iterator[PointCloud | OccupancyMap | ConvexMesh]:
+def _shapes(
+    named: CloudFile | MapFile | MeshFile, folder: Path
+) -> Iterator[PointCloud | OccupancyMap | ConvexMesh]:
     """What a file holds."""
     path = folder / named.path
     if not isinstance(named, MeshFile):
         from cvqmpt_lab.scene.cloud_files import read_cloud
 
         cloud = read_cloud(path, named.scale)
-        log.info("%s: %d points, %d left out that were not finite", path, len(cloud.points), cloud.dropped)
+        log.info(
+            "%s: %d points, %d left out that were not finite",
+            path,
+            len(cloud.points),
+            cloud.dropped,
+        )
         if isinstance(named, MapFile):
             yield map_of_points(cloud.points, named.resolution, named.padding)
         else:

@@ -1,4 +1,5 @@
-"""Shapes as plain data: boxes, cylinders, spheres, convex meshes, inflated point clouds and occupancy maps.
+"""Shapes as plain data: boxes, cylinders, spheres, convex meshes, inflated point clouds and
+occupancy maps.
 
 A shape lives in its own frame; `SceneObject` places it in the world. Lengths are in [m].
 """
@@ -33,22 +34,28 @@ def thin_direction(points: FloatArray) -> FloatArray:
 
 
 def check_volume(points: FloatArray, what: str) -> None:
-    """Refuse finite points (n, 3) [m] that span no volume, or one too thin or too far for collision checks."""
+    """Refuse finite points (n, 3) [m] that span no volume, or one too thin or too far for collision
+    checks.
+    """
     farthest = float(np.abs(points).max(initial=0.0))
     if farthest > FARTHEST:
         raise InvalidInputError(
-            f"{what} must lie within {FARTHEST:g} m of their frame, one is {farthest:.3g} m off: give metres"
+            f"{what} must lie within {FARTHEST:g} m of their frame, one is {farthest:.3g} m off: "
+            f"give metres"
         )
     if len(points) < 4 or thickness(points) < MIN_THICKNESS:
         raise InvalidInputError(
-            f"{what} must span a volume: give 4 or more points that are not in one plane, and at least "
+            f"{what} must span a volume: give 4 or more points that are not in one plane, and at "
+            f"least "
             f"{1e3 * MIN_THICKNESS:g} mm thick, got {len(points)} points"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class CloudFile(Checked):
-    """In a json file in the place of a shape: points of a file, see `cloud_files.READERS`, as a PointCloud."""
+    """In a json file in the place of a shape:
+    points of a file, see `cloud_files.READERS`, as a PointCloud.
+    """
 
     path: Name  # of the file, from the folder of the one that names it
     radius: Length  # of the ball around every point [m]
@@ -73,7 +80,8 @@ class MeshFile(Checked):
     scale: Length = 1.0  # [m] of one unit of the file
 
 
-SHAPES_BY_PATH = {"cloud_file": CloudFile, "map_file": MapFile, "mesh_file": MeshFile}  # by "type" in json
+# by "type" in json
+SHAPES_BY_PATH = {"cloud_file": CloudFile, "map_file": MapFile, "mesh_file": MeshFile}
 
 
 class WholeNumbers(Array):
@@ -85,7 +93,8 @@ class WholeNumbers(Array):
         wrong = (array != np.rint(array)) | (np.abs(array) > FARTHEST_CELL)
         if wrong.any():
             raise InvalidInputError(
-                f"{where} holds {array[wrong][0]:g}; give whole numbers from {-FARTHEST_CELL} to {FARTHEST_CELL}"
+                f"{where} holds {array[wrong][0]:g}; give whole numbers from {-FARTHEST_CELL} to "
+                f"{FARTHEST_CELL}"
             )
         return array
 
@@ -142,17 +151,23 @@ class PointCloud(Checked):
 
 @dataclass(frozen=True, eq=False)
 class OccupancyMap(Checked):
-    """Occupied cubes of a regular grid, as an occupancy grid (OctoMap) holds them; what is not listed is free."""
+    """Occupied cubes of a regular grid, as an occupancy grid (OctoMap) holds them;
+    what is not listed is free.
+    """
 
     cells: Annotated[FloatArray, WholeNumbers((None, 3), "whole numbers i, j, k of cells")]
-    """(k, 3); cell (i, j, k) reaches from resolution * (i, j, k) to resolution * (i + 1, j + 1, k + 1)."""
+    """(k, 3);
+    cell (i, j, k) reaches from resolution * (i, j, k) to resolution * (i + 1, j + 1, k + 1).
+    """
     resolution: Length = 0.02  # edge of every cube [m]
     padding: Padding = 0.0  # inflation radius of every cube, to all sides [m]
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.cells) == 0:
-            raise InvalidInputError("OccupancyMap.cells is empty: leave the object out of the scene")
+            raise InvalidInputError(
+                "OccupancyMap.cells is empty: leave the object out of the scene"
+            )
         require_resolution(self.resolution)
 
     @property
@@ -164,14 +179,18 @@ class OccupancyMap(Checked):
 def require_resolution(resolution: float) -> None:
     """Refuse cells [m] that are too fine for a map, before any are counted."""
     if not resolution >= FINEST:
-        raise InvalidInputError(f"OccupancyMap.resolution is {resolution:g} m; give {FINEST:g} m or more")
+        raise InvalidInputError(
+            f"OccupancyMap.resolution is {resolution:g} m; give {FINEST:g} m or more"
+        )
 
 
 Measured = PointCloud | OccupancyMap  # what sensors make of a world
-SHAPES = {"box": Box, "cylinder": Cylinder, "sphere": Sphere, "convex_mesh": ConvexMesh}  # by "type" in json
+# by "type" in json
+SHAPES = {"box": Box, "cylinder": Cylinder, "sphere": Sphere, "convex_mesh": ConvexMesh}
 SHAPES |= {"point_cloud": PointCloud, "occupancy_map": OccupancyMap}
 Shape: TypeAlias = Annotated[
-    Box | Cylinder | Sphere | ConvexMesh | PointCloud | OccupancyMap, Tagged("type", SHAPES, SHAPES_BY_PATH)
+    Box | Cylinder | Sphere | ConvexMesh | PointCloud | OccupancyMap,
+    Tagged("type", SHAPES, SHAPES_BY_PATH),
 ]
 
 
@@ -181,11 +200,15 @@ def shape_vertices(shape: Box | ConvexMesh) -> FloatArray:
         return 0.5 * np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * np.array(shape.size)
     if isinstance(shape, ConvexMesh):
         return shape.vertices
-    raise InvalidInputError(f"{type(shape).__name__} has no corner points; valid shapes: Box, ConvexMesh")
+    raise InvalidInputError(
+        f"{type(shape).__name__} has no corner points; valid shapes: Box, ConvexMesh"
+    )
 
 
 def bounding_radius(shape: Shape) -> float:
-    """Return the radius [m] of the smallest ball around the shape's frame origin that holds the shape."""
+    """Return the radius [m] of the smallest ball around the shape's frame origin that holds the
+    shape.
+    """
     match shape:
         case Box() | ConvexMesh():
             return float(np.linalg.norm(shape_vertices(shape), axis=1).max())

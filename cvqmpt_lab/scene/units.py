@@ -1,4 +1,6 @@
-"""Units of scenes that users write: what cannot be metres is refused, a scene out of the arm's reach reported."""
+"""Units of scenes that users write:
+what cannot be metres is refused, a scene out of the arm's reach reported.
+"""
 
 import logging
 import math
@@ -16,10 +18,14 @@ _log = logging.getLogger("cvqmpt")
 
 
 def refuse_far_poses(poses: dict[str, np.ndarray]) -> None:
-    """Refuse a pose (4, 4), by its place in the file, that stands more than FARTHEST from the world's origin."""
+    """Refuse a pose (4, 4), by its place in the file, that stands more than FARTHEST from the
+    world's origin.
+    """
     for where, T in poses.items():
         if (off := float(np.abs(T[:3, 3]).max())) > FARTHEST:
-            raise InvalidInputError(f"{where} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres")
+            raise InvalidInputError(
+                f"{where} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres"
+            )
 
 
 def refuse_far(scene: Scene, where: str = "scene") -> None:
@@ -38,9 +44,13 @@ def refuse_far(scene: Scene, where: str = "scene") -> None:
                 lengths = ()
         name = at(where, f"objects[{k}], {item.name!r},")
         if (most := max(lengths, default=0.0)) > LARGEST:
-            raise InvalidInputError(f"{name} is {most:.4g} m large, more than {LARGEST:g}: no metres? Give metres")
+            raise InvalidInputError(
+                f"{name} is {most:.4g} m large, more than {LARGEST:g}: no metres? Give metres"
+            )
         if (off := distance(item)) > FARTHEST:
-            raise InvalidInputError(f"{name} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres")
+            raise InvalidInputError(
+                f"{name} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres"
+            )
 
 
 def distance(item: SceneObject) -> float:
@@ -48,7 +58,9 @@ def distance(item: SceneObject) -> float:
     if isinstance(item.shape, Box):
         inside = np.abs(np.linalg.inv(item.T_world_object)[:3, 3]) - 0.5 * np.array(item.shape.size)
         return float(np.linalg.norm(np.maximum(inside, 0.0)))
-    return max(math.dist(item.T_world_object[:3, 3], (0.0, 0.0, 0.0)) - bounding_radius(item.shape), 0.0)
+    return max(
+        math.dist(item.T_world_object[:3, 3], (0.0, 0.0, 0.0)) - bounding_radius(item.shape), 0.0
+    )
 
 
 def report_out_of_reach(scene: Scene, reach: float) -> None:
@@ -57,7 +69,8 @@ def report_out_of_reach(scene: Scene, reach: float) -> None:
     if gaps and min(gaps.values()) > reach:
         name = min(gaps, key=lambda name: gaps[name])
         _log.warning(
-            "scene %r: the arm can touch nothing of it: %r is nearest, %.3g m off, and the arm reaches %.3g m; "
+            "scene %r: the arm can touch nothing of it: %r is nearest, %.3g m off, and the arm "
+            "reaches %.3g m; "
             "no metres, or in another frame than the robot's base?",
             scene.name,
             name,

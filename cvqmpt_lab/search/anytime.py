@@ -1,8 +1,10 @@
-"""Shorter paths: time left after a first path (`improve`), restarts for it, and near-shortest labels of training data.
+"""Shorter paths: time left after a first path (`improve`), restarts for it, and near-shortest
+labels of training data.
 
-Of length c, a path can only pass through configurations x with |x - start| + |x - goal| < c, a prolate hyperspheroid
-(Gammell, Srinivasa and Barfoot 2014); restarts sample there, and what they find is shortened. Planners with a roadmap
-look for other ways by small roadmaps instead (`informed_roadmap`).
+Of length c, a path can only pass through configurations x with |x - start| + |x - goal| < c, a
+prolate hyperspheroid (Gammell, Srinivasa and Barfoot 2014); restarts sample there, and what they
+find is shortened. Planners with a roadmap look for other ways by small roadmaps instead
+(`informed_roadmap`).
 """
 
 from dataclasses import dataclass, replace
@@ -17,8 +19,11 @@ from cvqmpt_lab.search.shortcut import SWEEP, SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 STRETCHES = (1.1, 1.3, 1.6, 2.0, 2.6, np.inf)
-"""Times the straight line's length, up to the best path's: short ways to each goal are looked for in this order."""
-AMONG, NARROW = 200, 60  # iterations of a search among all that may be shorter, and of one for short ways
+"""Times the straight line's length, up to the best path's:
+short ways to each goal are looked for in this order.
+"""
+# iterations of a search among all that may be shorter, and of one for short ways
+AMONG, NARROW = 200, 60
 CROWD = 4  # samples drawn for one that is used
 LEAST = 1e-9  # [rad or m] between start and goal, so that there is a direction
 GAIN = 0.002  # of its length that shortening must take off a path to be tried again
@@ -46,7 +51,8 @@ def check_units(budget: Budget, optimize: Budget) -> None:
     """Refuse a clock in a run that has none: InvalidInputError."""
     if budget.seconds is None and optimize.seconds is not None:
         raise InvalidInputError(
-            f"optimize: {optimize.seconds:g} s in a run of {budget.iterations} iterations, which knows no clock and "
+            f"optimize: {optimize.seconds:g} s in a run of {budget.iterations} iterations, which "
+            f"knows no clock and "
             f"so repeats; give optimize in iterations, or the run a budget in seconds"
         )
 
@@ -59,12 +65,15 @@ def improve(
     rng: np.random.Generator,
     settings: SimplifySettings | None = None,
 ) -> tuple[JointPath, Improvement]:
-    """The best path that other ways and shortening find within a budget, never longer than the first; what it took.
+    """The best path that other ways and shortening find within a budget, never longer than the
+    first; what it took.
 
     first: a path on the manifold, free and shortened.
     """
     deadline = Deadline(budget, space)
-    nearest = max(float(np.linalg.norm(space.problem.goals - space.problem.start, axis=1).min()), LEAST)
+    nearest = max(
+        float(np.linalg.norm(space.problem.goals - space.problem.start, axis=1).min()), LEAST
+    )
     best, lengths, searches, fresh = first, [(0.0, first.length)], 0, True
     while deadline.spent() is None:
         found: JointPath | None = best
@@ -76,18 +85,24 @@ def improve(
         deadline.count()  # so that a round without iterations ends, too
         if found is None:
             continue
-        sweep = replace(settings or SimplifySettings(), attempts=SWEEP, seconds=deadline.rest().seconds)
+        sweep = replace(
+            settings or SimplifySettings(), attempts=SWEEP, seconds=deadline.rest().seconds
+        )
         found = simplify(space, found, rng, sweep).path
         fresh = found.length < (1.0 - GAIN) * best.length
         if found.length < best.length:
             best = found
             lengths.append((deadline.seconds, best.length))
-    return best, Improvement(budget, deadline.seconds, deadline.counters.iterations, searches, tuple(lengths))
+    return best, Improvement(
+        budget, deadline.seconds, deadline.counters.iterations, searches, tuple(lengths)
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Restarts:
-    """Other searches by the same method; every other one looks for short ways near straight lines to the goals."""
+    """Other searches by the same method;
+    every other one looks for short ways near straight lines to the goals.
+    """
 
     method: Search
     distribution: SamplingDistribution  # of the first search
@@ -120,10 +135,14 @@ def nearer_goals(space: ConstrainedSpace, length: float) -> np.ndarray:
     return goals[np.maximum(np.linalg.norm(goals - space.problem.start, axis=1), LEAST) < length]
 
 
-def short_ways(space: ConstrainedSpace, length: float, stretch: float) -> tuple[np.ndarray, "ShortWays"]:
-    """Goals (k, n) for paths shorter than `length` [rad], and samples near the straight lines to them.
+def short_ways(
+    space: ConstrainedSpace, length: float, stretch: float
+) -> tuple[np.ndarray, "ShortWays"]:
+    """Goals (k, n) for paths shorter than `length` [rad], and samples near the straight lines to
+    them.
 
-    stretch: what such a path is longer than straight, at most; goals that this rules nothing out for are left out.
+    stretch: what such a path is longer than straight, at most; goals that this rules nothing out
+        for are left out.
     """
     start, goals = space.problem.start, nearer_goals(space, length)
     reach = np.minimum(stretch * np.maximum(np.linalg.norm(goals - start, axis=1), LEAST), length)
@@ -135,9 +154,11 @@ def short_ways(space: ConstrainedSpace, length: float, stretch: float) -> tuple[
 
 @dataclass(frozen=True, eq=False)
 class ShortWays:
-    """Uniform over configurations on motions from start to a goal no longer than its reach, clipped to the limits.
+    """Uniform over configurations on motions from start to a goal no longer than its reach, clipped
+    to the limits.
 
-    Such configurations fill a prolate hyperspheroid with both as foci; each goal's is as likely as the others'.
+    Such configurations fill a prolate hyperspheroid with both as foci; each goal's is as likely as
+    the others'.
     """
 
     start: np.ndarray  # (n,)
@@ -201,7 +222,9 @@ def near_shortest(
     rng: np.random.Generator,
     settings: NearShortestSettings | None = None,
 ) -> JointPath | None:
-    """The shortest free path (on the manifold) found from start to goal (n,), or None when none was found."""
+    """The shortest free path (on the manifold) found from start to goal (n,), or None when none was
+    found.
+    """
     settings = settings or NearShortestSettings()
     trees, lower, upper = BiRRT(), space.robot.lower, space.robot.upper
     best: JointPath | None = None

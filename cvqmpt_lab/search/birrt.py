@@ -1,14 +1,15 @@
-"""Algorithm 3 of the paper: a bidirectional RRT on the constraint manifold, with samples of any distribution.
+"""Algorithm 3 of the paper: a bidirectional RRT on the constraint manifold, with samples of any
+distribution.
 
     repeat until the trees meet or the budget is spent:
-        q_rand <- sample(q)                                  the predicted mixture, or uniform: then this is CBiRRT
-        q_a <- ConstrainedExtend(T_a, NearestNode(T_a, q_rand), q_rand)
-        q_b <- ConstrainedExtend(T_b, NearestNode(T_b, q_rand), q_rand)
-        if ConstrainedExtend(T_b, q_b, q_a) reaches q_a: return Path(T_a, q_a, T_b, q_b)
-        Swap(T_a, T_b)
+        q_rand <- sample(q)                                  the predicted mixture, or uniform: then
+        this is CBiRRT q_a <- ConstrainedExtend(T_a, NearestNode(T_a, q_rand), q_rand) q_b <-
+        ConstrainedExtend(T_b, NearestNode(T_b, q_rand), q_rand) if ConstrainedExtend(T_b, q_b, q_a)
+        reaches q_a: return Path(T_a, q_a, T_b, q_b) Swap(T_a, T_b)
 
-Every state is projected (F(q) = 0, paper, Algorithm 1) and checked. A path found is then checked at fine resolution; a
-motion that grazes an obstacle between its states is cut out of its tree, and the search goes on.
+Every state is projected (F(q) = 0, paper, Algorithm 1) and checked. A path found is then checked at
+fine resolution; a motion that grazes an obstacle between its states is cut out of its tree, and the
+search goes on.
 """
 
 import time
@@ -18,7 +19,15 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.search.motion import DEVIATION, ITERATIONS, REACHED, STOPPED, Space, distance, step_towards
+from cvqmpt_lab.search.motion import (
+    DEVIATION,
+    ITERATIONS,
+    REACHED,
+    STOPPED,
+    Space,
+    distance,
+    step_towards,
+)
 from cvqmpt_lab.search.nearest import (
     NearestIndex,
     enlarged_index,
@@ -65,14 +74,18 @@ def enlarged(trees: Trees) -> Trees:
     """The same trees with twice the capacity."""
     nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
     parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
-    return trees._replace(nodes=nodes, parent=parent, nearest=enlarged_index(trees.nearest, nodes.shape[1]))
+    return trees._replace(
+        nodes=nodes, parent=parent, nearest=enlarged_index(trees.nearest, nodes.shape[1])
+    )
 
 
 @kernel(inline="source")
 def extend(space, nodes, parent, size, which, origin, target, reach):
-    """ConstrainedExtend: extend from node origin towards target (n,), adding every state to the tree.
+    """ConstrainedExtend: extend from node origin towards target (n,), adding every state to the
+    tree.
 
-    reach: longest extension [rad]. Returns the index of the last node, and whether the target was reached.
+    reach: longest extension [rad]. Returns the index of the last node, and whether the target was
+        reached.
     """
     start = distance(nodes[origin], target)
     if start < 1e-9:
@@ -104,8 +117,9 @@ def grow(
 ):
     """Grow both trees towards samples[first:] (m, n) until they meet.
 
-    reach: longest extension towards a sample [rad]. Returns GROWING (samples used up), CONNECTED (trees.meeting holds
-    the nodes) or FULL (capacity used up), and the index of the next unused sample.
+    reach: longest extension towards a sample [rad]. Returns GROWING (samples used up), CONNECTED
+        (trees.meeting holds the nodes) or FULL (capacity used up), and the index of the next unused
+        sample.
     """
     reserve = trees.nodes.shape[1] // 4
     nodes, parent, size = trees.nodes, trees.parent, trees.size
@@ -117,7 +131,8 @@ def grow(
         b = 1 - a
         trees.turn[0] = b  # Swap
         node_a, node_b, met = 0, 0, False
-        for stage in range(3):  # tree a to the sample, tree b to the sample, tree b to tree a: one call site
+        # tree a to the sample, tree b to the sample, tree b to tree a: one call site
+        for stage in range(3):
             tree = a if stage == 0 else b
             target = samples[i] if stage < 2 else nodes[a, node_a]
             if stage == 2:
@@ -140,9 +155,12 @@ def grow(
 
 @entry
 def extract_path(
-    trees: Trees, out: Annotated[np.ndarray, "longest n"], origin: Annotated[np.ndarray, "int64 longest 2"]
+    trees: Trees,
+    out: Annotated[np.ndarray, "longest n"],
+    origin: Annotated[np.ndarray, "int64 longest 2"],
 ):
-    """Write the states from start root to goal root into out (k, n), their (tree, node) into origin (k, 2); return k.
+    """Write the states from start root to goal root into out (k, n), their (tree, node) into origin
+    (k, 2); return k.
 
     out and origin have as many rows as both trees have nodes.
     """
@@ -177,7 +195,9 @@ def remove_subtree(trees, which, root):
 
 
 @entry
-def remove_child_of_segment(trees: Trees, origin: Annotated[np.ndarray, "int64 longest 2"], segment: int):
+def remove_child_of_segment(
+    trees: Trees, origin: Annotated[np.ndarray, "int64 longest 2"], segment: int
+):
     """Cut the motion between path states segment and segment + 1; origin (k, 2) is extract_path's."""
     later_in_start_tree = origin[segment + 1, 0] == 0
     if later_in_start_tree:
@@ -197,8 +217,10 @@ CLOCK_BATCH = 16  # samples used before the clock is read, where a budget has se
 class BiRRT:
     """Bidirectional tree growth on the manifold."""
 
-    step: float = 0.15  # [rad] between neighbouring nodes; a found path is refined to the space's own step
-    reach: float = 1.0  # [rad] longest extension towards a sample; chosen on the tuning environments
+    # [rad] between neighbouring nodes; a found path is refined to the space's own step
+    step: float = 0.15
+    # [rad] longest extension towards a sample; chosen on the tuning environments
+    reach: float = 1.0
 
     def search(
         self,
@@ -233,11 +255,16 @@ class BiRRT:
             counters=space.counters_since(before),
             vertices=int(trees.size.sum()),
             sampler=distribution.name,
-            trees=tuple(Tree(trees.nodes[k, :size], trees.parent[k, :size]) for k, size in enumerate(trees.size)),
+            trees=tuple(
+                Tree(trees.nodes[k, :size], trees.parent[k, :size])
+                for k, size in enumerate(trees.size)
+            ),
         )
 
     def _use(self, space: ConstrainedSpace, trees: Trees, samples: np.ndarray, deadline: float):
-        """Grow with one batch until the deadline; the trees, and a path that passed the fine check or None."""
+        """Grow with one batch until the deadline;
+        the trees, and a path that passed the fine check or None.
+        """
         arrays = space.arrays._replace(step=self.step)
         most = len(samples) if deadline == np.inf else CLOCK_BATCH
         first = 0

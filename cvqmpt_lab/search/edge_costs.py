@@ -1,9 +1,11 @@
-"""How likely straight motions are free: clearances in the checker's distance grid, one logistic curve for all robots.
+"""How likely straight motions are free: clearances in the checker's distance grid, one logistic
+curve for all robots.
 
     log odds of P(free) = slope * smallest clearance + bias
 
-The clearance is that of the robot's balls at states along the motion, read from a grid that the collision checker has
-anyway. Nothing is checked; a motion costs one to two microseconds. Self-collisions are not seen.
+The clearance is that of the robot's balls at states along the motion, read from a grid that the
+collision checker has anyway. Nothing is checked; a motion costs one to two microseconds.
+Self-collisions are not seen.
 """
 
 from typing import Annotated, NamedTuple
@@ -25,12 +27,15 @@ class EdgeCosts(NamedTuple):
     slope: float  # [1/m]
     bias: float  # log odds at clearance 0
     weight: float = 4.0  # [rad] of -log P(free); 0: motions cost their length
-    spacing: float = 0.3  # [rad] between the states whose clearances are read; GAP times as much at most
+    # [rad] between the states whose clearances are read; GAP times as much at most
+    spacing: float = 0.3
 
 
 @kernel(inline="source")
 def smallest_clearance(space, grid, lowest):
-    """The smaller of lowest and the smallest clearance [m] of the robot's balls, posed in the scratch, in a grid."""
+    """The smaller of lowest and the smallest clearance [m] of the robot's balls, posed in the
+    scratch, in a grid.
+    """
     r, t, robot = space.scratch.link_rotation, space.scratch.link_translation, space.robot
     for k in range(robot.order.shape[0]):
         body = robot.order[k]
@@ -71,9 +76,11 @@ def reading(
     k: int,
     lowest: float,
 ):
-    """The smaller of lowest and reading k of the clearance [m] along the straight motion from a to b (n,).
+    """The smaller of lowest and reading k of the clearance [m] along the straight motion from a to
+    b (n,).
 
-    It is read at b, then in the middle, at 1/4, 3/4, 1/8, ...; space.state and its scratch are overwritten.
+    It is read at b, then in the middle, at 1/4, 3/4, 1/8, ...; space.state and its scratch are
+    overwritten.
     """
     level, place = 1, 1.0
     while 2 * level <= k:
@@ -82,6 +89,8 @@ def reading(
         place = (2 * (k - level) + 1) / (2 * level)
     for j in range(a.shape[0]):
         space.state[j] = a[j] + place * (b[j] - a[j])
-    forward_kinematics(space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation)
+    forward_kinematics(
+        space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation
+    )
     space.counters[CLEARANCES] += 1
     return smallest_clearance(space, costs.grid, lowest)

@@ -45,9 +45,12 @@ class Poses(NamedTuple):
 
     rotations: Annotated[np.ndarray, "count 3 3"]  # of the end effector
     translations: Annotated[np.ndarray, "count 3"]  # of the end effector [m]
-    configurations: Annotated[np.ndarray, "count n"]  # that reach them, where the verdict says so [rad or m]
+    # that reach them, where the verdict says so [rad or m]
+    configurations: Annotated[np.ndarray, "count n"]
     verdict: Annotated[np.ndarray, "int64 count"]
-    """REACHED by a free configuration, UNTRIED, UNREACHABLE so far, or COLLIDING where only others reached it."""
+    """REACHED by a free configuration, UNTRIED, UNREACHABLE so far, or COLLIDING where only others
+    reached it.
+    """
     reached: Annotated[np.ndarray, "int64 count"]  # numbers of the poses reached, in that order
 
 
@@ -92,7 +95,8 @@ def reach_free(
     ----------
     regions: the first is the pose to be reached, the others hold at the same time.
     margin: to be kept from obstacles [m].
-    firsts, look: an attempt starts from the best of `look` seeds from number firsts[attempt, pose] on; a multiple
+    firsts, look: an attempt starts from the best of `look` seeds from number firsts[attempt, pose]
+        on; a multiple
         of VISIT attempts a pose.
     stop_on_stall: attempts that stall are given up.
     poses: configurations and verdicts are written.
@@ -111,7 +115,11 @@ def reach_free(
             return found
         if poses.verdict[i] == REACHED:
             continue
-        rotation, translation, q = poses.rotations[i], poses.translations[i], poses.configurations[i]
+        rotation, translation, q = (
+            poses.rotations[i],
+            poses.translations[i],
+            poses.configurations[i],
+        )
         for row in range(3):
             regions.reference_translation[0, row] = translation[row]
             for column in range(3):
@@ -147,10 +155,12 @@ def sample_goals(
 ) -> GoalSample:
     """Up to count collision-free configurations in a problem's goal region, one per pose.
 
-    Where joints turn by more than a full turn, every second one is taken by the turns nearest to the start: else
-    most goals of an arm with several such joints are whole turns away, and none may be on the start's side.
+    Where joints turn by more than a full turn, every second one is taken by the turns nearest to
+    the start: else most goals of an arm with several such joints are whole turns away, and none may
+    be on the start's side.
 
-    within: regions that hold at the same time; that of a held handle puts its door where the hand is.
+    within: regions that hold at the same time; that of a held handle puts its door where the hand
+        is.
     near: configuration (n,) that Newton's method starts around, instead of anywhere.
     """
     robot, region = problem.robot, problem.goal_region
@@ -192,7 +202,9 @@ def sample_goals(
 
 
 def _turned_near(configurations: np.ndarray, start: np.ndarray, robot: Robot) -> np.ndarray:
-    """The same postures (k, n), hinges turned by whole turns to where limits allow nearest to a start (n,)."""
+    """The same postures (k, n), hinges turned by whole turns to where limits allow nearest to a
+    start (n,).
+    """
     whole = 2.0 * np.pi * np.round((configurations - start) / (2.0 * np.pi))
     turned = configurations - np.where(robot.kinematics.prismatic, 0.0, whole)
     return np.where((turned >= robot.lower) & (turned <= robot.upper), turned, configurations)

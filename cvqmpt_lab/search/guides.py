@@ -1,11 +1,19 @@
-"""Proposals that need no network, the controls of learned ones: straight lines, unconstrained or solved paths."""
+"""Proposals that need no network, the controls of learned ones:
+straight lines, unconstrained or solved paths.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import GaussianMixture, Observation, Proposal, Query, SamplingDistribution
+from cvqmpt_lab.search.query import (
+    GaussianMixture,
+    Observation,
+    Proposal,
+    Query,
+    SamplingDistribution,
+)
 from cvqmpt_lab.search.result import JointPath, PlanResult
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -27,7 +35,9 @@ class AroundPath:
         """The distribution around paths."""
         means = np.concatenate([path.spaced(self.spacing) for path in paths])
         covariance = self.std**2 * np.eye(means.shape[1])
-        return GaussianMixture.equal(means, covariance, query.uniform, self.uniform_share, self.name)
+        return GaussianMixture.equal(
+            means, covariance, query.uniform, self.uniform_share, self.name
+        )
 
 
 def straight_line(around: AroundPath, query: Query, observation: Observation) -> Proposal:
@@ -37,7 +47,8 @@ def straight_line(around: AroundPath, query: Query, observation: Observation) ->
 
 
 def solved_paths(around: AroundPath, query: Query, observation: Observation) -> Proposal:
-    """Around the shortest of several paths that solve the very problem, found beforehand: the bound of all mixtures.
+    """Around the shortest of several paths that solve the very problem, found beforehand: the bound
+    of all mixtures.
 
     Uniform samples where no path is found. The work of finding them is not counted, their time is.
     """
@@ -46,7 +57,9 @@ def solved_paths(around: AroundPath, query: Query, observation: Observation) -> 
         if query.deadline.spent():
             break
         budget = query.deadline.rest()
-        path = BiRRT().search(aside, query.start, query.goals, query.uniform, budget, query.rng).path
+        path = (
+            BiRRT().search(aside, query.start, query.goals, query.uniform, budget, query.rng).path
+        )
         shorter = None if path is None else simplify(aside, path, query.rng).path
         if shorter is not None and (best is None or shorter.length < best.length):
             best = shorter
@@ -65,5 +78,7 @@ def unconstrained_guide(around: AroundPath, query: Query, observation: Observati
 def unconstrained_path(query: Query) -> tuple[JointPath | None, PlanResult]:
     """A path of a query without its constraint, shortened, or None; and the search that found it."""
     free = query.space.unconstrained()
-    found = BiRRT().search(free, query.start, query.goals, query.uniform, query.deadline.budget, query.rng)
+    found = BiRRT().search(
+        free, query.start, query.goals, query.uniform, query.deadline.budget, query.rng
+    )
     return None if found.path is None else simplify(free, found.path, query.rng).path, found

@@ -1,9 +1,11 @@
-"""Shorter paths by small roadmaps of the configurations that a shorter path can pass through, one after another.
+"""Shorter paths by small roadmaps of the configurations that a shorter path can pass through, one
+after another.
 
-A path of length c from start to goal passes through configurations x with |x - start| + |x - goal| < c, an informed set
-(Gammell, Srinivasa and Barfoot 2014). Each roadmap has its own draws from it, put on the manifold and free, and its
-edges are judged and checked lazily, as in any roadmap search. Raw paths through random nodes are longer than what
-shortening makes of them: those up to `slack` times as long as the best path are given to it.
+A path of length c from start to goal passes through configurations x with |x - start| + |x - goal|
+< c, an informed set (Gammell, Srinivasa and Barfoot 2014). Each roadmap has its own draws from it,
+put on the manifold and free, and its edges are judged and checked lazily, as in any roadmap search.
+Raw paths through random nodes are longer than what shortening makes of them: those up to `slack`
+times as long as the best path are given to it.
 """
 
 from collections.abc import Callable
@@ -26,13 +28,16 @@ from cvqmpt_lab.search.roadmap import (
 )
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-STRETCHES = (1.6, 2.0, 1.3, 2.6, np.inf)  # times the straight line's length, up to the best path's, in turn
+# times the straight line's length, up to the best path's, in turn
+STRETCHES = (1.6, 2.0, 1.3, 2.6, np.inf)
 SETTINGS = RoadmapSearchSettings(links=40, penalty=0.0, searches=20, greed=1.5)
 
 
 @dataclass(frozen=True, eq=False)
 class InformedRoadmaps:
-    """Roadmaps near the straight lines to the goals, narrow and wide ones in turn; defaults from tuning problems."""
+    """Roadmaps near the straight lines to the goals, narrow and wide ones in turn;
+    defaults from tuning problems.
+    """
 
     draws: int = 100  # configurations a roadmap; half of them are free in the kitchen
     neighbours: int = 20

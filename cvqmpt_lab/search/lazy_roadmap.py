@@ -1,10 +1,12 @@
-"""Shortest paths on a roadmap whose nodes are put on the manifold, and checked, only when a path needs them.
+"""Shortest paths on a roadmap whose nodes are put on the manifold, and checked, only when a path
+needs them.
 
-A lazy probabilistic roadmap (Bohlin and Kavraki 2000) under a constraint: A* believes every node and edge that
-has not been found blocked. The nodes of the path it returns are projected and checked, then its edges, coarsely;
-what fails is blocked and the search repeated. The fine check is the caller's, who blocks what fails it. An edge not
-yet checked costs more the less likely it is to be free; clearances that tell are read when the search takes the edge,
-one by one, as long as no other edge is cheaper.
+A lazy probabilistic roadmap (Bohlin and Kavraki 2000) under a constraint: A* believes every node
+and edge that has not been found blocked. The nodes of the path it returns are projected and
+checked, then its edges, coarsely; what fails is blocked and the search repeated. The fine check is
+the caller's, who blocks what fails it. An edge not yet checked costs more the less likely it is to
+be free; clearances that tell are read when the search takes the edge, one by one, as long as no
+other edge is cheaper.
 """
 
 from typing import Annotated, NamedTuple
@@ -60,7 +62,9 @@ UNLIMITED = np.inf  # [rad] of a motion on the manifold; its neighbours' distanc
 
 
 class RoadmapArrays(NamedTuple):
-    """N nodes, a start and G goals, and room for searches. Rows of `nodes`: N nodes, the start, G goals."""
+    """N nodes, a start and G goals, and room for searches. Rows of `nodes`:
+    N nodes, the start, G goals.
+    """
 
     nodes: Annotated[np.ndarray, "rows n"]  # configurations, projected in place [rad or m]
     neighbours: Annotated[np.ndarray, "int32 inner links"]  # nodes that a row leads to, or -1
@@ -74,8 +78,10 @@ class RoadmapArrays(NamedTuple):
     lowest: Annotated[np.ndarray, "inner exits"]
     """Smallest clearance [m] read so far along each edge, and along those to each goal."""
     known: Annotated[np.ndarray, "int32 inner exits"]
-    """4 times how many clearances were read along an edge, plus `_state` of its ends at that time."""
-    factor: Annotated[np.ndarray, "rows"]  # >= 1, how much longer edges at a node count; 0: not yet computed
+    """4 times how many clearances were read along an edge, plus `_state` of its ends at that time.
+    """
+    # >= 1, how much longer edges at a node count; 0: not yet computed
+    factor: Annotated[np.ndarray, "rows"]
     to_go: Annotated[np.ndarray, "rows"]  # distance to the nearest goal [rad]
     cost: Annotated[np.ndarray, "rows"]  # from the start, in a search
     parent: Annotated[np.ndarray, "int32 rows"]  # row before each one
@@ -93,7 +99,8 @@ def nearest_nodes(
     chosen: Annotated[np.ndarray, "int32 k"],
     squares: Annotated[np.ndarray, "k"],
 ):
-    """Write the indices of the k rows nearest to target among the first count, closest first, into chosen.
+    """Write the indices of the k rows nearest to target among the first count, closest first, into
+    chosen.
 
     squares: their squared distances.
     """
@@ -118,13 +125,17 @@ def link_query(
     chosen: Annotated[np.ndarray, "int32 links"],
     squares: Annotated[np.ndarray, "links"],
 ):
-    """Link the start and every goal to their chosen.shape[0] nearest nodes; chosen, squares: work arrays."""
+    """Link the start and every goal to their chosen.shape[0] nearest nodes; chosen, squares:
+    work arrays.
+    """
     goals = roadmap.goal_edge.shape[1]
     count = roadmap.nodes.shape[0] - 1 - goals
     for i in range(roadmap.nodes.shape[0]):
         roadmap.to_go[i] = np.inf if i <= count else 0.0
         for g in range(goals if i <= count else 0):
-            roadmap.to_go[i] = min(roadmap.to_go[i], distance(roadmap.nodes[i], roadmap.nodes[count + 1 + g]))
+            roadmap.to_go[i] = min(
+                roadmap.to_go[i], distance(roadmap.nodes[i], roadmap.nodes[count + 1 + g])
+            )
     nearest_nodes(roadmap.nodes, count, roadmap.nodes[count], chosen, squares)
     for slot in range(chosen.shape[0]):
         roadmap.neighbours[count, slot] = chosen[slot]
@@ -148,7 +159,9 @@ def _factor(space, roadmap, i):
     """How much longer edges at node i count: 1 + penalty |F|, of where the node was first seen."""
     if roadmap.factor[i] == 0.0:
         scratch = space.scratch
-        forward_kinematics(space.kinematics, roadmap.nodes[i], scratch.link_rotation, scratch.link_translation)
+        forward_kinematics(
+            space.kinematics, roadmap.nodes[i], scratch.link_rotation, scratch.link_translation
+        )
         square = residual(
             space.regions,
             scratch.link_rotation,
@@ -164,7 +177,9 @@ def _factor(space, roadmap, i):
 def _read_node(space, roadmap, costs, i):
     """Read the clearance at node i, once for each place that it lies at."""
     if roadmap.clearance[i] == np.inf:
-        roadmap.clearance[i] = reading(space, costs, roadmap.nodes[i], roadmap.nodes[i], 0, FARTHEST)
+        roadmap.clearance[i] = reading(
+            space, costs, roadmap.nodes[i], roadmap.nodes[i], 0, FARTHEST
+        )
 
 
 @kernel(inline="source")
@@ -184,10 +199,12 @@ def _read_edge(space, roadmap, costs, row, slot, there):
 
 @kernel
 def _astar(space, roadmap, costs):
-    """Row of the goal that the cheapest believed path leads to, or -1; parent and slot hold the path.
+    """Row of the goal that the cheapest believed path leads to, or -1; parent and slot hold the
+    path.
 
-    Lazy weighted A* (Cohen, Phillips and Likhachev 2014): an edge enters the queue at its length and what is known of
-    its clearance. When it comes out, clearances along it are read, as many as it takes until another edge is cheaper.
+    Lazy weighted A* (Cohen, Phillips and Likhachev 2014): an edge enters the queue at its length
+    and what is known of its clearance. When it comes out, clearances along it are read, as many as
+    it takes until another edge is cheaper.
     """
     goals, k = roadmap.goal_edge.shape[1], roadmap.neighbours.shape[1]
     start, exits, size = roadmap.nodes.shape[0] - 1 - goals, k + goals, 0
@@ -200,17 +217,28 @@ def _astar(space, roadmap, costs):
         for slot in range(exits):
             there = np.int64(roadmap.neighbours[here, slot]) if slot < k else start + 1 + slot - k
             verdict = roadmap.edge[here, slot] if slot < k else roadmap.goal_edge[here, slot - k]
-            if there < 0 or verdict == BLOCKED or roadmap.node[there] == BLOCKED or roadmap.closed[there]:
+            if (
+                there < 0
+                or verdict == BLOCKED
+                or roadmap.node[there] == BLOCKED
+                or roadmap.closed[there]
+            ):
                 continue
             length = distance(roadmap.nodes[here], roadmap.nodes[there])
             if roadmap.cost[here] + length >= roadmap.cost[there]:
                 continue
             weight = 0.5 * (_factor(space, roadmap, here) + _factor(space, roadmap, there))
-            cost, judged = roadmap.cost[here] + weight * length, verdict == FREE or costs.weight == 0.0
+            cost, judged = (
+                roadmap.cost[here] + weight * length,
+                verdict == FREE or costs.weight == 0.0,
+            )
             if not judged:
                 state = _state(roadmap, here, there)
                 if roadmap.known[here, slot] % 4 != state:
-                    roadmap.known[here, slot], roadmap.lowest[here, slot] = state, roadmap.clearance[here]
+                    roadmap.known[here, slot], roadmap.lowest[here, slot] = (
+                        state,
+                        roadmap.clearance[here],
+                    )
                 lowest = min(roadmap.lowest[here, slot], roadmap.clearance[there])
                 roadmap.lowest[here, slot] = lowest
                 cost += costs.weight * negative_log(costs, lowest)
@@ -219,7 +247,13 @@ def _astar(space, roadmap, costs):
             if hopeful and size < roadmap.heap.shape[0]:
                 if judged:
                     roadmap.cost[there] = cost
-                push(roadmap.heap, roadmap.heap_edge, size, cost + roadmap.to_go[there], here * exits + slot)
+                push(
+                    roadmap.heap,
+                    roadmap.heap_edge,
+                    size,
+                    cost + roadmap.to_go[there],
+                    here * exits + slot,
+                )
                 size += 1
         here = -1
         while size > 0 and here < 0:
@@ -258,7 +292,10 @@ def _node_free(space, roadmap, i, drift):
     if roadmap.node[i] == UNKNOWN:
         for j in range(roadmap.nodes.shape[1]):
             space.state[j] = roadmap.nodes[i, j]
-        free = project_state(space, roadmap.nodes[i]) and distance(space.state, roadmap.nodes[i]) <= drift
+        free = (
+            project_state(space, roadmap.nodes[i])
+            and distance(space.state, roadmap.nodes[i]) <= drift
+        )
         roadmap.clearance[i] = np.inf
         roadmap.node[i] = FREE if free and state_valid(space, roadmap.nodes[i]) else BLOCKED
     return roadmap.node[i] == FREE
@@ -266,7 +303,9 @@ def _node_free(space, roadmap, i, drift):
 
 @kernel(inline="source")
 def _settle_edge(roadmap, a, b, verdict):
-    """Keep the verdict on the edge on which the last search came from row a to row b, and on the same backwards."""
+    """Keep the verdict on the edge on which the last search came from row a to row b, and on the
+    same backwards.
+    """
     slot, k = np.int64(roadmap.slot[b]), roadmap.neighbours.shape[1]
     if slot >= k:
         roadmap.goal_edge[a, slot - k] = verdict
@@ -279,7 +318,9 @@ def _settle_edge(roadmap, a, b, verdict):
 
 @kernel(inline="source")
 def _join_nodes(space, roadmap, path, length, ends, states):
-    """Write the states of the motions along a path's nodes; their number, or NO_PATH with an edge newly blocked."""
+    """Write the states of the motions along a path's nodes;
+    their number, or NO_PATH with an edge newly blocked.
+    """
     n, size = roadmap.nodes.shape[1], 1
     for j in range(n):
         states[0, j] = roadmap.nodes[path[length - 1], j]
@@ -330,7 +371,8 @@ def search(
             return NO_PATH, 0, searched + 1
         good = True
         for i in range(length - 2, 0, -1):
-            if not _node_free(space, roadmap, path[i], drift):  # all of them: cheaper than another search
+            # all of them: cheaper than another search
+            if not _node_free(space, roadmap, path[i], drift):
                 good = False
         if not good:
             continue
@@ -349,9 +391,11 @@ def keep_short_ways(
     goals: Annotated[np.ndarray, "goals n"],
     longest: float,
 ):
-    """Put draws on the manifold; those free and on a way shorter than longest [rad] go first, in order.
+    """Put draws on the manifold; those free and on a way shorter than longest [rad] go first, in
+    order.
 
-    A way is straight from start to a draw, and from there to the nearest of goals. Returns their number.
+    A way is straight from start to a draw, and from there to the nearest of goals. Returns their
+    number.
     """
     kept = 0
     for i in range(draws.shape[0]):
@@ -362,7 +406,9 @@ def keep_short_ways(
         to_go = np.inf
         for g in range(goals.shape[0]):
             to_go = min(to_go, distance(draws[kept], goals[g]))
-        if distance(start, draws[kept]) + to_go < longest and posed_state_valid(space, draws[kept], 0.0):
+        if distance(start, draws[kept]) + to_go < longest and posed_state_valid(
+            space, draws[kept], 0.0
+        ):
             kept += 1
     return kept
 

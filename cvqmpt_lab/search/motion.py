@@ -1,6 +1,8 @@
-"""The planning space as kernels see it, and motions in it: one projected step, and the fine check of a motion.
+"""The planning space as kernels see it, and motions in it: one projected step, and the fine check
+of a motion.
 
-Collision is answered by the compiled checker or, when `exact` is set, by a callback into Python (coal).
+Collision is answered by the compiled checker or, when `exact` is set, by a callback into Python
+(coal).
 """
 
 from typing import Annotated, NamedTuple
@@ -14,12 +16,16 @@ from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
 from cvqmpt_lab.jit import call_address, entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
-PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS, CLEARANCES = range(5)  # rows of Space.counters
+# rows of Space.counters
+PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS, CLEARANCES = range(5)
 DOUBT = 0.2  # [rad] around a doubtful configuration
 STOPPED, ADVANCED, REACHED = range(3)
-DEVIATION = 2.0  # OMPL's lambda: how much longer a projected step may be than planned, a motion than straight
+# OMPL's lambda: how much longer a projected step may be than planned, a motion than straight
+DEVIATION = 2.0
 GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
-CHORD = 6e-4  # [m, rad] |F| on a straight motion between two states; above half the inset, the way in from the rim
+# [m, rad] |F| on a straight motion between two states; above half the inset, the way in from the
+# rim
+CHORD = 6e-4
 MOST_HALVINGS = 8
 NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
 KINK = 1.25e-3  # [rad] between states checked near that angle, where F may rise to a point anywhere
@@ -43,7 +49,9 @@ class Space(NamedTuple):
     check: int  # address of the callback; of an object numba takes 0.5 ms a call to find the type
     query: Annotated[np.ndarray, "n"]  # through which the callback is asked
     doubtful: Annotated[np.ndarray, "doubtful n"]
-    """Configurations that the compiled checker blocks but the meshes allow; near them the callback decides."""
+    """Configurations that the compiled checker blocks but the meshes allow;
+    near them the callback decides.
+    """
     swing: Annotated[np.ndarray, "n"]
     """No point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad]."""
     counters: Annotated[np.ndarray, "int64 5"]  # PROJECTIONS to CLEARANCES
@@ -54,7 +62,9 @@ class Space(NamedTuple):
 @kernel(inline="source")
 def project_state(space, q):
     """Project q (n,) in place and count it; True on success, with link poses ready in the scratch."""
-    iterations = project(space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch)
+    iterations = project(
+        space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch
+    )
     if space.scratch.residual.shape[0] > 0:
         space.counters[PROJECTIONS] += 1
         space.counters[NEWTON_ITERATIONS] += iterations if iterations >= 0 else -1 - iterations
@@ -75,11 +85,15 @@ def _near_doubtful(space, q):
 
 @kernel(inline="source")
 def posed_state_valid(space, q, clearance):
-    """Whether q, whose link poses are in the scratch, keeps space.margin + clearance [m] (exact: the margin)."""
+    """Whether q, whose link poses are in the scratch, keeps space.margin + clearance [m] (exact:
+    the margin).
+    """
     space.counters[STATE_CHECKS] += 1
     if not space.exact:
         rotation, translation = space.scratch.link_rotation, space.scratch.link_translation
-        free = not in_contact(rotation, translation, space.robot, space.scene, space.margin + clearance)
+        free = not in_contact(
+            rotation, translation, space.robot, space.scene, space.margin + clearance
+        )
         if free or clearance > 0.0 or not _near_doubtful(space, q):
             return free
     for j in range(q.shape[0]):
@@ -90,13 +104,17 @@ def posed_state_valid(space, q, clearance):
 @kernel(inline="source")
 def state_valid(space, q):
     """Whether q (n,) is free of collision."""
-    forward_kinematics(space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation)
+    forward_kinematics(
+        space.kinematics, q, space.scratch.link_rotation, space.scratch.link_translation
+    )
     return posed_state_valid(space, q, 0.0)
 
 
 @entry
 def states_valid(
-    space: Space, configurations: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "bool count"]
+    space: Space,
+    configurations: Annotated[np.ndarray, "count n"],
+    out: Annotated[np.ndarray, "bool count"],
 ):
     """Write whether each configuration (b, n) is free of collision into out (b,) bool."""
     for i in range(configurations.shape[0]):
@@ -153,9 +171,11 @@ def distance(a, b):
 def step_towards(space, origin, target, longest, out):
     """One step of ConstrainedExtend (paper, Algorithm 3): move, project, check.
 
-    origin, target: (n,). longest: of the step [rad]. out: (n,), the new state when the result is not STOPPED.
-    Returns STOPPED, ADVANCED or REACHED. A step is refused when projection fails, drifts further than
-    DEVIATION * step, is longer than `longest`, does not come closer to the target, or collides.
+    origin, target: (n,). longest: of the step [rad]. out: (n,), the new state when the result is
+        not STOPPED.
+    Returns STOPPED, ADVANCED or REACHED. A step is refused when projection fails, drifts further
+    than DEVIATION * step, is longer than `longest`, does not come closer to the target, or
+    collides.
     """
     n = origin.shape[0]
     remaining = distance(origin, target)
@@ -181,10 +201,13 @@ def bisect_motion(
     longest: float,
     out: Annotated[np.ndarray, "capacity n"],
 ):
-    """Join origin and target on the manifold by projected midpoints, coarse to fine: most failures cost few states.
+    """Join origin and target on the manifold by projected midpoints, coarse to fine: most failures
+    cost few states.
 
-    longest: give up when the motion becomes longer than this [rad]. out: (k, n), the states after origin up to target.
-    Returns the number of states, or 0 when one cannot be projected, collides, or lies too far from its neighbour.
+    longest: give up when the motion becomes longer than this [rad]. out: (k, n), the states after
+        origin up to target.
+    Returns the number of states, or 0 when one cannot be projected, collides, or lies too far from
+    its neighbour.
     """
     pieces = 1
     while distance(origin, target) > GAP * space.step * pieces:
@@ -200,7 +223,9 @@ def bisect_motion(
             for j in range(target.shape[0]):
                 left = origin[j] if k == half else out[k - half - 1, j]
                 out[k - 1, j] = 0.5 * (left + out[k + half - 1, j])
-            if not project_state(space, out[k - 1]) or not posed_state_valid(space, out[k - 1], 0.0):
+            if not project_state(space, out[k - 1]) or not posed_state_valid(
+                space, out[k - 1], 0.0
+            ):
                 return 0
         stride = half
     length = distance(origin, out[0])
@@ -216,10 +241,14 @@ def bisect_motion(
 
 @kernel(inline="source")
 def _place_between(space, a, b, fraction):
-    """Put the state at a fraction of the straight joint motion from a to b into space.state; pose its links."""
+    """Put the state at a fraction of the straight joint motion from a to b into space.state;
+    pose its links.
+    """
     for j in range(a.shape[0]):
         space.state[j] = a[j] + fraction * (b[j] - a[j])
-    forward_kinematics(space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation)
+    forward_kinematics(
+        space.kinematics, space.state, space.scratch.link_rotation, space.scratch.link_translation
+    )
 
 
 @kernel(inline="source")
@@ -235,10 +264,11 @@ def _near_half_turn(space):
 
 @kernel
 def chord_on_manifold(space, a, b):
-    """Whether the straight joint motion between two states on the manifold stays within CHORD of it.
+    """Whether the straight joint motion between two states on the manifold stays within CHORD of
+    it.
 
-    The middle is worst, unless the rotation vector comes close to its kink at angle pi: then the motion is
-    checked every KINK.
+    The middle is worst, unless the rotation vector comes close to its kink at angle pi: then the
+    motion is checked every KINK.
     """
     scratch = space.scratch
     if scratch.residual.shape[0] == 0:
@@ -265,10 +295,10 @@ def chord_on_manifold(space, a, b):
 def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.ndarray, "n"]):
     """Whether b and the straight joint motion towards it are free of collision, every state of it.
 
-    A stretch is free when the robot at its middle keeps a distance that no point of it can cover in half
-    the stretch (Schwarzer, Saha and Latombe 2005). Stretches that are not are halved until that distance
-    is as small as the margin, which every free state keeps. The exact backend, which knows no distances,
-    checks states every space.resolution.
+    A stretch is free when the robot at its middle keeps a distance that no point of it can cover in
+    half the stretch (Schwarzer, Saha and Latombe 2005). Stretches that are not are halved until
+    that distance is as small as the margin, which every free state keeps. The exact backend, which
+    knows no distances, checks states every space.resolution.
     """
     pieces, sweep = 1, 0.0  # [m] no point moves further than sweep
     for j in range(a.shape[0]):
@@ -292,7 +322,8 @@ def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.nda
             free = posed_state_valid(space, space.state, clearance)
         if free:
             done += span
-            span = min(done & -done, widest) if done > 0 else widest  # as far as the tree of halves allows
+            # as far as the tree of halves allows
+            span = min(done & -done, widest) if done > 0 else widest
         elif span == 1:
             return False
         else:
@@ -307,10 +338,14 @@ def segment_valid(space, a, b):
 
 
 @entry
-def refine_and_check(space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "capacity n"]):
-    """Copy a path into out (k, n), with projected states put in until every straight motion is short and good.
+def refine_and_check(
+    space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "capacity n"]
+):
+    """Copy a path into out (k, n), with projected states put in until every straight motion is
+    short and good.
 
-    Returns the number of states in out, and the first segment of the path that cannot be refined or is not free, or -1.
+    Returns the number of states in out, and the first segment of the path that cannot be refined or
+    is not free, or -1.
     """
     count, n = states.shape
     for j in range(n):
@@ -322,9 +357,9 @@ def refine_and_check(space: Space, states: Annotated[np.ndarray, "count n"], out
         for j in range(n):
             out[written, j] = states[i, j]
         halvings = 0
-        while distance(out[written - 1], out[written]) > DEVIATION * space.step or not chord_on_manifold(
-            space, out[written - 1], out[written]
-        ):
+        while distance(
+            out[written - 1], out[written]
+        ) > DEVIATION * space.step or not chord_on_manifold(space, out[written - 1], out[written]):
             for j in range(n):
                 out[written, j] = 0.5 * (out[written - 1, j] + out[written, j])
             halvings += 1
@@ -347,9 +382,11 @@ def edge_verdicts(
     edge_free: Annotated[np.ndarray, "bool edges"],
     most_checks: int,
 ):
-    """Write whether each node, and each straight motion between the two nodes of an edge, is free of collision.
+    """Write whether each node, and each straight motion between the two nodes of an edge, is free
+    of collision.
 
-    edge_free: edges that come in as False count as blocked. most_checks: give up after so many state checks.
+    edge_free: edges that come in as False count as blocked. most_checks: give up after so many
+        state checks.
     Returns whether all was checked.
     """
     checks = space.counters[STATE_CHECKS] + most_checks
@@ -359,5 +396,10 @@ def edge_verdicts(
         if space.counters[STATE_CHECKS] > checks:
             return False
         a, b = edges[e, 0], edges[e, 1]
-        edge_free[e] = edge_free[e] and node_free[a] and node_free[b] and motion_free(space, nodes[a], nodes[b])
+        edge_free[e] = (
+            edge_free[e]
+            and node_free[a]
+            and node_free[b]
+            and motion_free(space, nodes[a], nodes[b])
+        )
     return True

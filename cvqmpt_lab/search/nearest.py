@@ -1,9 +1,10 @@
 """The nearest node of a growing tree, exactly, in sub-linear time.
 
-Nodes are put into search trees in blocks of BLOCK by their number. As in a binary counter, blocks are merged: with
-13 blocks there are search trees over the first 8, the next 4 and the last one, each of them balanced and rebuilt
-(Bentley and Saxe 1980, "Decomposable searching problems"). What is younger than the last block is looked at one by
-one, so that small trees are searched as if there were no index.
+Nodes are put into search trees in blocks of BLOCK by their number. As in a binary counter, blocks
+are merged: with 13 blocks there are search trees over the first 8, the next 4 and the last one,
+each of them balanced and rebuilt (Bentley and Saxe 1980, "Decomposable searching problems"). What
+is younger than the last block is looked at one by one, so that small trees are searched as if there
+were no index.
 """
 
 from typing import Annotated, NamedTuple
@@ -21,9 +22,11 @@ ROUNDING = 1.0 - 1e-12  # squared distances to boxes are lowered by this factor 
 class NearestIndex(NamedTuple):
     """Balanced search trees over the nodes of two growing trees, and work arrays of a search."""
 
-    order: Annotated[np.ndarray, "int32 2 capacity"]  # node numbers, sorted by leaves within each search tree
+    # node numbers, sorted by leaves within each search tree
+    order: Annotated[np.ndarray, "int32 2 capacity"]
     box: Annotated[np.ndarray, "2 boxes 2 n"]
-    """Lower and upper corner of the nodes below each inner node and leaf, heap by heap [rad or m]."""
+    """Lower and upper corner of the nodes below each inner node and leaf, heap by heap [rad or m].
+    """
     indexed: Annotated[np.ndarray, "int64 2"]
     """How many nodes of each tree are in the index, a multiple of BLOCK."""
     stack: Annotated[np.ndarray, "int64 levels"]  # boxes still to be searched
@@ -53,7 +56,9 @@ def enlarged_index(index: NearestIndex, capacity: int) -> NearestIndex:
 
 @kernel
 def _split(nodes, order, first, last, axis):
-    """Sort order[first:last] so far that its first half lies below the second along an axis (quickselect)."""
+    """Sort order[first:last] so far that its first half lies below the second along an axis
+    (quickselect).
+    """
     low, high, middle = first, last - 1, (first + last) // 2
     while low < high:
         pivot = nodes[order[(low + high) // 2], axis]
@@ -102,7 +107,9 @@ def _build(nodes, order, box, first, count):
 
 @kernel
 def index_new_nodes(index, tree, nodes, size):
-    """Bring the index up to the last whole block of the first size rows of nodes (capacity, n) of a tree."""
+    """Bring the index up to the last whole block of the first size rows of nodes (capacity, n) of a
+    tree.
+    """
     while index.indexed[tree] + BLOCK <= size:
         end = index.indexed[tree] // BLOCK + 1
         count = (end & -end) * BLOCK
@@ -144,7 +151,9 @@ def _search(index, tree, nodes, target, first, count, best, nearest):
             continue
         while i < leaves:  # down to the leaf on the nearer side
             left, right = _square_of_box(box, 2 * i, target), _square_of_box(box, 2 * i + 1, target)
-            near, far, rest = (2 * i, 2 * i + 1, right) if left <= right else (2 * i + 1, 2 * i, left)
+            near, far, rest = (
+                (2 * i, 2 * i + 1, right) if left <= right else (2 * i + 1, 2 * i, left)
+            )
             if rest <= best:
                 index.stack[depth], index.bound[depth] = far, rest
                 depth += 1
@@ -159,7 +168,9 @@ def _search(index, tree, nodes, target, first, count, best, nearest):
 
 @kernel
 def nearest_node(index, tree, nodes, size, target):
-    """Number of the row of nodes (capacity, n) closest to target (n,), among the first size; the first of equals."""
+    """Number of the row of nodes (capacity, n) closest to target (n,), among the first size;
+    the first of equals.
+    """
     best, nearest = np.inf, np.int64(0)
     for i in range(index.indexed[tree], size):
         square = _square(nodes, i, target)

@@ -1,8 +1,8 @@
 """The paper's baselines from OMPL: RRTConnect on projected, atlas and tangent-bundle spaces.
 
 This file is the door to ompl. Projection, residual, Jacobian and state checks are the same kernels
-that `birrt` uses; parameters are those of the published experiment code. Without a constraint, as in some phases of
-tasks, all three are RRTConnect on the joints' space.
+that `birrt` uses; parameters are those of the published experiment code. Without a constraint, as
+in some phases of tasks, all three are RRTConnect on the joints' space.
 """
 
 import math
@@ -28,7 +28,9 @@ MAX_CHARTS, BACKOFF = 200, 0.75
 
 
 class _Manifold(ob.Constraint):
-    """The space's constraint as OMPL asks for it; projection is the whole Newton loop of the kernels."""
+    """The space's constraint as OMPL asks for it;
+    projection is the whole Newton loop of the kernels.
+    """
 
     def __init__(self, space: ConstrainedSpace) -> None:
         super().__init__(space.robot.dof, space.dim, space.settings.tolerance)
@@ -39,7 +41,10 @@ class _Manifold(ob.Constraint):
         out[:] = self._space.residual_and_jacobian(np.array(x))[0]
 
     def jacobian(self, x: np.ndarray, out: np.ndarray) -> None:
-        """dF/dx at full rank: tangent spaces need rows also inside the bounds. Counted as a Newton iteration."""
+        """dF/dx at full rank: tangent spaces need rows also inside the bounds.
+
+        Counted as a Newton iteration.
+        """
         self._space.arrays.counters[NEWTON_ITERATIONS] += 1
         out[:, :] = self._space.residual_and_jacobian(np.array(x), full=True)[1]
 
@@ -56,8 +61,8 @@ class _Manifold(ob.Constraint):
 class OmplSearch:
     """RRTConnect on one of OMPL's constrained state spaces.
 
-    OMPL 2.0.1 has no hook for a sampler, so the distribution given to `search` is not used: the result
-    says which one was.
+    OMPL 2.0.1 has no hook for a sampler, so the distribution given to `search` is not used: the
+    result says which one was.
     """
 
     manifold: str  # "projected", "atlas" or "tangent-bundle"
@@ -90,13 +95,17 @@ class OmplSearch:
 class _Run:
     """The OMPL objects of one planning run."""
 
-    def __init__(self, manifold: str, space: ConstrainedSpace, start: np.ndarray, goals: np.ndarray) -> None:
+    def __init__(
+        self, manifold: str, space: ConstrainedSpace, start: np.ndarray, goals: np.ndarray
+    ) -> None:
         self._space = space
         if space.dim:
             self._states = STATE_SPACES[manifold](_joint_space(space), _Manifold(space))
             self._states.setDelta(DELTA)
             information = (
-                ob.TangentBundleSpaceInformation if manifold == "tangent-bundle" else ob.ConstrainedSpaceInformation
+                ob.TangentBundleSpaceInformation
+                if manifold == "tangent-bundle"
+                else ob.ConstrainedSpaceInformation
             )
         else:
             self._states, information = _joint_space(space), ob.SpaceInformation
@@ -107,7 +116,8 @@ class _Run:
         self._information.setup()
         self._problem = ob.ProblemDefinition(self._information)
         self._moved: dict[bytes, np.ndarray] = {}  # projected start or goal -> the one asked for
-        self._given = self._states.allocState()  # one for all: its numbers are freed neither by Python nor by us
+        # one for all: its numbers are freed neither by Python nor by us
+        self._given = self._states.allocState()
         self._problem.addStartState(self._state(self._inside(start)))
         goal = ob.GoalStates(self._information)
         for q in goals:
@@ -119,19 +129,24 @@ class _Run:
         self.vertices = 0
 
     def _inside(self, q: np.ndarray) -> np.ndarray:
-        """The configuration itself, or its projection when it stands between the inset and the true bounds.
+        """The configuration itself, or its projection when it stands between the inset and the true
+        bounds.
 
         OMPL refuses a start or goal off its manifold; the little way there is part of the path.
         """
         moved = np.array(q)
         residual, _ = self._space.residual_and_jacobian(moved)
-        if np.linalg.norm(residual) <= self._space.settings.tolerance or not self._space.project(moved):
+        if np.linalg.norm(residual) <= self._space.settings.tolerance or not self._space.project(
+            moved
+        ):
             return q
         self._moved[moved.tobytes()] = q
         return moved
 
     def _state(self, q: np.ndarray):
-        """An OMPL state at q, to be copied before the next is made; atlas and tangent bundle anchor a chart there."""
+        """An OMPL state at q, to be copied before the next is made;
+        atlas and tangent bundle anchor a chart there.
+        """
         if self._space.dim:
             self._given.copy([float(x) for x in q])
         else:
@@ -145,7 +160,9 @@ class _Run:
         return np.array([state[i] for i in range(self._space.robot.dof)])
 
     def run(self, budget: Budget, began: float) -> tuple[PlanStatus, JointPath | None]:
-        """Search until a path passes the fine check or the budget is spent; after a grazing path it searches again."""
+        """Search until a path passes the fine check or the budget is spent;
+        after a grazing path it searches again.
+        """
         steps = 0
 
         def spent() -> bool:
@@ -187,9 +204,11 @@ class _Run:
 
 
 def _validity(space: ConstrainedSpace) -> Callable[..., bool]:
-    """Whether a state is inside the limits (OMPL's geodesics do not check them) and free of collision.
+    """Whether a state is inside the limits (OMPL's geodesics do not check them) and free of
+    collision.
 
-    OMPL's objects hold this function and no garbage collector sees that: it must not hold them in return.
+    OMPL's objects hold this function and no garbage collector sees that: it must not hold them in
+    return.
     """
     lower, upper = space.robot.lower - 1e-9, space.robot.upper + 1e-9
     q = np.empty(space.robot.dof)
@@ -231,5 +250,7 @@ def _atlas(joints: ob.RealVectorStateSpace, manifold: _Manifold):
 STATE_SPACES = {
     "projected": ob.ProjectedStateSpace,
     "atlas": _atlas,
-    "tangent-bundle": lambda joints, manifold: _with_atlas_parameters(ob.TangentBundleStateSpace(joints, manifold)),
+    "tangent-bundle": lambda joints, manifold: _with_atlas_parameters(
+        ob.TangentBundleStateSpace(joints, manifold)
+    ),
 }

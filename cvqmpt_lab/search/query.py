@@ -1,4 +1,6 @@
-"""What a planner is asked and answers: budget, query, where to sample, stages, path and what it took."""
+"""What a planner is asked and answers:
+budget, query, where to sample, stages, path and what it took.
+"""
 
 import math
 import time
@@ -49,14 +51,21 @@ class GaussianMixture:
     covariances: np.ndarray  # (k, n, n) [rad^2]
     weights: np.ndarray  # (k,), summing to 1
     uniform: Uniform | None = None  # distribution mixed in
-    uniform_share: float = 0.0  # its share in [0, 1]; at 0 a planner is not probabilistically complete
+    # its share in [0, 1]; at 0 a planner is not probabilistically complete
+    uniform_share: float = 0.0
     name: str = "gaussian-mixture"
 
     @classmethod
     def equal(
-        cls, means: np.ndarray, covariances: np.ndarray, uniform: Uniform, uniform_share: float, name: str
+        cls,
+        means: np.ndarray,
+        covariances: np.ndarray,
+        uniform: Uniform,
+        uniform_share: float,
+        name: str,
     ) -> "GaussianMixture | Uniform":
-        """Equally likely Gaussians (k, n), (k, n, n) and a uniform share; uniform alone when k is 0.
+        """Equally likely Gaussians (k, n), (k, n, n) and a uniform share; uniform alone when k is
+        0.
 
         A single covariance (n, n) serves all means.
         """
@@ -74,13 +83,22 @@ class GaussianMixture:
                 f"weights {self.weights.shape}"
             )
         if not np.isclose(self.weights.sum(), 1.0) or (self.weights < 0).any():
-            raise InvalidInputError(f"mixture weights must be non-negative and sum to 1, not {self.weights.sum()}")
+            raise InvalidInputError(
+                f"mixture weights must be non-negative and sum to 1, not {self.weights.sum()}"
+            )
         if not np.isfinite(self.means).all():
             raise InvalidInputError("mixture means must be finite")
-        if not np.isfinite(self.covariances).all() or (np.linalg.eigvalsh(self.covariances) <= 0).any():
+        if (
+            not np.isfinite(self.covariances).all()
+            or (np.linalg.eigvalsh(self.covariances) <= 0).any()
+        ):
             raise InvalidInputError("mixture covariances must be positive definite")
-        if not 0.0 <= self.uniform_share <= 1.0 or (self.uniform_share > 0 and self.uniform is None):
-            raise InvalidInputError(f"uniform share {self.uniform_share}: give 0 to 1, with a uniform distribution")
+        if not 0.0 <= self.uniform_share <= 1.0 or (
+            self.uniform_share > 0 and self.uniform is None
+        ):
+            raise InvalidInputError(
+                f"uniform share {self.uniform_share}: give 0 to 1, with a uniform distribution"
+            )
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations (count, n); Gaussian draws may leave the limits, planners clip them."""
@@ -132,7 +150,10 @@ class Deadline:
         """How the run ends if nothing is left; None while something is."""
         if self.budget.seconds is not None and self.seconds >= self.budget.seconds:
             return PlanStatus.TIMEOUT
-        if self.budget.iterations is not None and self.counters.iterations >= self.budget.iterations:
+        if (
+            self.budget.iterations is not None
+            and self.counters.iterations >= self.budget.iterations
+        ):
             return PlanStatus.ITERATION_LIMIT
         return None
 
@@ -159,9 +180,13 @@ class Query:
     seed: int = 0  # that `rng` came from, for planners with random numbers of their own
 
     @classmethod
-    def of(cls, space: ConstrainedSpace, budget: Budget, rng: np.random.Generator, seed: int = 0) -> "Query":
+    def of(
+        cls, space: ConstrainedSpace, budget: Budget, rng: np.random.Generator, seed: int = 0
+    ) -> "Query":
         """The question that a space's problem asks; the clock starts now."""
-        return cls(space, space.problem.start, space.problem.goals, Deadline(budget, space), rng, seed)
+        return cls(
+            space, space.problem.start, space.problem.goals, Deadline(budget, space), rng, seed
+        )
 
     @property
     def uniform(self) -> Uniform:
@@ -178,9 +203,11 @@ class Query:
 class Observation:
     """What a planner has seen of the world."""
 
-    cloud: np.ndarray | None = None  # (m, 3) [m, robot base frame]; None for planners without sensing
+    # (m, 3) [m, robot base frame]; None for planners without sensing
+    cloud: np.ndarray | None = None
     seconds: float = 0.0  # of rendering or reading the cloud; charged to nobody
-    use_cache: bool = True  # False: whatever is computed from the cloud is computed again, and charged
+    # False: whatever is computed from the cloud is computed again, and charged
+    use_cache: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +219,8 @@ class Proposal:
     detail: str = ""  # a few words about it for the result's row
     fallback: str = ""  # why this is not what the planner's name promises, or ""
     vertices: int = 0  # nodes of searches made on the way
-    path: JointPath | None = None  # on the manifold and free; the search then has nothing left to do
+    # on the manifold and free; the search then has nothing left to do
+    path: JointPath | None = None
     failure: PlanStatus | None = None  # why searching is pointless, or None
     as_is: bool = False  # of a planner of others, see `PlanResult.as_is`
 
@@ -230,7 +258,8 @@ class Ways(Protocol):
     ) -> JointPath | None:
         """A free path on the manifold that shortening may make shorter than the best, or None.
 
-        number: how often it was asked before in this run. It is asked while a goal is nearer than the best is long.
+        number: how often it was asked before in this run. It is asked while a goal is nearer than
+            the best is long.
         """
 
 
@@ -240,13 +269,16 @@ class Stages:
 
     predict: Callable[[Query, Observation], Proposal] = uniform
     search: Search | None = None  # None: `BiRRT`
-    observe: Callable[[Scene], np.ndarray] | None = None  # the cloud (m, 3) [m, base frame]; None: it needs none
-    update: Callable[[Query, Proposal], Proposal] | None = None  # towards the constraint (paper, Algorithm 2)
+    # the cloud (m, 3) [m, base frame]; None: it needs none
+    observe: Callable[[Scene], np.ndarray] | None = None
+    # towards the constraint (paper, Algorithm 2)
+    update: Callable[[Query, Proposal], Proposal] | None = None
     ways: Ways | None = None  # to shorter paths once there is one; None: restarts of the search
 
 
 def search(method: Search, query: Query, proposal: Proposal, near: int = 0) -> PlanResult:
-    """Search where a proposal says, with what is left of the budget; time and work of both are added up.
+    """Search where a proposal says, with what is left of the budget; time and work of both are
+    added up.
 
     near: of so many nearest goals alone first, for NEAR_SHARE of the budget; 0 for all at once.
     """
@@ -260,7 +292,12 @@ def search(method: Search, query: Query, proposal: Proposal, near: int = 0) -> P
         for count, share in (*shares, (len(query.goals), 1.0)):
             goals = query.goals if share == 1.0 else query.nearest_goals(count)
             result = method.search(
-                query.space, query.start, goals, proposal.distribution, deadline.rest(share), query.rng
+                query.space,
+                query.start,
+                goals,
+                proposal.distribution,
+                deadline.rest(share),
+                query.rng,
             )
             vertices += result.vertices
             if result.path is not None or deadline.spent() is not None:

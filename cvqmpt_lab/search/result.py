@@ -30,7 +30,9 @@ class PlanStatus(StrEnum):
 
 @dataclass(frozen=True)
 class Budget:
-    """When to give up: after seconds, after iterations (bit-for-bit repeatable), or whichever is first."""
+    """When to give up:
+    after seconds, after iterations (bit-for-bit repeatable), or whichever is first.
+    """
 
     seconds: float | None = None
     iterations: int | None = None
@@ -56,7 +58,8 @@ class Budget:
         """Refuse what is no budget: InvalidInputError calls it `what`."""
         if not isinstance(value, cls):
             raise InvalidInputError(
-                f"{what} {shown(value)}: give Budget(seconds=...), Budget(iterations=...) or both in one"
+                f"{what} {shown(value)}: give Budget(seconds=...), Budget(iterations=...) or both "
+                f"in one"
             )
 
 
@@ -68,7 +71,8 @@ class Counters:
     newton_iterations: int = 0
     state_checks: int = 0
     iterations: int = 0
-    clearances: int = 0  # states whose clearance was read from a distance field: approximate checks, which free no path
+    # states whose clearance was read from a distance field: approximate checks, which free no path
+    clearances: int = 0
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,9 @@ class Timings:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if value is not None and not 0.0 <= value < np.inf:
-                raise InvalidInputError(f"timing {name!r} is {value}; give seconds, 0 or more, or None")
+                raise InvalidInputError(
+                    f"timing {name!r} is {value}; give seconds, 0 or more, or None"
+                )
 
     @property
     def total(self) -> float:
@@ -105,8 +111,12 @@ class JointPath:
         return float(np.linalg.norm(np.diff(self.states, axis=0), axis=1).sum())
 
     def spaced(self, spacing: float) -> np.ndarray:
-        """States (k, n), k >= 2, evenly along the path and at most `spacing` [rad] of it apart, ends included."""
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.states, axis=0), axis=1))])
+        """States (k, n), k >= 2, evenly along the path and at most `spacing` [rad] of it apart,
+        ends included.
+        """
+        along = np.concatenate(
+            [[0.0], np.cumsum(np.linalg.norm(np.diff(self.states, axis=0), axis=1))]
+        )
         marks = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / spacing)) + 1))
         return np.stack([np.interp(marks, along, joint) for joint in self.states.T], axis=1)
 
@@ -131,7 +141,8 @@ class PlanResult:
     sampler: str  # name of the distribution used
     trees: tuple[Tree, ...] = field(default=(), repr=False)
     detail: str = ""  # a few words more, e.g. about a failure
-    fallback: str = ""  # what found the path if not what the planner's name promises, and why, or ""
+    # what found the path if not what the planner's name promises, and why, or ""
+    fallback: str = ""
     timings: Timings = field(default_factory=Timings)  # which of the seconds were not search
     as_is: bool = False  # a path of others: certified as it is; their work is not counted
 

@@ -1,4 +1,6 @@
-"""A roadmap searched lazily under a constraint, and the planner that takes its path at once (`roadmap-cvq`)."""
+"""A roadmap searched lazily under a constraint, and the planner that takes its path at once
+(`roadmap-cvq`).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -23,8 +25,11 @@ QUEUE = 32  # entries a node
 SEARCHES_AT_ONCE = 16  # before the clock is read
 
 
-def nearest_rows(nodes: np.ndarray, targets: np.ndarray, count: int, apart: bool = False) -> np.ndarray:
-    """Rows (t, count) of the nodes (N, n) nearest to each of targets (t, n), nearest first, at most N.
+def nearest_rows(
+    nodes: np.ndarray, targets: np.ndarray, count: int, apart: bool = False
+) -> np.ndarray:
+    """Rows (t, count) of the nodes (N, n) nearest to each of targets (t, n), nearest first, at most
+    N.
 
     apart: targets are the nodes, each of which is not its own neighbour.
     """
@@ -46,21 +51,27 @@ class Roadmap:
 
     @staticmethod
     def of(nodes: np.ndarray, neighbours: int = 12) -> "Roadmap":
-        """Link each node to its nearest ones; InvalidInputError when there are not more nodes than neighbours."""
+        """Link each node to its nearest ones;
+        InvalidInputError when there are not more nodes than neighbours.
+        """
         if len(nodes) <= neighbours:
             raise InvalidInputError(f"a roadmap of {len(nodes)} nodes; give more than {neighbours}")
         return Roadmap(nodes, nearest_rows(nodes, nodes, neighbours, apart=True).astype(np.int32))
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of samples around a node (n, n) [rad^2]: on average they lie as far from it as the nearest node."""
+        """Of samples around a node (n, n) [rad^2]:
+        on average they lie as far from it as the nearest node.
+        """
         linked = self.neighbours[:, 0] >= 0
         squares = ((self.nodes[self.neighbours[linked, 0]] - self.nodes[linked]) ** 2).sum(axis=1)
         n = self.nodes.shape[1]
         return np.eye(n) * (squares.mean() if linked.any() else 1.0) / n
 
     def near(self, start: np.ndarray, robot: Robot) -> "Roadmap":
-        """The same with joints that turn more than once turned as near to start (n,) as their limits allow."""
+        """The same with joints that turn more than once turned as near to start (n,) as their
+        limits allow.
+        """
         turns = robot.turning
         if not turns.any():
             return self
@@ -78,12 +89,16 @@ class RoadmapSearchSettings:
     penalty: float = 0.5  # edges at a node cost 1 + penalty * |F| times their length
     drift: float = 1.5  # [rad] nodes that lie further from the manifold are left out
     searches: int = 40  # at most; each ends at a path, or at the first edge that turns out blocked
-    greed: float = 4.0  # A*'s estimate of what is left is the distance times this; above 1 fewer nodes are expanded
-    step: float = 0.2  # [rad] between the states of an edge; a found path is refined to the space's own step
+    # A*'s estimate of what is left is the distance times this; above 1 fewer nodes are expanded
+    greed: float = 4.0
+    # [rad] between the states of an edge; a found path is refined to the space's own step
+    step: float = 0.2
 
 
 def scene_costs(space: ConstrainedSpace) -> EdgeCosts:
-    """Edge costs in the scene that a space checks, whose distances its checker has computed already."""
+    """Edge costs in the scene that a space checks, whose distances its checker has computed
+    already.
+    """
     from cvqmpt_lab.vqmpt.edge_curve import SCENE, shipped_curve  # reads a file
 
     return EdgeCosts(space.arrays.scene.grid, *shipped_curve(SCENE))
@@ -116,17 +131,23 @@ class RoadmapQuery:
     ) -> None:
         """Link start (n,) and goals (k, n) to the roadmap.
 
-        longest: paths that are believed to cost more are not looked for [rad]. known: of all nodes; FREE ones are on
-        the manifold.
+        longest: paths that are believed to cost more are not looked for [rad]. known: of all nodes;
+            FREE ones are on the manifold.
         """
         self._costs, self._longest = costs, longest
-        self._settings, self._space, self._arrays = settings, space, space.arrays._replace(step=settings.step)
+        self._settings, self._space, self._arrays = (
+            settings,
+            space,
+            space.arrays._replace(step=settings.step),
+        )
         self._ends, self.searches = (start, goals), 0
         verdict = np.full(len(roadmap.nodes), known, dtype=np.int8)
         self._set_up(roadmap.nodes, roadmap.neighbours, verdict)
 
     def _set_up(self, nodes: np.ndarray, table: np.ndarray, verdict: np.ndarray) -> None:
-        """Link start and goals to nodes (N, n) that lead to those in table (N, k); verdict (N,): is known of them."""
+        """Link start and goals to nodes (N, n) that lead to those in table (N, k); verdict (N,):
+        is known of them.
+        """
         settings, (start, goals) = self._settings, self._ends
         count, total = len(nodes), len(nodes) + 1 + len(goals)
         links = min(settings.links, count)
@@ -159,7 +180,8 @@ class RoadmapQuery:
     def add_nodes(self, added: np.ndarray) -> None:
         """Link more nodes (a, n) to the roadmap, to each other and to start and goals.
 
-        Verdicts on nodes and on edges between them stay; those on edges of start and goals are forgotten.
+        Verdicts on nodes and on edges between them stay; those on edges of start and goals are
+        forgotten.
         """
         before, count, half = self._graph, self._count, self._settings.links // 2
         nodes = np.concatenate([before.nodes[:count], added])
@@ -174,7 +196,9 @@ class RoadmapQuery:
         for row, targets in enumerate(near, start=count):
             back = targets[table[targets, -1] < 0]  # those that have room for one more
             table[back, np.argmax(table[back] < 0, axis=1)] = row
-        verdict = np.concatenate([before.node[:count], np.full(len(added), kernels.UNKNOWN, dtype=np.int8)])
+        verdict = np.concatenate(
+            [before.node[:count], np.full(len(added), kernels.UNKNOWN, dtype=np.int8)]
+        )
         self._set_up(nodes, table, verdict)
         self._graph.edge[:count] = before.edge[:count]
         for kept in ("factor", "clearance", "lowest", "known"):
@@ -184,20 +208,32 @@ class RoadmapQuery:
         """Leave out what another query, of the same nodes, found blocked."""
         mine, theirs = self._graph, known._graph
         for verdicts, found in zip(
-            (mine.edge, mine.goal_edge, mine.node), (theirs.edge, theirs.goal_edge, theirs.node), strict=True
+            (mine.edge, mine.goal_edge, mine.node),
+            (theirs.edge, theirs.goal_edge, theirs.node),
+            strict=True,
         ):
             verdicts[found == kernels.BLOCKED] = kernels.BLOCKED
 
     def next_path(self, deadline: Deadline) -> JointPath | None:
-        """The shortest path that is on the manifold and free, or None; each search counts as an iteration."""
+        """The shortest path that is on the manifold and free, or None;
+        each search counts as an iteration.
+        """
         path, ends = np.empty(LONGEST_PATH, dtype=np.int64), np.empty(LONGEST_PATH, dtype=np.int64)
         states = np.empty((64 * LONGEST_PATH, self._graph.nodes.shape[1]))
         length, bad = 0, -1
         while self._left > 0 and deadline.spent() is None:
-            kernels.block_state.unchecked(self._graph, path, ends, length, bad)  # of a path that failed its fine check
+            # of a path that failed its fine check
+            kernels.block_state.unchecked(self._graph, path, ends, length, bad)
             most = min(self._left, SEARCHES_AT_ONCE, deadline.rest().iterations or SEARCHES_AT_ONCE)
             size, length, searched = kernels.search.unchecked(
-                self._arrays, self._graph, self._costs, most, self._settings.drift, path, ends, states
+                self._arrays,
+                self._graph,
+                self._costs,
+                most,
+                self._settings.drift,
+                path,
+                ends,
+                states,
             )
             self._space.reraise()
             self._left -= searched
@@ -225,7 +261,8 @@ class RoadmapQuery:
 
 @dataclass(frozen=True, eq=False)
 class RoadmapPath:
-    """A path through the roadmap, projected node by node; samples around the nodes found free when there is none.
+    """A path through the roadmap, projected node by node; samples around the nodes found free when
+    there is none.
 
     While there is no path, nodes near start and goals are added, which a roadmap may have none of.
     """
@@ -247,7 +284,9 @@ class RoadmapPath:
             return Proposal(query.uniform, fallback=few)
         deadline = query.deadline
         roadmap = self.roadmap.near(query.start, query.space.robot)
-        asked = RoadmapQuery(query.space, roadmap, query.start, query.goals, self.settings, self.costs(query.space))
+        asked = RoadmapQuery(
+            query.space, roadmap, query.start, query.goals, self.settings, self.costs(query.space)
+        )
         if self.oracle:
             asked.avoid(self._searched_before(query, roadmap))
         path = asked.next_path(deadline)
@@ -258,24 +297,34 @@ class RoadmapPath:
             path = asked.next_path(deadline)
         free = asked.free_nodes
         known = asked.configurations(free[free < len(roadmap.nodes)])
-        around = GaussianMixture.equal(known, roadmap.covariance, query.uniform, self.uniform_share, self.name)
+        around = GaussianMixture.equal(
+            known, roadmap.covariance, query.uniform, self.uniform_share, self.name
+        )
         if path is not None:
             return Proposal(around, vertices=len(free) + 2, path=path)
-        lost = f"birrt around {len(known)} free nodes: no roadmap path after {asked.searches} searches"
+        lost = (
+            f"birrt around {len(known)} free nodes: no roadmap path after {asked.searches} searches"
+        )
         return Proposal(around, vertices=len(known), fallback=lost)
 
     def _searched_before(self, query: Query, roadmap: Roadmap) -> RoadmapQuery:
         """A query that has found its path, or that there is none, in a space of its own."""
         aside = ConstrainedSpace(query.space.problem, query.space.backend)
-        before = RoadmapQuery(aside, roadmap, query.start, query.goals, self.settings, self.costs(aside))
+        before = RoadmapQuery(
+            aside, roadmap, query.start, query.goals, self.settings, self.costs(aside)
+        )
         before.next_path(Deadline(query.deadline.budget, aside))
         return before
 
     def _near_ends(self, query: Query) -> np.ndarray:
-        """Configurations on the manifold (at most `drawn`, n), half of them around the start, half around goals."""
+        """Configurations on the manifold (at most `drawn`, n), half of them around the start, half
+        around goals.
+        """
         rng, robot = query.rng, query.space.robot
         centres = np.tile(query.start, (self.drawn, 1))
         centres[::2] = query.goals[rng.integers(len(query.goals), size=len(centres[::2]))]
         widths = rng.uniform(0.0, self.spread, (self.drawn, 1))
-        draws = np.clip(centres + widths * rng.standard_normal(centres.shape), robot.lower, robot.upper)
+        draws = np.clip(
+            centres + widths * rng.standard_normal(centres.shape), robot.lower, robot.upper
+        )
         return draws[[query.space.project(q) for q in draws]]

@@ -1,6 +1,8 @@
-"""Roadmaps of a robot and what it carries: configurations free of self-collision, linked along motions that are, too.
+"""Roadmaps of a robot and what it carries: configurations free of self-collision, linked along
+motions that are, too.
 
-Both hold in every scene, so they are found out once and kept in the user's cache. What is read from there is checked
+Both hold in every scene, so they are found out once and kept in the user's cache. What is read from
+there is checked
 again: whatever else lies under that name is made anew.
 """
 
@@ -30,9 +32,11 @@ UNIFORM, HALTON = "uniform", "halton"
 def spread_roadmap(
     robot: Robot, attachments: tuple[Attachment, ...] = (), sequence: str = HALTON, draw: int = 0
 ) -> Roadmap:
-    """NODES configurations spread over the joint ranges, fewer where hardly any is free of self-collision.
+    """NODES configurations spread over the joint ranges, fewer where hardly any is free of
+    self-collision.
 
-    sequence: HALTON, scrambled, covers the ranges evenly; UNIFORM are independent draws. draw: its seed.
+    sequence: HALTON, scrambled, covers the ranges evenly; UNIFORM are independent draws. draw: its
+        seed.
     Of joints that turn more than once one turn is covered, see `Roadmap.near`.
     """
     made_of = f"{sequence} {draw}".encode()
@@ -52,7 +56,9 @@ def _kept(
 ) -> Roadmap:
     """The roadmap of the nodes that a function gives, from the cache where it is there."""
     middle = 0.5 * (robot.lower + robot.upper)
-    alone = PlanningProblem(robot.name, robot, Scene("empty", ()), middle, middle[None], attachments=attachments)
+    alone = PlanningProblem(
+        robot.name, robot, Scene("empty", ()), middle, middle[None], attachments=attachments
+    )
     space, geometry = ConstrainedSpace(alone), robot_arrays(robot, attachments)
     parts = [sources_digest(Path(__file__)).encode(), robot.kinematics_digest.encode(), made_of]
     parts += [np.ascontiguousarray(array).tobytes() for array in (*geometry.pieces, *geometry[1:])]
@@ -61,18 +67,33 @@ def _kept(
         nodes = nodes_of(space)
         return {"nodes": nodes, "neighbours": _linked(space, nodes)}
 
-    found = cached_arrays("roadmaps", b" ".join(parts), make, lambda arrays: _is_roadmap(space, arrays))
+    found = cached_arrays(
+        "roadmaps", b" ".join(parts), make, lambda arrays: _is_roadmap(space, arrays)
+    )
     return Roadmap(found["nodes"], found["neighbours"])
 
 
 def _is_roadmap(space: ConstrainedSpace, arrays: Mapping[str, np.ndarray]) -> bool:
     """Whether arrays are a roadmap of free configurations of a space's robot."""
     nodes, table, robot = arrays["nodes"], arrays["neighbours"], space.robot
-    form = nodes.ndim == table.ndim == 2 and len(nodes) == len(table) <= NODES and nodes.shape[1] == robot.dof
-    if not form or nodes.dtype != np.float64 or table.dtype != np.int32 or table.shape[1] > NEIGHBOURS:
+    form = (
+        nodes.ndim == table.ndim == 2
+        and len(nodes) == len(table) <= NODES
+        and nodes.shape[1] == robot.dof
+    )
+    if (
+        not form
+        or nodes.dtype != np.float64
+        or table.dtype != np.int32
+        or table.shape[1] > NEIGHBOURS
+    ):
         return False
     inside = (nodes >= robot.lower) & (nodes <= robot.upper)  # False for nan
-    return bool(inside.all() and ((table >= -1) & (table < len(nodes))).all() and space.valid_batch(nodes).all())
+    return bool(
+        inside.all()
+        and ((table >= -1) & (table < len(nodes))).all()
+        and space.valid_batch(nodes).all()
+    )
 
 
 def _free_draws(space: ConstrainedSpace, sequence: str, draw: int) -> np.ndarray:
@@ -97,7 +118,8 @@ def _free_draws(space: ConstrainedSpace, sequence: str, draw: int) -> np.ndarray
 
 
 def _linked(space: ConstrainedSpace, nodes: np.ndarray) -> np.ndarray:
-    """Nearest nodes (N, NEIGHBOURS) int32 of each, nearest first, that a free straight motion leads to; -1 for none.
+    """Nearest nodes (N, NEIGHBOURS) int32 of each, nearest first, that a free straight motion leads
+    to; -1 for none.
 
     Joints that turn more than once take the shorter way round.
     """
@@ -117,7 +139,9 @@ def _linked(space: ConstrainedSpace, nodes: np.ndarray) -> np.ndarray:
 
 
 def _motions_free(space: ConstrainedSpace, origin: np.ndarray, ways: np.ndarray) -> np.ndarray:
-    """Whether the states every STEP of the motions from origin (n,) along each of ways (k, n) are free, (k,) bool."""
+    """Whether the states every STEP of the motions from origin (n,) along each of ways (k, n) are
+    free, (k,) bool.
+    """
     pieces = np.maximum(np.ceil(np.linalg.norm(ways, axis=1) / STEP), 1.0).astype(int)
     motion = np.repeat(np.arange(len(ways)), pieces - 1)
     first = np.cumsum(pieces - 1) - (pieces - 1)

@@ -37,7 +37,9 @@ def _locate(states, count, along):
 
 @kernel
 def _replace(states, count, a, b, detour, size):
-    """Put detour (size rows, last one equal to states[b]) between states[a] and states[b]; new count."""
+    """Put detour (size rows, last one equal to states[b]) between states[a] and states[b];
+    new count.
+    """
     shift = a + size - b
     n = states.shape[1]
     if shift > 0:
@@ -56,7 +58,9 @@ def _replace(states, count, a, b, detour, size):
 
 @kernel(inline="source")
 def _shorter_motion(space, states, a, b, detour):
-    """Write a direct, free motion from states[a] to states[b] into detour if it is shorter; its size or 0."""
+    """Write a direct, free motion from states[a] to states[b] into detour if it is shorter;
+    its size or 0.
+    """
     if b - a < 2:
         return 0
     old = 0.0
@@ -85,7 +89,8 @@ def shortcut(
 
     Returns
     -------
-    The new number of states. Every motion put in has been projected and checked at space.resolution.
+    The new number of states. Every motion put in has been projected and checked at
+    space.resolution.
     """
     for i in range(picks.shape[0]):
         length = path_length(states, count)
@@ -100,7 +105,8 @@ def shortcut(
 
 ROUND = 16  # shortcuts tried before the clock is read
 SWEEP = 112  # shortcuts from the longest to the shortest
-LONGEST, SHORTEST = 0.5, 0.05  # share of the path's length that a shortcut replaces, give or take SPREAD
+# share of the path's length that a shortcut replaces, give or take SPREAD
+LONGEST, SHORTEST = 0.5, 0.05
 SPREAD = 0.3
 
 
@@ -114,7 +120,11 @@ class SimplifySettings:
     gain: float = 0.002  # relative, in length
 
     def __post_init__(self) -> None:
-        if self.attempts < 0 or (self.seconds is not None and not self.seconds > 0) or self.patience < 1:
+        if (
+            self.attempts < 0
+            or (self.seconds is not None and not self.seconds > 0)
+            or self.patience < 1
+        ):
             raise InvalidInputError(f"simplification bounds must be positive: {self}")
 
 
@@ -155,11 +165,15 @@ def simplify(
         shorter = JointPath(states[:count]).length
         stale = stale + 1 if shorter > (1.0 - settings.gain) * length else 0
         length = shorter
-    return Simplified(JointPath(states[:count].copy()), time.perf_counter() - began, space.counters_since(before))
+    return Simplified(
+        JointPath(states[:count].copy()), time.perf_counter() - began, space.counters_since(before)
+    )
 
 
 def _picks(rng: np.random.Generator, tried: int, count: int) -> np.ndarray:
-    """Ends (count, 2) of the next shortcuts, as shares of the path's length: long ones first, then ever shorter."""
+    """Ends (count, 2) of the next shortcuts, as shares of the path's length:
+    long ones first, then ever shorter.
+    """
     swept = (tried + np.arange(count)) % SWEEP / SWEEP
     spans = LONGEST * (SHORTEST / LONGEST) ** swept * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, count)
     begins = rng.random(count) * (1.0 - spans)

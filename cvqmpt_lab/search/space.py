@@ -1,4 +1,6 @@
-"""A problem's planning space: limits, projection and state checks, counted, for every planner alike."""
+"""A problem's planning space:
+limits, projection and state checks, counted, for every planner alike.
+"""
 
 import ctypes
 from collections.abc import Callable
@@ -29,7 +31,8 @@ BACKENDS = ("compiled", "exact")
 
 
 class StateCheck:
-    """A Python function ``valid(q) -> bool`` that compiled code calls by address, on the shared array `query`.
+    """A Python function ``valid(q) -> bool`` that compiled code calls by address, on the shared
+    array `query`.
 
     An exception inside it cannot cross compiled code: it is kept, the state counts as invalid, and
     `reraise` throws it once the kernel has returned. The object must outlive its use.
@@ -64,7 +67,8 @@ class SpaceSettings:
     step: float = 0.05  # between neighbouring states [rad], the paper's 0.05
     resolution: float = 0.01  # of the exact backend's last check of a motion [rad]
     margin: float = 1e-4  # kept from obstacles [m]
-    inset: float = 1e-3  # by which bounds are tightened [m, rad]: motions between states on the rim stay inside
+    # by which bounds are tightened [m, rad]: motions between states on the rim stay inside
+    inset: float = 1e-3
     tolerance: float = TOLERANCE  # on |F| after projection [m, rad]
     max_iterations: int = MAX_ITERATIONS  # newton steps per projection
 
@@ -73,17 +77,28 @@ class ConstrainedSpace:
     """Compiled arrays of a problem, with one counter for all who use them."""
 
     doubtful: tuple[str, ...]
-    """Names of the problem's configurations that the (conservative) state check blocks although the meshes allow
-    them; within `kernels.DOUBT` of these, exact checks have the last word."""
+    """Names of the problem's configurations that the (conservative) state check blocks although the
+    meshes allow them; within `kernels.DOUBT` of these, exact checks have the last word.
+    """
 
     def __init__(
-        self, problem: PlanningProblem, backend: str = "compiled", settings: SpaceSettings | None = None
+        self,
+        problem: PlanningProblem,
+        backend: str = "compiled",
+        settings: SpaceSettings | None = None,
     ) -> None:
-        """backend: state checks are "compiled", or "exact" by coal; projection and tree growth are the same code."""
+        """backend: state checks are "compiled", or "exact" by coal;
+        projection and tree growth are the same code.
+        """
         if backend not in BACKENDS:
             raise UnknownChoiceError("backend", backend, BACKENDS)
         settings = settings or SpaceSettings()
-        self.problem, self.robot, self.backend, self.settings = problem, problem.robot, backend, settings
+        self.problem, self.robot, self.backend, self.settings = (
+            problem,
+            problem.robot,
+            backend,
+            settings,
+        )
         exact = problem.collision_checker(settings.margin) if backend == "exact" else None
         self._check, query = _callback(exact, problem.robot.dof)
         self.arrays = _arrays(problem, settings, exact is not None, self._check.address, query)
@@ -92,8 +107,12 @@ class ConstrainedSpace:
         self.doubtful = self._find_doubtful()
 
     def _find_doubtful(self) -> tuple[str, ...]:
-        """Names of start and goals that state checks block but the meshes allow; exact checks are used near them."""
-        blocked = {label: q for label, q in self.problem.labelled_configurations() if not self.valid(q)}
+        """Names of start and goals that state checks block but the meshes allow;
+        exact checks are used near them.
+        """
+        blocked = {
+            label: q for label, q in self.problem.labelled_configurations() if not self.valid(q)
+        }
         self.arrays.counters[:] = 0
         if not blocked:
             return ()
@@ -111,7 +130,9 @@ class ConstrainedSpace:
 
     def counters_since(self, before: Counters) -> Counters:
         """Work done since an earlier reading."""
-        return Counters(*(now - then for now, then in zip(astuple(self.counters), astuple(before), strict=True)))
+        return Counters(
+            *(now - then for now, then in zip(astuple(self.counters), astuple(before), strict=True))
+        )
 
     def count_iterations(self, count: int) -> None:
         """Count iterations that no kernel counts."""
@@ -122,7 +143,9 @@ class ConstrainedSpace:
         self.arrays.counters[kernels.CLEARANCES] += states
 
     def reraise(self) -> None:
-        """Throw what a Python state check threw inside compiled code, if anything (Ctrl-C included)."""
+        """Throw what a Python state check threw inside compiled code, if anything (Ctrl-C
+        included).
+        """
         self._check.reraise()
 
     def unconstrained(self) -> "ConstrainedSpace":
@@ -155,7 +178,9 @@ class ConstrainedSpace:
         self.reraise()
         return out
 
-    def residual_and_jacobian(self, q: np.ndarray, full: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    def residual_and_jacobian(
+        self, q: np.ndarray, full: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
         """F(q) (m,) and dF/dq (m, n)."""
         self._require_configuration(q)
         residual, jacobian = np.zeros(self.dim), np.zeros((self.dim, self.robot.dof))
@@ -163,7 +188,9 @@ class ConstrainedSpace:
         return residual, jacobian
 
     def _require_configuration(self, q: np.ndarray) -> None:
-        """The check that `jit.entry` makes, for calls per state: InvalidInputError unless q is one configuration."""
+        """The check that `jit.entry` makes, for calls per state:
+        InvalidInputError unless q is one configuration.
+        """
         if q.shape != self._shape or q.dtype != np.float64:
             raise InvalidInputError(
                 f"a configuration of {self.robot.name} is an array ({self.robot.dof},) of float64; "
@@ -171,7 +198,8 @@ class ConstrainedSpace:
             )
 
     def checked_path(self, states: np.ndarray) -> tuple[JointPath | None, int]:
-        """The path through states (m, n), refined where straight motions leave the manifold, if it is free.
+        """The path through states (m, n), refined where straight motions leave the manifold, if it
+        is free.
 
         Otherwise None, and the index of the first segment that fails at the fine resolution.
         """
@@ -186,7 +214,9 @@ class ConstrainedSpace:
 def _arrays(
     problem: PlanningProblem, settings: SpaceSettings, exact: bool, check: int, query: np.ndarray
 ) -> kernels.Space:
-    """The problem in plain arrays; check, query: address of the exact check, and the array it reads."""
+    """The problem in plain arrays; check, query:
+    address of the exact check, and the array it reads.
+    """
     kinematics, n = problem.robot.kinematics, problem.robot.dof
     regions = stack_regions(problem.robot, problem.constraint, settings.inset)
     robot = robot_arrays(problem.robot, problem.attachments)
@@ -194,7 +224,9 @@ def _arrays(
         kinematics=kinematics,
         regions=regions,
         robot=robot,
-        scene=scene_arrays(problem.scene, reach_with(problem.robot, problem.attachments), problem.clearance),
+        scene=scene_arrays(
+            problem.scene, reach_with(problem.robot, problem.attachments), problem.clearance
+        ),
         tolerance=settings.tolerance,
         max_iterations=settings.max_iterations,
         step=settings.step,
@@ -218,16 +250,21 @@ def _callback(checker: CollisionChecker | None, n: int) -> tuple[StateCheck, np.
     return StateCheck(valid, query), query
 
 
-# The direct motion between two states: straight in joints, projected on the manifold, free of collision.
+# The direct motion between two states: straight in joints, projected on the manifold, free of
+# collision.
 COARSE_STEP = 0.15
-"""Between neighbouring states of the first check [rad], as in `BiRRT`; the path is then refined to the space's step."""
+"""Between neighbouring states of the first check [rad], as in `BiRRT`;
+the path is then refined to the space's step.
+"""
 
 
-def direct_motion(space: ConstrainedSpace, origin: np.ndarray, target: np.ndarray) -> JointPath | None:
+def direct_motion(
+    space: ConstrainedSpace, origin: np.ndarray, target: np.ndarray
+) -> JointPath | None:
     """The motion from origin to target (n,), both on the manifold, or None when there is none.
 
-    Projected midpoints from coarse to fine, so that most failures cost a few states; a motion more than
-    twice as long as straight is none. What is found is checked at the space's fine resolution.
+    Projected midpoints from coarse to fine, so that most failures cost a few states; a motion more
+    than twice as long as straight is none. What is found is checked at the space's fine resolution.
     """
     origin, target = (np.ascontiguousarray(q, dtype=float) for q in (origin, target))
     straight = float(np.linalg.norm(target - origin))

@@ -1,6 +1,8 @@
-"""A pinhole camera without distortion: intrinsics, and its pose T_world_camera in the robot's base frame.
+"""A pinhole camera without distortion: intrinsics, and its pose T_world_camera in the robot's base
+frame.
 
-The camera's frame is optical: x to the right, y down, z ahead. Pixel (0, 0) is the middle of the upper left one.
+The camera's frame is optical: x to the right, y down, z ahead. Pixel (0, 0) is the middle of the
+upper left one.
 """
 
 import math
@@ -15,7 +17,10 @@ from cvqmpt_lab.codec.plain import Checked
 from cvqmpt_lab.errors import InvalidInputError
 
 MOST_PIXELS = 2**14  # of a side of an image
-Pixels = Annotated[int, Condition(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels", {"minimum": 1})]
+Pixels = Annotated[
+    int,
+    Condition(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels", {"minimum": 1}),
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +44,9 @@ class Intrinsics(Checked):
                 f"{self.width} x {self.height} pixels; give those of this image's size"
             )
         if not 0.0 <= self.near < self.far:
-            raise InvalidInputError(f"intrinsics: depths {self.near:g} to {self.far:g} m; give 0 <= near < far")
+            raise InvalidInputError(
+                f"intrinsics: depths {self.near:g} to {self.far:g} m; give 0 <= near < far"
+            )
 
     @classmethod
     def from_fov(
@@ -50,9 +57,13 @@ class Intrinsics(Checked):
         near: float = 1.0,
         far: float = 5.1,
     ) -> "Intrinsics":
-        """Square pixels and a centred image, by the vertical angle of view [deg]; default: the published kitchen's."""
+        """Square pixels and a centred image, by the vertical angle of view [deg]; default:
+        the published kitchen's.
+        """
         if not 0.0 < vertical_fov < 180.0:
-            raise InvalidInputError(f"intrinsics: vertical_fov {vertical_fov} deg; give one between 0 and 180")
+            raise InvalidInputError(
+                f"intrinsics: vertical_fov {vertical_fov} deg; give one between 0 and 180"
+            )
         focal = max(0.5 * height / math.tan(0.5 * math.radians(vertical_fov)), 1e-9)
         return cls(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), near, far)
 
@@ -62,7 +73,10 @@ class Intrinsics(Checked):
 
 
 def _axis(count: int, focal: float, principal: float) -> np.ndarray:
-    """(i - principal) / focal for i = 0 ... count - 1, in the order of operations by which committed rows repeat."""
+    """(i - principal) / focal for i = 0 ...
+
+    count - 1, in the order of operations by which committed rows repeat.
+    """
     centred = 0.5 * count / focal * ((np.arange(count) + 0.5) * 2.0 / count - 1.0)
     return centred - (principal - 0.5 * (count - 1)) / focal
 
@@ -92,8 +106,12 @@ class Camera:
         return ahead + y[:, None, None] * down + x[:, None] * right
 
 
-def look_at(eye: Sequence[float] | np.ndarray, target: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> FloatArray:
-    """T_world_camera (4, 4) of an upright camera at eye (3,) that looks at target (3,), another point [m]."""
+def look_at(
+    eye: Sequence[float] | np.ndarray, target: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
+) -> FloatArray:
+    """T_world_camera (4, 4) of an upright camera at eye (3,) that looks at target (3,), another
+    point [m].
+    """
     if not np.isfinite([*eye, *target]).all() or np.allclose(eye, target):
         raise InvalidInputError(f"camera at {eye} cannot look at {target}; give two points")
     ahead = np.subtract(target, eye)
@@ -112,7 +130,9 @@ def cameras_on_sphere(
     radius: float = 2.0,
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[Camera, ...]:
-    """Cameras at every pair of azimuth and elevation [deg], `radius` [m] from the point they look at."""
+    """Cameras at every pair of azimuth and elevation [deg], `radius` [m] from the point they look
+    at.
+    """
     cameras = []
     for elevation in np.radians(elevations):
         for azimuth in np.radians(azimuths):

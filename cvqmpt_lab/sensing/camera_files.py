@@ -17,7 +17,9 @@ from cvqmpt_lab.sensing.camera import Intrinsics
 
 LARGEST = 2**16  # [bytes] of a file; calibrations take one thousand
 ROUNDED = 1e-3  # that a rotation matrix may be from orthonormal: three digits were written down
-FORMS = "width, height, fx, fy, cx, cy, or width, height and camera_matrix (ROS), K or intrinsic_matrix"
+FORMS = (
+    "width, height, fx, fy, cx, cy, or width, height and camera_matrix (ROS), K or intrinsic_matrix"
+)
 
 
 def read_intrinsics(path: Path | str) -> Intrinsics:
@@ -29,26 +31,43 @@ def read_intrinsics(path: Path | str) -> Intrinsics:
 
 def _intrinsics(data: Any) -> Intrinsics:
     fields = mapping(data, "", FORMS)
-    name = next((name for name in ("camera_matrix", "K", "k", "intrinsic_matrix") if name in fields), None)
+    name = next(
+        (name for name in ("camera_matrix", "K", "k", "intrinsic_matrix") if name in fields), None
+    )
     if name is None:
         return from_plain(Intrinsics, fields)
-    distortion = next((fields[d] for d in ("distortion_coefficients", "D", "d") if d in fields), None)
-    if distortion is not None and np.any(Array((None,)).read(_listed(distortion), "distortion") != 0.0):
-        raise InvalidInputError("it says that the lens distorts; give rectified images and their intrinsics")
+    distortion = next(
+        (fields[d] for d in ("distortion_coefficients", "D", "d") if d in fields), None
+    )
+    if distortion is not None and np.any(
+        Array((None,)).read(_listed(distortion), "distortion") != 0.0
+    ):
+        raise InvalidInputError(
+            "it says that the lens distorts; give rectified images and their intrinsics"
+        )
     listed = np.ravel(np.asarray(_listed(fields[name]), dtype=object)).tolist()
     K = Array((9,), "numbers, row after row").read(listed, name).reshape(3, 3)
     if name == "intrinsic_matrix" and K[2, 0] != 0.0:
         K = K.T  # Open3D writes column after column
-    if not np.array_equal(K * [[0, 1, 0], [1, 0, 0], [1, 1, 0]], np.zeros((3, 3))) or K[2, 2] != 1.0:
-        raise InvalidInputError(f"{name} is {K.tolist()}; it must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    if (
+        not np.array_equal(K * [[0, 1, 0], [1, 0, 0], [1, 1, 0]], np.zeros((3, 3)))
+        or K[2, 2] != 1.0
+    ):
+        raise InvalidInputError(
+            f"{name} is {K.tolist()}; it must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        )
     size = {side: fields.get(f"image_{side}", fields.get(side)) for side in ("width", "height")}
-    return from_plain(Intrinsics, {**size, "fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]})
+    return from_plain(
+        Intrinsics, {**size, "fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+    )
 
 
 def read_extrinsics(path: Path | str) -> FloatArray:
-    """Read T_world_camera (4, 4): a 4x4 matrix, {xyz, quaternion}, {xyz, rpy}, or ROS's {translation, rotation}.
+    """Read T_world_camera (4, 4): a 4x4 matrix, {xyz, quaternion}, {xyz, rpy}, or ROS's
+    {translation, rotation}.
 
-    It stands alone or as "T_world_camera"; a rounded matrix is made orthonormal. Errors name the file.
+    It stands alone or as "T_world_camera"; a rounded matrix is made orthonormal. Errors name the
+    file.
     """
     data = _read_settings(path, "extrinsics")
     if isinstance(data, Mapping) and set(data) == {"T_world_camera"}:
@@ -63,7 +82,9 @@ def _rigid(data: Any) -> Any:
         if "translation" not in data:
             return data
         named = {"xyz": data["translation"], "quaternion": data.get("rotation")}
-        ordered = {key: _in_order(value, "xyzw"[: 3 + (key != "xyz")]) for key, value in named.items()}
+        ordered = {
+            key: _in_order(value, "xyzw"[: 3 + (key != "xyz")]) for key, value in named.items()
+        }
         return from_plain(Placement, ordered, "T_world_camera").matrix
     T = np.array(MATRIX.read(data, "T_world_camera"))
     R = T[:3, :3]
@@ -86,7 +107,9 @@ def _in_order(value: Any, axes: str) -> Any:
 
 
 def _read_settings(path: Path | str, what: str) -> Any:
-    """Plain dicts, lists and numbers of a json or yaml file, by its suffix; `what` names it in errors."""
+    """Plain dicts, lists and numbers of a json or yaml file, by its suffix;
+    `what` names it in errors.
+    """
     path = Path(path)
     parse = PARSERS[kind_of(path, PARSERS, what)]
     data = file_bytes(path, what)
@@ -100,4 +123,8 @@ def _from_json(text: str) -> Any:
     return json_value(text, "it")
 
 
-PARSERS: Mapping[str, Callable[[str], Any]] = {".json": _from_json, ".yaml": yaml_value, ".yml": yaml_value}
+PARSERS: Mapping[str, Callable[[str], Any]] = {
+    ".json": _from_json,
+    ".yaml": yaml_value,
+    ".yml": yaml_value,
+}

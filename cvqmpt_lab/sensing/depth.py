@@ -1,4 +1,6 @@
-"""Depth images (16-bit PNG, or NPY with a number a pixel) and captures: what one camera saw, as points."""
+"""Depth images (16-bit PNG, or NPY with a number a pixel) and captures:
+what one camera saw, as points.
+"""
 
 import io
 import json
@@ -12,7 +14,14 @@ from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_bytes, write_text
-from cvqmpt_lab.scene.cloud_files import check_lengths, file_bytes, kind_of, parsing, read_array, read_cloud
+from cvqmpt_lab.scene.cloud_files import (
+    check_lengths,
+    file_bytes,
+    kind_of,
+    parsing,
+    read_array,
+    read_cloud,
+)
 from cvqmpt_lab.sensing.camera import Intrinsics
 from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.render import View
@@ -28,7 +37,8 @@ class Capture:
 
     points: FloatArray  # (m, 3), all finite [m, camera frame]
     unseen: int = 0  # pixels, or rows of a file, without a finite point
-    T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))  # (4, 4); default: the base frame
+    # (4, 4); default: the base frame
+    T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))
 
     @property
     def in_world(self) -> FloatArray:
@@ -44,12 +54,15 @@ def read_capture(
 ) -> Capture:
     """Read a cloud, or, with intrinsics, a depth image; errors name the file.
 
-    intrinsics, extrinsics: files of `read_intrinsics` and `read_extrinsics`; None: a cloud; the robot's base frame.
+    intrinsics, extrinsics: files of `read_intrinsics` and `read_extrinsics`; None: a cloud; the
+        robot's base frame.
     scale: [m] of one unit; None: metres, of a 16-bit image millimetres.
     """
     path = Path(path)
     if intrinsics is None and path.suffix.lower() == ".png":
-        raise InvalidInputError(f"depth image {path} needs the intrinsics of its camera; give them (json or yaml)")
+        raise InvalidInputError(
+            f"depth image {path} needs the intrinsics of its camera; give them (json or yaml)"
+        )
     T = np.eye(4) if extrinsics is None else read_extrinsics(extrinsics)
     if intrinsics is None:
         points, dropped = read_cloud(path, 1.0 if scale is None else scale)
@@ -58,13 +71,16 @@ def read_capture(
     pixels = deprojected(read_depth(path, lens, scale), lens).reshape(-1, 3)
     points = pixels[np.isfinite(pixels[:, 2])]
     if len(points) == 0:
-        raise InvalidInputError(f"depth image {path}: the camera saw nothing, every pixel is 0 or not finite")
+        raise InvalidInputError(
+            f"depth image {path}: the camera saw nothing, every pixel is 0 or not finite"
+        )
     check_lengths(points, f"depth image {path}")
     return Capture(points, len(pixels) - len(points), T)
 
 
 def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -> FloatArray:
-    """Depth (height, width) along the camera's axis [m], NaN where the camera saw nothing; errors name the file.
+    """Depth (height, width) along the camera's axis [m], NaN where the camera saw nothing; errors
+    name the file.
 
     scale: [m] of one unit; by default millimetres of a PNG, metres of an NPY of floats.
     """
@@ -80,13 +96,16 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
 
 
 def deprojected(depth: FloatArray, lens: Intrinsics) -> FloatArray:
-    """The points (height, width, 3) [m, camera frame] of a depth image (height, width) [m]; NaN stays."""
+    """The points (height, width, 3) [m, camera frame] of a depth image (height, width) [m];
+    NaN stays.
+    """
     x, y = lens.axes()
     return np.stack([depth * x, depth * y[:, None], depth], axis=-1)
 
 
 def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES) -> None:
-    """Write depth (height, width) [m] as a 16-bit PNG; what is not finite or does not fit becomes 0, not seen.
+    """Write depth (height, width) [m] as a 16-bit PNG; what is not finite or does not fit becomes
+    0, not seen.
 
     scale: [m] of one unit.
     """
@@ -101,7 +120,9 @@ def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES)
 
 
 def write_view(view: View, folder: Path, name: str) -> tuple[Path, Path, Path]:
-    """Write name.png, name.intrinsics.json and name.extrinsics.json; their paths are what `read_capture` takes."""
+    """Write name.png, name.intrinsics.json and name.extrinsics.json;
+    their paths are what `read_capture` takes.
+    """
     ends = ("png", "intrinsics.json", "extrinsics.json")
     image, intrinsics, extrinsics = (folder / f"{name}.{end}" for end in ends)
     write_depth(image, view.depth)
@@ -116,10 +137,14 @@ def _read_png(data: bytes, lens: Intrinsics) -> np.ndarray:
 
     with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
         if image.mode not in SIXTEEN_BITS:
-            raise InvalidInputError(f"it is a picture of mode {image.mode}, no depth: give the 16-bit depth image")
+            raise InvalidInputError(
+                f"it is a picture of mode {image.mode}, no depth: give the 16-bit depth image"
+            )
         _check_size((image.height, image.width), lens)
         if image.width * image.height * 2 > EXPANSION * len(data):
-            raise InvalidInputError("its header says more pixels than the file can hold: cut short?")
+            raise InvalidInputError(
+                "its header says more pixels than the file can hold: cut short?"
+            )
         return np.asarray(image, dtype=np.uint16)
 
 
@@ -134,7 +159,8 @@ def _read_npy(data: bytes, lens: Intrinsics) -> np.ndarray:
 def _check_size(shape: tuple[int, ...], lens: Intrinsics) -> None:
     if shape != (lens.height, lens.width):
         raise InvalidInputError(
-            f"the image has {shape[1]} x {shape[0]} pixels, the intrinsics are for {lens.width} x {lens.height}; "
+            f"the image has {shape[1]} x {shape[0]} pixels, the intrinsics are for {lens.width} x "
+            f"{lens.height}; "
             "give those of this image (fx, fy, cx, cy grow with its size)"
         )
 

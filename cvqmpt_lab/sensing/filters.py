@@ -11,7 +11,8 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import LinkGeometry, Robot
 
-DENSE = 8  # grids of at most this many cells a point are counted cell by cell, which needs no sorting
+# grids of at most this many cells a point are counted cell by cell, which needs no sorting
+DENSE = 8
 MOST_CELLS = 2**62
 
 
@@ -25,7 +26,9 @@ class BoxCrop:
     def contains(self, points: FloatArray) -> np.ndarray:
         """Whether each of the points (m, 3) stays."""
         spans = zip(points.T, self.lower, self.upper, strict=True)  # by axis: three times as fast
-        return np.logical_and.reduce([(axis >= lower) & (axis <= upper) for axis, lower, upper in spans])
+        return np.logical_and.reduce(
+            [(axis >= lower) & (axis <= upper) for axis, lower, upper in spans]
+        )
 
 
 @dataclass(frozen=True)
@@ -46,15 +49,19 @@ class _Piece(NamedTuple):
     link: int  # pose row that carries it
     middle: FloatArray  # (3,) of a ball around it [m]
     radius: float  # of that ball [m]
-    faces: FloatArray  # (f, 4), outward normal n and offset d: x is inside when n x + d <= 0 for all
+    # (f, 4), outward normal n and offset d: x is inside when n x + d <= 0 for all
+    faces: FloatArray
 
 
 def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -> np.ndarray:
     """Which of points (m, 3) [m, world] lie on, in or near the robot at q (n,): a mask (m,).
 
-    Near is within margin [m] of every face of one of its convex pieces; off a corner that reaches a little farther.
+    Near is within margin [m] of every face of one of its convex pieces; off a corner that reaches a
+    little farther.
     """
-    (rotations,), (translations,) = link_poses(robot.kinematics, np.ascontiguousarray(q, dtype=float)[None])
+    (rotations,), (translations,) = link_poses(
+        robot.kinematics, np.ascontiguousarray(q, dtype=float)[None]
+    )
     near = np.zeros(len(points), dtype=bool)
     for piece in _pieces(robot):
         turn = rotations[piece.link]
@@ -85,7 +92,8 @@ def _piece(part: LinkGeometry) -> _Piece:
 
 
 def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
-    """Mean (m, 3) of the points (p, 3) in each cell of a grid that starts half a voxel [m] below the least coordinates.
+    """Mean (m, 3) of the points (p, 3) in each cell of a grid that starts half a voxel [m] below
+    the least coordinates.
 
     InvalidInputError: a voxel so small that its cells cannot be numbered.
     """
@@ -97,7 +105,8 @@ def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
     cells = float(np.prod(across))
     if not cells < MOST_CELLS:
         raise InvalidInputError(
-            f"voxel of {voxel:g} m is too small for a cloud that is {np.ptp(points, axis=0).max():.3g} m long; "
+            f"voxel of {voxel:g} m is too small for a cloud that is "
+            f"{np.ptp(points, axis=0).max():.3g} m long; "
             "give a larger one, or crop the cloud"
         )
     x, y, z = (place.astype(np.int64) for place in places)

@@ -1,8 +1,10 @@
-"""Point-to-plane ICP of measured points onto the surface of an arm, and that surface as samples with normals.
+"""Point-to-plane ICP of measured points onto the surface of an arm, and that surface as samples
+with normals.
 
 Minimised over a small motion of the camera and a systematic error o of its depths is
-sum_i w_i (n_i . (T p_i + o a_i - s_i))^2 + a prior on o, for points p_i, rays a_i, and the nearest surface sample s_i
-with normal n_i; weights w_i = (1 - (d_i / reach)^2)^2 (Tukey) leave out points that are no part of the surface.
+sum_i w_i (n_i . (T p_i + o a_i - s_i))^2 + a prior on o, for points p_i, rays a_i, and the nearest
+surface sample s_i with normal n_i; weights w_i = (1 - (d_i / reach)^2)^2 (Tukey) leave out points
+that are no part of the surface.
 """
 
 from dataclasses import dataclass
@@ -17,8 +19,10 @@ from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm
 
-BURIED = -1e-3  # [m] samples deeper inside another piece of the arm are not part of its outer surface
-REACHES = (0.06, 0.04, 0.025, 0.015, 0.01, 0.006)  # [m] points farther from the surface are left out, in turn
+# [m] samples deeper inside another piece of the arm are not part of its outer surface
+BURIED = -1e-3
+# [m] points farther from the surface are left out, in turn
+REACHES = (0.06, 0.04, 0.025, 0.015, 0.01, 0.006)
 STEPS = 5  # Gauss-Newton steps with each
 INLIERS = 0.02  # [m] points no farther from the surface in the end lie on it
 MOST_POINTS = 100_000  # considered; of those near the surface a tenth is used
@@ -41,7 +45,9 @@ class Surface:
 
 
 def arm_surface(arm: Arm, count: int, rng: np.random.Generator) -> Surface:
-    """About `count` samples of the hulls that collision checking takes the links for, without those inside others."""
+    """About `count` samples of the hulls that collision checking takes the links for, without those
+    inside others.
+    """
     q = np.ascontiguousarray(arm.q, dtype=float)
     (rotations,), (translations,) = link_poses(arm.robot.kinematics, q[None])
     links = arm.robot.links
@@ -65,7 +71,8 @@ class IcpResult(NamedTuple):
     """A camera's pose at which its points lie on the surface."""
 
     T_world_camera: FloatArray  # (4, 4) [m]
-    residual: float  # root mean square distance of the points on the surface from it [m]; inf without any
+    # root mean square distance of the points on the surface from it [m]; inf without any
+    residual: float
     deviation: float  # standard deviation of the camera's position [m], by a jackknife over links
 
 
@@ -73,7 +80,8 @@ class _Planes(NamedTuple):
     """Points that are near the surface, and the planes that it has there."""
 
     distance: FloatArray  # (k,), of each point from its plane [m]
-    rows: FloatArray  # (k, 7), its change by a turn about the middle [rad], a shift [m], and more depth [m]
+    # (k, 7), its change by a turn about the middle [rad], a shift [m], and more depth [m]
+    rows: FloatArray
     middle: FloatArray  # (3,) [m]
     link: np.ndarray  # (k,) int, of the surface under each
 
@@ -81,7 +89,9 @@ class _Planes(NamedTuple):
 def point_to_plane_icp(
     points: FloatArray, surface: Surface, T_start: FloatArray, rng: np.random.Generator
 ) -> IcpResult:
-    """Align points (m, 3) [m, camera frame] with the surface [world], from a pose (4, 4) that is nearly right."""
+    """Align points (m, 3) [m, camera frame] with the surface [world], from a pose (4, 4) that is
+    nearly right.
+    """
     tree, T, offset = cKDTree(surface.points), T_start, 0.0
     some = points[rng.permutation(len(points))[:MOST_POINTS]]
     placed = some @ T[:3, :3].T + T[:3, 3]
@@ -134,8 +144,12 @@ def small_motions(changes: np.ndarray) -> FloatArray:
     return T
 
 
-def _planes(points: FloatArray, offset: float, surface: Surface, tree: cKDTree, T: FloatArray, reach: float) -> _Planes:
-    """Points (m, 3) [camera frame], an offset [m] farther, that are within reach [m] of what faces the camera."""
+def _planes(
+    points: FloatArray, offset: float, surface: Surface, tree: cKDTree, T: FloatArray, reach: float
+) -> _Planes:
+    """Points (m, 3) [camera frame], an offset [m] farther, that are within reach [m] of what faces
+    the camera.
+    """
     away = points / np.linalg.norm(points, axis=1, keepdims=True)
     placed, away = (points + offset * away) @ T[:3, :3].T + T[:3, 3], away @ T[:3, :3].T
     far, nearest = tree.query(placed, distance_upper_bound=1.5 * reach)

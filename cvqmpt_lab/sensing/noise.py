@@ -1,14 +1,16 @@
 """What a time-of-flight camera makes of a view: noise, drop-outs, flying pixels, systematic errors.
 
-One quantity drives noise and drop-outs: the light that comes back, s = reflectivity cos(incidence) / depth^2 [1/m^2].
-Noise grows with 1 / s, hence with distance, on dark surfaces and at grazing angles, and where s is too small there is
-no depth. The two constants follow from Microsoft's "Azure Kinect DK hardware specifications" (narrow field of view,
-2x2 binned: surfaces of 15 % reflectivity are measured up to 5.46 m; standard deviation at most 17 mm, systematic error
-below 11 mm + 0.1 % of the distance), bounds that Toelgyessy, Dekan, Chovanec and Hubinsky, "Evaluation of the Azure
-Kinect and Its Comparison to Kinect V1 and Kinect V2", Sensors 21(2):413, 2021, confirmed up to 3.5 m. They describe
-flying pixels and dark materials without depth, too. Lateral noise is about what Nguyen, Izadi and Lovell, "Modeling
-Kinect Sensor Noise for Improved 3D Reconstruction and Tracking", 3DIMPVT 2012, measured of the first Kinect (0.8
-pixels), less because pixels are binned. Where no figure was found a field says "assumed".
+One quantity drives noise and drop-outs: the light that comes back, s = reflectivity cos(incidence)
+/ depth^2 [1/m^2]. Noise grows with 1 / s, hence with distance, on dark surfaces and at grazing
+angles, and where s is too small there is no depth. The two constants follow from Microsoft's "Azure
+Kinect DK hardware specifications" (narrow field of view, 2x2 binned: surfaces of 15 % reflectivity
+are measured up to 5.46 m; standard deviation at most 17 mm, systematic error below 11 mm + 0.1 % of
+the distance), bounds that Toelgyessy, Dekan, Chovanec and Hubinsky, "Evaluation of the Azure Kinect
+and Its Comparison to Kinect V1 and Kinect V2", Sensors 21(2):413, 2021, confirmed up to 3.5 m. They
+describe flying pixels and dark materials without depth, too. Lateral noise is about what Nguyen,
+Izadi and Lovell, "Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking",
+3DIMPVT 2012, measured of the first Kinect (0.8 pixels), less because pixels are binned. Where no
+figure was found a field says "assumed".
 """
 
 from collections.abc import Sequence
@@ -52,15 +54,18 @@ class DepthNoise:
     """Errors of an Azure-Kinect-class camera; standard deviations where nothing else is said."""
 
     floor: float = 0.0006  # [m] of depths however bright the surface is; assumed
-    per_light: float = (0.017 - 0.0006) * WEAKEST  # [m / m^2] grows with 1 / s: 17 mm at the end of the range
+    # [m / m^2] grows with 1 / s: 17 mm at the end of the range
+    per_light: float = (0.017 - 0.0006) * WEAKEST
     weakest: float = WEAKEST  # [1/m^2] below this much light there is no depth
     flicker: float = 0.3  # of the logarithm of the light that a pixel gets; assumed
     lateral: float = 0.5  # [pixels] of where a pixel looks
     offset: float = 0.011 / 3.0  # [m] of an image's systematic error
     scale: float = 0.001 / 3.0  # the same, in proportion to depth
     edge_lost: float = 0.3  # share of pixels at edges of surfaces that have no depth; assumed
-    edge_flying: float = 0.3  # share of them whose depth lies anywhere between the surfaces'; assumed
-    multipath: float = 0.02  # [m] mean of what mirrored light adds to the depth of a shiny surface; assumed
+    # share of them whose depth lies anywhere between the surfaces'; assumed
+    edge_flying: float = 0.3
+    # [m] mean of what mirrored light adds to the depth of a shiny surface; assumed
+    multipath: float = 0.02
     quantum: float = 0.001  # [m] depths are whole multiples of it
 
     def __post_init__(self) -> None:
@@ -69,7 +74,8 @@ class DepthNoise:
                 raise InvalidInputError(f"{name} of depth noise is {value}; give 0 or more")
         if self.edge_lost + self.edge_flying > 1.0:
             raise InvalidInputError(
-                f"edge_lost and edge_flying of depth noise are {self.edge_lost} and {self.edge_flying}; "
+                f"edge_lost and edge_flying of depth noise are {self.edge_lost} and "
+                f"{self.edge_flying}; "
                 "give shares whose sum is at most 1"
             )
 
@@ -83,17 +89,24 @@ class DepthNoise:
 
 
 def measured(
-    view: View, solids: Sequence[Solid], materials: Materials, noise: DepthNoise, rng: np.random.Generator
+    view: View,
+    solids: Sequence[Solid],
+    materials: Materials,
+    noise: DepthNoise,
+    rng: np.random.Generator,
 ) -> View:
     """The view as a camera would measure it: other depths, inf where there is none."""
     rows, columns = _shifted_pixels(view.depth.shape, noise.lateral, rng)
     depth, solid = view.depth[rows, columns], view.solid[rows, columns]
     found = solid != NOTHING
-    reflectivity, gloss = (np.append(values, 0.0)[solid] for values in materials)  # 0 where nothing is
+    # 0 where nothing is
+    reflectivity, gloss = (np.append(values, 0.0)[solid] for values in materials)
     cosine = incidence(view, solids)[rows, columns]
     light = reflectivity * (1.0 - gloss) * cosine / depth**2  # s [1/m^2]
     light = np.where((gloss > 0.0) & (cosine > GLARE), 0.0, light)
-    valid = found & (light * np.exp(noise.flicker * rng.standard_normal(light.shape)) > noise.weakest)
+    valid = found & (
+        light * np.exp(noise.flicker * rng.standard_normal(light.shape)) > noise.weakest
+    )
     z = _with_errors(np.where(found, depth, 1.0), light, noise, rng)
     z += noise.multipath * gloss * rng.exponential(size=z.shape)
     near, far, edge = _edges(view)
@@ -108,14 +121,20 @@ def measured(
     return replace(view, depth=np.where(valid, z, np.inf), solid=np.where(valid, solid, NOTHING))
 
 
-def _shifted_pixels(shape: tuple[int, ...], lateral: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column (height, width) of the pixel that each pixel looks at, itself or one beside it."""
+def _shifted_pixels(
+    shape: tuple[int, ...], lateral: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column (height, width) of the pixel that each pixel looks at, itself or one beside
+    it.
+    """
     rows, columns = np.indices(shape)
     down, right = np.rint(lateral * rng.standard_normal((2, *shape))).astype(int)
     return np.clip(rows + down, 0, shape[0] - 1), np.clip(columns + right, 0, shape[1] - 1)
 
 
-def _with_errors(depth: np.ndarray, light: np.ndarray, noise: DepthNoise, rng: np.random.Generator) -> np.ndarray:
+def _with_errors(
+    depth: np.ndarray, light: np.ndarray, noise: DepthNoise, rng: np.random.Generator
+) -> np.ndarray:
     """Depths (height, width) [m] with an error of the whole image and one of every pixel."""
     offset, scale = rng.standard_normal(2) * (noise.offset, noise.scale)
     spread = noise.floor + noise.per_light / np.maximum(light, WEAKEST)
@@ -123,7 +142,9 @@ def _with_errors(depth: np.ndarray, light: np.ndarray, noise: DepthNoise, rng: n
 
 
 def _edges(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Least and largest depth around each pixel, and whether two solids lie there, one well behind the other."""
+    """Least and largest depth around each pixel, and whether two solids lie there, one well behind
+    the other.
+    """
     height, width = view.depth.shape
     depth = np.pad(view.depth, 1, mode="edge")
     near, far = view.depth.copy(), np.where(np.isfinite(view.depth), view.depth, -np.inf)

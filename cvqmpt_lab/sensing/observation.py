@@ -18,17 +18,21 @@ from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud, thinned, visible_points
 
 FEWEST = 2  # points that networks need
-BELOW = np.array([[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]])  # [m] added to smaller clouds: under the base
+# [m] added to smaller clouds: under the base
+BELOW = np.array([[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]])
 
 
 class Observer:
     """Gives the cloud of a scene, always the same one; by default like training's clouds.
 
-    Shapes are seen by virtual cameras, clouds and occupancy maps are used as they are. Rendering takes half a second,
-    so the last `scenes` clouds are remembered and rendered ones kept in the user's cache.
+    Shapes are seen by virtual cameras, clouds and occupancy maps are used as they are. Rendering
+    takes half a second, so the last `scenes` clouds are remembered and rendered ones kept in the
+    user's cache.
     """
 
-    def __init__(self, settings: CameraSettings | None = None, seed: int = 0, scenes: int = 8) -> None:
+    def __init__(
+        self, settings: CameraSettings | None = None, seed: int = 0, scenes: int = 8
+    ) -> None:
         whole_number("scenes kept by an observer", scenes, 1)
         whole_number("seed", seed)
         self.settings = CameraSettings.like_training() if settings is None else settings
@@ -39,12 +43,15 @@ class Observer:
         return self._clouds.get(scene, lambda: self._look(scene))
 
     def of_points(self, points: np.ndarray) -> np.ndarray:
-        """The cloud (m, 3) of measured points (p, 3) [m, base frame]; InvalidInputError if none is in the crop."""
+        """The cloud (m, 3) of measured points (p, 3) [m, base frame];
+        InvalidInputError if none is in the crop.
+        """
         crop = self.settings.crop
         near = points[crop.contains(points)]
         if len(near) == 0:
             raise InvalidInputError(
-                f"none of the cloud's {len(points)} points is in the region that networks know, {crop}: give it in "
+                f"none of the cloud's {len(points)} points is in the region that networks know, "
+                f"{crop}: give it in "
                 "metres, in the frame of the robot's base"
             )
         measured = replace(self.settings, noise=0.0)  # it has its own
@@ -60,7 +67,9 @@ class Observer:
             return self.of_points(np.concatenate([_world_points(clouds), seen]))
         rng = np.random.default_rng(self.seed)
         made_of = self._made_of(scene)
-        arrays = cached_arrays("clouds", made_of, lambda: {"cloud": camera_cloud(scene, self.settings, rng)})
+        arrays = cached_arrays(
+            "clouds", made_of, lambda: {"cloud": camera_cloud(scene, self.settings, rng)}
+        )
         cloud = arrays["cloud"]
         if len(cloud) < FEWEST:
             cloud = np.concatenate([cloud, BELOW])
@@ -68,9 +77,13 @@ class Observer:
         return cloud
 
     def _made_of(self, scene: Scene) -> bytes:
-        cameras = [(each.intrinsics, each.T_world_camera.tolist()) for each in self.settings.cameras]
+        cameras = [
+            (each.intrinsics, each.T_world_camera.tolist()) for each in self.settings.cameras
+        ]
         settings = replace(self.settings, cameras=())
-        return f"{_sources()} {cameras} {settings} {self.seed} {json.dumps(to_plain(scene))}".encode()
+        return (
+            f"{_sources()} {cameras} {settings} {self.seed} {json.dumps(to_plain(scene))}".encode()
+        )
 
 
 @cache
@@ -81,9 +94,13 @@ def _sources() -> str:
 
 
 def _world_points(clouds: Sequence[SceneObject]) -> np.ndarray:
-    """Points (p, 3) [m] of objects that are clouds or maps, in the world; of maps the outermost cells."""
+    """Points (p, 3) [m] of objects that are clouds or maps, in the world;
+    of maps the outermost cells.
+    """
     parts = []
     for item in clouds:
         assert isinstance(item.shape, Measured)
-        parts.append(seen_points(item.shape) @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3])
+        parts.append(
+            seen_points(item.shape) @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3]
+        )
     return np.concatenate(parts)

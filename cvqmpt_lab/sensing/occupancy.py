@@ -1,4 +1,6 @@
-"""An occupancy map from measured points: cells that hold some, and, if asked to, cells that no ray crossed."""
+"""An occupancy map from measured points:
+cells that hold some, and, if asked to, cells that no ray crossed.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,8 +25,10 @@ class MapSettings:
 
     resolution: float = 0.02  # edge of its cells [m]
     padding: float = 0.0  # distance by which cells are inflated [m]
-    unknown: Literal["free", "occupied"] = "free"  # what cells are that no ray crossed; MoveIt: free
-    lower: tuple[float, float, float] = (-1.2, -1.2, -0.4)  # corner of the box with unknown cells [m]
+    # what cells are that no ray crossed; MoveIt: free
+    unknown: Literal["free", "occupied"] = "free"
+    # corner of the box with unknown cells [m]
+    lower: tuple[float, float, float] = (-1.2, -1.2, -0.4)
     upper: tuple[float, float, float] = (1.2, 1.2, 1.4)  # opposite corner [m, robot base frame]
     robot_margin: float = 0.05  # cells this near to the robot are no unknown ones [m]
 
@@ -32,37 +36,48 @@ class MapSettings:
         require_resolution(self.resolution)
         if not np.all(np.subtract(self.upper, self.lower) >= self.resolution):
             raise InvalidInputError(
-                f"box of a map from {self.lower} to {self.upper} m holds no cell of {self.resolution:g} m; "
+                f"box of a map from {self.lower} to {self.upper} m holds no cell of "
+                f"{self.resolution:g} m; "
                 "give a lower corner below the upper one"
             )
 
 
 def occupancy_map(
-    points: FloatArray, settings: MapSettings, captures: Sequence[Capture] = (), arm: Arm | None = None
+    points: FloatArray,
+    settings: MapSettings,
+    captures: Sequence[Capture] = (),
+    arm: Arm | None = None,
 ) -> OccupancyMap:
-    """Map of the cells that hold points (m, 3) [m, robot base frame] of a scan, and of unknown cells if they count.
+    """Map of the cells that hold points (m, 3) [m, robot base frame] of a scan, and of unknown
+    cells if they count.
 
-    captures: all that the sensors saw, where unknown is occupied; cells between a sensor and its points are known.
+    captures: all that the sensors saw, where unknown is occupied; cells between a sensor and its
+        points are known.
     arm: the robot meanwhile; it stands in known space.
     InvalidInputError: no cell is occupied; unknown cells without captures, or too many of them.
     """
     if settings.unknown == "occupied":
         points = np.concatenate([points, _unknown(settings, captures, arm)])
     if len(points) == 0:
-        raise InvalidInputError("no point is left to make a map of; crop less, or plan without a map")
+        raise InvalidInputError(
+            "no point is left to make a map of; crop less, or plan without a map"
+        )
     return map_of_points(points, settings.resolution, settings.padding)
 
 
 def _unknown(settings: MapSettings, captures: Sequence[Capture], arm: Arm | None) -> FloatArray:
     """Middles (k, 3) [m] of cells in the box that no ray crossed."""
     if not captures:
-        raise InvalidInputError("unknown space is occupied, but the captures with their cameras' poses are missing")
+        raise InvalidInputError(
+            "unknown space is occupied, but the captures with their cameras' poses are missing"
+        )
     first: FloatArray = np.floor(np.divide(settings.lower, settings.resolution))
     across = (np.ceil(np.divide(settings.upper, settings.resolution)) - first).astype(np.int64)
     if across.prod() > MOST_CELLS:
         raise InvalidInputError(
             f"box from {settings.lower} to {settings.upper} m holds {across.prod():.2g} cells of "
-            f"{settings.resolution:g} m, more than {MOST_CELLS:.2g}; give a smaller box or larger cells"
+            f"{settings.resolution:g} m, more than {MOST_CELLS:.2g}; give a smaller box or larger "
+            f"cells"
         )
     known = np.zeros(across, dtype=bool)
     for capture in captures:
@@ -78,9 +93,11 @@ def _unknown(settings: MapSettings, captures: Sequence[Capture], arm: Arm | None
 
 
 def _crossed(origin: FloatArray, ends: FloatArray, across: np.ndarray) -> Iterator[np.ndarray]:
-    """Cells (k, 3), of a grid of unit cells, that segments from origin (3,) to ends (r, 3) cross, a step at a time.
+    """Cells (k, 3), of a grid of unit cells, that segments from origin (3,) to ends (r, 3) cross, a
+    step at a time.
 
-    All segments go from cell to cell side by side (Amanatides and Woo, "A fast voxel traversal algorithm", 1987).
+    All segments go from cell to cell side by side (Amanatides and Woo, "A fast voxel traversal
+    algorithm", 1987).
     """
     ray = ends - origin
     ray[ray == 0.0] = 1e-12

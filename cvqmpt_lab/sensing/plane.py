@@ -1,4 +1,6 @@
-"""The plane that things stand on, and how a scan is put level by it when the camera's pose is unknown."""
+"""The plane that things stand on, and how a scan is put level by it when the camera's pose is
+unknown.
+"""
 
 from typing import NamedTuple
 
@@ -19,10 +21,13 @@ LEAST = 0.1  # share of the points that a supporting plane must hold
 FEWEST = 30  # points that a supporting plane must hold
 CAMERA_UP = np.array([0.0, -1.0, 0.0])  # of an optical frame: x right, y down, z ahead
 CAMERA_AHEAD = np.array([0.0, 0.0, 1.0])
-STRAIGHT = np.cos(np.radians(11.0))  # nearer to the camera's axis, "ahead" is the image's upper side
-CAMERA_TILT = np.radians(100.0)  # from a table's normal to the camera's up: it may look straight down
+# nearer to the camera's axis, "ahead" is the image's upper side
+STRAIGHT = np.cos(np.radians(11.0))
+# from a table's normal to the camera's up: it may look straight down
+CAMERA_TILT = np.radians(100.0)
 WORLD_TILT = np.radians(15.0)  # the same for the world's up, when the camera's pose is known
-EDGE = 0.02  # quantile of the table's points that counts as its edge: beyond it lies what the camera half saw
+# quantile of the table's points that counts as its edge: beyond it lies what the camera half saw
+EDGE = 0.02
 
 
 class SupportingPlane(NamedTuple):
@@ -34,8 +39,11 @@ class SupportingPlane(NamedTuple):
     residual: float  # root mean square distance of those from it [m]
 
 
-def supporting_plane(points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator) -> SupportingPlane:
-    """Plane that holds the most of points (m, 3) [m] with its normal within tilt [rad] of `up` (3,), by RANSAC and SVD.
+def supporting_plane(
+    points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator
+) -> SupportingPlane:
+    """Plane that holds the most of points (m, 3) [m] with its normal within tilt [rad] of `up`
+    (3,), by RANSAC and SVD.
 
     InvalidInputError: no such plane holds `LEAST` of the points.
     """
@@ -54,13 +62,16 @@ def supporting_plane(points: FloatArray, up: FloatArray, tilt: float, rng: np.ra
     share = float(on.mean())
     if share < LEAST or on.sum() < FEWEST or normal @ up < np.cos(tilt):
         raise InvalidInputError(
-            f"no supporting plane: the best one holds {on.sum()} of {len(points)} points, {LEAST:.0%} and {FEWEST} are "
+            f"no supporting plane: the best one holds {on.sum()} of {len(points)} points, "
+            f"{LEAST:.0%} and {FEWEST} are "
             "needed; crop the cloud to the table, or give the camera's pose"
         )
     return SupportingPlane(normal, offset, share, float(np.sqrt(np.mean(heights[on] ** 2))))
 
 
-def _ransac(points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator) -> tuple[FloatArray, float]:
+def _ransac(
+    points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator
+) -> tuple[FloatArray, float]:
     """Normal (3,) and offset [m] of the best of many planes through three points."""
     a, b, c = points[rng.integers(len(points), size=(3, TRIPLES))]
     normals = np.cross(b - a, c - a)
@@ -78,8 +89,11 @@ def _ransac(points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Gene
     return normals[best], float(offsets[best])
 
 
-def level_pose(points: FloatArray, plane: SupportingPlane, front: tuple[float, float, float]) -> FloatArray:
-    """T_world_camera (4, 4) that puts a table level, ahead of the camera's eye, its near edge's middle at `front` [m].
+def level_pose(
+    points: FloatArray, plane: SupportingPlane, front: tuple[float, float, float]
+) -> FloatArray:
+    """T_world_camera (4, 4) that puts a table level, ahead of the camera's eye, its near edge's
+    middle at `front` [m].
 
     points: (m, 3) [m] in the optical frame, in which the plane was found.
     """
@@ -94,13 +108,16 @@ def level_pose(points: FloatArray, plane: SupportingPlane, front: tuple[float, f
 
 
 def on_table(points: FloatArray, plane: SupportingPlane, gap: float = GAP) -> np.ndarray:
-    """Which of points (m, 3) [m] lie on the largest patch of the plane without wider gaps [m]: a mask (m,)."""
+    """Which of points (m, 3) [m] lie on the largest patch of the plane without wider gaps [m]:
+    a mask (m,).
+    """
     held = np.abs(points @ plane.normal - plane.offset) <= TOLERANCE
     across = points[held] @ _axes(plane.normal, np.eye(3)[np.argmin(np.abs(plane.normal))])[:2].T
     cells = np.floor((across - across.min(axis=0)) / gap).astype(int)
     taken = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     taken[tuple(cells.T)] = True
-    from scipy import ndimage  # a tenth of a second to import, which plans without scans need not pay
+    # a tenth of a second to import, which plans without scans need not pay
+    from scipy import ndimage
 
     patch = ndimage.label(taken, np.ones((3, 3)))[0][tuple(cells.T)]
     held[held] = patch == np.bincount(patch).argmax()

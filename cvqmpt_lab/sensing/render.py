@@ -1,8 +1,9 @@
-"""Depth images of convex solids by ray casting, without any error: depths, and which solid at every pixel.
+"""Depth images of convex solids by ray casting, without any error: depths, and which solid at every
+pixel.
 
-Surfaces are seen from outside only. What a camera stands in, and what lies nearer than its near plane, it looks
-through, as a renderer that leaves out back faces does: the two lower cameras of the published set-up stand
-below the floor and see the kitchen all the same.
+Surfaces are seen from outside only. What a camera stands in, and what lies nearer than its near
+plane, it looks through, as a renderer that leaves out back faces does: the two lower cameras of the
+published set-up stand below the floor and see the kitchen all the same.
 """
 
 import math
@@ -15,7 +16,8 @@ import numpy as np
 from cvqmpt_lab.sensing.camera import Camera
 
 NOTHING = -1  # in the place of a solid's index
-AHEAD = 1e-3  # [m] corners must lie this far ahead of a camera for their rectangle in the image to be known
+# [m] corners must lie this far ahead of a camera for their rectangle in the image to be known
+AHEAD = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,9 @@ class Solid(ABC):
 
     @abstractmethod
     def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where along each ray (..., 3) from eye (3,) it enters and leaves the solid [rays]; NaN or empty if never."""
+        """Where along each ray (..., 3) from eye (3,) it enters and leaves the solid [rays];
+        NaN or empty if never.
+        """
 
     @abstractmethod
     def normals(self, points: np.ndarray) -> np.ndarray:
@@ -102,7 +106,9 @@ class SolidCylinder(Solid):
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Along the axis on its ends, away from the axis on its side."""
-        on_end = np.abs(points[:, 2]) - self.half > np.linalg.norm(points[:, :2], axis=1) - self.radius
+        on_end = (
+            np.abs(points[:, 2]) - self.half > np.linalg.norm(points[:, :2], axis=1) - self.radius
+        )
         return _unit(points * np.where(on_end[:, None], (0.0, 0.0, 1.0), (1.0, 1.0, 0.0)))
 
 
@@ -142,8 +148,10 @@ class View:
     """A depth image of solids."""
 
     camera: Camera
-    depth: np.ndarray  # (height, width) [m], along the camera's axis at each pixel's centre; inf: nothing
-    solid: np.ndarray  # (height, width) int, index of the solid that is seen; `NOTHING` where none is
+    # (height, width) [m], along the camera's axis at each pixel's centre; inf: nothing
+    depth: np.ndarray
+    # (height, width) int, index of the solid that is seen; `NOTHING` where none is
+    solid: np.ndarray
 
     @property
     def points(self) -> np.ndarray:
@@ -165,13 +173,17 @@ def view_of(solids: Sequence[Solid], camera: Camera) -> View:
         eye = (camera.eye - T[:3, 3]) @ T[:3, :3]
         with np.errstate(divide="ignore", invalid="ignore"):
             enter, leave = item.interval(eye, rays[window] @ T[:3, :3])
-        seen = (enter <= leave) & (enter >= lens.near) & (enter <= lens.far) & (enter < depth[window])
+        seen = (
+            (enter <= leave) & (enter >= lens.near) & (enter <= lens.far) & (enter < depth[window])
+        )
         depth[window][seen], nearest[window][seen] = enter[seen], index
     return View(camera, depth, nearest)
 
 
 def incidence(view: View, solids: Sequence[Solid]) -> np.ndarray:
-    """Cosine (height, width) of the angle between each pixel's ray and the surface's normal; 0 where nothing is."""
+    """Cosine (height, width) of the angle between each pixel's ray and the surface's normal;
+    0 where nothing is.
+    """
     rays = view.camera.rays()
     cosine = np.zeros(view.depth.shape)
     for index in np.unique(view.solid[view.solid != NOTHING]):
@@ -198,7 +210,9 @@ def _window(item: Solid, camera: Camera) -> tuple[slice, slice] | None:
 
 
 def _pixels(places: np.ndarray, count: int) -> slice:
-    """Pixels of `count` in a row whose centres may lie between the least and the largest of some places."""
+    """Pixels of `count` in a row whose centres may lie between the least and the largest of some
+    places.
+    """
     return slice(max(0, math.floor(places.min())), min(count, math.ceil(places.max()) + 1))
 
 
@@ -211,7 +225,9 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def _between_planes(eye: np.ndarray, rays: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _between_planes(
+    eye: np.ndarray, rays: np.ndarray, half: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Interval of each ray (..., d) in which every coordinate lies between -half and half (d,)."""
     enter, leave = np.full(rays.shape[:-1], -np.inf), np.full(rays.shape[:-1], np.inf)
     for low, high, along in zip(-half - eye, half - eye, np.moveaxis(rays, -1, 0), strict=True):
@@ -221,10 +237,16 @@ def _between_planes(eye: np.ndarray, rays: np.ndarray, half: np.ndarray) -> tupl
     return enter, leave
 
 
-def _within_radius(eye: np.ndarray, rays: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Interval of each ray (..., d) that lies less than radius from the origin of its d coordinates."""
+def _within_radius(
+    eye: np.ndarray, rays: np.ndarray, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Interval of each ray (..., d) that lies less than radius from the origin of its d
+    coordinates.
+    """
     a, b = np.einsum("...i,...i->...", rays, rays), rays @ eye
     c = eye @ eye - radius * radius
     root = np.sqrt(b * b - a * c)  # NaN for rays that miss, which then compare as false
     parallel = np.where(c <= 0.0, np.inf, np.nan)
-    return np.where(a > 0.0, (-b - root) / a, -parallel), np.where(a > 0.0, (root - b) / a, parallel)
+    return np.where(a > 0.0, (-b - root) / a, -parallel), np.where(
+        a > 0.0, (root - b) / a, parallel
+    )

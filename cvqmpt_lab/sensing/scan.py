@@ -1,4 +1,6 @@
-"""A scan: what depth cameras saw, merged, put into the robot's base frame, cleaned filter by filter."""
+"""A scan:
+what depth cameras saw, merged, put into the robot's base frame, cleaned filter by filter.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -43,12 +45,14 @@ class ScanSettings:
     """How a scan is cleaned."""
 
     level: bool = False  # level the table, because the single camera's pose is unknown
-    front: tuple[float, float, float] = (0.3, 0.0, 0.0)  # middle of the levelled table's near edge [m]
+    # middle of the levelled table's near edge [m]
+    front: tuple[float, float, float] = (0.3, 0.0, 0.0)
     crop: BoxCrop | BallCrop | None = None  # which points stay [m, robot base frame]; None: all
     voxel: float = 0.01  # edge of the grid in whose cells points are averaged [m]
     robot_margin: float = 0.05  # points this near to the robot are taken for the robot [m]
     neighbours: int = 2  # points with fewer others within `NEIGHBOURHOOD` voxels go; 0 keeps all
-    plane: Literal["keep", "box", "remove"] = "keep"  # what becomes of the points of the supporting plane
+    # what becomes of the points of the supporting plane
+    plane: Literal["keep", "box", "remove"] = "keep"
 
     def __post_init__(self) -> None:
         if not self.voxel > 0.0:
@@ -87,7 +91,9 @@ class Scan:
     table: SceneObject | None = None  # the box that stands for it
 
     def scene(self, shape: Measured | None = None, name: str = "scan") -> Scene:
-        """The points as obstacles, by default as an occupancy map of `RESOLUTION`, and the table's box."""
+        """The points as obstacles, by default as an occupancy map of `RESOLUTION`, and the table's
+        box.
+        """
         boxes = () if self.table is None else (self.table,)
         if shape is None and len(self.points) == 0:
             return Scene(name, boxes)
@@ -95,11 +101,17 @@ class Scan:
         return Scene(name, (SceneObject(name, shape, np.eye(4)), *boxes))
 
 
-def scan(captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator, arm: Arm | None = None) -> Scan:
+def scan(
+    captures: Sequence[Capture],
+    settings: ScanSettings,
+    rng: np.random.Generator,
+    arm: Arm | None = None,
+) -> Scan:
     """Merge captures, level them if asked to, and clean them by crop, voxels, robot and outliers.
 
     arm: the robot while the scan was taken; its points are removed.
-    InvalidInputError: nothing is left, there is no supporting plane, or several captures are to be levelled.
+    InvalidInputError: nothing is left, there is no supporting plane, or several captures are to be
+    levelled.
     """
     levelled = _level(captures, settings, rng) if settings.level else None
     if levelled is not None:
@@ -111,7 +123,8 @@ def scan(captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Gen
         if len(left) == 0:
             low, high = points.min(axis=0).round(3).tolist(), points.max(axis=0).round(3).tolist()
             raise InvalidInputError(
-                f"nothing of the scan is left after {name}: before, its {len(points)} points lay between "
+                f"nothing of the scan is left after {name}: before, its {len(points)} points lay "
+                f"between "
                 f"{low} and {high} [m]"
             )
         steps.append(Step(name, len(points), len(left)))
@@ -133,21 +146,28 @@ def refuse_touching(scene: Scene, arm: Arm) -> None:
     pair = CollisionChecker(arm.robot, scene).colliding_pair(arm.q)
     if pair is not None:
         raise InvalidInputError(
-            f"the arm stands inside the scan: {pair} meet; remove more around it (a larger robot margin), "
+            f"the arm stands inside the scan: {pair} meet; remove more around it (a larger robot "
+            f"margin), "
             "or say where it really was"
         )
 
 
-def _level(captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator) -> Levelled:
+def _level(
+    captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator
+) -> Levelled:
     """By the table that the only capture shows."""
     if len(captures) != 1:
-        raise InvalidInputError(f"{len(captures)} captures cannot be levelled by a table; give the pose of each camera")
+        raise InvalidInputError(
+            f"{len(captures)} captures cannot be levelled by a table; give the pose of each camera"
+        )
     points = captures[0].points
     plane = supporting_plane(points, CAMERA_UP, CAMERA_TILT, rng)
     return Levelled(level_pose(points, plane, settings.front), plane)
 
 
-def _filters(settings: ScanSettings, arm: Arm | None) -> Iterator[tuple[str, Callable[[FloatArray], FloatArray]]]:
+def _filters(
+    settings: ScanSettings, arm: Arm | None
+) -> Iterator[tuple[str, Callable[[FloatArray], FloatArray]]]:
     """What is done to points (m, 3) [m], by name, in order."""
     crop, reach = settings.crop, NEIGHBOURHOOD * settings.voxel
     if crop is not None:

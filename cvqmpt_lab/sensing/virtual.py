@@ -23,14 +23,18 @@ PUBLISHED_CAMERAS = cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (4
 class CameraSettings:
     """Where cameras stand and what becomes of what they see; defaults are the published kitchen's."""
 
-    cameras: tuple[Camera, ...] = PUBLISHED_CAMERAS  # by default those of the published kitchen clouds
+    # by default those of the published kitchen clouds
+    cameras: tuple[Camera, ...] = PUBLISHED_CAMERAS
     obstacles_only: bool = False  # leave out what is no obstacle, such as the floor
     crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)  # which of the merged points stay
-    voxel: float | None = 0.025  # [m] edge of the grid in whose cells points are averaged; None: no averaging
+    # [m] edge of the grid in whose cells points are averaged; None: no averaging
+    voxel: float | None = 0.025
     noise: float = 0.0  # [m] standard deviation added to every coordinate of the cloud
     errors: DepthNoise | None = None  # of every camera; None: it measures perfectly
-    materials: MaterialShares = field(default_factory=MaterialShares)  # of the objects, for the errors
-    points: int | None = None  # size of the cloud, drawn at random, repeated if there are fewer; None: all
+    # of the objects, for the errors
+    materials: MaterialShares = field(default_factory=MaterialShares)
+    # size of the cloud, drawn at random, repeated if there are fewer; None: all
+    points: int | None = None
 
     def __post_init__(self) -> None:
         if self.voxel is not None and not self.voxel > 0.0:
@@ -42,22 +46,29 @@ class CameraSettings:
 
     @classmethod
     def like_training(cls, points: int = 1024, noise: float = 0.003) -> "CameraSettings":
-        """Clouds like those of training, which cover obstacles evenly: cameras all around, and no floor.
+        """Clouds like those of training, which cover obstacles evenly: cameras all around, and no
+        floor.
 
-        Unlike training clouds they do not show what no camera sees, such as the inside of closed cabinets.
+        Unlike training clouds they do not show what no camera sees, such as the inside of closed
+        cabinets.
         """
         lens, crop = Intrinsics.from_fov(vertical_fov=70.0, near=0.1), BallCrop()
-        cameras = cameras_on_sphere(lens, (45.0, 135.0, -45.0, -135.0), (40.0, -40.0), centre=crop.centre)
+        cameras = cameras_on_sphere(
+            lens, (45.0, 135.0, -45.0, -135.0), (40.0, -40.0), centre=crop.centre
+        )
         return cls(cameras=cameras, obstacles_only=True, crop=crop, noise=noise, points=points)
 
 
 def camera_cloud(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Points (m, 3) [m, robot base frame] that cameras see of a scene, in random order; empty: they see nothing."""
+    """Points (m, 3) [m, robot base frame] that cameras see of a scene, in random order; empty:
+    they see nothing.
+    """
     return thinned(visible_points(scene, settings, rng), settings, rng)
 
 
 def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Of points (p, 3), voxel means, in random order, as many as the settings say, with their noise (m, 3).
+    """Of points (p, 3), voxel means, in random order, as many as the settings say, with their noise
+    (m, 3).
 
     The order is random because the point encoder takes the neighbours of lowest index.
     """
@@ -105,20 +116,31 @@ def _solid(item: SceneObject) -> Solid:
         case ConvexMesh(vertices):
             from scipy.spatial import ConvexHull  # a third of a second to import
 
-            planes = ConvexHull(vertices).equations.round(12)  # of triangles, several of which may share one
+            # of triangles, several of which may share one
+            planes = ConvexHull(vertices).equations.round(12)
             return Polytope(T, np.unique(planes, axis=0), vertices)
     raise InvalidInputError(
-        f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points as the cloud"
+        f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points "
+        f"as the cloud"
     )
 
 
 def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
-    """Collision hulls of the robot's links at a configuration (n,), as objects that a camera sees beside a scene's."""
-    rotations, translations = link_poses(robot.kinematics, np.ascontiguousarray(q, dtype=float)[None])
+    """Collision hulls of the robot's links at a configuration (n,), as objects that a camera sees
+    beside a scene's.
+    """
+    rotations, translations = link_poses(
+        robot.kinematics, np.ascontiguousarray(q, dtype=float)[None]
+    )
     objects = []
     for piece in robot.links:
         T_world_link = np.eye(4)
-        T_world_link[:3, :3], T_world_link[:3, 3] = rotations[0, piece.link], translations[0, piece.link]
+        T_world_link[:3, :3], T_world_link[:3, 3] = (
+            rotations[0, piece.link],
+            translations[0, piece.link],
+        )
         shape = ConvexMesh(piece.vertices)
-        objects.append(SceneObject(f"robot/{piece.name}", shape, T_world_link @ piece.T_link_geometry))
+        objects.append(
+            SceneObject(f"robot/{piece.name}", shape, T_world_link @ piece.T_link_geometry)
+        )
     return tuple(objects)

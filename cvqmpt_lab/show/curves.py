@@ -70,7 +70,9 @@ def bound_plots(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
 
 
 def tilt_plots(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
-    """For every region with one free turn, the angle between its axis in w and where the end effector has it."""
+    """For every region with one free turn, the angle between its axis in w and where the end
+    effector has it.
+    """
     found = []
     for k, region in enumerate(problem.constraint):
         free = {3, 4, 5} - set(region.bounded_rows.tolist())
@@ -78,7 +80,9 @@ def tilt_plots(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
             x = displacements(problem.robot, region, states)[:, 3:]
             axis = free.pop() - 3
             tilt = np.degrees(np.arccos(np.clip(rotation_matrices(x)[:, axis, axis], -1.0, 1.0)))
-            found.append(Plot(f"tilt/{k}", "tilt of the hand [deg]", {"tilt": Curve(tilt, width=2.5)}))
+            found.append(
+                Plot(f"tilt/{k}", "tilt of the hand [deg]", {"tilt": Curve(tilt, width=2.5)})
+            )
     return found
 
 

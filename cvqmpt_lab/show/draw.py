@@ -1,4 +1,6 @@
-"""One call that draws whatever can be seen: a robot, a scene, a problem, a task, or what came of them."""
+"""One call that draws whatever can be seen:
+a robot, a scene, a problem, a task, or what came of them.
+"""
 
 import io
 from pathlib import Path
@@ -24,13 +26,15 @@ from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.tasks.world import World
 
 DRAWN = (Robot, Scene, PlanningProblem, Solution, Task, TaskSolution)
-SIZE, SMALL = (900, 600), (600, 400)  # [pixels] of pictures, and of those that notebooks show by themselves
+# [pixels] of pictures, and of those that notebooks show by themselves
+SIZE, SMALL = (900, 600), (600, 400)
 
 
 def draw(what: object, path: Path | str | None = None, size: tuple[int, int] = SIZE) -> Image.Image:
     """Draw a robot, scene, problem, solution, task or solved task; notebooks show the image.
 
-    path: of a PNG that is written, too. size: width and height [pixels], of a solved task those of one phase.
+    path: of a PNG that is written, too. size: width and height [pixels], of a solved task those of
+        one phase.
     UnknownChoiceError for anything else; InvalidInputError for a scene without objects.
     """
     image = Image.fromarray(_image(what, size))

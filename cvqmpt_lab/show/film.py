@@ -61,7 +61,8 @@ def film_solution(
     carried: Sequence[Attachment] = (),
     progress: Progress = lambda done, total: None,
 ) -> None:
-    """Write a film of the robot on its path, or of the start alone without one; the suffix chooses gif or mp4.
+    """Write a film of the robot on its path, or of the start alone without one; the suffix chooses
+    gif or mp4.
 
     size: width and height [pixels], without the legend. carried: as for `draw_solution`.
     """
@@ -70,7 +71,10 @@ def film_solution(
     if solution.simplified is not None:
         planned = solution.simplified.path
         states = planned.spaced(planned.length / FRAMES)
-    arms = [joined(robot_meshes(problem, q, ROBOT_COLOUR)) for q in states[:: max(1, len(states) // VIEWS)]]
+    arms = [
+        joined(robot_meshes(problem, q, ROBOT_COLOUR))
+        for q in states[:: max(1, len(states) // VIEWS)]
+    ]
     stage = clear_stage(problem, [joined(arms)], size)
     layers = [
         Layer(joined(robot_meshes(problem, states[-1], GOAL_COLOUR)), 0.35),
@@ -107,14 +111,31 @@ def save_film(frames: Sequence[np.ndarray], path: Path) -> None:
 def _write_gif(frames: Sequence[np.ndarray], path: Path) -> None:
     some = frames[:: max(1, len(frames) // PALETTE_FRAMES)]
     palette = Image.fromarray(np.concatenate(some)).quantize(COLOURS)
-    first, *rest = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+    first, *rest = (
+        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in frames
+    )
     with replacing(path) as temporary:
-        first.save(temporary, "GIF", save_all=True, append_images=rest, duration=1000 // RATE, loop=0)
+        first.save(
+            temporary, "GIF", save_all=True, append_images=rest, duration=1000 // RATE, loop=0
+        )
 
 
 def _write_mp4(frames: Sequence[np.ndarray], path: Path) -> None:
-    height, width = (side - side % 2 for side in frames[0].shape[:2])  # the codec wants even numbers
-    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]
+    # the codec wants even numbers
+    height, width = (side - side % 2 for side in frames[0].shape[:2])
+    raw = [
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{width}x{height}",
+        "-r",
+        str(RATE),
+        "-i",
+        "-",
+    ]
     coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-f", "mp4"]
     data = b"".join(frame[:height, :width].tobytes() for frame in frames)
     with replacing(path) as temporary:
@@ -124,8 +145,12 @@ def _write_mp4(frames: Sequence[np.ndarray], path: Path) -> None:
             capture_output=True,
         )
         if done.returncode != 0:
-            reason = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no reason given"]
-            raise InvalidInputError(f"cannot write {path}: ffmpeg says {reason[0]!r}; save a .gif instead")
+            reason = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [
+                "no reason given"
+            ]
+            raise InvalidInputError(
+                f"cannot write {path}: ffmpeg says {reason[0]!r}; save a .gif instead"
+            )
 
 
 WRITERS = {".gif": _write_gif, ".mp4": _write_mp4}  # by the suffix of the file
@@ -143,7 +168,9 @@ def film_task(
     size: width and height [pixels], without the name.
     """
     every = solved_frames(solution)
-    chosen = [every[k] for k in np.linspace(0, len(every) - 1, min(TASK_FRAMES, len(every))).astype(int)]
+    chosen = [
+        every[k] for k in np.linspace(0, len(every) - 1, min(TASK_FRAMES, len(every))).astype(int)
+    ]
     scene = solution.task.scene
     moving = moving_poses(scene.names, chosen)
     first = shown(chosen[0].world)
@@ -151,9 +178,14 @@ def film_task(
     stage = clear_stage(first, [joined(arms)], size, moving)
     pictures = []
     for k, frame in enumerate(chosen):
-        items = [shape_mesh(scene[name].shape).placed(poses[k], colour_of(name)) for name, poses in moving.items()]
+        items = [
+            shape_mesh(scene[name].shape).placed(poses[k], colour_of(name))
+            for name, poses in moving.items()
+        ]
         picture = eight_bit(stage.picture([*_arm(frame), *items]).image)
-        pictures.append(np.concatenate([picture, strip([Label(frame.phase)], size[0], NAME_LETTERS)]))
+        pictures.append(
+            np.concatenate([picture, strip([Label(frame.phase)], size[0], NAME_LETTERS)])
+        )
         progress(len(pictures), len(chosen))
     save_film(pictures, path)
 

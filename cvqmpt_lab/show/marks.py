@@ -1,4 +1,6 @@
-"""What a picture shows beside bodies: the hand's axes, and the constraint as planes, lines, arcs and cones."""
+"""What a picture shows beside bodies:
+the hand's axes, and the constraint as planes, lines, arcs and cones.
+"""
 
 from collections.abc import Iterator
 
@@ -7,9 +9,19 @@ import numpy as np
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.shapes import Box, Cylinder
-from cvqmpt_lab.show.meshes import Colour, Mesh, beads, hull_mesh, joined, poses_along, shape_mesh, unit
+from cvqmpt_lab.show.meshes import (
+    Colour,
+    Mesh,
+    beads,
+    hull_mesh,
+    joined,
+    poses_along,
+    shape_mesh,
+    unit,
+)
 
-AXIS_COLOURS: tuple[Colour, ...] = ((0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85))  # x, y, z
+# x, y, z
+AXIS_COLOURS: tuple[Colour, ...] = ((0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85))
 CONSTRAINT_COLOUR: Colour = (0.60, 0.25, 0.72)
 AXIS, AXIS_RADIUS = 0.08, 0.004  # of the robot's reach: length of the hand's axes and their radius
 CONE = 0.13  # of the robot's reach: length of the cone of a tilt
@@ -30,8 +42,9 @@ def hand_axes(problem: PlanningProblem, q: np.ndarray) -> Mesh:
 def constraint_marks(problem: PlanningProblem, states: np.ndarray) -> list[Mesh]:
     """Planes, lines, arcs and cones of a problem's regions around a path's states (m, n), m >= 1.
 
-    A plane or line is drawn where the origin of e in w may move; a cone, at both ends of the path, where its axis may
-    point that turns about itself freely; an arc is the way of a region that hangs on a door, over the door's range.
+    A plane or line is drawn where the origin of e in w may move; a cone, at both ends of the path,
+    where its axis may point that turns about itself freely; an arc is the way of a region that
+    hangs on a door, over the door's range.
     """
     return [mark for region in problem.constraint for mark in _marks(problem, region, states)]
 
@@ -54,7 +67,9 @@ def _marks(problem: PlanningProblem, region: TaskSpaceRegion, states: np.ndarray
         )
         T = region.T0_w.copy()
         T[:3, 3] += T[:3, :3] @ middle
-        yield shape_mesh(Box((float(size[0]), float(size[1]), float(size[2])))).placed(T, CONSTRAINT_COLOUR)
+        yield shape_mesh(Box((float(size[0]), float(size[1]), float(size[2])))).placed(
+            T, CONSTRAINT_COLOUR
+        )
     turning = [k for k in range(3) if k + 3 not in rows]
     widest = float(np.abs(region.Bw[[k for k in rows if k > 2]]).max(initial=0.0))
     if len(turning) == 1 and widest < WIDEST:
@@ -65,14 +80,18 @@ def _marks(problem: PlanningProblem, region: TaskSpaceRegion, states: np.ndarray
 
 
 def _arc(problem: PlanningProblem, region: TaskSpaceRegionChain, q: np.ndarray) -> Iterator[Mesh]:
-    """Where the region's frame goes while the joints that move it, and not the hand, go through their range."""
+    """Where the region's frame goes while the joints that move it, and not the hand, go through
+    their range.
+    """
     robot = problem.robot
     row, _ = region.reference_link(robot)
     moved = np.flatnonzero(robot.kinematics.moves[:, row])
     if len(moved):
         states = np.repeat(q[None], ARC_STATES, axis=0)
         states[:, moved] = np.linspace(robot.lower[moved], robot.upper[moved], ARC_STATES)
-        yield beads((region.reference_poses(robot, states) @ region.Tw_e)[:, :3, 3], CONSTRAINT_COLOUR)
+        yield beads(
+            (region.reference_poses(robot, states) @ region.Tw_e)[:, :3, 3], CONSTRAINT_COLOUR
+        )
 
 
 def _cone(apex: np.ndarray, axis: np.ndarray, angle: float) -> Mesh:

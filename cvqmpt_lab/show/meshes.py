@@ -1,4 +1,6 @@
-"""Coloured triangles of shapes, scenes, the robot and curves; viewpoints, and a z-buffer rasteriser in numpy."""
+"""Coloured triangles of shapes, scenes, the robot and curves;
+viewpoints, and a z-buffer rasteriser in numpy.
+"""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,7 +30,8 @@ from cvqmpt_lab.scene.shapes import (
 
 Colour = tuple[float, float, float]
 
-KIND_COLOURS: Mapping[str, Colour] = {  # of scene objects with a word that begins so; the first that fits counts
+# of scene objects with a word that begins so; the first that fits counts
+KIND_COLOURS: Mapping[str, Colour] = {
     "floor": (0.88, 0.87, 0.85),
     "wall": (0.93, 0.92, 0.89),
     "handle": (0.52, 0.54, 0.57),
@@ -52,7 +55,8 @@ TRACE_COLOUR: Colour = (0.96, 0.55, 0.05)
 BEAD_RADIUS, BEAD_SPACING = 0.008, 0.012  # [m] of the hand's trace
 CLOUD_BALLS = 4000  # of a cloud that are drawn; of a larger one some, larger
 MOST_CORNERS = 300  # of a convex piece that is drawn
-SMOOTH = np.cos(0.7)  # facets of a hull that meet at less than 0.7 rad are shaded as one curved surface
+# facets of a hull that meet at less than 0.7 rad are shaded as one curved surface
+SMOOTH = np.cos(0.7)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +71,12 @@ class Mesh:
     def placed(self, T: np.ndarray, colour: Colour) -> "Mesh":
         """The same triangles moved by T (4, 4), in one colour."""
         turn = T[:3, :3].T
-        return Mesh(self.corners @ turn + T[:3, 3], self.normals @ turn, 0 * self.colours + colour, self.piece)
+        return Mesh(
+            self.corners @ turn + T[:3, 3],
+            self.normals @ turn,
+            0 * self.colours + colour,
+            self.piece,
+        )
 
 
 def colour_of(name: str) -> Colour:
@@ -85,8 +94,12 @@ def is_ground(item: SceneObject) -> bool:
 
 
 def poses_along(robot: Robot, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """T_world_link (m, n + 1, 4, 4), row 0 the world, and T_world_hand (m, 4, 4) at configurations (m, n)."""
-    rotations, translations = link_poses(robot.kinematics, np.ascontiguousarray(states, dtype=float))
+    """T_world_link (m, n + 1, 4, 4), row 0 the world, and T_world_hand (m, 4, 4) at configurations
+    (m, n).
+    """
+    rotations, translations = link_poses(
+        robot.kinematics, np.ascontiguousarray(states, dtype=float)
+    )
     T_world_link = np.zeros((*translations.shape[:2], 4, 4))
     T_world_link[..., :3, :3], T_world_link[..., :3, 3] = rotations, translations
     T_world_link[..., 3, 3] = 1.0
@@ -95,7 +108,9 @@ def poses_along(robot: Robot, states: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def hull_mesh(vertices: np.ndarray) -> Mesh:
-    """The convex hull of vertices (n, 3); of more than MOST_CORNERS, those that lie farthest in as many directions."""
+    """The convex hull of vertices (n, 3);
+    of more than MOST_CORNERS, those that lie farthest in as many directions.
+    """
     return _hull_mesh(np.ascontiguousarray(vertices, dtype=float).tobytes())
 
 
@@ -103,7 +118,8 @@ def hull_mesh(vertices: np.ndarray) -> Mesh:
 def _hull_mesh(coordinates: bytes) -> Mesh:
     vertices = np.frombuffer(coordinates).reshape(-1, 3)
     if len(vertices) > MOST_CORNERS:
-        even = vertices / np.maximum(np.ptp(vertices, axis=0), 1e-9)  # flat pieces need corners all round, too
+        # flat pieces need corners all round, too
+        even = vertices / np.maximum(np.ptp(vertices, axis=0), 1e-9)
         vertices = vertices[np.unique((even @ _sphere_points(MOST_CORNERS).T).argmax(axis=0))]
     hull = ConvexHull(vertices)
     facing, faces = hull.equations[:, :3], hull.simplices
@@ -113,7 +129,9 @@ def _hull_mesh(coordinates: bytes) -> Mesh:
     weight = np.zeros((len(vertices), len(faces)))
     weight[faces, np.arange(len(faces))[:, None]] = np.linalg.norm(twice_area, axis=1)[:, None]
     normals = (weight[faces] * (facing @ facing.T > SMOOTH)[:, None]) @ facing
-    return Mesh(vertices[faces], unit(normals), np.ones((len(faces), 3)), np.zeros(len(faces), dtype=int))
+    return Mesh(
+        vertices[faces], unit(normals), np.ones((len(faces), 3)), np.zeros(len(faces), dtype=int)
+    )
 
 
 def shape_mesh(shape: Shape) -> Mesh:
@@ -133,7 +151,9 @@ def shape_mesh(shape: Shape) -> Mesh:
 
 
 def map_boxes(shape: OccupancyMap) -> tuple[np.ndarray, np.ndarray]:
-    """Centres and edges, (b, 3) each [m], of boxes that together are the map's cells without their padding."""
+    """Centres and edges, (b, 3) each [m], of boxes that together are the map's cells without their
+    padding.
+    """
     low, high, _ = blocks_of(shape, np.eye(4))
     return 0.5 * (low + high), high - low
 
@@ -142,9 +162,12 @@ def joined(meshes: Iterable[Mesh]) -> Mesh:
     """One mesh of several, each a piece of its own."""
     meshes = list(meshes)
     corners, normals, colours = (
-        np.concatenate([getattr(mesh, name) for mesh in meshes]) for name in ("corners", "normals", "colours")
+        np.concatenate([getattr(mesh, name) for mesh in meshes])
+        for name in ("corners", "normals", "colours")
     )
-    return Mesh(corners, normals, colours, np.repeat(np.arange(len(meshes)), [len(m.piece) for m in meshes]))
+    return Mesh(
+        corners, normals, colours, np.repeat(np.arange(len(meshes)), [len(m.piece) for m in meshes])
+    )
 
 
 def robot_meshes(problem: PlanningProblem, q: np.ndarray, colour: Colour) -> list[Mesh]:
@@ -155,7 +178,8 @@ def robot_meshes(problem: PlanningProblem, q: np.ndarray, colour: Colour) -> lis
         for part in problem.robot.links
     ]
     loads = [
-        shape_mesh(item.shape).placed(T_world_hand @ item.T_hand_object, LOAD_COLOUR) for item in problem.attachments
+        shape_mesh(item.shape).placed(T_world_hand @ item.T_hand_object, LOAD_COLOUR)
+        for item in problem.attachments
     ]
     return links + loads
 
@@ -188,7 +212,9 @@ def beads(points: np.ndarray, colour: Colour) -> Mesh:
 
 
 def _copies(mesh: Mesh, centres: np.ndarray, scales: np.ndarray | None = None) -> Mesh:
-    """One mesh of copies of another, moved to centres (k, 3) [m], stretched by scales (k, 3) along the axes."""
+    """One mesh of copies of another, moved to centres (k, 3) [m], stretched by scales (k, 3) along
+    the axes.
+    """
     scaled = mesh.corners if scales is None else scales[:, None, None] * mesh.corners
     corners = (centres[:, None, None] + scaled).reshape(-1, 3, 3)
     normals = np.tile(mesh.normals, (len(centres), 1, 1))
@@ -213,10 +239,12 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 # Triangles to pixels.
-SMALL = (0, 4, 8, 16, 32)  # sides of squares [pixels] in which small triangles are drawn many at a time
+# sides of squares [pixels] in which small triangles are drawn many at a time
+SMALL = (0, 4, 8, 16, 32)
 AT_ONCE = 1_000_000  # pixels of such squares
 NEAR = 0.05  # [m] triangles closer to the camera than this are left out
-SUN_LEFT, SUN_ELEVATION = 0.14, 0.722  # [rad] of the sun seen from the target, to the left of the eye
+# [rad] of the sun seen from the target, to the left of the eye
+SUN_LEFT, SUN_ELEVATION = 0.14, 0.722
 
 
 @dataclass(frozen=True)
@@ -245,12 +273,18 @@ class Viewpoint:
         """Points (..., 3) [m] as (column, row [pixels], depth [m]) in a picture of (rows, columns)."""
         right, down, depth = np.moveaxis((points - self.eye) @ self.axes.T, -1, 0)
         scale = 0.5 * shape[0] / np.tan(0.5 * self.height_angle) / np.maximum(depth, NEAR)
-        return np.stack([scale * right + 0.5 * shape[1], scale * down + 0.5 * shape[0], depth], axis=-1)
+        return np.stack(
+            [scale * right + 0.5 * shape[1], scale * down + 0.5 * shape[0], depth], axis=-1
+        )
 
     def rays(self, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
         """Directions (k, 3) through pixels; a point at depth d is eye + d * ray."""
         scale = 2.0 * np.tan(0.5 * self.height_angle) / shape[0]
-        seen = [scale * (columns - 0.5 * shape[1]), scale * (rows - 0.5 * shape[0]), np.ones(len(rows))]
+        seen = [
+            scale * (columns - 0.5 * shape[1]),
+            scale * (rows - 0.5 * shape[0]),
+            np.ones(len(rows)),
+        ]
         return np.stack(seen, axis=1) @ self.axes
 
 
@@ -266,9 +300,12 @@ class View:
 
 
 def rasterise(mesh: Mesh, viewpoint: Viewpoint, shape: tuple[int, int]) -> View:
-    """The pixels of a picture of (rows, columns) in which a mesh is seen; the nearest triangle counts."""
+    """The pixels of a picture of (rows, columns) in which a mesh is seen;
+    the nearest triangle counts.
+    """
     screen = viewpoint.screen(mesh.corners, shape)
-    nearness = 1.0 / np.maximum(screen[..., 2], NEAR)  # linear across a triangle on the screen, unlike depth
+    # linear across a triangle on the screen, unlike depth
+    nearness = 1.0 / np.maximum(screen[..., 2], NEAR)
     weights, area = _corner_weights(screen[..., :2])
     planes = (nearness[..., None] * weights).sum(axis=1)
     low = np.maximum(np.ceil(screen[..., :2].min(axis=1)), 0).astype(int)
@@ -308,10 +345,12 @@ def _fill_small(
     high: np.ndarray,
     side: int,
 ) -> None:
-    """Draw many small triangles at once, as `rasterise` draws one; of equally near ones the first counts.
+    """Draw many small triangles at once, as `rasterise` draws one; of equally near ones the first
+    counts.
 
-    face, nearest: (rows, columns), changed. faces: their numbers (k,). edges: (k, 4, 3), nearness and corner weights of
-    a pixel (x, y, 1). low, high: (k, 2), first pixel of each and the one after its last, at most side away.
+    face, nearest: (rows, columns), changed. faces: their numbers (k,). edges: (k, 4, 3), nearness
+        and corner weights of a pixel (x, y, 1). low, high: (k, 2), first pixel of each and the one
+        after its last, at most side away.
     """
     x, y = low[:, 0, None, None] + np.arange(side), low[:, 1, None, None] + np.arange(side)[:, None]
     a, b, c = (edges[..., k, None, None] for k in range(3))
@@ -328,8 +367,12 @@ def _fill_small(
 
 
 def _corner_weights(screen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric coordinates of triangles (f, 3, 2): corner k's is [:, k] @ (x, y, 1); signed areas (f,)."""
-    (x1, x2), (y1, y2) = ([np.roll(screen[..., axis], -s, axis=1) for s in (1, 2)] for axis in (0, 1))
+    """Barycentric coordinates of triangles (f, 3, 2): corner k's is [:, k] @ (x, y, 1);
+    signed areas (f,).
+    """
+    (x1, x2), (y1, y2) = (
+        [np.roll(screen[..., axis], -s, axis=1) for s in (1, 2)] for axis in (0, 1)
+    )
     rows = np.stack([y1 - y2, x2 - x1, x1 * y2 - x2 * y1], axis=-1)
     area = rows[..., 2].sum(axis=1)
     return rows / np.where(np.abs(area) > 1e-9, area, np.inf)[:, None, None], area

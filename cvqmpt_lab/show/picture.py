@@ -1,7 +1,9 @@
-"""A still picture of a solution or task, drawn by a small z-buffer rasteriser: no display is needed.
+"""A still picture of a solution or task, drawn by a small z-buffer rasteriser: no display is
+needed.
 
-The solid layer (scene, robot at the start) has outlines and shadows; ghosts of the robot along the path and at the
-goal, and the hand's trace, are blended over it. Legends and captions stand below the picture.
+The solid layer (scene, robot at the start) has outlines and shadows; ghosts of the robot along the
+path and at the goal, and the hand's trace, are blended over it. Legends and captions stand below
+the picture.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -49,7 +51,8 @@ SUPERSAMPLING = 2
 HIDDEN = ("walls/right",)  # scene objects that stand between the usual viewpoint and the robot
 PANEL_GAP = 6  # [pixels] between the pictures of a task
 COLUMNS = 3  # of pictures of a task
-COINCIDE = 0.01  # [m] a surface this close behind or before one that is drawn already is the same surface
+# [m] a surface this close behind or before one that is drawn already is the same surface
+COINCIDE = 0.01
 LEGEND_SHARE = 0.2  # of a picture's height; pictures too small for their legend have none
 INK, PAPER = (40, 40, 44), (255, 255, 255)
 SMALLEST_FONT = 11  # [pixels]; the font is larger under wide pictures
@@ -105,11 +108,13 @@ def draw_solution(
     ghosts: int = 4,
     carried: Sequence[Attachment] = (),
 ) -> None:
-    """Write a PNG of scene, robot at the start, ghosts along the path and at the goal, the hand's trace, a legend.
+    """Write a PNG of scene, robot at the start, ghosts along the path and at the goal, the hand's
+    trace, a legend.
 
     The constraint is drawn as `constraint_marks` says, the hand's axes at start and goal.
 
-    size: width and height [pixels], legend included. ghosts: number of poses shown between start and goal.
+    size: width and height [pixels], legend included. ghosts: number of poses shown between start
+        and goal.
     carried: what the hand is shown with where the problem does not model it.
     """
     problem = with_load(solution.problem, carried)
@@ -121,7 +126,9 @@ def draw_solution(
 def solution_image(
     problem: PlanningProblem, states: np.ndarray | None, size: tuple[int, int], ghosts: int = 4
 ) -> np.ndarray:
-    """What `draw_solution` writes, (height, width, 3), 8 bit; states (m, n) of the path, or None without one."""
+    """What `draw_solution` writes, (height, width, 3), 8 bit;
+    states (m, n) of the path, or None without one.
+    """
     if min(size) < 1:
         raise InvalidInputError(f"picture size {size} must be at least 1 x 1 pixels")
     legend = strip(_legend(problem, states is not None, ghosts), size[0])
@@ -192,15 +199,25 @@ def with_load(problem: PlanningProblem, carried: Sequence[Attachment]) -> Planni
 
 
 def stage_of(
-    problem: PlanningProblem, viewpoint: Viewpoint, size: tuple[int, int], hidden: Sequence[str] = HIDDEN
+    problem: PlanningProblem,
+    viewpoint: Viewpoint,
+    size: tuple[int, int],
+    hidden: Sequence[str] = HIDDEN,
 ) -> Stage:
-    """The problem's scene without `hidden`, for pictures of (width, height) pixels that `eight_bit` makes."""
+    """The problem's scene without `hidden`, for pictures of (width, height) pixels that `eight_bit`
+    makes.
+    """
     shape = (SUPERSAMPLING * size[1], SUPERSAMPLING * size[0])
-    return Stage(scene_meshes(problem.scene, hidden), ground_height(problem.scene), viewpoint, shape)
+    return Stage(
+        scene_meshes(problem.scene, hidden), ground_height(problem.scene), viewpoint, shape
+    )
 
 
 def clear_stage(
-    problem: PlanningProblem, seen: Sequence[Mesh], size: tuple[int, int], moving: Iterable[str] = ()
+    problem: PlanningProblem,
+    seen: Sequence[Mesh],
+    size: tuple[int, int],
+    moving: Iterable[str] = (),
 ) -> Stage:
     """The scene without objects that move, from a viewpoint that shows most of the meshes `seen`."""
     viewpoint = clear_viewpoint(seen, scene_meshes(problem.scene, HIDDEN), size)
@@ -213,7 +230,9 @@ def blend(picture: Picture, layer: Layer, view: View, viewpoint: Viewpoint) -> N
     Where a body stands as another one that is drawn already, the first one alone is seen.
     """
     at = view.rows, view.columns
-    share = np.where(view.depth < picture.depth[at] - 1e-3, layer.opacity, layer.opacity_behind)[:, None]
+    share = np.where(view.depth < picture.depth[at] - 1e-3, layer.opacity, layer.opacity_behind)[
+        :, None
+    ]
     if layer.opacity < 1.0:
         for depth in (picture.depth, *picture.ghosts):
             share[np.abs(view.depth - depth[at]) < COINCIDE] = 0.0
@@ -231,7 +250,9 @@ def eight_bit(image: np.ndarray) -> np.ndarray:
     return (255.0 * np.clip(smaller, 0.0, 1.0) + 0.5).astype(np.uint8)
 
 
-def _translucent(problem: PlanningProblem, states: np.ndarray | None, ghosts: int) -> Iterator[Layer]:
+def _translucent(
+    problem: PlanningProblem, states: np.ndarray | None, ghosts: int
+) -> Iterator[Layer]:
     """The layers over the solid one; states (m, n) of the path, or None."""
     if states is None:
         for goal in problem.goals[:1]:
@@ -280,20 +301,30 @@ def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 
 
 @one_thread()
 def task_image(solution: TaskSolution, size: tuple[int, int]) -> tuple[np.ndarray, list[str]]:
-    """Named pictures of the start and of the end of each planned phase, row by row, 8 bit; their names.
+    """Named pictures of the start and of the end of each planned phase, row by row, 8 bit; their
+    names.
 
     size: width and height of one picture [pixels], without the name below it.
     """
-    planned = {"start", *(phase.name for phase in solution.task.phases if isinstance(phase, PlannedPhase))}
-    worlds = {"start": World.before(solution.task)} | {frame.phase: frame.world for frame in frames(solution)}
+    planned = {
+        "start",
+        *(phase.name for phase in solution.task.phases if isinstance(phase, PlannedPhase)),
+    }
+    worlds = {"start": World.before(solution.task)} | {
+        frame.phase: frame.world for frame in frames(solution)
+    }
     chosen = {name: shown(world) for name, world in worlds.items() if name in planned}
-    arms = [joined(robot_meshes(problem, problem.start, ROBOT_COLOUR)) for problem in chosen.values()]
+    arms = [
+        joined(robot_meshes(problem, problem.start, ROBOT_COLOUR)) for problem in chosen.values()
+    ]
     last = list(chosen.values())[-1]
     viewpoint = clear_viewpoint([joined(arms)], scene_meshes(last.scene, HIDDEN), size)
     panels = []
     for k, (name, problem) in enumerate(chosen.items(), start=1):
         caption = strip([Label(f"{k}  {name}")], size[0], NAME_LETTERS)
-        panels.append(np.concatenate([still_image(problem, problem.start, size, viewpoint), caption]))
+        panels.append(
+            np.concatenate([still_image(problem, problem.start, size, viewpoint), caption])
+        )
     height, width = (side + PANEL_GAP for side in panels[0].shape[:2])
     rows = -(-len(panels) // COLUMNS)
     sheet = np.full((rows * height - PANEL_GAP, COLUMNS * width - PANEL_GAP, 3), 255, np.uint8)

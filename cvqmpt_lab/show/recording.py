@@ -1,8 +1,9 @@
 """Recordings of solutions and tasks for rerun. The only module that imports rerun.
 
-Entities of a solution: ``world/scene``, ``world/start``, ``world/goals``, ``world/path``, ``world/robot``, ``trees``
-and ``plots``; timeline "path_state" counts states of the path, "vertices" those of the growing trees. Of a task:
-``world/scene``, ``world/moving`` (doors, carried objects), ``world/robot`` and ``phase``; timeline "task_time" [s].
+Entities of a solution: ``world/scene``, ``world/start``, ``world/goals``, ``world/path``,
+``world/robot``, ``trees`` and ``plots``; timeline "path_state" counts states of the path,
+"vertices" those of the growing trees. Of a task: ``world/scene``, ``world/moving`` (doors, carried
+objects), ``world/robot`` and ``phase``; timeline "task_time" [s].
 """
 
 import tempfile
@@ -19,7 +20,15 @@ from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Shape, Sphere
+from cvqmpt_lab.scene.shapes import (
+    Box,
+    ConvexMesh,
+    Cylinder,
+    OccupancyMap,
+    PointCloud,
+    Shape,
+    Sphere,
+)
 from cvqmpt_lab.search.result import JointPath, Tree
 from cvqmpt_lab.show.curves import Plot, plots_along
 from cvqmpt_lab.show.meshes import (
@@ -53,23 +62,40 @@ TREE_COLOURS: tuple[Colour, ...] = (GHOST_COLOUR, GOAL_COLOUR)
 
 
 def log_solution(
-    solution: Solution, save: Path | None = None, view: bool = False, carried: Sequence[Attachment] = ()
+    solution: Solution,
+    save: Path | None = None,
+    view: bool = False,
+    carried: Sequence[Attachment] = (),
 ) -> None:
-    """Write a solution to a .rrd file, show it in the rerun viewer, or both; carried: as for `draw_solution`."""
+    """Write a solution to a .rrd file, show it in the rerun viewer, or both; carried:
+    as for `draw_solution`.
+    """
     if save is None and not view:
-        raise InvalidInputError("nothing to do with the recording: give save=<file.rrd>, view=True or both")
+        raise InvalidInputError(
+            "nothing to do with the recording: give save=<file.rrd>, view=True or both"
+        )
     if view:
         check_viewer()
-    path = Path(save) if save is not None else Path(tempfile.mkdtemp(prefix="cvqmpt-")) / "solution.rrd"
+    path = (
+        Path(save)
+        if save is not None
+        else Path(tempfile.mkdtemp(prefix="cvqmpt-")) / "solution.rrd"
+    )
     problem = with_load(solution.problem, carried)
     states = None if solution.simplified is None else solution.simplified.path.states
     plots = () if states is None else plots_along(solution.problem, states)
-    save_recording(path, _blueprint(plots), lambda recording: _log_everything(recording, solution, problem, plots))
+    save_recording(
+        path,
+        _blueprint(plots),
+        lambda recording: _log_everything(recording, solution, problem, plots),
+    )
     if view:
         open_viewer(path)
 
 
-def save_recording(path: Path, blueprint: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]) -> None:
+def save_recording(
+    path: Path, blueprint: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]
+) -> None:
     """Log to a file, which is there only when it is complete."""
     recording = rr.RecordingStream("cvqmpt_lab")
     recording.set_log_time_enabled(False)
@@ -89,10 +115,16 @@ def save_recording(path: Path, blueprint: rrb.Blueprint, log: Callable[[rr.Recor
 
 def _blueprint(plots: Sequence[Plot]) -> rrb.Blueprint:
     """The world and the trees on the left, the plots on the right, timelines below."""
-    eye = rrb.EyeControls3D(position=(-1.7, -2.0, 1.75), look_target=(0.4, -0.1, 0.5), eye_up=(0.0, 0.0, 1.0))
-    world = rrb.Spatial3DView(origin="/", contents="world/**", name="motion (timeline path_state)", eye_controls=eye)
+    eye = rrb.EyeControls3D(
+        position=(-1.7, -2.0, 1.75), look_target=(0.4, -0.1, 0.5), eye_up=(0.0, 0.0, 1.0)
+    )
+    world = rrb.Spatial3DView(
+        origin="/", contents="world/**", name="motion (timeline path_state)", eye_controls=eye
+    )
     still = ["world/scene/**", "world/start/**", "world/goals/**", "trees/**"]
-    trees = rrb.Spatial3DView(origin="/", contents=still, name="trees (timeline vertices)", eye_controls=eye)
+    trees = rrb.Spatial3DView(
+        origin="/", contents=still, name="trees (timeline vertices)", eye_controls=eye
+    )
     views = [
         rrb.TimeSeriesView(
             origin=f"plots/{plot.name}",
@@ -111,7 +143,10 @@ def _blueprint(plots: Sequence[Plot]) -> rrb.Blueprint:
 
 
 def _log_everything(
-    recording: rr.RecordingStream, solution: Solution, problem: PlanningProblem, plots: Sequence[Plot]
+    recording: rr.RecordingStream,
+    solution: Solution,
+    problem: PlanningProblem,
+    plots: Sequence[Plot],
 ) -> None:
     recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     log_scene(recording, problem.scene)
@@ -120,7 +155,9 @@ def _log_everything(
     if solution.plan.path is not None:
         log_path(recording, "raw", problem.robot, solution.plan.path, RAW_COLOUR, 0.002)
     if solution.simplified is not None:
-        log_path(recording, "simplified", problem.robot, solution.simplified.path, TRACE_COLOUR, 0.005)
+        log_path(
+            recording, "simplified", problem.robot, solution.simplified.path, TRACE_COLOUR, 0.005
+        )
         log_motion(recording, problem, solution.simplified.path.states)
     for plot in plots:
         log_plot(recording, plot)
@@ -136,7 +173,10 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
 def log_ghosts(recording: rr.RecordingStream, problem: PlanningProblem) -> None:
     """The robot at the start and at the first goals, translucent."""
     ghosts = {"world/start": (problem.start, ROBOT_COLOUR)}
-    ghosts |= {f"world/goals/{k}": (goal, GOAL_COLOUR) for k, goal in enumerate(problem.goals[:GOALS_SHOWN])}
+    ghosts |= {
+        f"world/goals/{k}": (goal, GOAL_COLOUR)
+        for k, goal in enumerate(problem.goals[:GOALS_SHOWN])
+    }
     for entity, (q, colour) in ghosts.items():
         log_robot(recording, entity, problem, colour, GHOST_OPACITY)
         for link, T_world_link in enumerate(poses_along(problem.robot, q[None])[0][0]):
@@ -144,19 +184,29 @@ def log_ghosts(recording: rr.RecordingStream, problem: PlanningProblem) -> None:
 
 
 def log_robot(
-    recording: rr.RecordingStream, entity: str, problem: PlanningProblem, colour: Colour, opacity: float = 1.0
+    recording: rr.RecordingStream,
+    entity: str,
+    problem: PlanningProblem,
+    colour: Colour,
+    opacity: float = 1.0,
 ) -> None:
-    """The robot's hulls and what it carries, each below ``entity/<pose row>``; links are posed elsewhere."""
+    """The robot's hulls and what it carries, each below ``entity/<pose row>``;
+    links are posed elsewhere.
+    """
     robot = problem.robot
     for part in robot.links:
         at = rr.new_entity_path([*entity.split("/"), part.link, part.name])
         mesh = hull_mesh(part.vertices)
-        recording.log(at, _transform(part.T_link_geometry), mesh_archetype(mesh, colour, opacity), static=True)
+        recording.log(
+            at, _transform(part.T_link_geometry), mesh_archetype(mesh, colour, opacity), static=True
+        )
     link, T_link_hand = robot.end_effector_link
     for item in problem.attachments:
         at = rr.new_entity_path([*entity.split("/"), link, item.name])
         T_link_object = T_link_hand @ item.T_hand_object
-        recording.log(at, _transform(T_link_object), _archetype(item.shape, LOAD_COLOUR, opacity), static=True)
+        recording.log(
+            at, _transform(T_link_object), _archetype(item.shape, LOAD_COLOUR, opacity), static=True
+        )
 
 
 def log_growth(recording: rr.RecordingStream, robot: Robot, trees: tuple[Tree, ...]) -> None:
@@ -166,20 +216,33 @@ def log_growth(recording: rr.RecordingStream, robot: Robot, trees: tuple[Tree, .
             continue
         colour = _rgba(TREE_COLOURS[k % len(TREE_COLOURS)])
         hand = _hand_positions(robot, tree.nodes)
-        for step, added in enumerate(np.array_split(np.arange(len(hand)), min(GROWTH_STEPS, len(hand)))):
+        for step, added in enumerate(
+            np.array_split(np.arange(len(hand)), min(GROWTH_STEPS, len(hand)))
+        ):
             child = added[tree.parent[added] >= 0]
             edges = np.stack([hand[child], hand[tree.parent[child]]], axis=1)
             recording.set_time(GROWTH, sequence=int(added[-1]) + 1)
-            recording.log(f"trees/{k}/nodes/{step}", rr.Points3D(hand[added], radii=0.003, colors=colour))
-            recording.log(f"trees/{k}/edges/{step}", rr.LineStrips3D(edges, radii=0.0008, colors=colour))
+            recording.log(
+                f"trees/{k}/nodes/{step}", rr.Points3D(hand[added], radii=0.003, colors=colour)
+            )
+            recording.log(
+                f"trees/{k}/edges/{step}", rr.LineStrips3D(edges, radii=0.0008, colors=colour)
+            )
     recording.reset_time()
 
 
 def log_path(
-    recording: rr.RecordingStream, name: str, robot: Robot, path: JointPath, colour: Colour, radius: float
+    recording: rr.RecordingStream,
+    name: str,
+    robot: Robot,
+    path: JointPath,
+    colour: Colour,
+    radius: float,
 ) -> None:
     """The hand's trace along a path, a line of the given radius [m]."""
-    line = rr.LineStrips3D([_hand_positions(robot, path.states)], radii=radius, colors=_rgba(colour))
+    line = rr.LineStrips3D(
+        [_hand_positions(robot, path.states)], radii=radius, colors=_rgba(colour)
+    )
     recording.log(f"world/path/{name}", line, static=True)
 
 
@@ -196,7 +259,9 @@ def log_plot(recording: rr.RecordingStream, plot: Plot) -> None:
     for name, curve in plot.curves.items():
         entity = f"plots/{plot.name}/{name.replace(' ', '_')}"
         colour = None if curve.colour is None else _rgba(curve.colour)
-        recording.log(entity, rr.SeriesLines(names=name, colors=colour, widths=curve.width), static=True)
+        recording.log(
+            entity, rr.SeriesLines(names=name, colors=colour, widths=curve.width), static=True
+        )
         columns = rr.Scalars.columns(scalars=curve.values)
         recording.send_columns(entity, [_time(len(curve.values))], columns)
 
@@ -263,7 +328,9 @@ def mesh_archetype(mesh: Mesh, colour: Colour, opacity: float = 1.0) -> rr.Mesh3
 def log_task(solution: TaskSolution, save: Path) -> None:
     """Write a task to a .rrd file."""
     shown = solved_frames(solution)
-    eye = rrb.EyeControls3D(position=(-1.35, -1.75, 1.55), look_target=(0.3, -0.2, 0.5), eye_up=(0, 0, 1))
+    eye = rrb.EyeControls3D(
+        position=(-1.35, -1.75, 1.55), look_target=(0.3, -0.2, 0.5), eye_up=(0, 0, 1)
+    )
     blueprint = rrb.Blueprint(
         rrb.Spatial3DView(origin="world", name="world", eye_controls=eye),
         rrb.TimePanel(timeline=TASK_TIMELINE),
@@ -295,7 +362,9 @@ def _log_task(recording: rr.RecordingStream, solution: TaskSolution, shown: list
             recording.log("phase", rr.TextLog(name))
 
 
-def _send_poses(recording: rr.RecordingStream, entity: str, time: rr.TimeColumn, poses: np.ndarray) -> None:
+def _send_poses(
+    recording: rr.RecordingStream, entity: str, time: rr.TimeColumn, poses: np.ndarray
+) -> None:
     """Poses (k, 4, 4) of an entity at k times."""
     columns = rr.Transform3D.columns(translation=poses[:, :3, 3], mat3x3=poses[:, :3, :3])
     recording.send_columns(entity, [time], columns)

@@ -1,4 +1,6 @@
-"""Light, shadow and outlines of a still scene, drawn once, and of what moves in it; where to look from."""
+"""Light, shadow and outlines of a still scene, drawn once, and of what moves in it;
+where to look from.
+"""
 
 import math
 from collections.abc import Sequence
@@ -22,7 +24,8 @@ class Picture:
 
     image: np.ndarray  # (rows, columns, 3), each channel in [0, 1]
     depth: np.ndarray  # (rows, columns) [m], inf where nothing solid is
-    ghosts: list[np.ndarray] = field(default_factory=list)  # the same of each translucent layer over it
+    # the same of each translucent layer over it
+    ghosts: list[np.ndarray] = field(default_factory=list)
 
 
 class Shadow:
@@ -31,7 +34,10 @@ class Shadow:
     def __init__(self, mesh: Mesh, sun: np.ndarray, side: int) -> None:
         """sun: direction (3,) towards it; side: of the shadow map [pixels]."""
         low, high = mesh.corners.min(axis=(0, 1)), mesh.corners.max(axis=(0, 1))
-        middle, reach = 0.5 * (low + high), min(SHADOW_REACH, 0.5 * float(np.linalg.norm(high - low)))
+        middle, reach = (
+            0.5 * (low + high),
+            min(SHADOW_REACH, 0.5 * float(np.linalg.norm(high - low))),
+        )
         angle = 2.0 * float(np.arctan(reach / SUN_DISTANCE))
         self._middle, self._reach = middle, reach
         self._from_sun = Viewpoint(tuple(middle + SUN_DISTANCE * sun), tuple(middle), angle)
@@ -50,7 +56,10 @@ class Shadow:
         column, row, depth = np.moveaxis(self._from_sun.screen(points, self._shape), -1, 0)
         total = np.zeros(len(points))
         for i, j in np.ndindex(3, 3):
-            at = tuple(np.clip((a + b - 0.5).astype(int), 0, self._shape[0] - 1) for a, b in ((row, i), (column, j)))
+            at = tuple(
+                np.clip((a + b - 0.5).astype(int), 0, self._shape[0] - 1)
+                for a, b in ((row, i), (column, j))
+            )
             total += depth < self._blocked[at]
         return total / 9.0
 
@@ -59,13 +68,22 @@ class Stage:
     """A still scene, seen from one viewpoint."""
 
     def __init__(
-        self, still: Sequence[Mesh], ground: float | None, viewpoint: Viewpoint, shape: tuple[int, int]
+        self,
+        still: Sequence[Mesh],
+        ground: float | None,
+        viewpoint: Viewpoint,
+        shape: tuple[int, int],
     ) -> None:
-        """still: meshes of the scene; ground: height of a floor [m] or None; shape: (rows, columns)."""
+        """still: meshes of the scene; ground: height of a floor [m] or None; shape:
+        (rows, columns).
+        """
         self.viewpoint, self.shape = viewpoint, shape
         self._side = min(SHADOW_PIXELS, 2 * max(shape))
         self._shadows: list[Shadow] = []
-        self._colours, self._points = np.ones((*shape, 3), np.float32), np.zeros((*shape, 3), np.float32)
+        self._colours, self._points = (
+            np.ones((*shape, 3), np.float32),
+            np.zeros((*shape, 3), np.float32),
+        )
         self._sky, self._sun = np.ones(shape, np.float32), np.zeros(shape, np.float32)
         self._white = np.zeros(shape, np.float32)
         self._depth, self._piece = np.full(shape, np.inf), np.full(shape, -1)
@@ -93,8 +111,13 @@ class Stage:
         view = rasterise(mesh, self.viewpoint, self.shape)
         nearer = view.depth < depth[view.rows, view.columns]
         at = view.rows[nearer], view.columns[nearer]
-        depth[at], piece[at] = view.depth[nearer], mesh.piece[view.face[nearer]] + 1 + self._piece.max()
-        points = self.viewpoint.eye + depth[at][:, None] * self.viewpoint.rays(at[0], at[1], self.shape)
+        depth[at], piece[at] = (
+            view.depth[nearer],
+            mesh.piece[view.face[nearer]] + 1 + self._piece.max(),
+        )
+        points = self.viewpoint.eye + depth[at][:, None] * self.viewpoint.rays(
+            at[0], at[1], self.shape
+        )
         lit = np.minimum(self._lit(points), shadow.lit(points))
         sky, sunlight = light(view.normals[nearer], self.viewpoint)
         image[at] = mesh.colours[view.face[nearer]] * (sky + lit * sunlight)[:, None]
@@ -105,7 +128,13 @@ class Stage:
         """Share (k,) of the sunlight that the scene lets through to points (k, 3)."""
         return self._shadows[0].lit(points) if self._shadows else np.ones(len(points))
 
-    def _lay(self, at: tuple[np.ndarray, ...], depth: np.ndarray, colours: np.ndarray, normals: np.ndarray) -> None:
+    def _lay(
+        self,
+        at: tuple[np.ndarray, ...],
+        depth: np.ndarray,
+        colours: np.ndarray,
+        normals: np.ndarray,
+    ) -> None:
         """Put a surface of given colours (k, 3) and normals (k, 3) at pixels (rows, columns)."""
         points = self.viewpoint.eye + depth[:, None] * self.viewpoint.rays(at[0], at[1], self.shape)
         sky, sunlight = light(normals, self.viewpoint)
@@ -117,7 +146,9 @@ class Stage:
         rows, columns = np.nonzero(self._piece < 0)
         rays = self.viewpoint.rays(rows, columns, self.shape)
         depth = (height - self.viewpoint.eye[2]) / np.where(rays[:, 2] == 0.0, np.inf, rays[:, 2])
-        away = np.linalg.norm(self.viewpoint.eye + depth[:, None] * rays - self.viewpoint.target, axis=1)
+        away = np.linalg.norm(
+            self.viewpoint.eye + depth[:, None] * rays - self.viewpoint.target, axis=1
+        )
         share = np.clip(1.6 - 0.4 * away, 0.0, 1.0) * (depth > 0.0)
         seen = share > 0.0
         at, share = (rows[seen], columns[seen]), share[seen]
@@ -133,7 +164,9 @@ def sun_axes(viewpoint: Viewpoint) -> np.ndarray:
 
 
 def light(normals: np.ndarray, viewpoint: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
-    """Light (k,) on surfaces with normals (k, 3): from the sky, and from the sun where nothing shadows it."""
+    """Light (k,) on surfaces with normals (k, 3):
+    from the sky, and from the sun where nothing shadows it.
+    """
     return SKY + STEEP * normals[:, 2], SUN * np.maximum(normals @ viewpoint.sun, 0.0)
 
 
@@ -166,8 +199,12 @@ GAIN = 0.05  # share of the motion that another direction must show more to be t
 LOOK_ROWS = 64  # [pixels] of the small pictures in which directions are compared
 
 
-def clear_viewpoint(parts: Sequence[Mesh], scene: Sequence[Mesh], size: tuple[int, int]) -> Viewpoint:
-    """A viewpoint for a picture of (width, height) pixels from which most of each part of a motion is seen."""
+def clear_viewpoint(
+    parts: Sequence[Mesh], scene: Sequence[Mesh], size: tuple[int, int]
+) -> Viewpoint:
+    """A viewpoint for a picture of (width, height) pixels from which most of each part of a motion
+    is seen.
+    """
     scene = [joined(scene)] if scene else []
     shape = (LOOK_ROWS, round(LOOK_ROWS * size[0] / size[1]))
     points = np.concatenate([part.corners.reshape(-1, 3) for part in parts])
@@ -183,18 +220,26 @@ def clear_viewpoint(parts: Sequence[Mesh], scene: Sequence[Mesh], size: tuple[in
 
 
 def framed(points: np.ndarray, azimuth: float, size: tuple[int, int]) -> Viewpoint:
-    """The viewpoint at an azimuth [deg] whose picture of (width, height) pixels holds points (m, 3) [m]."""
+    """The viewpoint at an azimuth [deg] whose picture of (width, height) pixels holds points (m, 3)
+    [m].
+    """
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
     turn, rise = math.radians(azimuth), math.radians(ELEVATION)
-    towards_eye = np.array([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
+    towards_eye = np.array(
+        [math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)]
+    )
     far = Viewpoint(tuple(target + towards_eye), tuple(target), HEIGHT_ANGLE)
     right, down, ahead = far.axes @ (points - target).T
     tall = math.tan(0.5 * HEIGHT_ANGLE)
-    distance = np.max(np.maximum(np.abs(down) / tall, np.abs(right) * size[1] / (tall * size[0])) - ahead)
+    distance = np.max(
+        np.maximum(np.abs(down) / tall, np.abs(right) * size[1] / (tall * size[0])) - ahead
+    )
     return Viewpoint(tuple(target + CONTEXT * distance * towards_eye), tuple(target), HEIGHT_ANGLE)
 
 
-def _share_seen(parts: Sequence[Mesh], scene: Sequence[Mesh], viewpoint: Viewpoint, shape: tuple[int, int]) -> float:
+def _share_seen(
+    parts: Sequence[Mesh], scene: Sequence[Mesh], viewpoint: Viewpoint, shape: tuple[int, int]
+) -> float:
     """Mean over the parts of the share that is not behind the scene or an earlier part."""
     depth, shares = np.full(shape, np.inf), []
     for mesh in (*scene, *parts):

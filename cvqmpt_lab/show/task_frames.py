@@ -56,7 +56,9 @@ def solved_frames(solution: TaskSolution) -> list[Frame]:
 def shown(world: World) -> PlanningProblem:
     """A problem to draw a world by: the arm alone, and a door it holds in the scene."""
     carried = (world.held.attachment,) if isinstance(world.held, Load) else ()
-    return PlanningProblem("shown", world.arm, world.scene, world.q, world.q[None], attachments=carried)
+    return PlanningProblem(
+        "shown", world.arm, world.scene, world.q, world.q[None], attachments=carried
+    )
 
 
 def moving_poses(names: tuple[str, ...], shown: list[Frame]) -> dict[str, np.ndarray]:

@@ -17,7 +17,8 @@ def check_viewer() -> None:
     windows = not sys.platform.startswith("linux")
     if not (windows or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InvalidInputError(
-            "no display to open the rerun viewer on: save a recording here (RUN.rrd) and open it elsewhere with: "
+            "no display to open the rerun viewer on: save a recording here (RUN.rrd) and open it "
+            "elsewhere with: "
             "rerun RUN.rrd"
         )
 
@@ -27,10 +28,16 @@ def open_viewer(recording: Path) -> None:
     check_viewer()
     program = shutil.which("rerun", path=str(Path(sys.executable).parent)) or shutil.which("rerun")
     if program is None:
-        raise InvalidInputError("cannot open the rerun viewer: no program 'rerun'; install rerun-sdk")
+        raise InvalidInputError(
+            "cannot open the rerun viewer: no program 'rerun'; install rerun-sdk"
+        )
     command = [program, "--bind", LOOPBACK, "--port", "auto", str(recording)]
     viewer = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, text=True
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
     )
     try:
         _, errors = viewer.communicate(timeout=SETTLE_SECONDS)
@@ -38,4 +45,6 @@ def open_viewer(recording: Path) -> None:
         return
     if viewer.returncode != 0:
         reason = " ".join(errors.split())[-200:] or f"exit code {viewer.returncode}"
-        raise InvalidInputError(f"cannot open the rerun viewer ({reason}): save a file (RUN.rrd) and open it elsewhere")
+        raise InvalidInputError(
+            f"cannot open the rerun viewer ({reason}): save a file (RUN.rrd) and open it elsewhere"
+        )

@@ -1,7 +1,8 @@
-"""One html file that shows a plan or a task in three dimensions, with a slider along it and plots below.
+"""One html file that shows a plan or a task in three dimensions, with a slider along it and plots
+below.
 
-It holds its own viewer (WebGL, `plan_page.html`), loads nothing and opens from a disk without a network. Scenes of more
-than MOST_TRIANGLES are drawn with fewer, and the page says so.
+It holds its own viewer (WebGL, `plan_page.html`), loads nothing and opens from a disk without a
+network. Scenes of more than MOST_TRIANGLES are drawn with fewer, and the page says so.
 """
 
 import json
@@ -82,15 +83,25 @@ class Page:
 
 
 def save_page(solution: Solution, path: Path, carried: Sequence[Attachment] = ()) -> list[str]:
-    """Write a solution as one html file; what a reader should know of it. carried: as for `draw_solution`."""
+    """Write a solution as one html file; what a reader should know of it. carried:
+    as for `draw_solution`.
+    """
     shown = solution.simplified.path if solution.simplified else None
     verdict = "solved and certified" if solution.solved else "not solved"
-    return write_page(_page_of(solution.problem, shown, verdict, repr(solution).splitlines(), carried), path)
+    return write_page(
+        _page_of(solution.problem, shown, verdict, repr(solution).splitlines(), carried), path
+    )
 
 
-def path_html(problem: PlanningProblem, states: np.ndarray, verdict: str, carried: Sequence[Attachment] = ()) -> str:
-    """The same html of states (m, n) [rad or m] of a path that is known to solve a problem, with a verdict in words."""
-    return _html(_page_of(problem, JointPath(states), verdict, repr(problem).splitlines(), carried))[0]
+def path_html(
+    problem: PlanningProblem, states: np.ndarray, verdict: str, carried: Sequence[Attachment] = ()
+) -> str:
+    """The same html of states (m, n) [rad or m] of a path that is known to solve a problem, with a
+    verdict in words.
+    """
+    return _html(
+        _page_of(problem, JointPath(states), verdict, repr(problem).splitlines(), carried)
+    )[0]
 
 
 def _page_of(
@@ -112,12 +123,16 @@ def _page_of(
         poses = T_world_link[:, part.link] @ part.T_link_geometry
         bodies.append(Body("robot", hull_mesh(part.vertices), ROBOT_COLOUR, poses))
     for item in problem.attachments:
-        bodies.append(Body(item.name, shape_mesh(item.shape), LOAD_COLOUR, T_world_hand @ item.T_hand_object))
+        bodies.append(
+            Body(item.name, shape_mesh(item.shape), LOAD_COLOUR, T_world_hand @ item.T_hand_object)
+        )
     end = problem.goals[:1] if path is None else states[-1:]
     for mesh in (mesh for q in end for mesh in robot_meshes(problem, q, GOAL_COLOUR)):
         bodies.append(Body("goal", mesh, GOAL_COLOUR, opacity=0.35))
     if path is not None:
-        bodies.append(Body("path of the hand", beads(T_world_hand[:, :3, 3], TRACE_COLOUR), TRACE_COLOUR))
+        bodies.append(
+            Body("path of the hand", beads(T_world_hand[:, :3, 3], TRACE_COLOUR), TRACE_COLOUR)
+        )
     for mark in constraint_marks(problem, states):
         bodies.append(Body("constraint", mark, CONSTRAINT_COLOUR, opacity=0.35))
     axes = hand_axes(problem, states[0]).placed(np.linalg.inv(T_world_hand[0]), (1.0, 1.0, 1.0))
@@ -128,7 +143,10 @@ def _page_of(
     return Page(
         f"{problem.name}: {problem.robot.name}, {verdict}",
         bodies,
-        [f"state {k} of {len(states) - 1}, {way:.2f} rad" for k, way in enumerate(travelled_along(states))],
+        [
+            f"state {k} of {len(states) - 1}, {way:.2f} rad"
+            for k, way in enumerate(travelled_along(states))
+        ],
         clear_viewpoint(seen, still, SIZE),
         plots=plots,
         lines=lines,
@@ -136,7 +154,9 @@ def _page_of(
 
 
 def save_task_page(solution: TaskSolution, path: Path) -> list[str]:
-    """Write a solved task as one html file, up to the phase that failed; what a reader should know of it."""
+    """Write a solved task as one html file, up to the phase that failed;
+    what a reader should know of it.
+    """
     shown = solved_frames(solution)
     scene, arm = solution.task.scene, shown[0].world.arm
     moving = moving_poses(scene.names, shown)
@@ -146,12 +166,15 @@ def save_task_page(solution: TaskSolution, path: Path) -> list[str]:
     vertices = {part.name: part.vertices for part in arm.links}
     for name, poses in piece_poses(shown).items():
         bodies.append(Body("robot", hull_mesh(vertices[name]), ROBOT_COLOUR, poses))
-    seen = [body.mesh.placed(body.poses[0], ROBOT_COLOUR) for body in bodies if body.group == "robot"]
+    seen = [
+        body.mesh.placed(body.poses[0], ROBOT_COLOUR) for body in bodies if body.group == "robot"
+    ]
     still = [body.mesh for body in bodies if body.group == "scene"]
     labels = [f"{frame.phase}, {frame.time:.1f} s" for frame in shown]
     duration = max(shown[-1].time, 1.0)
     page = Page(
-        f"task {solution.task.name}: {'solved and certified' if solution.solved else solution.failure}",
+        f"task {solution.task.name}: "
+        f"{'solved and certified' if solution.solved else solution.failure}",
         bodies,
         labels,
         clear_viewpoint([joined(seen)], still, SIZE),
@@ -189,48 +212,69 @@ def _html(page: Page) -> tuple[str, list[str]]:
         "bodies": [_body(body) for body in bodies],
         "plots": [_plot(plot) for plot in page.plots],
     }
-    text = json.dumps(data, allow_nan=False).replace("</", "<\\/")  # else a name could end the script
+    # else a name could end the script
+    text = json.dumps(data, allow_nan=False).replace("</", "<\\/")
     return TEMPLATE.read_text(encoding="utf-8").replace(PLACE, PLACE.replace("{}", text)), note
 
 
 def _few(path: JointPath) -> np.ndarray:
     """The path's states (m, n), or as many even ones as are shown."""
-    return path.states if len(path.states) <= MOST_STATES else path.spaced(path.length / (MOST_STATES - 1))
+    return (
+        path.states
+        if len(path.states) <= MOST_STATES
+        else path.spaced(path.length / (MOST_STATES - 1))
+    )
 
 
 def _scene(scene: Scene) -> list[Body]:
     """The scene's objects as pictures show them, and a part of the floor."""
     found = [
-        Body("scene", shape_mesh(item.shape).placed(item.T_world_object, (1.0, 1.0, 1.0)), colour_of(item.name))
+        Body(
+            "scene",
+            shape_mesh(item.shape).placed(item.T_world_object, (1.0, 1.0, 1.0)),
+            colour_of(item.name),
+        )
         for item in scene
         if item.obstacle and item.name not in HIDDEN
     ]
     height = ground_height(scene)
     if height is not None:
         floor = shape_mesh(Box((FLOOR_SIDE, FLOOR_SIDE, 0.02)))
-        found.append(Body("floor", floor, colour_of("floor"), pose((0.0, 0.0, height - 0.01))[None]))
+        found.append(
+            Body("floor", floor, colour_of("floor"), pose((0.0, 0.0, height - 0.01))[None])
+        )
     return found
 
 
 def _part(mesh: Mesh, chosen: np.ndarray) -> Mesh:
     """The triangles that are chosen (f,)."""
-    return Mesh(mesh.corners[chosen], mesh.normals[chosen], mesh.colours[chosen], mesh.piece[chosen])
+    return Mesh(
+        mesh.corners[chosen], mesh.normals[chosen], mesh.colours[chosen], mesh.piece[chosen]
+    )
 
 
 def _reduced(bodies: Sequence[Body]) -> tuple[list[Body], list[str]]:
-    """Bodies with about MOST_TRIANGLES at most, of the scene's finer ones the same share; what was done to them."""
+    """Bodies with about MOST_TRIANGLES at most, of the scene's finer ones the same share;
+    what was done to them.
+    """
     counts = [len(body.mesh.corners) for body in bodies]
-    fine = [body.group == "scene" and count > COARSE for body, count in zip(bodies, counts, strict=True)]
+    fine = [
+        body.group == "scene" and count > COARSE for body, count in zip(bodies, counts, strict=True)
+    ]
     finer = sum(count for count, is_fine in zip(counts, fine, strict=True) if is_fine)
     share = (MOST_TRIANGLES - (sum(counts) - finer)) / max(finer, 1)
     if share >= 1.0:
         return list(bodies), []
     found = [
-        body._replace(mesh=_with_fewer(body.mesh, max(COARSE, int(share * count)))) if is_fine else body
+        body._replace(mesh=_with_fewer(body.mesh, max(COARSE, int(share * count))))
+        if is_fine
+        else body
         for body, count, is_fine in zip(bodies, counts, fine, strict=True)
     ]
     left = sum(len(body.mesh.corners) for body in found)
-    return found, [f"drawn with {left} of {sum(counts)} triangles: close corners of the scene are merged"]
+    return found, [
+        f"drawn with {left} of {sum(counts)} triangles: close corners of the scene are merged"
+    ]
 
 
 def _with_fewer(mesh: Mesh, most: int) -> Mesh:
@@ -243,7 +287,9 @@ def _with_fewer(mesh: Mesh, most: int) -> Mesh:
 
 
 def clustered(mesh: Mesh, cell: float) -> Mesh:
-    """A mesh whose corners in one cell of a grid with edges of `cell` [m] are their mean; triangles without area go."""
+    """A mesh whose corners in one cell of a grid with edges of `cell` [m] are their mean;
+    triangles without area go.
+    """
     corners = mesh.corners.reshape(-1, 3)
     which = np.unique(_numbered(np.floor(corners / cell).astype(np.int64)), return_inverse=True)[1]
     sums = np.stack([np.bincount(which, axis) for axis in corners.T], axis=1)
@@ -255,7 +301,9 @@ def clustered(mesh: Mesh, cell: float) -> Mesh:
 
 
 def _numbered(rows: np.ndarray) -> np.ndarray:
-    """A number (m,) for each row (m, 3) of whole numbers, the same for the same rows; sorted ten times as fast."""
+    """A number (m,) for each row (m, 3) of whole numbers, the same for the same rows;
+    sorted ten times as fast.
+    """
     rows = rows - rows.min(axis=0)
     x, y, z = rows.T
     return (x * (rows[:, 1].max() + 1) + y) * (rows[:, 2].max() + 1) + z

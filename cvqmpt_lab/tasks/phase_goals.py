@@ -26,7 +26,8 @@ class Effort(NamedTuple):
     poses: int  # of the end effector that are tried for them
     first_goals: int = 0  # sought by the phase before
     grasps: int = 0  # how many of those must allow goals of this phase
-    goals_ahead: int = 0  # goals of this phase that a grasp must allow: one with fewer is near a joint limit
+    # goals of this phase that a grasp must allow: one with fewer is near a joint limit
+    goals_ahead: int = 0
     poses_ahead: int = 0  # of the end effector that are tried for them
 
 
@@ -53,14 +54,18 @@ def following(task: Task, k: int) -> tuple[int, PlannedPhase] | None:
 
 
 def world_before(task: Task, world: World, k: int, number: int) -> World:
-    """The world before phase `number`, from that before phase k; the phases between are not planned."""
+    """The world before phase `number`, from that before phase k;
+    the phases between are not planned.
+    """
     for phase in task.phases[k:number]:
         world = world.after(phase)
     return world
 
 
 def phase_problems(task: Task, paths: Sequence[np.ndarray]) -> Iterator[PlanningProblem]:
-    """The problems, without goals, of the planned phases whose paths, states (m, n) each, are given."""
+    """The problems, without goals, of the planned phases whose paths, states (m, n) each, are
+    given.
+    """
     world, begin = World.before(task), 0
     for states in paths:
         ahead = following(task, begin)
@@ -91,7 +96,9 @@ def phase_goals(task: Task, k: int, world: World) -> PhaseGoals:
 
 
 def prepare(task: Task, k: int, world: World) -> None:
-    """Build the collision checkers for sampling goals, which is not timed, as spaces of planners are not."""
+    """Build the collision checkers for sampling goals, which is not timed, as spaces of planners
+    are not.
+    """
     phase, after = task.phases[k], following(task, k + 1)
     assert isinstance(phase, PlannedPhase)
     _checker(world.problem(task, phase))
@@ -118,8 +125,8 @@ def _goes_on(task: Task, k: int, world: World) -> bool:
 def _sampled(problem: PlanningProblem, phase: PlannedPhase, count: int, poses: int) -> PhaseGoals:
     """Up to count goals of a phase's problem; the samples depend on the start alone.
 
-    Slides and turns get goals near the start's posture: others could be reached only by letting go. Goals of a move
-    are drawn within its constraint only if none of the region alone keeps it.
+    Slides and turns get goals near the start's posture: others could be reached only by letting go.
+    Goals of a move are drawn within its constraint only if none of the region alone keeps it.
     """
     assert problem.goal_region is not None
 
@@ -146,5 +153,9 @@ def _sampled(problem: PlanningProblem, phase: PlannedPhase, count: int, poses: i
 
 
 def _checker(problem: PlanningProblem) -> CollisionChecker:
-    """The checker for starts and goals; its margin is smaller with a door, which is 1 mm from its neighbour."""
-    return problem.collision_checker(DOOR_MARGIN if "articulated" in problem.robot.source else SAMPLE_MARGIN)
+    """The checker for starts and goals;
+    its margin is smaller with a door, which is 1 mm from its neighbour.
+    """
+    return problem.collision_checker(
+        DOOR_MARGIN if "articulated" in problem.robot.source else SAMPLE_MARGIN
+    )

@@ -1,7 +1,8 @@
 """Plan the phases of a task in order, by depth-first search over the goals of each planned phase.
 
-If a phase fails, go back to the phase before, remove the goal reached and plan to another one. A slide or a turn is
-easy from most grasps and impossible from some: it gets `FIRST_SHARE` of the budget, and the whole if all grasps fail.
+If a phase fails, go back to the phase before, remove the goal reached and plan to another one. A
+slide or a turn is easy from most grasps and impossible from some: it gets `FIRST_SHARE` of the
+budget, and the whole if all grasps fail.
 """
 
 import time
@@ -22,7 +23,8 @@ from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.timing import TimingSettings
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
-FIRST_SHARE = 0.02  # of 10 s: slides of tasks 100 to 124 that birrt, roadmap or ompl-projected finds take up to 0.24 s
+# of 10 s: slides of tasks 100 to 124 that birrt, roadmap or ompl-projected finds take up to 0.24 s
+FIRST_SHARE = 0.02
 RETRIES = 10  # times that a task goes back to another goal
 SUBSTITUTE = "birrt"  # plans phases that the planner asked for cannot
 
@@ -64,13 +66,17 @@ class TaskSolution(Pictured):
     """The result of a task."""
 
     task: Task
-    outcomes: tuple[PhaseOutcome, ...]  # of the planned phases in order, up to the first that failed
+    # of the planned phases in order, up to the first that failed
+    outcomes: tuple[PhaseOutcome, ...]
     world: World  # at the end
 
     def __repr__(self) -> str:
         timed = [outcome.trajectory.duration for outcome in self.outcomes if outcome.trajectory]
         ended = f"solved, {sum(timed):.1f} s of motion" if self.solved else self.failure
-        return f"TaskSolution of {self.task.name!r}: {ended}\nphases      {len(timed)} planned and certified"
+        return (
+            f"TaskSolution of {self.task.name!r}: {ended}\nphases      {len(timed)} planned "
+            f"and certified"
+        )
 
     @property
     def solved(self) -> bool:
@@ -95,7 +101,8 @@ def solve_task(
 ) -> TaskSolution:
     """Plan, certify and time every phase; `budget` is that of one planning run.
 
-    A move that goes through regions is planned in legs, and stops between them; the solution's task has them as phases.
+    A move that goes through regions is planned in legs, and stops between them; the solution's task
+    has them as phases.
     """
     require_kind("task", task, Task, "Task.load(path) reads a file; a PlanningProblem is for solve")
     Budget.require(budget)
@@ -155,13 +162,17 @@ class _Run:
         return self._search(1.0)
 
     def _search(self, share: float) -> TaskSolution:
-        """Go to the next phase when one is solved, back when it is not; share: of the budget, for slides and turns."""
+        """Go to the next phase when one is solved, back when it is not; share:
+        of the budget, for slides and turns.
+        """
         step = self._step(0, World.before(self.task))
         assert step is not None  # a task has a planned phase
         done: list[_Step] = []
         deepest: tuple[PhaseOutcome, ...] = ()
         while True:
-            outcome = step.outcome = self._planned(step, share if done and not isinstance(step.phase, Move) else 1.0)
+            outcome = step.outcome = self._planned(
+                step, share if done and not isinstance(step.phase, Move) else 1.0
+            )
             outcomes = (*(earlier.outcome for earlier in done if earlier.outcome), outcome)
             if outcome.solved:
                 done.append(step)
@@ -221,15 +232,22 @@ class _Run:
         self.runs += 1
         seed = int(np.random.default_rng([self.seed, self.runs]).integers(2**32))
         method = SUBSTITUTE if fallback else self.method
-        # Without the cache: each phase must observe its own world, also if an equal one was observed before.
-        return solve(problem, method, self.budget.share(share), seed, backend=self.backend, use_cache=False)
+        # Without the cache: each phase must observe its own world, also if an equal one was
+        # observed before.
+        return solve(
+            problem, method, self.budget.share(share), seed, backend=self.backend, use_cache=False
+        )
 
     def _timed(self, outcome: PhaseOutcome) -> PhaseOutcome:
-        """The outcome with its trajectory, whose rounded corners are certified too, or why there is none."""
+        """The outcome with its trajectory, whose rounded corners are certified too, or why there is
+        none.
+        """
         assert outcome.solution.simplified is not None
         began = time.perf_counter()
         try:
-            trajectory = certified_motion(outcome.solution.problem, outcome.solution.simplified.path, self.timing)
+            trajectory = certified_motion(
+                outcome.solution.problem, outcome.solution.simplified.path, self.timing
+            )
         except InvalidInputError as error:
             return replace(outcome, reason=f"not timed: {error}")
         return replace(outcome, trajectory=trajectory, timing_seconds=time.perf_counter() - began)

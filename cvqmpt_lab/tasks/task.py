@@ -1,17 +1,18 @@
 """Tasks: sequences of phases in which an arm reaches, holds a door, grasps, carries and lets go.
 
-`solve_task` plans it; `world.World` is one moment of it. Tasks are saved as json, schema ``cvqmpt-task/1``: "name",
-"robot", "scene" and "start" as in a problem file, and
+`solve_task` plans it; `world.World` is one moment of it. Tasks are saved as json, schema
+``cvqmpt-task/1``: "name", "robot", "scene" and "start" as in a problem file, and
 
-    "phases": [{"kind": "move", "name", "goal": region, "constraint": [regions], "through": [regions]},
+    "phases": [{"kind": "move", "name", "goal": region, "constraint": [regions], "through":
+    [regions]},
                {"kind": "slide", "name", "distance": 0.08},
                {"kind": "turn", "name", "value": -1.4, "constraint": chain, "goal": chain},
-               {"kind": "hold", "name", "articulation", "gripper": {...}, "may_touch": [[piece, part]]},
-               {"kind": "grasp", "name", "object", "gripper": {...}},
-               {"kind": "release", "name", "gripper": {...}}]
+               {"kind": "hold", "name", "articulation", "gripper": {...}, "may_touch": [[piece,
+               part]]}, {"kind": "grasp", "name", "object", "gripper": {...}}, {"kind": "release",
+               "name", "gripper": {...}}]
 
-What is grasped is carried as the scene has it, shape and pose. Contact counts as a collision: leave an object a gap of
-1 mm or more from what it stands on.
+What is grasped is carried as the scene has it, shape and pose. Contact counts as a collision: leave
+an object a gap of 1 mm or more from what it stands on.
 """
 
 from collections.abc import Mapping
@@ -41,8 +42,10 @@ class Move(Checked):
 
     name: Name  # Unique in its task
     goal: Region  # Poses of the end effector
-    constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()  # Regions that it stays in on the way
-    through: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()  # Regions that it stops in before, in order
+    # Regions that it stays in on the way
+    constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
+    # Regions that it stops in before, in order
+    through: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
 
     @property
     def legs(self) -> tuple["Move", ...]:
@@ -78,8 +81,10 @@ class Hold(Checked):
 
     name: Name  # Unique in its task
     articulation: Name  # Which of the scene's
-    gripper: Mapping[str, Any]  # Fields of the task's robot that change, e.g. {"finger_opening": 0.0075}
-    may_touch: tuple[tuple[Name, Name], ...] = ()  # (Robot piece, door part) pairs that touch from then on
+    # Fields of the task's robot that change, e.g. {"finger_opening": 0.0075}
+    gripper: Mapping[str, Any]
+    # (Robot piece, door part) pairs that touch from then on
+    may_touch: tuple[tuple[Name, Name], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +94,8 @@ class Grasp(Checked):
     name: Name  # Unique in its task
     object: Name  # Which of the scene's
     gripper: Mapping[str, Any]  # As in `Hold`
-    attachment: Attachment | None = None  # The object where the hand should close, compared and not carried
+    # The object where the hand should close, compared and not carried
+    attachment: Attachment | None = None
 
     def check_shape(self, item: SceneObject) -> None:
         """Refuse an object that cannot be carried, and an attachment of another shape."""
@@ -100,7 +106,8 @@ class Grasp(Checked):
         written, real = ({"type": type(shape).__name__, **vars(shape)} for shape in shapes)
         what = next(key for key in real if not np.array_equal(written[key], real[key]))
         raise InvalidInputError(
-            f"{what} of the attachment is {shown(written[what])}, that of {item.name!r} in the scene "
+            f"{what} of the attachment is {shown(written[what])}, that of {item.name!r} in the "
+            f"scene "
             f"{shown(real[what])}; leave 'attachment' out, the object is carried as it is"
         )
 
@@ -113,7 +120,14 @@ class Release(Checked):
     gripper: Mapping[str, Any]  # As in `Hold`
 
 
-PHASES = {"move": Move, "slide": Slide, "turn": Turn, "hold": Hold, "grasp": Grasp, "release": Release}
+PHASES = {
+    "move": Move,
+    "slide": Slide,
+    "turn": Turn,
+    "hold": Hold,
+    "grasp": Grasp,
+    "release": Release,
+}
 PlannedPhase: TypeAlias = Move | Slide | Turn
 Phase: TypeAlias = Annotated[PlannedPhase | Hold | Grasp | Release, Tagged("kind", PHASES)]
 
@@ -132,7 +146,8 @@ class Task(Document, Pictured):
 
     def __repr__(self) -> str:
         return (
-            f"Task {self.name!r}: {self.robot.get('name') or self.robot.get('urdf')} in {self.scene.name}\n"
+            f"Task {self.name!r}: {self.robot.get('name') or self.robot.get('urdf')} in "
+            f"{self.scene.name}\n"
             f"phases      {', '.join(phase.name for phase in self.phases)}"
         )
 
@@ -142,10 +157,13 @@ class Task(Document, Pictured):
         object.__setattr__(self, "robot", robot.source)
         if self.start.shape != (robot.dof,):
             raise InvalidInputError(
-                f"task {self.name!r}: start has shape {self.start.shape}, robot {robot.name} needs ({robot.dof},)"
+                f"task {self.name!r}: start has shape {self.start.shape}, robot {robot.name} "
+                f"needs ({robot.dof},)"
             )
         if not any(isinstance(phase, PlannedPhase) for phase in self.phases):
-            raise InvalidInputError(f"task {self.name!r} plans nothing: give it a move, slide or turn")
+            raise InvalidInputError(
+                f"task {self.name!r} plans nothing: give it a move, slide or turn"
+            )
         unique((phase.name for phase in self.phases), f"phases of task {self.name!r}")
         scene, held = self.scene, None
         for number, phase in enumerate(self.phases):
@@ -155,9 +173,11 @@ class Task(Document, Pictured):
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Inverse of `to_dict`; the start may be {"joint": value} or the name of a group_state of the SRDF.
+        """Inverse of `to_dict`; the start may be {"joint": value} or the name of a group_state of
+        the SRDF.
 
-        Refuses lengths that cannot be metres; logs a warning when nothing of the scene is within reach.
+        Refuses lengths that cannot be metres; logs a warning when nothing of the scene is within
+        reach.
         """
         if isinstance(data, Mapping) and isinstance(data.get("start"), str | Mapping):
             robot = robot_from_source(mapping(data.get("robot"), "robot"))
@@ -175,7 +195,9 @@ class Task(Document, Pictured):
 
     @classmethod
     def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """Json with the clouds and meshes of its scene, and the robot's files as seen from the folder."""
+        """Json with the clouds and meshes of its scene, and the robot's files as seen from the
+        folder.
+        """
         data = with_files_read(data, folder)
         return data | {"robot": seen_from(folder, data["robot"])} if "robot" in data else data
 
@@ -186,19 +208,27 @@ def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:
         case Hold() | Grasp() if held is not None:
             raise InvalidInputError(f"the gripper already holds {held.name!r}; release it before")
         case Release() if held is None:
-            raise InvalidInputError("the gripper holds nothing to release; hold or grasp something before")
+            raise InvalidInputError(
+                "the gripper holds nothing to release; hold or grasp something before"
+            )
         case Move() | Slide() if isinstance(held, Articulation):
-            raise InvalidInputError(f"the hand holds {held.name!r}; a turn moves it, or release it before")
+            raise InvalidInputError(
+                f"the hand holds {held.name!r}; a turn moves it, or release it before"
+            )
         case Turn() if not isinstance(held, Articulation):
             raise InvalidInputError("the hand holds no door or drawer; hold one before")
-        case Turn(constraint=chain) if isinstance(held, Articulation) and chain.base not in held.moves:
+        case Turn(constraint=chain) if (
+            isinstance(held, Articulation) and chain.base not in held.moves
+        ):
             raise UnknownChoiceError(f"'base' of what {held.name!r} moves:", chain.base, held.moves)
 
 
 def _after(
     phase: Phase, scene: Scene, held: Articulation | SceneObject | None
 ) -> tuple[Scene, Articulation | SceneObject | None]:
-    """The scene, without what is carried, and what is held after a phase that fits; an unknown name is refused."""
+    """The scene, without what is carried, and what is held after a phase that fits;
+    an unknown name is refused.
+    """
     match phase:
         case Turn() if held is not None:
             return scene.with_joint(held.name, phase.value), held

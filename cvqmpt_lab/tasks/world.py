@@ -75,7 +75,9 @@ class World:
                 goal = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)))
             case Turn():
                 assert isinstance(self.held, HeldDoor)
-                turned = scene.with_joint(self.held.name, phase.value)[phase.goal.base].T_world_object
+                turned = scene.with_joint(self.held.name, phase.value)[
+                    phase.goal.base
+                ].T_world_object
                 constraint, goal = (phase.constraint,), phase.goal.at(turned)
                 start = np.append(start, scene.articulation(self.held.name).value)
                 scene, robot = _mechanism(robot, scene, self.held)
@@ -90,15 +92,21 @@ class World:
         )
 
     def moved(self, q: np.ndarray) -> "World":
-        """The world after a planned phase that ended at q (n,), or (n + 1,) with a door in the hand."""
+        """The world after a planned phase that ended at q (n,), or (n + 1,) with a door in the
+        hand.
+        """
         if not isinstance(self.held, HeldDoor):
             return replace(self, q=q)
         joint = self.scene.articulation(self.held.name)
-        scene = self.scene.with_joint(self.held.name, float(np.clip(q[-1], joint.lower, joint.upper)))
+        scene = self.scene.with_joint(
+            self.held.name, float(np.clip(q[-1], joint.lower, joint.upper))
+        )
         return replace(self, scene=scene, q=q[:-1])
 
     def after(self, phase: Phase) -> "World":
-        """The world after a phase that is not planned; InvalidInputError if the hand closes beside the object."""
+        """The world after a phase that is not planned;
+        InvalidInputError if the hand closes beside the object.
+        """
         match phase:
             case Hold():
                 held = HeldDoor(phase.articulation, phase.may_touch)
@@ -110,26 +118,38 @@ class World:
                 if isinstance(self.held, Load):
                     T = self.arm.pose(self.q) @ self.held.attachment.T_hand_object
                     scene = scene.with_objects(replace(self.held.item, T_world_object=T))
-                return replace(self, source={**self.source, **phase.gripper}, scene=scene, held=None)
+                return replace(
+                    self, source={**self.source, **phase.gripper}, scene=scene, held=None
+                )
         raise InvalidInputError(f"phase {phase.name!r} is planned: its end is not known before")
 
     def _grasped(self, phase: Grasp) -> "World":
-        item, source, expected = self.scene[phase.object], {**self.source, **phase.gripper}, phase.attachment
+        item, source, expected = (
+            self.scene[phase.object],
+            {**self.source, **phase.gripper},
+            phase.attachment,
+        )
         T_hand_object = np.linalg.inv(self.arm.pose(self.q)) @ item.T_world_object
         if expected is not None:
             off, turn = _offset(item.shape, expected.T_hand_object, T_hand_object)
             if off > IN_HAND or turn > TURNED:
                 raise InvalidInputError(
-                    f"phase {phase.name!r}: {item.name!r} is {off:.3f} m and {turn:.2f} rad from where the hand "
-                    f"closes by its attachment, at most {IN_HAND} m and {TURNED} rad are allowed; let the phase before "
+                    f"phase {phase.name!r}: {item.name!r} is {off:.3f} m and {turn:.2f} rad from "
+                    f"where the hand "
+                    f"closes by its attachment, at most {IN_HAND} m and {TURNED} rad are allowed; "
+                    f"let the phase before "
                     "end at the object, or leave 'attachment' out"
                 )
         elif _beyond(robot_from_source(source), item, self.q):
             raise InvalidInputError(
-                f"phase {phase.name!r}: {item.name!r} is more than {IN_HAND} m from the arm; let the phase before end "
-                "at the object, or say by an 'attachment' where a hand without collision bodies holds it"
+                f"phase {phase.name!r}: {item.name!r} is more than {IN_HAND} m from the arm; let "
+                f"the phase before end "
+                "at the object, or say by an 'attachment' where a hand without collision bodies "
+                "holds it"
             )
-        held = Load(item, Attachment(expected.name if expected else item.name, item.shape, T_hand_object))
+        held = Load(
+            item, Attachment(expected.name if expected else item.name, item.shape, T_hand_object)
+        )
         return World(source, self.scene.without(phase.object), self.q, held)
 
 
@@ -141,7 +161,9 @@ def _beyond(robot: Robot, item: SceneObject, q: np.ndarray) -> bool:
 
 
 def _offset(shape: Shape, T_expected: np.ndarray, T: np.ndarray) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two poses of a shape; turns about an axis of symmetry do not count."""
+    """Distance [m] and angle [rad] between two poses of a shape;
+    turns about an axis of symmetry do not count.
+    """
     off, R = float(np.linalg.norm(T[:3, 3] - T_expected[:3, 3])), T_expected[:3, :3].T @ T[:3, :3]
     match shape:
         case Sphere():

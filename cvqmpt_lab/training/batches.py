@@ -1,4 +1,6 @@
-"""Batches of scenes with equally many paths each, for stage 2 and MPNet; turns of robot and scene about the base."""
+"""Batches of scenes with equally many paths each, for stage 2 and MPNet;
+turns of robot and scene about the base.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -11,7 +13,8 @@ from cvqmpt_lab.training.shards import FULL_SCALE
 from cvqmpt_lab.training.training_clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.vqmpt.config import require_sizes
 
-SIDE_NOISE = 0.4  # added to least + most of a path's first joint u, by which paths of a scene are grouped
+# added to least + most of a path's first joint u, by which paths of a scene are grouped
+SIDE_NOISE = 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,14 +41,20 @@ def batch_seed(seed: int, epoch: int, batch: int) -> np.random.SeedSequence:
 
 
 class BaseTurn:
-    """Turns of robot and scene about the base within the first joint's limits; all 0 unless `active`."""
+    """Turns of robot and scene about the base within the first joint's limits;
+    all 0 unless `active`.
+    """
 
     def __init__(self, dataset: PathDataset, wanted: bool) -> None:
         self.active = wanted and dataset.chain is not None and dataset.chain.turns_about_base
         self._range = np.float64(dataset.robot.upper[0] - dataset.robot.lower[0])
         first, starts = dataset.paths.waypoints[:, 0], dataset.paths.start[:-1]
-        ends = [f.reduceat(first, starts) if len(starts) else np.empty(0) for f in (np.minimum, np.maximum)]
-        self.least, self.most = (end / FULL_SCALE for end in ends)  # (p,) of the first joint along each path
+        ends = [
+            f.reduceat(first, starts) if len(starts) else np.empty(0)
+            for f in (np.minimum, np.maximum)
+        ]
+        # (p,) of the first joint along each path
+        self.least, self.most = (end / FULL_SCALE for end in ends)
 
     def draw(self, paths: np.ndarray, rng: np.random.Generator) -> float:
         """One angle [rad] for all of these paths together."""
@@ -74,11 +83,16 @@ def turned(cloud: np.ndarray, angle: float) -> np.ndarray:
 
 
 def grouped_by_scene(
-    dataset: PathDataset, rows: np.ndarray, size: int, rng: np.random.Generator, key: np.ndarray | None = None
+    dataset: PathDataset,
+    rows: np.ndarray,
+    size: int,
+    rng: np.random.Generator,
+    key: np.ndarray | None = None,
 ) -> np.ndarray:
     """Shuffle paths into groups (g, size) of one scene each, groups shuffled; -1 fills a group up.
 
-    Within a scene, paths of similar `key` (p,), one number for every path of the dataset, come together.
+    Within a scene, paths of similar `key` (p,), one number for every path of the dataset, come
+    together.
     """
     rows = rng.permutation(rows)
     scenes = dataset.paths.scene[rows]
@@ -98,7 +112,9 @@ def _place_in_run(values: np.ndarray) -> np.ndarray:
 
 
 class SceneBatches(Dataset):
-    """Dictionaries: scene (s,); cloud (s, points, 3) [m]; u (s p, t, n), counts and weight (s p,), grouped by scene."""
+    """Dictionaries: scene (s,); cloud (s, points, 3) [m];
+    u (s p, t, n), counts and weight (s p,), grouped by scene.
+    """
 
     def __init__(
         self,
@@ -108,13 +124,20 @@ class SceneBatches(Dataset):
         groups: list[np.ndarray],
         seed: tuple[int, int],
     ) -> None:
-        """Batches of groups, one list element a batch; without turns, for validation, clouds are not augmented."""
+        """Batches of groups, one list element a batch;
+        without turns, for validation, clouds are not augmented.
+        """
         self._dataset, self._turn, self._groups, self._seed = dataset, turn, groups, seed
         self._cloud = settings.cloud if turn is not None else settings.cloud.without_augmentation()
 
     @classmethod
     def of_epoch(
-        cls, dataset: PathDataset, settings: SceneBatchSettings, turn: BaseTurn, seed: int, epoch: int
+        cls,
+        dataset: PathDataset,
+        settings: SceneBatchSettings,
+        turn: BaseTurn,
+        seed: int,
+        epoch: int,
     ) -> "SceneBatches":
         """Every training path once, in an order of its own for each epoch."""
         rng = np.random.default_rng((seed, epoch))
@@ -129,10 +152,16 @@ class SceneBatches(Dataset):
         return cls(dataset, settings, turn, batches, (seed, epoch))
 
     @classmethod
-    def for_validation(cls, dataset: PathDataset, settings: SceneBatchSettings, seed: int) -> "SceneBatches":
-        """Held-out paths, always the same ones and the same clouds; scenes of a batch differ where they can."""
+    def for_validation(
+        cls, dataset: PathDataset, settings: SceneBatchSettings, seed: int
+    ) -> "SceneBatches":
+        """Held-out paths, always the same ones and the same clouds;
+        scenes of a batch differ where they can.
+        """
         rng = np.random.default_rng(seed)
-        rows = with_few_trivial(dataset.paths, dataset.split("validation"), settings.trivial_share, rng)
+        rows = with_few_trivial(
+            dataset.paths, dataset.split("validation"), settings.trivial_share, rng
+        )
         groups = grouped_by_scene(dataset, rows, settings.paths_per_scene, rng)
         scene = dataset.paths.scene[groups[:, 0]]
         by_scene, rank = np.argsort(scene, kind="stable"), np.empty(len(scene), dtype=np.int64)
@@ -140,7 +169,8 @@ class SceneBatches(Dataset):
         order = np.argsort(rank, kind="stable")
         groups = groups[order][: max(2, settings.validation_paths // settings.paths_per_scene)]
         family = dataset.scenes.family[dataset.paths.scene[groups[:, 0]]]
-        groups = groups[np.argsort(family, kind="stable")]  # the other scene is mostly of the same family
+        # the other scene is mostly of the same family
+        groups = groups[np.argsort(family, kind="stable")]
         count = max(1, len(groups) // settings.scenes)
         return cls(dataset, settings, None, np.array_split(groups, count), (seed, 0))
 
@@ -153,13 +183,18 @@ class SceneBatches(Dataset):
         rows = np.where(groups < 0, groups[:, :1], groups)
         scenes = paths.scene[rows[:, 0]]
         angles = [0.0 if self._turn is None else self._turn.draw(group, rng) for group in rows]
-        clouds = [sample_cloud(self._dataset.scenes.shapes(int(scene)), self._cloud, rng) for scene in scenes]
+        clouds = [
+            sample_cloud(self._dataset.scenes.shapes(int(scene)), self._cloud, rng)
+            for scene in scenes
+        ]
         u, counts = paths.padded(rows.ravel())
         if self._turn is not None:
             turns = zip(u.reshape(*rows.shape, *u.shape[1:]), angles, strict=True)
             u = np.concatenate([self._turn.joints(part, angle) for part, angle in turns])
         return {
-            "cloud": np.stack([turned(cloud, angle) for cloud, angle in zip(clouds, angles, strict=True)]),
+            "cloud": np.stack(
+                [turned(cloud, angle) for cloud, angle in zip(clouds, angles, strict=True)]
+            ),
             "u": u,
             "counts": counts,
             "weight": (groups >= 0).ravel(),

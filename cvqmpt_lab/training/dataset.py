@@ -1,7 +1,8 @@
-"""A dataset of training paths in memory: scenes as shapes, paths as waypoints of 16 bits a joint, split in two.
+"""A dataset of training paths in memory: scenes as shapes, paths as waypoints of 16 bits a joint,
+split in two.
 
-Joints u are normalised to [0, 1] between the limits. Scenes whose seed is divisible by 20 validate, the others
-train; twins, second labels of a path, do neither. `shards` describes the folder on disk.
+Joints u are normalised to [0, 1] between the limits. Scenes whose seed is divisible by 20 validate,
+the others train; twins, second labels of a path, do neither. `shards` describes the folder on disk.
 """
 
 import hashlib
@@ -31,7 +32,8 @@ from cvqmpt_lab.vqmpt.weights import RobotSignature
 
 VALIDATION_EVERY = 20  # scenes whose seed is divisible by it validate
 ROADMAP_SPACING = 0.13  # [rad] between waypoints at most, as in other datasets
-ROADMAP_PATHS = 40  # of each labelled scene, the first that were found: all of them would not fit into memory
+# of each labelled scene, the first that were found: all of them would not fit into memory
+ROADMAP_PATHS = 40
 
 SplitName = Literal["train", "validation"]
 
@@ -41,7 +43,8 @@ class Shapes:
     """Boxes, cylinders and spheres, m of them."""
 
     kind: np.ndarray  # (m,) uint8: 0 box, 1 cylinder, 2 sphere
-    size: np.ndarray  # (m, 3) float32 [m]: edges; radius, radius, height (axis z); radius three times
+    # (m, 3) float32 [m]: edges; radius, radius, height (axis z); radius three times
+    size: np.ndarray
     pose: np.ndarray  # (m, 3, 4) float32: T_world_shape [m]
 
     def __len__(self) -> int:
@@ -90,7 +93,9 @@ class Paths:
         return self.start[paths + 1] - self.start[paths]
 
     def padded(self, paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Normalised joints (b, t, n) float32 of paths (b,), the last waypoint repeated, and their counts (b,)."""
+        """Normalised joints (b, t, n) float32 of paths (b,), the last waypoint repeated, and their
+        counts (b,).
+        """
         counts = self.counts(paths)
         place = np.minimum(np.arange(counts.max()), counts[:, None] - 1)
         return unpacked(self.waypoints[self.start[paths][:, None] + place]), counts
@@ -101,8 +106,12 @@ def unpacked(joints: np.ndarray) -> np.ndarray:
     return joints.astype(np.float32) / np.float32(FULL_SCALE)
 
 
-def with_few_trivial(paths: Paths, rows: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
-    """Rows in which at most this share is of trivial paths; which of those stay is drawn, order is kept."""
+def with_few_trivial(
+    paths: Paths, rows: np.ndarray, share: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Rows in which at most this share is of trivial paths;
+    which of those stay is drawn, order is kept.
+    """
     trivial = paths.trivial[rows]
     others = int((~trivial).sum())
     most = int(share / (1.0 - share) * others) if share < 1.0 else len(rows)
@@ -137,12 +146,14 @@ class PathDataset:
         for name in get_args(SplitName):
             if len(self.split(name)) == 0:
                 raise InvalidInputError(
-                    f"{self.folder} has no {name} path (scene seeds divisible by {VALIDATION_EVERY} validate); "
+                    f"{self.folder} has no {name} path (scene seeds divisible by "
+                    f"{VALIDATION_EVERY} validate); "
                     "generate more scenes"
                 )
 
     def thinned(self, spacing: float | None) -> "PathDataset":
-        """The dataset with fewer waypoints: both ends of each path, and the first waypoint after every `spacing` [rad].
+        """The dataset with fewer waypoints: both ends of each path, and the first waypoint after
+        every `spacing` [rad].
 
         None keeps all; InvalidInputError for a spacing that is not positive.
         """
@@ -154,7 +165,8 @@ class PathDataset:
         scale = (np.array(self.robot.upper) - np.array(self.robot.lower)) / FULL_SCALE
         steps = np.zeros(len(paths.waypoints))
         block = 1 << 18
-        for first in range(1, len(steps), block):  # in blocks: the whole in floats would not fit everywhere
+        # in blocks: the whole in floats would not fit everywhere
+        for first in range(1, len(steps), block):
             last = min(first + block, len(steps))
             joints = paths.waypoints[first - 1 : last] * scale
             steps[first:last] = np.linalg.norm(np.diff(joints, axis=0), axis=1)
@@ -185,18 +197,30 @@ def open_dataset(folder: Path) -> PathDataset:
         shards = [_path_arrays(shard, robot) for shard in read_roadmap_shards(folder)]
     else:
         shards = [read_shard(folder, row, joints, len(families)) for row in read_index(folder)]
-    digest = hashlib.sha256(read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)).hexdigest()
-    return PathDataset(folder, robot, families, chain, digest, together_scenes(shards), _paths(shards))
+    digest = hashlib.sha256(
+        read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)
+    ).hexdigest()
+    return PathDataset(
+        folder, robot, families, chain, digest, together_scenes(shards), _paths(shards)
+    )
 
 
-def read_dataset_description(folder: Path) -> tuple[RobotSignature, tuple[str, ...], SerialChain | None]:
-    """Robot, families and kinematics of a dataset; InvalidInputError where its description is missing or malformed."""
+def read_dataset_description(
+    folder: Path,
+) -> tuple[RobotSignature, tuple[str, ...], SerialChain | None]:
+    """Robot, families and kinematics of a dataset;
+    InvalidInputError where its description is missing or malformed.
+    """
     path = folder / DESCRIPTION_FILE
     if not path.exists():
-        raise InvalidInputError(f"no dataset in {folder}: it has no {DESCRIPTION_FILE}; generate one there first")
+        raise InvalidInputError(
+            f"no dataset in {folder}: it has no {DESCRIPTION_FILE}; generate one there first"
+        )
     description = read_json_object(require_regular_file(path))
     if description.get("schema") != SCHEMA:
-        raise InvalidInputError(f"{path}: schema is {description.get('schema')!r}; this version reads {SCHEMA}")
+        raise InvalidInputError(
+            f"{path}: schema is {description.get('schema')!r}; this version reads {SCHEMA}"
+        )
     robot = _robot(description, path)
     families = from_plain(tuple[str, ...], description.get("families"), f"{path}: families")
     if not families:
@@ -205,7 +229,9 @@ def read_dataset_description(folder: Path) -> tuple[RobotSignature, tuple[str, .
     if description.get("kinematics") is not None:
         chain = from_plain(SerialChain, description["kinematics"], f"{path}: kinematics")
         if len(chain.rotation) != joints:
-            raise InvalidInputError(f"{path}: kinematics has {len(chain.rotation)} joints, lower {joints}")
+            raise InvalidInputError(
+                f"{path}: kinematics has {len(chain.rotation)} joints, lower {joints}"
+            )
     return robot, families, chain
 
 
@@ -218,7 +244,9 @@ def _robot(description: Mapping[str, Any], path: Path) -> RobotSignature:
 
 def together_scenes(shards: list[dict[str, np.ndarray]]) -> Scenes:
     """All scenes, rows counted through."""
-    size, pose = (together(shards, name).astype(np.float32) for name in ("shape_size", "shape_pose"))
+    size, pose = (
+        together(shards, name).astype(np.float32) for name in ("shape_size", "shape_pose")
+    )
     return Scenes(
         family=together(shards, "family"),
         seed=together(shards, "scene_seed"),
@@ -253,7 +281,9 @@ def _offsets(shards: list[dict[str, np.ndarray]], items: str) -> list[int]:
 def together_rows(shards: list[dict[str, np.ndarray]], name: str, items: str) -> np.ndarray:
     """Rows of items, counted through; -1 stays."""
     parts = zip(shards, _offsets(shards, items), strict=False)
-    return np.concatenate([np.where(s[name] < 0, -1, s[name].astype(np.int64) + o) for s, o in parts])
+    return np.concatenate(
+        [np.where(s[name] < 0, -1, s[name].astype(np.int64) + o) for s, o in parts]
+    )
 
 
 def together_ranges(shards: list[dict[str, np.ndarray]], name: str, items: str) -> np.ndarray:
@@ -264,9 +294,11 @@ def together_ranges(shards: list[dict[str, np.ndarray]], name: str, items: str) 
 
 
 def _path_arrays(shard: RoadmapShard, robot: RobotSignature) -> dict[str, np.ndarray]:
-    """Arrays of paths, as `shards` describes them, of labels on a roadmap; pairs without a path are left out.
+    """Arrays of paths, as `shards` describes them, of labels on a roadmap; pairs without a path are
+    left out.
 
-    A path goes from its start through the nodes that its codes name to its goal, straight along each edge.
+    A path goes from its start through the nodes that its codes name to its goal, straight along
+    each edge.
     """
     lower, upper, labels = np.array(robot.lower), np.array(robot.upper), shard.arrays
     rows = np.flatnonzero(np.isfinite(labels["cost"]))
@@ -287,7 +319,8 @@ def _path_arrays(shard: RoadmapShard, robot: RobotSignature) -> dict[str, np.nda
         "waypoints": np.rint(u * FULL_SCALE).astype(np.uint16),
         "length": labels["cost"][rows],
         "straight": labels["straight"][rows],
-        "trivial": np.zeros(len(rows), bool),  # only pairs whose straight motion is blocked are labelled
+        # only pairs whose straight motion is blocked are labelled
+        "trivial": np.zeros(len(rows), bool),
         "twin_of": np.full(len(rows), -1, np.int32),
     }
 
@@ -295,7 +328,9 @@ def _path_arrays(shard: RoadmapShard, robot: RobotSignature) -> dict[str, np.nda
 def _corners(
     shard: RoadmapShard, rows: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Start, nodes and goal (c, n) [rad] of one path after the other, and where those of each begin (p + 1,)."""
+    """Start, nodes and goal (c, n) [rad] of one path after the other, and where those of each begin
+    (p + 1,).
+    """
     labels, count = shard.arrays, np.diff(shard.arrays["code_start"])[rows]
     first = np.concatenate([[0], np.cumsum(count + 2)])
     corners = np.empty((first[-1], shard.graph.nodes.shape[1]))

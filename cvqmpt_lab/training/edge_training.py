@@ -1,4 +1,6 @@
-"""Fits of P(a roadmap's edge is free): a logistic curve by Newton's method, and a small network to compare it with."""
+"""Fits of P(a roadmap's edge is free):
+a logistic curve by Newton's method, and a small network to compare it with.
+"""
 
 from collections.abc import Callable
 
@@ -14,7 +16,8 @@ LogOdds = Callable[[np.ndarray], np.ndarray]  # of features (b, i): (b,)
 
 
 def fit_logistic(features: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Weights (i + 1,), the bias last, of log odds that are linear in features (b, i); free: verdicts (b,) bool.
+    """Weights (i + 1,), the bias last, of log odds that are linear in features (b, i); free:
+    verdicts (b,) bool.
 
     The most likely ones, by Newton's method.
     """
@@ -23,7 +26,9 @@ def fit_logistic(features: np.ndarray, free: np.ndarray) -> np.ndarray:
     for _ in range(NEWTON_STEPS):
         probability = 1.0 / (1.0 + np.exp(-inputs @ weights))
         curvature = (inputs * (probability * (1.0 - probability))[:, None]).T @ inputs
-        step = np.linalg.solve(curvature + RIDGE * np.eye(len(weights)), inputs.T @ (free - probability))
+        step = np.linalg.solve(
+            curvature + RIDGE * np.eye(len(weights)), inputs.T @ (free - probability)
+        )
         weights += step
     return weights
 
@@ -37,7 +42,9 @@ def fit_network(
     batch: int = 1024,
     rate: float = 3e-3,
 ) -> LogOdds:
-    """Minimise the negative log-likelihood of verdicts `free` (b,), by Adam with a rate that falls as a cosine."""
+    """Minimise the negative log-likelihood of verdicts `free` (b,), by Adam with a rate that falls
+    as a cosine.
+    """
     middle, scale = features.mean(axis=0), features.std(axis=0) + 1e-6
 
     def inputs_of(features: np.ndarray) -> torch.Tensor:
@@ -54,10 +61,14 @@ def fit_network(
         nn.Linear(second, 1),
     )
     optimizer = torch.optim.Adam(network.parameters(), rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs * -(-len(inputs) // batch))
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(
+        optimizer, epochs * -(-len(inputs) // batch)
+    )
     for _ in range(epochs):
         for rows in torch.randperm(len(inputs)).split(batch):
-            loss = nn.functional.binary_cross_entropy_with_logits(network(inputs[rows])[..., 0], targets[rows])
+            loss = nn.functional.binary_cross_entropy_with_logits(
+                network(inputs[rows])[..., 0], targets[rows]
+            )
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()

@@ -15,15 +15,19 @@ from cvqmpt_lab.vqmpt.weights import StoredModel
 def held_out_values(
     stored: StoredModel, labels: RoadmapDataset, other: np.ndarray, paths: int
 ) -> dict[str, float | None]:
-    """Cross entropies, and areas under curves, named as in a training's curves, over all scenes of labels.
+    """Cross entropies, and areas under curves, named as in a training's curves, over all scenes of
+    labels.
 
-    other (m, 3): cloud of another scene [m]. paths: of each scene. InvalidInputError: the model has no sequence model.
+    other (m, 3): cloud of another scene [m]. paths: of each scene. InvalidInputError: the model has
+    no sequence model.
     """
     settings, cpu = RoadmapSettings(scenes=1, paths=paths), torch.device("cpu")
     checkpoint = as_modules(stored)
     stage: TransformerStage | PublishedStage
     if checkpoint.transformer is not None:
-        stage = TransformerStage(labels, checkpoint, settings, checkpoint.transformer.config.sizes, 0, cpu)
+        stage = TransformerStage(
+            labels, checkpoint, settings, checkpoint.transformer.config.sizes, 0, cpu
+        )
         stage.module.load_state_dict(checkpoint.transformer.state_dict())
     else:
         stored.require_part("sequence_model")

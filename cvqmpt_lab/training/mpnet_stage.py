@@ -1,7 +1,7 @@
 """MPNet: learn to propose the next waypoint q_{t+1} from q_t, the goal and the encoded cloud z.
 
-The loss is the mean over all steps, both ways, and joints of |g(q_t, q_goal, z) - q_{t+1}|^2. All examples of a batch
-count, unlike in the published code.
+The loss is the mean over all steps, both ways, and joints of |g(q_t, q_goal, z) - q_{t+1}|^2. All
+examples of a batch count, unlike in the published code.
 """
 
 from collections.abc import Mapping
@@ -50,23 +50,32 @@ class MPNetStage(SceneStage):
         return {"loss": self._squared_error(batch, batch["cloud"], stochastic=True)}
 
     def validate(self) -> dict[str, float | None]:
-        """Error on held-out scenes with their own cloud, and with the cloud of another scene; no dropout."""
+        """Error on held-out scenes with their own cloud, and with the cloud of another scene;
+        no dropout.
+        """
         means = Means()
         for batch, clouds in self.held_out():
             for prefix, cloud in clouds.items():
                 error = self._squared_error(batch, cloud, stochastic=False)
                 means.add(f"{prefix}squared_error", float(error), 1)
-        return {name: means.values().get(name) for name in ("squared_error", "wrong_cloud_squared_error")}
+        return {
+            name: means.values().get(name)
+            for name in ("squared_error", "wrong_cloud_squared_error")
+        }
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> MPNetCheckpoint:
         """The network as it stands."""
         return MPNetCheckpoint(self.dataset.robot, self.network, metadata)
 
-    def _squared_error(self, batch: dict[str, Tensor], cloud: Tensor, *, stochastic: bool) -> Tensor:
+    def _squared_error(
+        self, batch: dict[str, Tensor], cloud: Tensor, *, stochastic: bool
+    ) -> Tensor:
         states, counts = 2.0 * batch["u"] - 1.0, batch["counts"]
         codes = self.network.encode(cloud).repeat_interleave(len(states) // len(cloud), 0)
         step = torch.arange(states.shape[1] - 1, device=states.device)
-        rows, place = ((step < counts[:, None] - 1) & batch["weight"][:, None]).nonzero(as_tuple=True)
+        rows, place = ((step < counts[:, None] - 1) & batch["weight"][:, None]).nonzero(
+            as_tuple=True
+        )
         before, after = states[rows, place], states[rows, place + 1]
         start, goal = states[rows, 0], states[rows, counts[rows] - 1]
         proposed = self.network(

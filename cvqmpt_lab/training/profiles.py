@@ -43,14 +43,18 @@ class Profile:
     stage1: Stage1Settings
     stage2: Stage2Settings | None  # None where the model is of a kind without a sequence model
     mpnet: MPNetSettings
-    transformer_model: sizes.SceneTransformerSizes = field(default_factory=sizes.SceneTransformerSizes)
+    transformer_model: sizes.SceneTransformerSizes = field(
+        default_factory=sizes.SceneTransformerSizes
+    )
     transformer: RoadmapSettings = field(default_factory=RoadmapSettings)
     published_model: PublishedSizes = field(default_factory=PublishedSizes)
     published: RoadmapSettings = field(default_factory=RoadmapSettings)
 
     def __post_init__(self) -> None:
         if (self.stage2 is None) != (self.model.sequence is None):
-            raise InvalidInputError("give stage2 to a model with a sequence, and null to one without")
+            raise InvalidInputError(
+                "give stage2 to a model with a sequence, and null to one without"
+            )
         if self.mpnet.batches.cloud.points != self.mpnet_model.n_points:
             raise InvalidInputError("mpnet.batches.cloud.points must equal mpnet_model.n_points")
 
@@ -58,16 +62,20 @@ class Profile:
         """The model for a dataset: its joints and features, for which it must have kinematics."""
         if self.link_features and dataset.chain is None:
             raise InvalidInputError(
-                f"profile {self.name!r} takes link positions, but {dataset.folder} has no kinematics; "
+                f"profile {self.name!r} takes link positions, but {dataset.folder} has no "
+                f"kinematics; "
                 "set link_features to false"
             )
         feature_dim = dataset.chain.feature_dim if self.link_features and dataset.chain else 0
         return replace(self.model, joint_dim=len(dataset.robot.lower), feature_dim=feature_dim)
 
-    def stage(self, name: str, data: Path, dictionary: Path | None, seed: int, device: torch.device) -> Stage:
+    def stage(
+        self, name: str, data: Path, dictionary: Path | None, seed: int, device: torch.device
+    ) -> Stage:
         """A stage, ready to be trained on a folder of data; dictionary: folder of stage 1.
 
-        InvalidInputError or UnknownChoiceError: no such stage, or data, dictionary and model do not fit each other.
+        InvalidInputError or UnknownChoiceError: no such stage, or data, dictionary and model do not
+        fit each other.
         """
         if name not in MODELS:
             raise UnknownChoiceError("stage", name, MODELS)
@@ -78,9 +86,13 @@ class Profile:
             labels = open_roadmap_dataset(data)
             made: RoadmapStage
             if name == "published":
-                made = PublishedStage(labels, words, self.published, self.published_model, seed, device)
+                made = PublishedStage(
+                    labels, words, self.published, self.published_model, seed, device
+                )
             else:
-                made = TransformerStage(labels, words, self.transformer, self.transformer_model, seed, device)
+                made = TransformerStage(
+                    labels, words, self.transformer, self.transformer_model, seed, device
+                )
             return made.require_splits()
         dataset = open_dataset(data)
         if name == "stage1":
@@ -90,9 +102,13 @@ class Profile:
             return MPNetStage(dataset, network, self.mpnet, seed, device)
         if self.stage2 is None:
             own = ", ".join(name for name, one in PROFILES.items() if one.stage2 is not None)
-            raise InvalidInputError(f"profile {self.name!r} has no stage2; profiles with one: {own}")
+            raise InvalidInputError(
+                f"profile {self.name!r} has no stage2; profiles with one: {own}"
+            )
         if dictionary is None:
-            raise InvalidInputError("stage2 needs the dictionary that stage1 trained; name its folder")
+            raise InvalidInputError(
+                "stage2 needs the dictionary that stage1 trained; name its folder"
+            )
         words = load_checkpoint(checkpoint_folder(dictionary) or dictionary)
         return Stage2(dataset, words, self.model_for(dataset), self.stage2, seed, device)
 
@@ -100,16 +116,20 @@ class Profile:
 def _compact() -> Profile:
     """The dictionary and MPNet that ship."""
     cloud = CloudSettings(points=1024)
-    batches = SceneBatchSettings(scenes=12, paths_per_scene=8, spacing=0.2, turn_base=True, cloud=cloud)
+    batches = SceneBatchSettings(
+        scenes=12, paths_per_scene=8, spacing=0.2, turn_base=True, cloud=cloud
+    )
     labels = RoadmapSettings()
-    # The authors' structure with about as many numbers as the scene transformer and twice its scene tokens: at their
-    # width of 512 a core takes an eighth as many sequences a second.
+    # The authors' structure with about as many numbers as the scene transformer and twice its scene
+    # tokens: at their width of 512 a core takes an eighth as many sequences a second.
     narrow = sizes.TransformerConfig(n_heads=3, d_k=64, d_v=64, d_model=192, d_inner=384)
     return Profile(
         name="compact",
         link_features=True,
         model=sizes.ModelConfig.compact(feature_dim=3, n_codes=1024),
-        mpnet_model=sizes.MPNetConfig(n_points=1024, planner_widths=(896, 512, 384, 256, 128, 64), dropout=0.3),
+        mpnet_model=sizes.MPNetConfig(
+            n_points=1024, planner_widths=(896, 512, 384, 256, 128, 64), dropout=0.3
+        ),
         stage1=Stage1Settings(
             epochs=10,
             batch=64,
@@ -122,25 +142,37 @@ def _compact() -> Profile:
         stage2=None,
         mpnet=MPNetSettings(
             epochs=10,
-            batches=replace(batches, spacing=0.5, batches_per_epoch=300),  # clouds have n_points points, too
+            # clouds have n_points points, too
+            batches=replace(batches, spacing=0.5, batches_per_epoch=300),
             optimizer=OptimizerSettings(rate=5e-4, schedule="cosine", epsilon=1e-8, clip=1.0),
         ),
         published_model=PublishedSizes(
             point_cloud=sizes.PointCloudConfig(
-                sa1=sizes.SetAbstractionConfig(ratio=0.5, radius=0.2, max_neighbours=32, widths=(32, 64)),
-                sa2=sizes.SetAbstractionConfig(ratio=0.5, radius=0.4, max_neighbours=32, widths=(128, 192)),
+                sa1=sizes.SetAbstractionConfig(
+                    ratio=0.5, radius=0.2, max_neighbours=32, widths=(32, 64)
+                ),
+                sa2=sizes.SetAbstractionConfig(
+                    ratio=0.5, radius=0.4, max_neighbours=32, widths=(128, 192)
+                ),
             ),
-            sequence=sizes.SequenceConfig(context=narrow, transformer=narrow, max_length=LONGEST + 1),
+            sequence=sizes.SequenceConfig(
+                context=narrow, transformer=narrow, max_length=LONGEST + 1
+            ),
             dense=True,
         ),
-        # The highest rate of the authors' schedule; at 5e-4 188 of 192 scene features died behind their ReLU.
+        # The highest rate of the authors' schedule; at 5e-4 188 of 192 scene features died behind
+        # their ReLU.
         published=replace(labels, optimizer=replace(labels.optimizer, rate=1.35e-4, warmup=400)),
     )
 
 
 def _smoke() -> Profile:
-    """The published architecture, small, all stages in minutes on a busy core: shows that everything runs, no more."""
-    small = sizes.TransformerConfig(n_layers=2, n_heads=2, d_k=16, d_v=16, d_model=48, d_inner=96, dropout=0.1)
+    """The published architecture, small, all stages in minutes on a busy core:
+    shows that everything runs, no more.
+    """
+    small = sizes.TransformerConfig(
+        n_layers=2, n_heads=2, d_k=16, d_v=16, d_model=48, d_inner=96, dropout=0.1
+    )
     points = sizes.PointCloudConfig(
         sa1=sizes.SetAbstractionConfig(ratio=0.25, radius=0.25, max_neighbours=8, widths=(16, 32)),
         sa2=sizes.SetAbstractionConfig(ratio=0.25, radius=0.6, max_neighbours=16, widths=(48, 48)),
@@ -176,7 +208,11 @@ def _smoke() -> Profile:
             sequence=sizes.SequenceConfig(context=small, transformer=small),
         ),
         mpnet_model=sizes.MPNetConfig(
-            n_points=256, encoder_widths=(128, 64), code_dim=28, planner_widths=(256, 128, 64), dropout=0.2
+            n_points=256,
+            encoder_widths=(128, 64),
+            code_dim=28,
+            planner_widths=(256, 128, 64),
+            dropout=0.2,
         ),
         stage1=Stage1Settings(
             epochs=3,
@@ -201,7 +237,9 @@ def _smoke() -> Profile:
 
 
 def _published() -> Profile:
-    """Architecture, losses and schedules of the paper; batch sizes and epochs are not recorded there."""
+    """Architecture, losses and schedules of the paper;
+    batch sizes and epochs are not recorded there.
+    """
     crop = CropSettings(kind="box")
     cloud = CloudSettings(points=2048, crop=crop, noise=0.0, occlusion=1.0, density=0.0)
     batches = SceneBatchSettings(scenes=16, paths_per_scene=2, cloud=cloud)
@@ -212,7 +250,9 @@ def _published() -> Profile:
         model=sizes.ModelConfig(),
         mpnet_model=sizes.MPNetConfig(),
         stage1=Stage1Settings(
-            epochs=50, batch=64, optimizer=OptimizerSettings(rate=0.2 * 512**-0.5 * 20000**-0.5, warmup=20000)
+            epochs=50,
+            batch=64,
+            optimizer=OptimizerSettings(rate=0.2 * 512**-0.5 * 20000**-0.5, warmup=20000),
         ),
         stage2=Stage2Settings(epochs=20, batches=batches, optimizer=warmed),
         published=RoadmapSettings(optimizer=warmed),

@@ -1,7 +1,9 @@
-"""Training of the authors' sequence model on roadmap labels: what the scene transformer is compared with.
+"""Training of the authors' sequence model on roadmap labels: what the scene transformer is compared
+with.
 
-It gets the same scenes, clouds, paths and validation. With the dense loss two heads, which only the training has,
-predict P(code free) and P(edge free): every code has a query of its own that attends to the scene tokens.
+It gets the same scenes, clouds, paths and validation. With the dense loss two heads, which only the
+training has, predict P(code free) and P(edge free): every code has a query of its own that attends
+to the scene tokens.
 """
 
 from collections.abc import Mapping
@@ -14,7 +16,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from cvqmpt_lab.training.roadmap_dataset import RoadmapDataset
-from cvqmpt_lab.training.roadmap_stage import Cloud, Predicted, RoadmapSettings, RoadmapStage, chosen
+from cvqmpt_lab.training.roadmap_stage import (
+    Cloud,
+    Predicted,
+    RoadmapSettings,
+    RoadmapStage,
+    chosen,
+)
 from cvqmpt_lab.training.shards import LINKS
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import PointCloudConfig, SequenceConfig
@@ -25,7 +33,9 @@ EDGE_WIDTH = 64  # of the dense head
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedSizes:
-    """Sizes of the authors' sequence model, and whether it is trained with the dense loss; defaults as published."""
+    """Sizes of the authors' sequence model, and whether it is trained with the dense loss;
+    defaults as published.
+    """
 
     point_cloud: PointCloudConfig = field(default_factory=PointCloudConfig)
     sequence: SequenceConfig = field(default_factory=SequenceConfig)
@@ -76,13 +86,18 @@ class PublishedStage(RoadmapStage):
     ) -> None:
         super().__init__(dataset, dictionary, settings, LINKS, seed, device)
         self.config = replace(
-            dictionary.config, transformer=None, point_cloud=sizes.point_cloud, sequence=sizes.sequence
+            dictionary.config,
+            transformer=None,
+            point_cloud=sizes.point_cloud,
+            sequence=sizes.sequence,
         )
         self.dictionary.dictionary.to(device).requires_grad_(False)
         self.model = PublishedSequenceModel(self.config)
         nodes, width = len(dataset.graph.nodes), sizes.sequence.transformer.d_model
         self.dense = DenseHead(nodes, dataset.graph.edges, width) if sizes.dense else None
-        self.module = nn.ModuleList([self.model] if self.dense is None else [self.model, self.dense])
+        self.module = nn.ModuleList(
+            [self.model] if self.dense is None else [self.model, self.dense]
+        )
         self.module.to(device)
         limits = torch.tensor([dataset.robot.lower, dataset.robot.upper], device=device)
         self._lower, self._range = limits[0], limits[1] - limits[0]
@@ -113,16 +128,23 @@ class PublishedStage(RoadmapStage):
 
     def _logits(self, scene: Scene, batch: dict[str, Tensor]) -> Tensor:
         """Logits (s, r, l + 1, N + 2): prefixes of one length are a batch, so that none is padded."""
-        ends = [(chosen(batch[f"{end}s"], batch[end]) - self._lower) / self._range for end in ("start", "goal")]
+        ends = [
+            (chosen(batch[f"{end}s"], batch[end]) - self._lower) / self._range
+            for end in ("start", "goal")
+        ]
         context = self.model.encode_context(scene, *(end.flatten(0, 1) for end in ends))
         codes, count = batch["codes"].flatten(0, 1), batch["count"].flatten()
         steps, quantizer = [], self.dictionary.dictionary.quantizer
         for length in range(codes.shape[1] + 1):
             rows = (count >= length).nonzero()[:, 0]
-            logits = self.model.prefix_logits(context[rows], codes[rows, :length], quantizer).float()
+            logits = self.model.prefix_logits(
+                context[rows], codes[rows, :length], quantizer
+            ).float()
             steps.append(logits.new_zeros(len(codes), logits.shape[-1]).index_copy(0, rows, logits))
         return torch.stack(steps, 1).unflatten(0, batch["count"].shape)
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary with the sequence model as it stands."""
-        return Checkpoint(self.config, self.dictionary.robot, self.dictionary.dictionary, self.model, metadata)
+        return Checkpoint(
+            self.config, self.dictionary.robot, self.dictionary.dictionary, self.model, metadata
+        )

@@ -1,4 +1,6 @@
-"""Labels on a dictionary's roadmap in memory: scenes, which nodes and edges are free, shortest code sequences."""
+"""Labels on a dictionary's roadmap in memory:
+scenes, which nodes and edges are free, shortest code sequences.
+"""
 
 import hashlib
 from dataclasses import dataclass
@@ -32,7 +34,9 @@ from cvqmpt_lab.vqmpt.weights import RobotSignature
 
 @dataclass(frozen=True, eq=False)
 class RoadmapDataset:
-    """s scenes of a roadmap with N nodes and E edges, p shortest paths; pairs without a path are left out."""
+    """s scenes of a roadmap with N nodes and E edges, p shortest paths;
+    pairs without a path are left out.
+    """
 
     folder: Path
     robot: RobotSignature
@@ -70,24 +74,33 @@ class RoadmapDataset:
         """Which nodes (k, N) and edges (k, E) are free in scenes, bool."""
         nodes, edges = self.graph.nodes, self.graph.edges
         parts = (self.node_bits[scenes], len(nodes)), (self.edge_bits[scenes], len(edges))
-        node, edge = (np.unpackbits(bits, axis=1, count=count).astype(bool) for bits, count in parts)
+        node, edge = (
+            np.unpackbits(bits, axis=1, count=count).astype(bool) for bits, count in parts
+        )
         return node, edge
 
 
 def open_roadmap_dataset(folder: Path) -> RoadmapDataset:
-    """Read all labels into memory; InvalidInputError names the file that is missing, damaged or of another kind."""
+    """Read all labels into memory;
+    InvalidInputError names the file that is missing, damaged or of another kind.
+    """
     folder = Path(folder)
     robot, families, chain = read_dataset_description(folder)
     if not (folder / ROADMAP_FILE).exists():
         raise InvalidInputError(
-            f"{folder} holds paths, not labels on a roadmap; make those: cvqmpt data generate --labels roadmap"
+            f"{folder} holds paths, not labels on a roadmap; make those: cvqmpt data generate "
+            f"--labels roadmap"
         )
     shards = read_roadmap_shards(folder)
     arrays = [shard.arrays for shard in shards]
-    found = np.isfinite(together(arrays, "cost")) & (np.diff(together_ranges(arrays, "code_start", "codes")) > 0)
+    found = np.isfinite(together(arrays, "cost")) & (
+        np.diff(together_ranges(arrays, "code_start", "codes")) > 0
+    )
     start = together_ranges(arrays, "code_start", "codes")
     count, codes = np.diff(start), together(arrays, "codes")
-    digest = hashlib.sha256(read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)).hexdigest()
+    digest = hashlib.sha256(
+        read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)
+    ).hexdigest()
     return RoadmapDataset(
         folder=folder,
         robot=robot,

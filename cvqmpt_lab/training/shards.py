@@ -1,32 +1,38 @@
-"""Folders of training data on disk, checked array by array: near-shortest paths, or labels on a dictionary's roadmap.
+"""Folders of training data on disk, checked array by array: near-shortest paths, or labels on a
+dictionary's roadmap.
 
 As ``cvqmpt data generate`` writes them; s scenes, m shapes, p paths, n joints, N nodes, E edges::
 
-    dataset.json     schema 1, robot, lower, upper [rad], joints, kinematics_digest, families, kinematics (a
+    dataset.json     schema 1, robot, lower, upper [rad], joints, kinematics_digest, families,
+    kinematics (a
                      vqmpt.config.SerialChain), provenance
     shards.csv       shard, sha256, scenes, paths
     shards/NNNNNN.npz
         family (s,) uint8, scene_seed (s,) int64
-        shape_start (s+1,) int32: ranges into the shapes; shape_kind (m,) uint8, shape_size (m,3) float32 and
-        shape_pose (m,3,4) float32: as in dataset.Shapes
-        path_scene (p,) int32: row of the scene in this shard; path_start (p+1,) int32: ranges into the waypoints
-        waypoints (w,n) uint16: u * 65535, at most 0.13 rad apart along a path
-        length, straight (p,) float32 [rad]; trivial (p,) bool: the straight line is free
-        twin_of (p,) int32: row of the path in this shard of which this is a second label, or -1
+        shape_start (s+1,) int32: ranges into the shapes; shape_kind (m,) uint8, shape_size (m,3)
+        float32 and shape_pose (m,3,4) float32: as in dataset.Shapes path_scene (p,) int32: row of
+        the scene in this shard; path_start (p+1,) int32: ranges into the waypoints waypoints (w,n)
+        uint16: u * 65535, at most 0.13 rad apart along a path length, straight (p,) float32 [rad];
+        trivial (p,) bool: the straight line is free twin_of (p,) int32: row of the path in this
+        shard of which this is a second label, or -1
 
 With ``--labels roadmap``::
 
-    roadmap.npz      nodes (N,n) float64 [rad], edges (E,2) int32, node_possible (N,) and edge_possible (E,) bool: free
-                     in an empty scene; body_joint (k,) int64 and body_offset (k,3) float64 [m]: points of the arm
+    roadmap.npz      nodes (N,n) float64 [rad], edges (E,2) int32, node_possible (N,) and
+    edge_possible (E,) bool: free
+                     in an empty scene; body_joint (k,) int64 and body_offset (k,3) float64 [m]:
+                     points of the arm
     shards/NNNNNN.npz
         family, scene_seed, shape_start, shape_kind, shape_size, shape_pose: as above
         node_free (s,N/8) and edge_free (s,E/8) uint8: packed bits
         path_scene (p,) int32, ends (p,2,n) uint16: start and goal, u * 65535
         code_start (p+1,) int32: ranges into codes (c,) uint16
-        cost (p,) float32: length through the codes [rad], inf where there is no path; straight (p,) float32 [rad]
-        link_start (s+1,) int32: ranges into the ends of links, link_end (e,n) uint16: u * 65535; link_code (e,20)
-        uint16: the nodes nearest to each; link_free (e,20) bool: the straight motion between both is free
-        differs (p,) bool: the codes are others than those of the shortest path in an empty scene
+        cost (p,) float32: length through the codes [rad], inf where there is no path; straight (p,)
+        float32 [rad] link_start (s+1,) int32: ranges into the ends of links, link_end (e,n) uint16:
+        u * 65535; link_code (e,20)
+        uint16: the nodes nearest to each; link_free (e,20) bool: the straight motion between both
+        is free differs (p,) bool: the codes are others than those of the shortest path in an empty
+        scene
 """
 
 import hashlib
@@ -101,24 +107,33 @@ def finished_shards(folder: Path) -> list[IndexRow]:
     path = folder / INDEX_FILE
     if not path.exists():
         return []
-    rows = {row.shard: row for line in read_text(path).splitlines() if (row := _parsed(line)) is not None}
+    rows = {
+        row.shard: row
+        for line in read_text(path).splitlines()
+        if (row := _parsed(line)) is not None
+    }
     files = {row.shard: folder / SHARDS_FOLDER / row.file for row in rows.values()}
     return [
         row
         for row in rows.values()
-        if files[row.shard].is_file() and hashlib.sha256(read_bytes(files[row.shard])).hexdigest() == row.sha256
+        if files[row.shard].is_file()
+        and hashlib.sha256(read_bytes(files[row.shard])).hexdigest() == row.sha256
     ]
 
 
 def _parsed(line: str) -> IndexRow | None:
     fields = line.split(",")
-    if len(fields) != len(COLUMNS) or not all(f.isascii() and f.isdigit() for f in (fields[0], *fields[2:])):
+    if len(fields) != len(COLUMNS) or not all(
+        f.isascii() and f.isdigit() for f in (fields[0], *fields[2:])
+    ):
         return None
     return IndexRow(int(fields[0]), fields[1], int(fields[2]), int(fields[3]))
 
 
 def read_index(folder: Path) -> list[IndexRow]:
-    """Lines of the index; InvalidInputError when it is missing or damaged, lists nothing, or a shard twice."""
+    """Lines of the index;
+    InvalidInputError when it is missing or damaged, lists nothing, or a shard twice.
+    """
     path = folder / INDEX_FILE
     text = read_text(require_regular_file(path))
     first, *lines = text.splitlines() or [""]
@@ -130,7 +145,9 @@ def read_index(folder: Path) -> list[IndexRow]:
     for number, line in enumerate(lines, 2):
         row = _parsed(line)
         if row is None:
-            raise InvalidInputError(f"{path}, line {number} is damaged; generate again, which repairs it")
+            raise InvalidInputError(
+                f"{path}, line {number} is damaged; generate again, which repairs it"
+            )
         rows.append(row)
     if not rows:
         raise InvalidInputError(f"{path} lists no shard; generate paths first")
@@ -148,7 +165,9 @@ def _read_arrays(path: Path, data: bytes) -> dict[str, np.ndarray]:
 
 
 def _shard_arrays(folder: Path, row: IndexRow) -> tuple[Path, dict[str, np.ndarray]]:
-    """File and arrays of one shard; InvalidInputError where it is missing, or not as it was written."""
+    """File and arrays of one shard;
+    InvalidInputError where it is missing, or not as it was written.
+    """
     path = folder / SHARDS_FOLDER / row.file
     data = read_bytes(require_regular_file(path))
     if hashlib.sha256(data).hexdigest() != row.sha256:
@@ -160,15 +179,23 @@ def read_shard(folder: Path, row: IndexRow, joints: int, families: int) -> dict[
     """Arrays of one shard; InvalidInputError names those that contradict each other or the index."""
     path, arrays = _shard_arrays(folder, row)
     for name, (dimensions, kinds) in _REQUIRED.items():
-        if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind not in kinds:
+        if (
+            name not in arrays
+            or arrays[name].ndim != dimensions
+            or arrays[name].dtype.kind not in kinds
+        ):
             raise InvalidInputError(f"{path}: array {name} is missing or not as described")
     wrong = [name for name, passes in _checks(arrays, row, joints, families) if not passes]
     if wrong:
-        raise InvalidInputError(f"{path}: {', '.join(wrong)} does not fit the other arrays; generate it again")
+        raise InvalidInputError(
+            f"{path}: {', '.join(wrong)} does not fit the other arrays; generate it again"
+        )
     return arrays
 
 
-def _checks(arrays: dict[str, np.ndarray], row: IndexRow, joints: int, families: int) -> Iterator[tuple[str, bool]]:
+def _checks(
+    arrays: dict[str, np.ndarray], row: IndexRow, joints: int, families: int
+) -> Iterator[tuple[str, bool]]:
     """What must hold, by the array to name when it does not."""
     s, m, p = (len(arrays[name]) for name in ("scene_seed", "shape_kind", "path_scene"))
     waypoints, path_start = arrays["waypoints"], arrays["path_start"]
@@ -177,10 +204,16 @@ def _checks(arrays: dict[str, np.ndarray], row: IndexRow, joints: int, families:
     yield "family", len(arrays["family"]) == s and _within(arrays["family"], 0, families)
     yield "shape_kind", _within(arrays["shape_kind"], 0, 3)
     yield "shape_size", arrays["shape_size"].shape == (m, 3) and _are_finite(arrays["shape_size"])
-    yield "shape_pose", arrays["shape_pose"].shape == (m, 3, 4) and _are_finite(arrays["shape_pose"])
+    yield (
+        "shape_pose",
+        arrays["shape_pose"].shape == (m, 3, 4) and _are_finite(arrays["shape_pose"]),
+    )
     yield "shape_start", _are_ranges(arrays["shape_start"], s, m)
     yield "waypoints", waypoints.dtype == np.uint16 and waypoints.shape[1] == joints
-    yield "path_start", _are_ranges(path_start, p, len(waypoints)) and bool((np.diff(path_start) >= 2).all())
+    yield (
+        "path_start",
+        _are_ranges(path_start, p, len(waypoints)) and bool((np.diff(path_start) >= 2).all()),
+    )
     yield "path_scene", _within(arrays["path_scene"], 0, s)
     yield "twin_of", len(arrays["twin_of"]) == p and _within(arrays["twin_of"], -1, p)
     for name in ("length", "straight", "trivial"):
@@ -197,7 +230,12 @@ def _are_finite(values: np.ndarray) -> bool:
 
 def _are_ranges(start: np.ndarray, count: int, total: int) -> bool:
     """Whether start (count + 1,) divides a total of items into ranges."""
-    return len(start) == count + 1 and start[0] == 0 and start[-1] == total and bool((np.diff(start) >= 0).all())
+    return (
+        len(start) == count + 1
+        and start[0] == 0
+        and start[-1] == total
+        and bool((np.diff(start) >= 0).all())
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +246,8 @@ class RoadmapGraph:
     edges: np.ndarray  # (E, 2) int32, each pair once
     node_possible: np.ndarray  # (N,) bool: free in an empty scene
     edge_possible: np.ndarray  # (E,) bool, likewise
-    body_joint: np.ndarray  # (k,) int64, joint that moves each body point, see `labels.roadmap_labels.body_points`
+    # (k,) int64, joint that moves each body point, see `labels.roadmap_labels.body_points`
+    body_joint: np.ndarray
     body_offset: np.ndarray  # (k, 3) [m], where each is in that joint's frame
 
     @property
@@ -230,7 +269,9 @@ class RoadmapGraph:
         try:
             return cls(**{name: arrays[name] for name in cls.__annotations__})
         except KeyError as error:
-            raise InvalidInputError(f"{path}: array {error} is missing; generate it again") from error
+            raise InvalidInputError(
+                f"{path}: array {error} is missing; generate it again"
+            ) from error
 
 
 class RoadmapShard(NamedTuple):
@@ -249,23 +290,33 @@ class RoadmapShard(NamedTuple):
             fits = fits and len(arrays["code_start"]) == len(arrays["ends"]) + 1 == row.paths + 1
             fits = fits and _links_fit(arrays, row.scenes, graph)
         except KeyError as error:
-            raise InvalidInputError(f"{path}: array {error} is missing; generate it again") from error
+            raise InvalidInputError(
+                f"{path}: array {error} is missing; generate it again"
+            ) from error
         if not fits:
-            raise InvalidInputError(f"{path} does not fit {ROADMAP_FILE} or the index; generate it again")
+            raise InvalidInputError(
+                f"{path} does not fit {ROADMAP_FILE} or the index; generate it again"
+            )
         return cls(arrays, graph)
 
     def node_free(self, scene: int) -> np.ndarray:
         """(N,) bool."""
-        return np.unpackbits(self.arrays["node_free"][scene], count=len(self.graph.nodes)).astype(bool)
+        return np.unpackbits(self.arrays["node_free"][scene], count=len(self.graph.nodes)).astype(
+            bool
+        )
 
     def edge_free(self, scene: int) -> np.ndarray:
         """(E,) bool."""
-        return np.unpackbits(self.arrays["edge_free"][scene], count=len(self.graph.edges)).astype(bool)
+        return np.unpackbits(self.arrays["edge_free"][scene], count=len(self.graph.edges)).astype(
+            bool
+        )
 
 
 def _links_fit(arrays: dict[str, np.ndarray], scenes: int, graph: RoadmapGraph) -> bool:
     """Whether the arrays of links fit each other and the roadmap."""
-    start, ends, codes, free = (arrays[name] for name in ("link_start", "link_end", "link_code", "link_free"))
+    start, ends, codes, free = (
+        arrays[name] for name in ("link_start", "link_end", "link_code", "link_free")
+    )
     return (
         _are_ranges(start, scenes, len(ends))
         and ends.shape == (len(ends), graph.nodes.shape[1])

@@ -1,10 +1,13 @@
-"""Stage 1 of VQ-MPT: learn a dictionary of codes, each of which stands for a Gaussian over joint angles.
+"""Stage 1 of VQ-MPT: learn a dictionary of codes, each of which stands for a Gaussian over joint
+angles.
 
-A waypoint q is encoded to a latent z = f(q), which is replaced by the nearest code z_q of the dictionary and decoded
-to N(mu, Sigma), Sigma = L D L^T. The loss of trajectories q_1 ... q_T is, with sg the stopped gradient,
+A waypoint q is encoded to a latent z = f(q), which is replaced by the nearest code z_q of the
+dictionary and decoded to N(mu, Sigma), Sigma = L D L^T. The loss of trajectories q_1 ... q_T is,
+with sg the stopped gradient,
 
-    sum_t [ -log N(q_t | mu_t, Sigma_t) - w H(N(mu_t, Sigma_t)) ]                 mean over trajectories
-    + beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2                                  mean over waypoints
+    sum_t [ -log N(q_t | mu_t, Sigma_t) - w H(N(mu_t, Sigma_t)) ]                 mean over
+    trajectories + beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2                                  mean
+    over waypoints
 
 Its first line, the reconstruction, selects the best model; padding never counts.
 """
@@ -32,8 +35,8 @@ class Stage1Settings:
     """How the dictionary is trained."""
 
     epochs: int = 20
-    # Rows of a batch: paths, or for an encoder of single waypoints rows of `row` unrelated ones, which stand
-    # for paths so that the parts of the loss keep their published proportions.
+    # Rows of a batch: paths, or for an encoder of single waypoints rows of `row` unrelated ones,
+    # which stand for paths so that the parts of the loss keep their published proportions.
     batch: int = 64
     row: int = 32
     batches_per_epoch: int | None = None  # at most; None for all paths
@@ -41,7 +44,8 @@ class Stage1Settings:
     trivial_share: float = 0.15  # of paths whose straight line is free, at most
     turn_base: bool = False  # turn whole paths about the base
     entropy_weight: float = 0.1  # w: keeps Gaussians wide
-    restart_every: int = 200  # steps between restarts of codes that are hardly used (if `data_initialised`)
+    # steps between restarts of codes that are hardly used (if `data_initialised`)
+    restart_every: int = 200
     restart_epochs: int = 10  # the first epochs, which have restarts
     restart_below: float = 0.02  # share of the mean use below which a code is restarted
     validation_paths: int = 1000  # at most
@@ -60,9 +64,14 @@ class Stage1Loss(NamedTuple):
 
 
 def stage1_loss(
-    output: DictionaryOutput, u: Tensor, visible: Tensor, commitment: float, entropy_weight: float = 0.1
+    output: DictionaryOutput,
+    u: Tensor,
+    visible: Tensor,
+    commitment: float,
+    entropy_weight: float = 0.1,
 ) -> Stage1Loss:
-    """Loss of the module's docstring, of waypoints u (b, t, n), normalised; visible (b, t) is False where padded.
+    """Loss of the module's docstring, of waypoints u (b, t, n), normalised; visible (b, t) is False
+    where padded.
 
     commitment and entropy_weight are beta and w.
     """
@@ -74,16 +83,22 @@ def stage1_loss(
 
 
 def quantization_loss(quantized: Quantized, visible: Tensor, commitment: float) -> Tensor:
-    """Sum beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2 on latents, mean over visible (b, t) waypoints."""
+    """Sum beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2 on latents, mean over visible (b, t)
+    waypoints.
+    """
     z, z_q = quantized.latent, quantized.quantized
-    per_waypoint = commitment * (z_q.detach() - z).square().sum(-1) + (z_q - z.detach()).square().sum(-1)
+    per_waypoint = commitment * (z_q.detach() - z).square().sum(-1) + (
+        z_q - z.detach()
+    ).square().sum(-1)
     return per_waypoint[visible].mean()
 
 
 class _Waypoints(Dataset):
     """Batches of unrelated waypoints, (batch, row, n)."""
 
-    def __init__(self, stage: "Stage1", epoch: int, paths: np.ndarray, rng: np.random.Generator) -> None:
+    def __init__(
+        self, stage: "Stage1", epoch: int, paths: np.ndarray, rng: np.random.Generator
+    ) -> None:
         self._stage, self._epoch = stage, epoch
         counts = stage.dataset.paths.counts(paths)
         inside = np.arange(counts.sum()) - np.repeat(counts.cumsum() - counts, counts)
@@ -109,7 +124,9 @@ class _Waypoints(Dataset):
 class _Trajectories(Dataset):
     """Batches of whole paths, padded, (batch, t, n)."""
 
-    def __init__(self, stage: "Stage1", epoch: int, paths: np.ndarray, rng: np.random.Generator) -> None:
+    def __init__(
+        self, stage: "Stage1", epoch: int, paths: np.ndarray, rng: np.random.Generator
+    ) -> None:
         self._stage, self._epoch = stage, epoch
         self._paths = rng.permutation(paths)
 
@@ -152,7 +169,9 @@ class Stage1(PathStage):
         device: torch.device,
     ) -> None:
         """Prepare to train on a dataset; raises InvalidInputError where that is impossible."""
-        super().__init__(dataset, settings.spacing, settings.turn_base, settings.optimizer, seed, device)
+        super().__init__(
+            dataset, settings.spacing, settings.turn_base, settings.optimizer, seed, device
+        )
         self.config, self.settings = config, settings
         self.module = _Trainee(config).to(device)
         robot, chain = self.dataset.robot, self.dataset.chain if config.feature_dim else None
@@ -168,8 +187,12 @@ class Stage1(PathStage):
         with torch.no_grad():
             for index in range(len(batches)):
                 batch = batches[index]
-                u, visible = (torch.from_numpy(batch[name]).to(self.device) for name in ("u", "visible"))
-                latents.append(self.module.dictionary.encoder(self._links.configurations(u))[visible])
+                u, visible = (
+                    torch.from_numpy(batch[name]).to(self.device) for name in ("u", "visible")
+                )
+                latents.append(
+                    self.module.dictionary.encoder(self._links.configurations(u))[visible]
+                )
                 if sum(len(part) for part in latents) >= wanted:
                     break
         every = torch.ones(self.config.dictionary.n_codes, dtype=torch.bool, device=self.device)
@@ -193,7 +216,11 @@ class Stage1(PathStage):
             used = output.quantized.codes[visible]
             self.module.uses += torch.bincount(used, minlength=len(self.module.uses))
             self._latents = output.quantized.latent[visible].detach()
-        return {"loss": loss.total, "reconstruction": loss.reconstruction, "quantization": loss.quantization}
+        return {
+            "loss": loss.total,
+            "reconstruction": loss.reconstruction,
+            "quantization": loss.quantization,
+        }
 
     def after_step(self, epoch: int, step: int, optimizer: torch.optim.Optimizer) -> None:
         """Restart codes that are hardly used."""

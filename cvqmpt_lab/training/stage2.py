@@ -1,9 +1,12 @@
-"""Stage 2 of VQ-MPT: learn to predict the codes of a path from the scene's point cloud, start and goal.
+"""Stage 2 of VQ-MPT: learn to predict the codes of a path from the scene's point cloud, start and
+goal.
 
-The codes h_1 ... h_n of a path, the dictionary of stage 1 being frozen, end with the goal class h_{n+1}. With the
-context M of cloud, start and goal, the loss is the cross entropy of the next code after every prefix,
+The codes h_1 ... h_n of a path, the dictionary of stage 1 being frozen, end with the goal class
+h_{n+1}. With the context M of cloud, start and goal, the loss is the cross entropy of the next code
+after every prefix,
 
-    -sum_{i=0}^{n} log p(h_{i+1} | M, h_1 ... h_i)                                mean over trajectories
+    -sum_{i=0}^{n} log p(h_{i+1} | M, h_1 ... h_i)                                mean over
+    trajectories
 
 Every path is learned from both ways.
 """
@@ -33,7 +36,8 @@ class Stage2Settings:
 
     epochs: int = 20
     batches: SceneBatchSettings = field(default_factory=SceneBatchSettings)
-    precision: Literal["float32", "bf16"] = "float32"  # of the matrix products; losses are always float32
+    # of the matrix products; losses are always float32
+    precision: Literal["float32", "bf16"] = "float32"
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(rate=1e-3))
 
 
@@ -46,10 +50,11 @@ class CodeSequences(NamedTuple):
 
 
 def code_sequences(codes: Tensor, counts: Tensor, most: int, goal_class: int) -> CodeSequences:
-    """Both directions of paths given by the codes (p, w) int64, padded, of their waypoints; counts (p,) of waypoints.
+    """Both directions of paths given by the codes (p, w) int64, padded, of their waypoints; counts
+    (p,) of waypoints.
 
-    Sequences of more than `most` codes are cut and do not predict their end. Returns 2 p sequences: path 0 forwards,
-    path 0 backwards, path 1 forwards, ...
+    Sequences of more than `most` codes are cut and do not predict their end. Returns 2 p sequences:
+    path 0 forwards, path 0 backwards, path 1 forwards, ...
     """
     p, w = codes.shape
     real = torch.arange(w, device=codes.device) < counts[:, None]
@@ -107,7 +112,8 @@ class Stage2(SceneStage):
         seed: int,
         device: torch.device,
     ) -> None:
-        """Prepare to train on a dataset with a trained dictionary, whose part of the configuration counts.
+        """Prepare to train on a dataset with a trained dictionary, whose part of the configuration
+        counts.
 
         InvalidInputError: the dictionary is of another robot or kind, or the dataset lacks paths.
         """
@@ -116,7 +122,8 @@ class Stage2(SceneStage):
         words = dictionary.config
         if words.kind != config.kind:
             raise InvalidInputError(
-                f"the dictionary is of kind {words.kind!r}, the configuration of kind {config.kind!r}; train it "
+                f"the dictionary is of kind {words.kind!r}, the configuration of kind "
+                f"{config.kind!r}; train it "
                 "with the same profile"
             )
         self.config = replace(words, point_cloud=config.point_cloud, sequence=config.sequence)
@@ -151,7 +158,9 @@ class Stage2(SceneStage):
     def _examples(self, batch: dict[str, Tensor]) -> _Examples:
         u, counts = batch["u"], batch["counts"]
         codes = self._codes(u, counts)
-        sequences = code_sequences(codes, counts, self.config.stage2[1].max_length - 1, self.config.goal_class)
+        sequences = code_sequences(
+            codes, counts, self.config.stage2[1].max_length - 1, self.config.goal_class
+        )
         last = u[torch.arange(len(u), device=u.device), counts - 1]
         ends = torch.stack((u[:, 0], last), 1)
         both = torch.stack((ends, ends.flip(1)), 1).flatten(0, 1)
@@ -181,13 +190,21 @@ class Stage2(SceneStage):
             )
             return _Predictions(logits.float(), torch.cat(targets), torch.tensor(rows))
 
-    def _measure(self, means: Means, cloud: Tensor, examples: _Examples, families: np.ndarray) -> None:
+    def _measure(
+        self, means: Means, cloud: Tensor, examples: _Examples, families: np.ndarray
+    ) -> None:
         """Take in what the model says with these clouds; families (s,) of the scenes."""
         predictions = self._predict(cloud, examples)
-        entropy = F.cross_entropy(predictions.logits, predictions.targets, reduction="none").cpu().double()
+        entropy = (
+            F.cross_entropy(predictions.logits, predictions.targets, reduction="none")
+            .cpu()
+            .double()
+        )
         means.add("cross_entropy", float(entropy.sum()), len(entropy))
         rows_of_scene = len(examples.weight) // len(families)
         family = families[predictions.row.cpu().numpy() // rows_of_scene]
         for number in np.unique(family).tolist():
             chosen = entropy[torch.from_numpy(family == number)]
-            means.add(f"cross_entropy_{self.dataset.families[number]}", float(chosen.sum()), len(chosen))
+            means.add(
+                f"cross_entropy_{self.dataset.families[number]}", float(chosen.sum()), len(chosen)
+            )

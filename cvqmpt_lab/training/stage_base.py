@@ -1,4 +1,6 @@
-"""What a training trains: a module with its optimizer, batches, losses and validation; `trainer` runs it."""
+"""What a training trains: a module with its optimizer, batches, losses and validation;
+`trainer` runs it.
+"""
 
 import math
 from abc import ABC, abstractmethod
@@ -50,7 +52,9 @@ class OptimizerSettings:
         if self.schedule == "inverse-sqrt":
             return self.rate * math.sqrt(warmup / step)
         done = min(1.0, (step - warmup) / max(total - warmup, 1))
-        return self.rate * (self.final + (1.0 - self.final) * 0.5 * (1.0 + math.cos(math.pi * done)))
+        return self.rate * (
+            self.final + (1.0 - self.final) * 0.5 * (1.0 + math.cos(math.pi * done))
+        )
 
 
 class Stage(ABC):
@@ -71,7 +75,9 @@ class Stage(ABC):
 
     @abstractmethod
     def batches(self, epoch: int) -> Dataset:
-        """Batches of an epoch: dictionaries of arrays, each a function of seed, epoch and its number."""
+        """Batches of an epoch:
+        dictionaries of arrays, each a function of seed, epoch and its number.
+        """
 
     @abstractmethod
     def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -103,7 +109,9 @@ class PathStage(Stage):
         seed: int,
         device: torch.device,
     ) -> None:
-        """Prepare to train on waypoints `spacing` [rad] apart; InvalidInputError without paths of both splits."""
+        """Prepare to train on waypoints `spacing` [rad] apart;
+        InvalidInputError without paths of both splits.
+        """
         super().__init__(optimizer, seed, device)
         dataset.require_splits()
         self.dataset = dataset.thinned(spacing)
@@ -132,10 +140,14 @@ class SceneStage(PathStage):
         return SceneBatches.of_epoch(self.dataset, self._settings, self.turn, self.seed, epoch)
 
     def held_out(self) -> Iterator[tuple[dict[str, Tensor], dict[str, Tensor]]]:
-        """Batches of held-out scenes, and clouds (s, points, 3) by prefix: its own and another scene's, if any."""
+        """Batches of held-out scenes, and clouds (s, points, 3) by prefix:
+        its own and another scene's, if any.
+        """
         for index in range(len(self._validation)):
             arrays = self._validation[index]
-            batch = {name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()}
+            batch = {
+                name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()
+            }
             clouds, others = {"": batch["cloud"]}, other_scenes(arrays["scene"])
             if others is not None:
                 clouds["wrong_cloud_"] = batch["cloud"][others]
@@ -155,4 +167,6 @@ class Means:
 
     def values(self) -> dict[str, float | None]:
         """Each mean; None where nothing tells it."""
-        return {name: total / count if count else None for name, (total, count) in self._sums.items()}
+        return {
+            name: total / count if count else None for name, (total, count) in self._sums.items()
+        }

@@ -1,4 +1,5 @@
-"""The loop that trains any stage, resumable after any batch and repeatable by seed: what `cvqmpt train` calls.
+"""The loop that trains any stage, resumable after any batch and repeatable by seed: what `cvqmpt
+train` calls.
 
 A training's folder, each file of which is replaced whole or not at all::
 
@@ -7,9 +8,10 @@ A training's folder, each file of which is replaced whole or not at all::
     curves.csv      a line per epoch
     model/          checkpoint of the epoch with the best validation
 
-Whatever is random in a batch is drawn from its seed, epoch and number alone, so that a training that was stopped and
-continued takes the same steps as one that was not. Under `torchrun` k processes, on one machine or several, take every
-k-th batch each, and DistributedDataParallel averages their gradients; the first one writes and reports.
+Whatever is random in a batch is drawn from its seed, epoch and number alone, so that a training
+that was stopped and continued takes the same steps as one that was not. Under `torchrun` k
+processes, on one machine or several, take every k-th batch each, and DistributedDataParallel
+averages their gradients; the first one writes and reports.
 """
 
 import csv
@@ -48,12 +50,18 @@ from cvqmpt_lab.training.batches import batch_seed
 from cvqmpt_lab.training.profiles import MODELS, Profile
 from cvqmpt_lab.training.stage_base import Stage
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
-from cvqmpt_lab.vqmpt.weights import TRAINED_FOLDER, checkpoint_folder, recover_weights, weights_digest
+from cvqmpt_lab.vqmpt.weights import (
+    TRAINED_FOLDER,
+    checkpoint_folder,
+    recover_weights,
+    weights_digest,
+)
 
 ENOUGH_PATHS = 2000  # to train a dictionary on, below which a warning is logged
 _log = logging.getLogger("cvqmpt")
 SAVE_EVERY_S = 300.0
-Report = Callable[[int, int, str], None]  # called with the batches done, those of all epochs, and a note
+# called with the batches done, those of all epochs, and a note
+Report = Callable[[int, int, str], None]
 
 
 @dataclass
@@ -87,16 +95,19 @@ def run_training(
 ) -> Progress:
     """Begin or continue a training; the best model is in ``out/model``.
 
-    InvalidInputError or UnknownChoiceError: before anything is written when data, dictionary or folder cannot be used,
-    another training uses the folder, or `torchrun` starts several processes for stage1; later when the loss is not
-    finite or the disk is full. KeyboardInterrupt after Ctrl-C (or SIGTERM), once saved.
+    InvalidInputError or UnknownChoiceError: before anything is written when data, dictionary or
+    folder cannot be used, another training uses the folder, or `torchrun` starts several processes
+    for stage1; later when the loss is not finite or the disk is full. KeyboardInterrupt after
+    Ctrl-C (or SIGTERM), once saved.
     """
     seed = whole_number("seed", seed)
     rank, count = joined_processes()
     made = profile.stage(stage, data, dictionary, seed, _device(device))
     dataset = made.dataset
     if count > 1 and not made.many_processes:
-        raise InvalidInputError(f"{stage} is trained by one process, not {count}; leave torchrun out")
+        raise InvalidInputError(
+            f"{stage} is trained by one process, not {count}; leave torchrun out"
+        )
     plain = to_plain(profile, complete=True)
     epochs = plain[stage].pop("epochs") if epochs is None else epochs
     plain[stage].pop("epochs", None)
@@ -110,13 +121,16 @@ def run_training(
     paths = {f"{name}_paths": len(dataset.split(name)) for name in ("train", "validation")}
     if stage == "stage1" and paths["train_paths"] < ENOUGH_PATHS:
         _log.warning(
-            "%d paths to train on, too few for a dictionary: give %d or more (the shipped one had 13 204); "
+            "%d paths to train on, too few for a dictionary: give %d or more (the shipped one had "
+            "13 204); "
             "`cvqmpt data generate` makes them, and continues in its folder",
             paths["train_paths"],
             ENOUGH_PATHS,
         )
     chain = None if dataset.chain is None else to_plain(dataset.chain)
-    trainer = Trainer(made, out, epochs, workers, {**settings, "kinematics": chain, **paths, **metadata})
+    trainer = Trainer(
+        made, out, epochs, workers, {**settings, "kinematics": chain, **paths, **metadata}
+    )
     if rank > 0:
         dist.barrier()  # until the first has made the folder
         open_folder(out, settings)
@@ -131,16 +145,21 @@ def run_training(
 
 
 def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
-    """Begin in an empty folder, or continue what has equal settings; InvalidInputError names the first that differs."""
+    """Begin in an empty folder, or continue what has equal settings;
+    InvalidInputError names the first that differs.
+    """
     path, settings = folder / "training.json", json.loads(json.dumps(settings))
     if path.is_file():
         found = differences(read_json_object(require_regular_file(path)), settings)
         if found:
             raise InvalidInputError(
-                f"{folder} holds another training ({min(found, key=len)}); use the same or choose another --out"
+                f"{folder} holds another training ({min(found, key=len)}); use the same or choose "
+                f"another --out"
             )
     elif any(make_folder(folder).iterdir()):
-        raise InvalidInputError(f"{folder} is not empty and holds no training to continue; choose another --out")
+        raise InvalidInputError(
+            f"{folder} is not empty and holds no training to continue; choose another --out"
+        )
     else:
         write_text(path, json.dumps(settings, indent=2) + "\n")
 
@@ -148,13 +167,19 @@ def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
 class Trainer:
     """A stage that is trained in a folder for some epochs."""
 
-    def __init__(self, stage: Stage, folder: Path, epochs: int, workers: int, metadata: Mapping[str, Any]) -> None:
+    def __init__(
+        self, stage: Stage, folder: Path, epochs: int, workers: int, metadata: Mapping[str, Any]
+    ) -> None:
         self.stage, self.folder, self.epochs, self.workers = stage, folder, epochs, workers
         self.metadata, (self.rank, self.processes) = metadata, joined_processes()
         self.progress, self.optimizer = Progress(), stage.optimizer.build(stage.module)
 
-    def train(self, minutes: float | None, report: Report = lambda done, total, note: None) -> Progress:
-        """Train until the epochs are done, the minutes are over, or Ctrl-C; the state is saved in every case."""
+    def train(
+        self, minutes: float | None, report: Report = lambda done, total, note: None
+    ) -> Progress:
+        """Train until the epochs are done, the minutes are over, or Ctrl-C;
+        the state is saved in every case.
+        """
         if (self.folder / "state.pt").is_file():
             self._load()
         else:
@@ -172,7 +197,9 @@ class Trainer:
                     now = time.perf_counter()
                     progress.seconds = before + now - began
                     done = progress.epoch * total + progress.batch
-                    report(done, self.epochs * total, f"epoch {progress.epoch + 1}, loss {loss:.4f}")
+                    report(
+                        done, self.epochs * total, f"epoch {progress.epoch + 1}, loss {loss:.4f}"
+                    )
                     stop, over = self._anywhere(bool(received), now >= end)
                     within = over and progress.batch < total
                     if stop or within or now >= saved + SAVE_EVERY_S:
@@ -194,10 +221,16 @@ class Trainer:
         batches = stage.batches(progress.epoch)
         total = len(batches) // k  # type: ignore[arg-type]
         if not total:
-            raise InvalidInputError(f"an epoch has fewer batches than the {k} processes; start fewer")
+            raise InvalidInputError(
+                f"an epoch has fewer batches than the {k} processes; start fewer"
+            )
         mine = range(progress.batch * k + self.rank, total * k, k)
         loader = DataLoader(
-            batches, batch_size=None, sampler=mine, num_workers=self.workers, worker_init_fn=_ignore_interrupt
+            batches,
+            batch_size=None,
+            sampler=mine,
+            num_workers=self.workers,
+            worker_init_fn=_ignore_interrupt,
         )
         stage.module.train()
         for number, batch in zip(mine, loader, strict=True):
@@ -240,7 +273,9 @@ class Trainer:
         progress, count = self.progress, self.progress.batch
         row: dict[str, float | None] = {"epoch": progress.epoch + 1, "step": progress.step}
         row["seconds"] = round(progress.seconds, 1)
-        row |= {f"train_{name}": value / count for name, value in progress.sums.items()} | self._validate()
+        row |= {
+            f"train_{name}": value / count for name, value in progress.sums.items()
+        } | self._validate()
         progress.rows.append(row)
         progress.epoch, progress.batch, progress.sums = progress.epoch + 1, 0, {}
         progress.best = self._keep_if_best(row, progress.epoch)
@@ -274,7 +309,10 @@ class Trainer:
     def _save(self) -> None:
         """Write everything needed to continue."""
         if self.rank == 0:
-            parts = {"module": self.stage.module.state_dict(), "optimizer": self.optimizer.state_dict()}
+            parts = {
+                "module": self.stage.module.state_dict(),
+                "optimizer": self.optimizer.state_dict(),
+            }
             content = io.BytesIO()
             torch.save({**parts, "progress": vars(self.progress)}, content)
             write_bytes(self.folder / "state.pt", content.getvalue())
@@ -315,7 +353,9 @@ def joined_processes() -> tuple[int, int]:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """A list that a first Ctrl-C or SIGTERM fills, so that the training can save; a second one acts as usual."""
+    """A list that a first Ctrl-C or SIGTERM fills, so that the training can save;
+    a second one acts as usual.
+    """
     received: list[int] = []
     earlier = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 

@@ -1,4 +1,6 @@
-"""Point clouds of shapes, new in every epoch: drawn on surfaces, or depth images of noisy cameras as in evaluation."""
+"""Point clouds of shapes, new in every epoch:
+drawn on surfaces, or depth images of noisy cameras as in evaluation.
+"""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -17,7 +19,8 @@ SOLIDS = (  # by the kind of a shape
     lambda T, size: SolidCylinder(T, size[0], 0.5 * size[2]),
     lambda T, size: Ball(T, size[0]),
 )
-# The evaluation camera's range with a sixteenth of its pixels, which still are more than a cloud's points.
+# The evaluation camera's range with a sixteenth of its pixels, which still are more than a cloud's
+# points.
 SMALL = Intrinsics.from_fov(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
 ROUNDS = 6  # of drawing points, at most
 MARGIN = 1e-4  # [m] points this close to another shape's surface still lie outside it
@@ -51,13 +54,17 @@ class CloudSettings:
 
     def without_augmentation(self) -> "CloudSettings":
         """Uniform by area, no noise, nothing hidden: for validation."""
-        return CloudSettings(points=self.points, crop=self.crop, noise=0.0, occlusion=0.0, density=0.0)
+        return CloudSettings(
+            points=self.points, crop=self.crop, noise=0.0, occlusion=0.0, density=0.0
+        )
 
 
 def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Points (settings.points, 3) float32 [m] on surfaces of shapes, not inside others, inside the crop.
+    """Points (settings.points, 3) float32 [m] on surfaces of shapes, not inside others, inside the
+    crop.
 
-    Few points are repeated; in an empty scene they lie far below the robot, at the crop's lower end.
+    Few points are repeated; in an empty scene they lie far below the robot, at the crop's lower
+    end.
     """
     by_cameras = settings.measured > 0.0 and rng.random() < settings.measured
     points = (_measured if by_cameras else _drawn)(shapes, settings, rng)
@@ -68,7 +75,9 @@ def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generat
     if len(points) < settings.points:
         points = points[np.arange(settings.points) % len(points)]
     if settings.noise > 0.0 and not by_cameras:
-        points = points + np.float32(settings.noise) * rng.standard_normal(points.shape, dtype=np.float32)
+        points = points + np.float32(settings.noise) * rng.standard_normal(
+            points.shape, dtype=np.float32
+        )
     return points
 
 
@@ -99,13 +108,19 @@ def _measured(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator)
     return points[_inside_crop(points, settings.crop)][: settings.points]
 
 
-def measured_points(shapes: Shapes, places: np.ndarray, target: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Points (k, 3) float32 [m] that cameras at places (c, 3), looking at target (3,), measure, in random order."""
+def measured_points(
+    shapes: Shapes, places: np.ndarray, target: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Points (k, 3) float32 [m] that cameras at places (c, 3), looking at target (3,), measure, in
+    random order.
+    """
     described = zip(shapes.kind, shapes.size.astype(float), shapes.pose.astype(float), strict=True)
     solids: list[Solid] = [SOLIDS[kind](T, size) for kind, size, T in described]
     materials = MaterialShares().drawn(len(solids), rng)
     views = [view_of(solids, Camera(SMALL, look_at(place, target))) for place in places]
-    points = np.concatenate([measured(v, solids, materials, DepthNoise(), rng).points for v in views])
+    points = np.concatenate(
+        [measured(v, solids, materials, DepthNoise(), rng).points for v in views]
+    )
     return points[rng.permutation(len(points))].astype(np.float32)
 
 
@@ -119,7 +134,9 @@ def _areas(shapes: Shapes) -> np.ndarray:
 
 
 def _camera_positions(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Where one or more cameras stand (c, 3): 2 m from the crop's centre, above its floor plane [m]."""
+    """Where one or more cameras stand (c, 3):
+    2 m from the crop's centre, above its floor plane [m].
+    """
     directions = rng.standard_normal((int(rng.integers(1, settings.cameras + 1)), 3))
     directions[:, 2] = np.abs(directions[:, 2])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -152,8 +169,12 @@ def _visible_points(
     return points[~_inside_others(points, shape, shapes)]
 
 
-def _surface(kind: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Uniform points on the surfaces of shapes (p,), in their own frames, and outward normals, float32."""
+def _surface(
+    kind: np.ndarray, size: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Uniform points on the surfaces of shapes (p,), in their own frames, and outward normals,
+    float32.
+    """
     local, normal = np.zeros((2, len(kind), 3), dtype=np.float32)
     for place, sampler in ((BOX, _on_boxes), (CYLINDER, _on_cylinders), (SPHERE, _on_spheres)):
         rows = np.flatnonzero(kind == place)
@@ -179,7 +200,8 @@ def _on_boxes(size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, n
 def _on_cylinders(size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     radius, height = size[:, 0], size[:, 2]
     angle = 2.0 * np.pi * rng.random(len(size), dtype=np.float32)
-    place = rng.random(len(size), dtype=np.float32) * (radius + height)  # caps against side, over 2 pi r
+    # caps against side, over 2 pi r
+    place = rng.random(len(size), dtype=np.float32) * (radius + height)
     on_cap = place < radius
     sign = rng.integers(0, 2, len(size)).astype(np.float32) * 2.0 - 1.0
     share = rng.random(len(size), dtype=np.float32)
@@ -200,7 +222,10 @@ def _on_spheres(size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray,
 
 def _inside_crop(points: np.ndarray, crop: CropSettings) -> np.ndarray:
     if crop.kind == "box":
-        lower, upper = np.array(crop.lower, dtype=np.float32), np.array(crop.upper, dtype=np.float32)
+        lower, upper = (
+            np.array(crop.lower, dtype=np.float32),
+            np.array(crop.upper, dtype=np.float32),
+        )
         return np.all((points >= lower) & (points <= upper), axis=1)
     offset = points - np.array(crop.centre, dtype=np.float32)
     return np.einsum("pi,pi->p", offset, offset) <= crop.radius**2
@@ -210,7 +235,8 @@ def _inside_others(points: np.ndarray, own: np.ndarray, shapes: Shapes) -> np.nd
     """Whether each point (p, 3) of shape `own` (p,) lies inside another shape."""
     kind, size, pose = shapes.kind, shapes.size, shapes.pose
     rotation = pose[:, :, :3]
-    origin = np.einsum("mij,mi->mj", rotation, pose[:, :, 3])  # local = R^T (x - t), all shapes at once
+    # local = R^T (x - t), all shapes at once
+    origin = np.einsum("mij,mi->mj", rotation, pose[:, :, 3])
     axes = np.ascontiguousarray(points.T)
     inside = np.empty((len(kind), len(points)), dtype=bool)
     for place in (BOX, CYLINDER, SPHERE):

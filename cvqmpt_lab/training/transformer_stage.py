@@ -10,7 +10,13 @@ from torch import Tensor
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.training.roadmap_dataset import RoadmapDataset
-from cvqmpt_lab.training.roadmap_stage import Cloud, Predicted, RoadmapSettings, RoadmapStage, chosen
+from cvqmpt_lab.training.roadmap_stage import (
+    Cloud,
+    Predicted,
+    RoadmapSettings,
+    RoadmapStage,
+    chosen,
+)
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig, SceneTransformerSizes
 from cvqmpt_lab.vqmpt.point_groups import group_points
@@ -34,7 +40,9 @@ class TransformerStage(RoadmapStage):
         super().__init__(dataset, dictionary, settings, sizes.links, seed, device)
         assert dataset.chain is not None
         graph = dataset.graph
-        body = replace(dataset.chain, points=tuple(graph.body_joint.tolist()), offsets=graph.body_offset)
+        body = replace(
+            dataset.chain, points=tuple(graph.body_joint.tolist()), offsets=graph.body_offset
+        )
         self.config = SceneTransformerConfig(
             lower=dataset.robot.lower,
             upper=dataset.robot.upper,
@@ -59,7 +67,8 @@ class TransformerStage(RoadmapStage):
     def _begin_with(self, trained: SceneTransformer | None) -> None:
         if trained is None or trained.config.sizes != self.config.sizes:
             raise InvalidInputError(
-                "fine_tune needs a --dictionary whose weights hold a transformer of the sizes of transformer_model; "
+                "fine_tune needs a --dictionary whose weights hold a transformer of the sizes of "
+                "transformer_model; "
                 "leave both out to begin with the shipped weights"
             )
         self.module.load_state_dict(trained.state_dict())

@@ -1,10 +1,12 @@
 """A smooth curve along a polyline, at a measured distance from it.
 
-A robot can pass a corner of a planner's path without stopping only if the corner is rounded. The curve is Schoenberg's
-spline: a cubic B-spline over arc length whose i-th control point is the polyline at the average of knots i + 1 to
-i + 3. It keeps straight stretches, rounds corners on the inside (an interpolating spline would leave the checked
-clearance), stays in the range of each joint and has continuous curvature. Its distance from a corner is about a sixth
-of the knot spacing times the change of direction, so knots are packed at corners until that distance is small enough.
+A robot can pass a corner of a planner's path without stopping only if the corner is rounded. The
+curve is Schoenberg's
+spline: a cubic B-spline over arc length whose i-th control point is the polyline at the average of
+    knots i + 1 to i + 3. It keeps straight stretches, rounds corners on the inside (an
+    interpolating spline would leave the checked clearance), stays in the range of each joint and
+    has continuous curvature. Its distance from a corner is about a sixth of the knot spacing times
+    the change of direction, so knots are packed at corners until that distance is small enough.
 """
 
 from dataclasses import dataclass
@@ -26,7 +28,9 @@ REFINEMENTS = 40
 
 @dataclass(frozen=True, eq=False)
 class SmoothCurve:
-    """A twice continuously differentiable curve q(s), s from 0 to `length`, about arc length [rad or m]."""
+    """A twice continuously differentiable curve q(s), s from 0 to `length`, about arc length [rad
+    or m].
+    """
 
     spline: BSpline  # q(s) (n,) [rad or m]
     knots: np.ndarray  # (k,) distinct knots [rad]
@@ -35,7 +39,9 @@ class SmoothCurve:
 
     @cached_property
     def grid(self) -> np.ndarray:
-        """Places (g,) [rad] at which speeds are computed: knots, and points between them, more at corners."""
+        """Places (g,) [rad] at which speeds are computed:
+        knots, and points between them, more at corners.
+        """
         spans = np.diff(self.knots)
         parts = np.where(spans < FINE_BELOW * spans.max(), 4, 3)
         cuts = [a + np.arange(m) / m * d for a, d, m in zip(self.knots, spans, parts, strict=False)]
@@ -69,7 +75,9 @@ def smooth_curve(waypoints: np.ndarray, deviation: float) -> SmoothCurve:
             return SmoothCurve(spline, knots, measured, marks)
         aim *= 0.9 * deviation / measured
         spacing *= np.sqrt(0.9 * deviation / measured)
-    raise InvalidInputError(f"no smooth curve within {deviation} rad of the path was found; give a larger deviation")
+    raise InvalidInputError(
+        f"no smooth curve within {deviation} rad of the path was found; give a larger deviation"
+    )
 
 
 def checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
@@ -77,15 +85,20 @@ def checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
     try:
         states = np.array(waypoints, dtype=float)
     except (TypeError, ValueError) as error:
-        raise InvalidInputError("waypoints are not an array of numbers: give (m, n) joint values [rad]") from error
+        raise InvalidInputError(
+            "waypoints are not an array of numbers: give (m, n) joint values [rad]"
+        ) from error
     if states.ndim != 2 or len(states) < 2 or states.shape[1] == 0:
         raise InvalidInputError(
-            f"waypoints have shape {states.shape}: give (m, n), two or more, one value a joint [rad]"
+            f"waypoints have shape {states.shape}: give (m, n), two or more, one value a joint "
+            f"[rad]"
         )
     broken = np.argwhere(~np.isfinite(states))
     if len(broken):
         k, j = (int(i) for i in broken[0])
-        raise InvalidInputError(f"waypoint {k} has {states[k, j]} at joint index {j}: give finite numbers")
+        raise InvalidInputError(
+            f"waypoint {k} has {states[k, j]} at joint index {j}: give finite numbers"
+        )
     same = np.flatnonzero(np.linalg.norm(np.diff(states, axis=0), axis=1) < 1e-9)
     if len(same):
         k = int(same[0])
@@ -94,11 +107,14 @@ def checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
 
 
 def _knots(marks: np.ndarray, turns: np.ndarray, spacing: float, aim: float) -> np.ndarray:
-    """Knots (k,) from 0 to the end, so dense at waypoints with turns (m - 2,) that the corner is cut by aim."""
+    """Knots (k,) from 0 to the end, so dense at waypoints with turns (m - 2,) that the corner is
+    cut by aim.
+    """
     at_corner = 6.0 * aim / np.maximum(turns, 1e-12)
     sharp = at_corner < spacing
     corners, finest = marks[1:-1][sharp], at_corner[sharp]
-    # The spacing wished for is sampled on a lattice and, as it changes fast there, close to corners.
+    # The spacing wished for is sampled on a lattice and, as it changes fast there, close to
+    # corners.
     lattice = np.linspace(0.0, marks[-1], 4 * int(np.ceil(marks[-1] / spacing)) + 1)
     around = corners[:, None] + np.outer(finest, (-6, -4, -2.5, -FLAT, 0, FLAT, 2.5, 4, 6))
     s = np.unique(np.clip(np.concatenate([lattice, around.ravel()]), 0.0, marks[-1]))
@@ -123,7 +139,9 @@ def _polyline(states: np.ndarray, marks: np.ndarray, s: np.ndarray) -> np.ndarra
 
 
 def _distance(states: np.ndarray, marks: np.ndarray, knots: np.ndarray, spline: BSpline) -> float:
-    """Largest distance between spline and polyline at equal s: no less than that between the two sets."""
+    """Largest distance between spline and polyline at equal s:
+    no less than that between the two sets.
+    """
     inside = np.arange(SAMPLES) / SAMPLES * np.diff(knots)[:, None]
     s = np.concatenate([(knots[:-1, None] + inside).ravel(), marks])
     return float(np.linalg.norm(spline(s) - _polyline(states, marks, s), axis=1).max())

@@ -32,7 +32,8 @@ def time_path(
 ) -> Trajectory:
     """The fastest motion along waypoints (m, n) [rad] within the limits, at rest at both ends.
 
-    check: faults of the motion, see `motion_check.certified_motion`. While there are any, corners are cut less.
+    check: faults of the motion, see `motion_check.certified_motion`. While there are any, corners
+        are cut less.
     """
     settings = settings or TimingSettings()
     states = checked_waypoints(waypoints)
@@ -74,8 +75,12 @@ def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) ->
     )
 
 
-def _excess(curve: SmoothCurve, squared: np.ndarray, path_acceleration: np.ndarray, limits: JointLimits) -> float:
-    """Factor on time (1 to about 1.002) that brings every joint within its limits between grid points."""
+def _excess(
+    curve: SmoothCurve, squared: np.ndarray, path_acceleration: np.ndarray, limits: JointLimits
+) -> float:
+    """Factor on time (1 to about 1.002) that brings every joint within its limits between grid
+    points.
+    """
     grid = curve.grid
     share = np.linspace(0.0, 1.0, CHECKS)
     s = (grid[:-1, None] + share * np.diff(grid)[:, None]).ravel()
@@ -87,14 +92,18 @@ def _excess(curve: SmoothCurve, squared: np.ndarray, path_acceleration: np.ndarr
     return float(max(1.0, velocity.max(), np.sqrt(acceleration.max())))
 
 
-# The fastest motion along a curve q(s): maximise the sum of b = (ds/dt)^2 over the grid, a linear program.
-FLAT = 1e-3  # least |q'| / velocity limit, relative to the typical one: it is 0 where all joints reverse
+# The fastest motion along a curve q(s): maximise the sum of b = (ds/dt)^2 over the grid, a linear
+# program. least |q'| / velocity limit, relative to the typical one: it is 0 where all joints
+# reverse
+FLAT = 1e-3
 TOLERANCE = 1e-10  # of the linear program, whose numbers are about 1
 STANDSTILL = 1e-8  # squared speed, relative to the typical one, below which there is no motion
 
 
 def squared_speeds(curve: SmoothCurve, limits: JointLimits) -> np.ndarray:
-    """Squared speeds b (g,) [rad^2/s^2] on the grid, 0 at both ends; InvalidInputError names a joint without motion."""
+    """Squared speeds b (g,) [rad^2/s^2] on the grid, 0 at both ends;
+    InvalidInputError names a joint without motion.
+    """
     grid = curve.grid
     slope = np.abs(curve.spline(grid, 1))
     slowness = (slope / limits.velocity).max(axis=1)  # least time per arc length
@@ -113,8 +122,12 @@ def squared_speeds(curve: SmoothCurve, limits: JointLimits) -> np.ndarray:
     return scale * np.maximum(shape, 0.0)
 
 
-def _velocity_rows(curve: SmoothCurve, velocity: np.ndarray, bound: np.ndarray) -> sparse.csr_matrix:
-    """Velocity limits in the middle of intervals, where bounds (g,) at their ends do not imply them."""
+def _velocity_rows(
+    curve: SmoothCurve, velocity: np.ndarray, bound: np.ndarray
+) -> sparse.csr_matrix:
+    """Velocity limits in the middle of intervals, where bounds (g,) at their ends do not imply
+    them.
+    """
     middle = 0.5 * (curve.grid[1:] + curve.grid[:-1])
     half = 0.5 * (np.abs(curve.spline(middle, 1)) / velocity).max(axis=1) ** 2
     interval = np.flatnonzero(half * (bound[1:] + bound[:-1]) > 1.0)
@@ -123,11 +136,14 @@ def _velocity_rows(curve: SmoothCurve, velocity: np.ndarray, bound: np.ndarray) 
     return sparse.csr_matrix((values, places), shape=(len(interval), len(bound)))
 
 
-def _acceleration_rows(curve: SmoothCurve, acceleration: np.ndarray, bound: np.ndarray) -> sparse.csr_matrix:
+def _acceleration_rows(
+    curve: SmoothCurve, acceleration: np.ndarray, bound: np.ndarray
+) -> sparse.csr_matrix:
     """Matrix A of the acceleration limits A b <= 1.
 
-    Between grid points q'' b + q' a, with a = b' / 2, is a parabola in s. Its three Bernstein coefficients, which
-    enclose it, are bounded, so limits hold between grid points too. Rows implied by b <= bound (g,) are left out.
+    Between grid points q'' b + q' a, with a = b' / 2, is a parabola in s. Its three Bernstein
+    coefficients, which enclose it, are bounded, so limits hold between grid points too. Rows
+    implied by b <= bound (g,) are left out.
     """
     grid = curve.grid
     steps = np.diff(grid)[:, None]
@@ -151,15 +167,17 @@ def _acceleration_rows(curve: SmoothCurve, acceleration: np.ndarray, bound: np.n
 def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """Which constraints lower x + upper y <= 1 (g - 1, r) no other one of their row implies.
 
-    For x between 0 and bound (g - 1,) and y >= 0, as upper limits of y these are straight lines in x: one that is
-    looser than another at both ends is looser everywhere.
+    For x between 0 and bound (g - 1,) and y >= 0, as upper limits of y these are straight lines in
+    x: one that is looser than another at both ends is looser everywhere.
     """
     size = np.maximum(np.abs(upper), 1e-12)
     at_zero, at_bound = 1.0 / size, (1.0 - lower * bound[:, None]) / size
     above = upper > 0.0
     binding = above | (at_bound < 0.0)  # others ask y to exceed something negative
     for r in range(lower.shape[1]):
-        tighter = (at_zero[:, [r]] <= at_zero) & (at_bound[:, [r]] <= at_bound) & (above[:, [r]] == above)
+        tighter = (
+            (at_zero[:, [r]] <= at_zero) & (at_bound[:, [r]] <= at_bound) & (above[:, [r]] == above)
+        )
         binding &= ~(tighter & ((at_zero[:, [r]] < at_zero) | (at_bound[:, [r]] < at_bound)))
     return binding
 
@@ -192,6 +210,7 @@ def _why_not(curve: SmoothCurve, limits: JointLimits, shape: np.ndarray) -> str:
     kind = "velocity" if by_velocity[j] > by_acceleration[j] else "acceleration"
     return (
         f"the path cannot be timed: joint {limits.joint_names[j]!r}, {kind} limit "
-        f"{getattr(limits, kind)[j]:.3g}, holds it up at {grid[k]:.3f} of {curve.length:.3f} rad (waypoint "
+        f"{getattr(limits, kind)[j]:.3g}, holds it up at {grid[k]:.3f} of {curve.length:.3f} rad "
+        f"(waypoint "
         f"{curve.waypoint(grid[k])}); raise that limit, or plan a path without that turn"
     )

@@ -1,7 +1,9 @@
-"""Trajectories: joint positions, velocities and accelerations over time; as csv and, for ROS, as json.
+"""Trajectories: joint positions, velocities and accelerations over time; as csv and, for ROS, as
+json.
 
-Files leave accelerations out: a controller then follows the cubics through positions and velocities, which are what is
-certified. With accelerations, which jump between pieces, ROS's would follow quintics that exceed them by up to 75 %.
+Files leave accelerations out: a controller then follows the cubics through positions and
+velocities, which are what is certified. With accelerations, which jump between pieces, ROS's would
+follow quintics that exceed them by up to 75 %.
 """
 
 from __future__ import annotations
@@ -41,7 +43,10 @@ class Trajectory:
     deviation: float = 0.0  # largest distance from the path that was timed [rad]
 
     def __repr__(self) -> str:
-        return f"Trajectory of {len(self.joint_names)} joints, {len(self.times)} states, {self.duration:.2f} s"
+        return (
+            f"Trajectory of {len(self.joint_names)} joints, {len(self.times)} states, "
+            f"{self.duration:.2f} s"
+        )
 
     @property
     def duration(self) -> float:
@@ -56,7 +61,9 @@ class Trajectory:
         inside = np.clip(moment, 0.0, self.duration)
         moving = (moment == inside).astype(float)[..., None]
         position, velocity, acceleration = self._motion
-        return JointState(position(inside), moving * velocity(inside), moving * acceleration(inside))
+        return JointState(
+            position(inside), moving * velocity(inside), moving * acceleration(inside)
+        )
 
     def sampled(self, period: float) -> Trajectory:
         """The same motion at even times, at most period [s] apart, ends included."""
@@ -67,7 +74,9 @@ class Trajectory:
 
     @cached_property
     def _motion(self) -> tuple[CubicHermiteSpline, CubicHermiteSpline, CubicHermiteSpline]:
-        """Cubic pieces through positions and velocities, as a robot's controller interpolates, and derivatives."""
+        """Cubic pieces through positions and velocities, as a robot's controller interpolates, and
+        derivatives.
+        """
         from scipy.interpolate import CubicHermiteSpline
 
         spline = CubicHermiteSpline(self.times, self.positions, self.velocities)
@@ -95,7 +104,10 @@ def as_csv(trajectory: Trajectory) -> str:
     """Header, then a line a time: time [s], then all positions, then all velocities."""
     columns = [f"{name}_{kind}" for kind in KINDS[:2] for name in trajectory.joint_names]
     table = np.column_stack([trajectory.times, trajectory.positions, trajectory.velocities])
-    lines = [",".join(["time", *columns]), *(",".join(repr(float(x)) for x in row) for row in table)]
+    lines = [
+        ",".join(["time", *columns]),
+        *(",".join(repr(float(x)) for x in row) for row in table),
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -104,7 +116,9 @@ def as_ros_json(trajectory: Trajectory) -> str:
     points = []
     for k, t in enumerate(trajectory.times):
         sec, nanosec = divmod(round(1e9 * t), 1_000_000_000)
-        states = {kind: getattr(trajectory, kind)[k].tolist() for kind in ("positions", "velocities")}
+        states = {
+            kind: getattr(trajectory, kind)[k].tolist() for kind in ("positions", "velocities")
+        }
         when = {"time_from_start": {"sec": sec, "nanosec": nanosec}}
         points.append({**states, "accelerations": [], "effort": [], **when})
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}

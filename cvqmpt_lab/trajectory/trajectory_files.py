@@ -1,8 +1,9 @@
 """Read paths and trajectories from csv, json, and ROS's `JointTrajectory` as json.
 
-A csv has a header of joint names, or none, and a row a state; with a column ``time`` it is a trajectory, whose
-columns are ``JOINT_position``, ``JOINT_velocity`` and perhaps ``JOINT_acceleration``. A json file holds a list of
-states, an object with ``joint_names`` and ``states`` (or ``path``, as ``cvqmpt plan --json`` prints), or the message.
+A csv has a header of joint names, or none, and a row a state; with a column ``time`` it is a
+trajectory, whose columns are ``JOINT_position``, ``JOINT_velocity`` and perhaps
+``JOINT_acceleration``. A json file holds a list of states, an object with ``joint_names`` and
+``states`` (or ``path``, as ``cvqmpt plan --json`` prints), or the message.
 """
 
 import csv
@@ -36,7 +37,8 @@ class Motion:
             return self
         if sorted(self.joint_names) != sorted(names):
             raise InvalidInputError(
-                f"the file moves joints {', '.join(map(shown, self.joint_names))}; the robot has {', '.join(names)}"
+                f"the file moves joints {', '.join(map(shown, self.joint_names))}; the robot has "
+                f"{', '.join(names)}"
             )
         order = [self.joint_names.index(name) for name in names]
         kinds = (self.positions, self.velocities, self.accelerations)
@@ -61,10 +63,13 @@ def read_motion(path: Path) -> Motion:
         raise InvalidInputError(f"motion {path} is not understood: {why}") from error
     for kind in (motion.positions, motion.velocities, motion.accelerations):
         if kind is not None and (kind.ndim != 2 or kind.shape != motion.positions.shape):
-            raise InvalidInputError(f"motion {path}: arrays of {motion.positions.shape} and {kind.shape} states")
+            raise InvalidInputError(
+                f"motion {path}: arrays of {motion.positions.shape} and {kind.shape} states"
+            )
     if motion.joint_names is not None and motion.positions.shape[1] != len(motion.joint_names):
         raise InvalidInputError(
-            f"motion {path}: {len(motion.joint_names)} joint names, {motion.positions.shape[1]} values a state"
+            f"motion {path}: {len(motion.joint_names)} joint names, {motion.positions.shape[1]} "
+            f"values a state"
         )
     return motion
 
@@ -85,7 +90,9 @@ def _from_csv(text: str) -> Motion:
     expected = ["time", *(f"{name}_{kind}" for kind in KINDS for name in names)]
     if not names or len(columns) != len(header) or not set(header) <= set(expected):
         odd = next((name for name in header if name not in expected), header[0])
-        raise InvalidInputError(f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity")
+        raise InvalidInputError(
+            f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity"
+        )
     position, *rest = (
         np.stack([columns[f"{name}_{kind}"] for name in names], axis=1)
         if any(column.endswith(f"_{kind}") for column in header)
@@ -131,7 +138,9 @@ def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) ->
     for key in ("positions", "velocities", "accelerations"):
         given = [bool(point.get(key)) for point in points]
         if any(given) and not all(given):
-            raise InvalidInputError(f"point {given.index(False)} has no {key!r}, others have: give all or none")
+            raise InvalidInputError(
+                f"point {given.index(False)} has no {key!r}, others have: give all or none"
+            )
         kinds.append(_table([point[key] for point in points]) if all(given) else None)
     if kinds[0] is None:
         raise InvalidInputError("a point has no 'positions'")

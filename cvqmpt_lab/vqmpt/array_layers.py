@@ -1,4 +1,6 @@
-"""Layers of trained networks in numpy, float32: linear, layer norm, attention blocks as in `scene_transformer`."""
+"""Layers of trained networks in numpy, float32:
+linear, layer norm, attention blocks as in `scene_transformer`.
+"""
 
 from typing import NamedTuple
 
@@ -61,28 +63,38 @@ class Layers:
 
 
 class Block:
-    """Attention and a feed-forward block, both normalised first; the norms are taken into the layers behind them.
+    """Attention and a feed-forward block, both normalised first; the norms are taken into the
+    layers behind them.
 
     context: keys and values are those of other tokens, which have a norm of their own.
     """
 
-    def __init__(self, layers: Layers, name: str, width: int, heads: int, inner: int, context: bool = False) -> None:
+    def __init__(
+        self, layers: Layers, name: str, width: int, heads: int, inner: int, context: bool = False
+    ) -> None:
         norm, context_norm, inner_norm = (
-            layers.norm(f"{name}.{which}", width) for which in ("norm", "context_norm", "inner_norm")
+            layers.norm(f"{name}.{which}", width)
+            for which in ("norm", "context_norm", "inner_norm")
         )
         weight, bias = layers.linear(f"{name}.query", width, width)
         scale = np.float32((width // heads) ** -0.5)  # of scores, taken into the queries
         query = norm.then(Linear(scale * weight, scale * bias))
-        key_value = (context_norm if context else norm).then(layers.linear(f"{name}.key_value", width, 2 * width))
+        key_value = (context_norm if context else norm).then(
+            layers.linear(f"{name}.key_value", width, 2 * width)
+        )
         self.heads, self.width = heads, width
         self.query, self.key_value = query, key_value
-        self.all = Linear(*(np.concatenate(parts, axis=-1) for parts in zip(query, key_value, strict=True)))
+        self.all = Linear(
+            *(np.concatenate(parts, axis=-1) for parts in zip(query, key_value, strict=True))
+        )
         self.out = layers.linear(f"{name}.out", width, width)
         self.first = inner_norm.then(layers.linear(f"{name}.first", width, inner))
         self.second = layers.linear(f"{name}.second", inner, width)
 
     def keys_values(self, tokens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Keys (heads, d / heads, t) and values (heads, t, d / heads) of tokens (t, d) for `attend`."""
+        """Keys (heads, d / heads, t) and values (heads, t, d / heads) of tokens (t, d) for
+        `attend`.
+        """
         split = self.key_value(standardised(tokens)).reshape(len(tokens), 2, self.heads, -1)
         keys, values = split[:, 0].transpose(1, 2, 0), split[:, 1].transpose(1, 0, 2)
         return np.ascontiguousarray(keys), np.ascontiguousarray(values)
@@ -94,7 +106,8 @@ class Block:
         return self.forward(x, heads.transpose(1, 0, 2).reshape(x.shape))
 
     def attend_own(self, x: np.ndarray, kept: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """What rows x (r, d) read from themselves and t earlier tokens of their own, kept (r, t, 2 d).
+        """What rows x (r, d) read from themselves and t earlier tokens of their own, kept (r, t, 2
+        d).
 
         Also returns keys and values with those of the rows (r, t + 1, 2 d).
         """

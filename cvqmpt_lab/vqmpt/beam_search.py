@@ -2,7 +2,8 @@
 
     P(h_1 ... h_n | M) = prod_i pi(h_i | h_1 ... h_(i-1), M),
 
-with pi the autoregressive model and M the context of scene, start and goal. The sequence ends with the goal token.
+with pi the autoregressive model and M the context of scene, start and goal. The sequence ends with
+the goal token.
 """
 
 from dataclasses import dataclass
@@ -14,10 +15,12 @@ from cvqmpt_lab.errors import InvalidInputError
 
 
 class StepDecoder(Protocol):
-    """What a search asks a sequence model: prefixes of codes, one a row, that grow by one code a step.
+    """What a search asks a sequence model: prefixes of codes, one a row, that grow by one code a
+    step.
 
-    Classes are the codes, then the start token (never predicted), then the goal token. Rows of one query (start and
-    goal) lie together, queries in their order, equally many rows each. Logits are float32.
+    Classes are the codes, then the start token (never predicted), then the goal token. Rows of one
+    query (start and goal) lie together, queries in their order, equally many rows each. Logits are
+    float32.
     """
 
     def start(self) -> np.ndarray:
@@ -26,8 +29,8 @@ class StepDecoder(Protocol):
     def advance(self, parents: np.ndarray, codes: np.ndarray) -> np.ndarray:
         """Replace the rows and return the logits (rows, n_classes) of what follows them.
 
-        parents (rows,) int64: the earlier row, of the same query, that each new row continues; codes (rows,) int64:
-        what it adds. The number of rows is chosen at the first step and stays.
+        parents (rows,) int64: the earlier row, of the same query, that each new row continues;
+        codes (rows,) int64: what it adds. The number of rows is chosen at the first step and stays.
         """
 
 
@@ -36,20 +39,25 @@ class CodeSequence:
     """A predicted sequence."""
 
     codes: tuple[int, ...]  # without start and goal token
-    finished: bool  # the goal token was predicted before the length limit; without it the codes lead nowhere
+    # the goal token was predicted before the length limit; without it the codes lead nowhere
+    finished: bool
     score: float  # what the search ranked by
 
 
-def beam_search(decoder: StepDecoder, *, beams: int = 3, max_length: int = 50) -> list[CodeSequence]:
+def beam_search(
+    decoder: StepDecoder, *, beams: int = 3, max_length: int = 50
+) -> list[CodeSequence]:
     """Search a sequence for each query as the authors' code does, all queries in one batch.
 
-    A hypothesis is ranked by the logarithm of its first probability plus the sum of the others. The last code of any
-    beam is forbidden to all of them. The search of a query ends at the first step in which any beam predicts the goal
-    token, and returns the best of those; at the length limit the best hypothesis, with `finished` False. The first
-    prediction is never the goal token, and none is the start token. Not copied is that their code then reads
-    embeddings that were not reordered with the beams.
+    A hypothesis is ranked by the logarithm of its first probability plus the sum of the others. The
+    last code of any beam is forbidden to all of them. The search of a query ends at the first step
+    in which any beam predicts the goal token, and returns the best of those; at the length limit
+    the best hypothesis, with `finished` False. The first prediction is never the goal token, and
+    none is the start token. Not copied is that their code then reads embeddings that were not
+    reordered with the beams.
 
-    beams: hypotheses kept per query, K. max_length: predicted tokens at most, the goal token included (published
+    beams: hypotheses kept per query, K. max_length: predicted tokens at most, the goal token
+        included (published
     code: 50 for CVQ-MPT, 30 for Opt-CVQ-MPT).
     """
     if max_length < 1:
@@ -79,17 +87,23 @@ def beam_search(decoder: StepDecoder, *, beams: int = 3, max_length: int = 50) -
         for row, ended in enumerate((code == goal).tolist()):
             if True in ended and row not in found:
                 best = ended.index(True)
-                found[row] = CodeSequence(tuple(codes[row, best, :-1].tolist()), True, float(score[row, best]))
+                found[row] = CodeSequence(
+                    tuple(codes[row, best, :-1].tolist()), True, float(score[row, best])
+                )
         if len(found) == queries:
             break
     return [
-        found[row] if row in found else CodeSequence(tuple(codes[row, 0].tolist()), False, float(score[row, 0]))
+        found[row]
+        if row in found
+        else CodeSequence(tuple(codes[row, 0].tolist()), False, float(score[row, 0]))
         for row in range(queries)
     ]
 
 
 def _largest(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and values (q, count) of the largest in each row (q, n), largest first; ties by column."""
+    """Columns and values (q, count) of the largest in each row (q, n), largest first;
+    ties by column.
+    """
     columns = np.sort(np.argpartition(values, -count, axis=1)[:, -count:], axis=1)
     row = np.arange(len(values))[:, None]
     columns = columns[row, np.argsort(-values[row, columns], axis=1, kind="stable")]

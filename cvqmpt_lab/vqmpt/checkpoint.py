@@ -1,4 +1,6 @@
-"""Trained models as torch modules, to and from weights on disk; every tensor is checked before it fills a module."""
+"""Trained models as torch modules, to and from weights on disk;
+every tensor is checked before it fills a module.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -15,9 +17,17 @@ from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
 from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
-from cvqmpt_lab.vqmpt.weights import MPNET, VQ_MPT, RobotSignature, StoredModel, read_model, write_model
+from cvqmpt_lab.vqmpt.weights import (
+    MPNET,
+    VQ_MPT,
+    RobotSignature,
+    StoredModel,
+    read_model,
+    write_model,
+)
 
-CONSTANTS = ("pos_table", "l_index")  # buffers that follow from the sizes; others belong to another model
+# buffers that follow from the sizes; others belong to another model
+CONSTANTS = ("pos_table", "l_index")
 TOLERANCE = 1e-4  # of those buffers, and of the length of codes
 
 Module = TypeVar("Module", bound=nn.Module)
@@ -35,7 +45,8 @@ class Checkpoint:
     sequence_model: PublishedSequenceModel | None = None  # None after stage 1 and in compact models
     metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
     transformer: SceneTransformer | None = None
-    others: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)  # parts that are no modules
+    # parts that are no modules
+    others: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
 
     @property
     def parts(self) -> dict[str, nn.Module]:
@@ -75,11 +86,15 @@ Trained = Checkpoint | MPNetCheckpoint
 def stored(checkpoint: Trained) -> StoredModel:
     """A checkpoint's weights as they are now, copied to plain arrays."""
     parts: dict[str, Mapping[str, np.ndarray]] = {
-        name: {key: tensor.detach().cpu().numpy().copy() for key, tensor in module.state_dict().items()}
+        name: {
+            key: tensor.detach().cpu().numpy().copy() for key, tensor in module.state_dict().items()
+        }
         for name, module in checkpoint.parts.items()
     }
     parts |= getattr(checkpoint, "others", {})
-    return StoredModel(checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata)
+    return StoredModel(
+        checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata
+    )
 
 
 def save_checkpoint(folder: Path, checkpoint: Trained) -> None:
@@ -88,19 +103,25 @@ def save_checkpoint(folder: Path, checkpoint: Trained) -> None:
 
 
 def load_checkpoint(folder: Path, robot: RobotSignature | None = None) -> Checkpoint:
-    """Read a VQ-MPT checkpoint, its modules in evaluation mode on the CPU; errors as of `read_model`, `as_modules`."""
+    """Read a VQ-MPT checkpoint, its modules in evaluation mode on the CPU;
+    errors as of `read_model`, `as_modules`.
+    """
     return as_modules(read_model(folder, robot, VQ_MPT))
 
 
 def as_modules(model: StoredModel) -> Checkpoint:
-    """VQ-MPT's weights in torch modules, in evaluation mode; raises InvalidInputError where they do not fit."""
+    """VQ-MPT's weights in torch modules, in evaluation mode;
+    raises InvalidInputError where they do not fit.
+    """
     builders: dict[str, Callable[[], nn.Module]] = {
         "dictionary": lambda: Dictionary(model.config),
         "sequence_model": lambda: PublishedSequenceModel(model.config),
         "transformer": lambda: SceneTransformer(model.config.transformer),
     }
     modules: dict[str, Any] = {
-        name: filled(build, {key: torch.from_numpy(a) for key, a in model.parts[name].items()}, name)
+        name: filled(
+            build, {key: torch.from_numpy(a) for key, a in model.parts[name].items()}, name
+        )
         for name, build in builders.items()
         if name in model.parts
     }
@@ -117,14 +138,17 @@ def trajectory_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarr
 def filled(build: Callable[[], Module], tensors: Mapping[str, Tensor], where: str) -> Module:
     """Make a module with exactly these trained tensors, in evaluation mode.
 
-    The module is made only once names and shapes are known to fit, so that sizes which no file confirms cost neither
-    time nor memory. Raises InvalidInputError as `load_tensors` does, and for what no training can have left: negative
-    variances, codes that are not of unit length, constants of another model.
+    The module is made only once names and shapes are known to fit, so that sizes which no file
+    confirms cost neither time nor memory. Raises InvalidInputError as `load_tensors` does, and for
+    what no training can have left: negative variances, codes that are not of unit length, constants
+    of another model.
     """
     with torch.device("meta"):
         _require_fit(build(), tensors, where)
     module = build().eval()
-    constants = {name: part.clone() for name, part in module.named_buffers() if _last(name) in CONSTANTS}
+    constants = {
+        name: part.clone() for name, part in module.named_buffers() if _last(name) in CONSTANTS
+    }
     load_tensors(module, tensors, where)
     state = module.state_dict()
     faults = [
@@ -135,7 +159,10 @@ def filled(build: Callable[[], Module], tensors: Mapping[str, Tensor], where: st
     for name, tensor in state.items():
         if _last(name) == "running_var" and (tensor < 0.0).any():
             faults.append(f"{name} has negative variances")
-        if f".{name}".endswith(".embedding.weight") and ((tensor.norm(dim=1) - 1.0).abs() > TOLERANCE).any():
+        if (
+            f".{name}".endswith(".embedding.weight")
+            and ((tensor.norm(dim=1) - 1.0).abs() > TOLERANCE).any()
+        ):
             faults.append(f"{name} has codes that are not of unit length")
     _refuse(faults, where)
     return module
@@ -144,8 +171,8 @@ def filled(build: Callable[[], Module], tensors: Mapping[str, Tensor], where: st
 def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -> None:
     """Copy tensors into a module of exactly their names and shapes.
 
-    Raises InvalidInputError naming, after `where`, the tensors that are missing, left over, of another shape or kind,
-    or not finite in the module's precision.
+    Raises InvalidInputError naming, after `where`, the tensors that are missing, left over, of
+    another shape or kind, or not finite in the module's precision.
     """
     _require_fit(module, tensors, where)
     expected = module.state_dict()
@@ -161,7 +188,9 @@ def _require_fit(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -
         if name not in expected:
             faults.append(f"{name} {tuple(tensor.shape)} is left over")
         elif tensor.shape != expected[name].shape:
-            faults.append(f"{name} is {tuple(tensor.shape)}, expected {tuple(expected[name].shape)}")
+            faults.append(
+                f"{name} is {tuple(tensor.shape)}, expected {tuple(expected[name].shape)}"
+            )
         elif tensor.is_floating_point() != expected[name].is_floating_point():
             faults.append(f"{name} is {tensor.dtype}, expected {expected[name].dtype}")
         elif tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
@@ -176,4 +205,6 @@ def _last(name: str) -> str:
 def _refuse(faults: list[str], where: str) -> None:
     if faults:
         more = f" and {len(faults) - 5} more" if len(faults) > 5 else ""
-        raise InvalidInputError(f"{where} does not fit its configuration: {'; '.join(faults[:5])}{more}")
+        raise InvalidInputError(
+            f"{where} does not fit its configuration: {'; '.join(faults[:5])}{more}"
+        )

@@ -1,5 +1,6 @@
-"""Compiled half of the edge validity model: clearances of a robot's spheres along motions, in the distance field of a
-cloud or the collision checker's distance grid. Nothing is checked; a motion costs some microseconds.
+"""Compiled half of the edge validity model: clearances of a robot's spheres along motions, in the
+distance field of a cloud or the collision checker's distance grid. Nothing is checked; a motion
+costs some microseconds.
 """
 
 from typing import Annotated, NamedTuple
@@ -70,7 +71,9 @@ def fill_distances(
     for x in range(square.shape[0]):
         for y in range(square.shape[1]):
             for z in range(square.shape[2]):
-                distance[x, y, z] = np.uint8(np.sqrt(square[x, y, z]) * np.float32(STEPS / REACH) + np.float32(0.5))
+                distance[x, y, z] = np.uint8(
+                    np.sqrt(square[x, y, z]) * np.float32(STEPS / REACH) + np.float32(0.5)
+                )
 
 
 @kernel(inline="source")
@@ -80,10 +83,21 @@ def _lower_clearances(kinematics, model, q):
     forward_kinematics(kinematics, q, r, t)
     for k in range(model.sphere.shape[0]):
         link = model.row[k]
-        x, y, z, radius = model.sphere[k, 0], model.sphere[k, 1], model.sphere[k, 2], model.sphere[k, 3]
-        wx = r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0] - model.origin[0]
-        wy = r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1] - model.origin[1]
-        wz = r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2] - model.origin[2]
+        x, y, z, radius = (
+            model.sphere[k, 0],
+            model.sphere[k, 1],
+            model.sphere[k, 2],
+            model.sphere[k, 3],
+        )
+        wx = (
+            r[link, 0, 0] * x + r[link, 0, 1] * y + r[link, 0, 2] * z + t[link, 0] - model.origin[0]
+        )
+        wy = (
+            r[link, 1, 0] * x + r[link, 1, 1] * y + r[link, 1, 2] * z + t[link, 1] - model.origin[1]
+        )
+        wz = (
+            r[link, 2, 0] * x + r[link, 2, 1] * y + r[link, 2, 2] * z + t[link, 2] - model.origin[2]
+        )
         i, j, m = (
             int(np.floor(wx / model.cell)),
             int(np.floor(wy / model.cell)),
@@ -96,7 +110,9 @@ def _lower_clearances(kinematics, model, q):
 
 @kernel
 def clearance_along(kinematics, model, a, b):
-    """Put every joint's smallest clearance along the motion from a to b (n,) into model.clearance; log odds of free."""
+    """Put every joint's smallest clearance along the motion from a to b (n,) into model.clearance;
+    log odds of free.
+    """
     length = 0.0
     for j in range(a.shape[0]):
         length += (b[j] - a[j]) * (b[j] - a[j])
@@ -138,7 +154,8 @@ def scene_clearances(
     motions: Annotated[np.ndarray, "count 2 n"],
     clearance: Annotated[np.ndarray, "count n"],
 ):
-    """Write every joint's smallest clearance [m] along straight motions, in the distance grid of a scene.
+    """Write every joint's smallest clearance [m] along straight motions, in the distance grid of a
+    scene.
 
     model: its work arrays and its spacing are used, not its cloud.
     """
@@ -151,7 +168,9 @@ def scene_clearances(
         pieces = int(np.ceil(np.sqrt(length) / model.spacing))
         for k in range(pieces + 1):
             for j in range(n):
-                model.state[j] = motions[i, 0, j] + k / max(pieces, 1) * (motions[i, 1, j] - motions[i, 0, j])
+                model.state[j] = motions[i, 0, j] + k / max(pieces, 1) * (
+                    motions[i, 1, j] - motions[i, 0, j]
+                )
             forward_kinematics(kinematics, model.state, r, t)
             for body in robot.order:
                 link, node = robot.body_link[body], robot.body_start[body]
@@ -172,7 +191,9 @@ def sphere_cells(
     configurations: Annotated[np.ndarray, "count n"],
     cells: Annotated[np.ndarray, "int32 count spheres"],
 ):
-    """Write which cell of the flattened grid each sphere's centre lies in, or -1, for configurations asked often."""
+    """Write which cell of the flattened grid each sphere's centre lies in, or -1, for
+    configurations asked often.
+    """
     shape = model.distance.shape
     for i in range(configurations.shape[0]):
         forward_kinematics(kinematics, configurations[i], model.rotation, model.translation)
@@ -195,7 +216,9 @@ def cell_clearances(
     cells: Annotated[np.ndarray, "int32 count spheres"],
     clearance: Annotated[np.ndarray, "count"],
 ):
-    """Write the smallest clearance [m] of spheres in cells of `sphere_cells`; distance: the flat field."""
+    """Write the smallest clearance [m] of spheres in cells of `sphere_cells`; distance:
+    the flat field.
+    """
     for i in range(cells.shape[0]):
         lowest = FARTHEST
         for k in range(cells.shape[1]):

@@ -52,10 +52,11 @@ def cheapest_ways(
     heap: Annotated[np.ndarray, "queue"],
     heap_node: Annotated[np.ndarray, "int32 queue"],
 ):
-    """Lower the cost of each node to that of the cheapest way between it and each end, by Dijkstra's algorithm.
+    """Lower the cost of each node to that of the cheapest way between it and each end, by
+    Dijkstra's algorithm.
 
-    cost: of nodes linked to an end that of the link, of others inf. parent: the node before each on that way, -1 where
-    the way begins.
+    cost: of nodes linked to an end that of the link, of others inf. parent: the node before each on
+        that way, -1 where the way begins.
     """
     for end in range(cost.shape[0]):
         known, before, size = cost[end], parent[end], 0

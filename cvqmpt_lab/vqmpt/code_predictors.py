@@ -1,4 +1,5 @@
-"""Who predicts the codes of a learned sampler: the transformer, the authors' network, a graph search, or controls.
+"""Who predicts the codes of a learned sampler: the transformer, the authors' network, a graph
+search, or controls.
 
 Each is given what it predicts with, then what it is asked.
 """
@@ -24,7 +25,9 @@ SPACING = 0.2  # [rad] between waypoints of a path whose codes are taken
 def transformer_codes(
     predictor: SceneTransformerPredictor, all_beams: bool, query: Query, observation: Observation
 ) -> PredictedCodes:
-    """Sequences to the goals with the cheapest ways to them, by beam search (K = 3): the likeliest, or all beams."""
+    """Sequences to the goals with the cheapest ways to them, by beam search (K = 3):
+    the likeliest, or all beams.
+    """
     assert observation.cloud is not None
     began = query.deadline.seconds
     scene = predictor.encode(observation.cloud, observation.use_cache)
@@ -40,19 +43,26 @@ def transformer_codes(
 
 
 def published_codes(predictor: Predictor, query: Query, observation: Observation) -> PredictedCodes:
-    """The sequences of the authors' network to the nearest goals, by their beam search; repeated codes count."""
+    """The sequences of the authors' network to the nearest goals, by their beam search;
+    repeated codes count.
+    """
     assert observation.cloud is not None
     goals = query.nearest_goals(GOALS)
     found = predictor.predict(observation.cloud, query.start, goals, observation.use_cache)
     lost = len(found.unfinished)
-    detail = f"{len(found.codes)} codes" + (f", none to {lost} of {len(goals)} goals" if lost else "")
+    detail = f"{len(found.codes)} codes" + (
+        f", none to {lost} of {len(goals)} goals" if lost else ""
+    )
     return PredictedCodes(found.codes, goals, detail, found.encode_seconds, found.predict_seconds)
 
 
 def graph_codes(
-    roadmap_of: Callable[[Robot, tuple[Attachment, ...]], CodeRoadmap], query: Query, observation: Observation
+    roadmap_of: Callable[[Robot, tuple[Attachment, ...]], CodeRoadmap],
+    query: Query,
+    observation: Observation,
 ) -> PredictedCodes:
-    """The cheapest sequences on the dictionary's roadmap to any goal, by Dijkstra's algorithm on edge costs.
+    """The cheapest sequences on the dictionary's roadmap to any goal, by Dijkstra's algorithm on
+    edge costs.
 
     roadmap_of: for a robot and what it carries.
     """
@@ -78,7 +88,8 @@ def random_codes(codes: int, query: Query, observation: Observation) -> Predicte
 def oracle_codes(
     codes_of: Callable[[np.ndarray], np.ndarray], query: Query, observation: Observation
 ) -> PredictedCodes:
-    """Codes of an unconstrained path of the very problem, planned and paid for first: a model that never errs.
+    """Codes of an unconstrained path of the very problem, planned and paid for first: a model that
+    never errs.
 
     codes_of: gives those of configurations (b, n) along a path.
     """
@@ -87,7 +98,11 @@ def oracle_codes(
     if path is None:
         none = np.empty(0, dtype=np.int64)
         return PredictedCodes(
-            none, query.goals[:0], "no unconstrained path", vertices=plan.vertices, failure=plan.status
+            none,
+            query.goals[:0],
+            "no unconstrained path",
+            vertices=plan.vertices,
+            failure=plan.status,
         )
     codes = np.unique(codes_of(path.spaced(SPACING)))
     detail, seconds = f"{len(codes)} codes of an unconstrained path", query.deadline.seconds - began

@@ -1,7 +1,9 @@
-"""The dictionary at planning time, in numpy: the decoder g(z) with its gradient, and codes of configurations.
+"""The dictionary at planning time, in numpy: the decoder g(z) with its gradient, and codes of
+configurations.
 
-Same mathematics as the torch modules of `dictionary`, which train it. For a few dozen codes a torch call costs several
-times what it computes, and Algorithm 2 needs many; tests compare values and gradients with torch.
+Same mathematics as the torch modules of `dictionary`, which train it. For a few dozen codes a torch
+call costs several times what it computes, and Algorithm 2 needs many; tests compare values and
+gradients with torch.
 """
 
 from dataclasses import dataclass
@@ -14,10 +16,17 @@ from cvqmpt_lab.errors import InvalidInputError, require_torch
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.config import EPSILON, SerialChain
-from cvqmpt_lab.vqmpt.weights import TRAINED_BY, TRANSFORMER, RobotSignature, StoredModel, robot_signature
+from cvqmpt_lab.vqmpt.weights import (
+    TRAINED_BY,
+    TRANSFORMER,
+    RobotSignature,
+    StoredModel,
+    robot_signature,
+)
 
 ROADMAP_DRAW = 4  # seed of the draw from the dictionary, the best of six on the tuning environments
-CHAIN_TOLERANCE = 1e-4  # link frames that differ by less are those of training [m, entries of rotations]
+# link frames that differ by less are those of training [m, entries of rotations]
+CHAIN_TOLERANCE = 1e-4
 DICTIONARY = "dictionary"  # name of the part
 NODE_TOLERANCE = 1e-3  # [rad or m] between a code's node in a transformer's training and here
 
@@ -41,9 +50,11 @@ class CodeDecoder:
     """The decoder g(z) = N(mu, L D L^T) of a dictionary.
 
     x = W z + b,  y = layer norm(x + W_2 relu(W_1 x + b_1) + b_2),
-    mu = (tanh(W_mu y + b_mu) + 1) / 2,  D = softplus(W_D y + b_D),  L = I + lower triangle of (W_L y + b_L).
+    mu = (tanh(W_mu y + b_mu) + 1) / 2,  D = softplus(W_D y + b_D),  L = I + lower triangle of (W_L
+    y + b_L).
 
-    W is folded into what follows it, and the layer norm's centring, scale and shift into the layers around it.
+    W is folded into what follows it, and the layer norm's centring, scale and shift into the layers
+    around it.
     """
 
     def __init__(self, model: StoredModel, dtype: type = np.float32) -> None:
@@ -57,9 +68,14 @@ class CodeDecoder:
         w_out, b_out = model.linear(DICTIONARY, "quantizer.output_linear_map", sizes.code_dim, d)
         w_1, b_1 = model.linear(DICTIONARY, "decoder.pos_ffn.w_1", d, inner)
         w_2, b_2 = model.linear(DICTIONARY, "decoder.pos_ffn.w_2", inner, d)
-        gain, offset = (model.array(DICTIONARY, f"decoder.pos_ffn.layer_norm.{name}", d) for name in ("weight", "bias"))
+        gain, offset = (
+            model.array(DICTIONARY, f"decoder.pos_ffn.layer_norm.{name}", d)
+            for name in ("weight", "bias")
+        )
         outputs = {"mu": n, "diag": n, "l": n * (n - 1) // 2}
-        heads = [model.linear(DICTIONARY, f"decoder.{name}.0", d, size) for name, size in outputs.items()]
+        heads = [
+            model.linear(DICTIONARY, f"decoder.{name}.0", d, size) for name, size in outputs.items()
+        ]
         head_w, head_b = (np.concatenate(parts) for parts in zip(*heads, strict=True))
         self.n, self.dtype = n, dtype
         self._inner, self._inner_bias = as_used(w_1 @ w_out), as_used(w_1 @ b_out + b_1)
@@ -80,7 +96,9 @@ class CodeDecoder:
         y = hidden @ self._second.T
         y += z @ self._direct.T
         y += self._bias
-        rate = 1.0 / np.sqrt(np.einsum("cd,cd->c", y, y)[:, None] / y.shape[1] + self.dtype(EPSILON))
+        rate = 1.0 / np.sqrt(
+            np.einsum("cd,cd->c", y, y)[:, None] / y.shape[1] + self.dtype(EPSILON)
+        )
         y *= rate
         heads = y @ self._heads.T
         heads += self._heads_bias
@@ -92,15 +110,21 @@ class CodeDecoder:
         saved = (hidden, y, rate, tanh, root, lower)
         return CodeGaussians(0.5 * (tanh + 1.0), lower * root[:, None, :], saved)
 
-    def gradient(self, gaussians: CodeGaussians, by_mean: np.ndarray, by_scale: np.ndarray) -> np.ndarray:
+    def gradient(
+        self, gaussians: CodeGaussians, by_mean: np.ndarray, by_scale: np.ndarray
+    ) -> np.ndarray:
         """Gradient by z (c, code_dim) of what has gradients by_mean (c, n) and by_scale (c, n, n)."""
         n = self.n
-        by_mean, by_scale = by_mean.astype(self.dtype, copy=False), by_scale.astype(self.dtype, copy=False)
+        by_mean, by_scale = (
+            by_mean.astype(self.dtype, copy=False),
+            by_scale.astype(self.dtype, copy=False),
+        )
         hidden, y, rate, tanh, root, lower = gaussians.saved
         by_heads: np.ndarray = np.zeros((len(y), len(self._heads)), dtype=self.dtype)
         by_heads[:, :n] = 0.5 * by_mean * (1.0 - tanh * tanh)
         by_root = np.einsum("cij,cij->cj", by_scale, lower)
-        # d sqrt(softplus(x)) / dx = sigmoid(x) / (2 sqrt(softplus(x))), sigmoid(x) = 1 - exp(-softplus(x))
+        # d sqrt(softplus(x)) / dx = sigmoid(x) / (2 sqrt(softplus(x))), sigmoid(x) = 1 -
+        # exp(-softplus(x))
         by_heads[:, n : 2 * n] = 0.5 * by_root * -np.expm1(-(root**2)) / np.maximum(root, 1e-12)
         by_heads[:, 2 * n :] = (by_scale * root[:, None, :])[:, self._rows, self._columns]
         by_y = by_heads @ self._heads
@@ -112,14 +136,17 @@ class CodeDecoder:
 
 
 class ModelConfigurations:
-    """A robot's configurations as a model takes them: joints u in [0, 1], then link positions [m], if any.
+    """A robot's configurations as a model takes them: joints u in [0, 1], then link positions [m],
+    if any.
 
-    Which points of which links are features is read from the model's metadata, where training put them; where they
-    are comes from the robot's own kinematics.
+    Which points of which links are features is read from the model's metadata, where training put
+    them; where they are comes from the robot's own kinematics.
     """
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
-        """Raise InvalidInputError for a model of another robot, or with features that are not described or differ."""
+        """Raise InvalidInputError for a model of another robot, or with features that are not
+        described or differ.
+        """
         model.robot.require_same(robot_signature(robot))
         self._robot = robot
         self.lower, self.range = robot.lower, robot.upper - robot.lower
@@ -134,10 +161,14 @@ class ModelConfigurations:
         return self.lower + u * self.range
 
     def of(self, q: np.ndarray) -> np.ndarray:
-        """Configurations (b, n + 3 k) float32 of joints q (b, n): u, then positions of k points [m]."""
+        """Configurations (b, n + 3 k) float32 of joints q (b, n):
+        u, then positions of k points [m].
+        """
         parts = [self.normalised(q)]
         if self._chain is not None:
-            rotation, translation = link_poses(self._robot.kinematics, np.ascontiguousarray(q, dtype=float))
+            rotation, translation = link_poses(
+                self._robot.kinematics, np.ascontiguousarray(q, dtype=float)
+            )
             links = np.array(self._chain.points) + 1  # pose row 0 is the world
             points = np.einsum("bkij,kj->bki", rotation[:, links], self._chain.offsets)
             parts.append((points + translation[:, links]).reshape(len(q), -1))
@@ -149,21 +180,26 @@ def _feature_chain(model: StoredModel, robot: Robot) -> SerialChain:
     data = model.metadata.get("kinematics")
     if data is None:
         raise InvalidInputError(
-            f"the model takes {model.config.feature_dim} link features, but its metadata has no kinematics; "
+            f"the model takes {model.config.feature_dim} link features, but its metadata has no "
+            f"kinematics; "
             "train it again"
         )
     chain = from_plain(SerialChain, data, "model metadata, kinematics")
     if (len(chain.rotation), chain.feature_dim) != (robot.dof, model.config.feature_dim):
         raise InvalidInputError(
-            f"model metadata, kinematics: {len(chain.rotation)} joints and {chain.feature_dim} features; the model "
+            f"model metadata, kinematics: {len(chain.rotation)} joints and {chain.feature_dim} "
+            f"features; the model "
             f"has {robot.dof} and {model.config.feature_dim}"
         )
     kinematics = robot.kinematics
     if not np.array_equal(kinematics.parent, np.arange(robot.dof)):
-        raise InvalidInputError(f"link features are those of a chain, which robot {robot.name!r} is not")
+        raise InvalidInputError(
+            f"link features are those of a chain, which robot {robot.name!r} is not"
+        )
     if chain.sliders != tuple(np.flatnonzero(kinematics.prismatic).tolist()):
         raise InvalidInputError(
-            f"the model's link features were made with sliders {list(chain.sliders)}, not those of {robot.name!r}"
+            f"the model's link features were made with sliders {list(chain.sliders)}, not those "
+            f"of {robot.name!r}"
         )
     for name in ("rotation", "translation"):
         difference = np.abs(getattr(chain, name) - getattr(kinematics, name))
@@ -171,7 +207,8 @@ def _feature_chain(model: StoredModel, robot: Robot) -> SerialChain:
         if difference.max() > CHAIN_TOLERANCE:
             joint = int(difference.argmax())
             raise InvalidInputError(
-                f"the model's link features were made with another {name} of joint {robot.joint_names[joint]!r} "
+                f"the model's link features were made with another {name} of joint "
+                f"{robot.joint_names[joint]!r} "
                 f"(difference {difference[joint]:g}); use the robot description it was trained with"
             )
     return chain
@@ -197,12 +234,16 @@ def code_vectors(model: StoredModel) -> np.ndarray:
     sizes = model.config.dictionary
     vectors = model.array(DICTIONARY, "quantizer.embedding.weight", sizes.n_codes, sizes.code_dim)
     if (np.abs(np.linalg.norm(vectors, axis=1) - 1.0) > 1e-4).any():
-        raise InvalidInputError("the dictionary has codes that are not of unit length: it was not trained")
+        raise InvalidInputError(
+            "the dictionary has codes that are not of unit length: it was not trained"
+        )
     return vectors.astype(np.float32)
 
 
 def dictionary_gaussians(model: StoredModel, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Means (codes, n) [rad] and covariances (codes, n, n) [rad^2] of every code, in double precision."""
+    """Means (codes, n) [rad] and covariances (codes, n, n) [rad^2] of every code, in double
+    precision.
+    """
     codebook = Codebook(model, robot, np.float64)
     return codebook.gaussians(codebook.vectors)
 
@@ -219,7 +260,8 @@ def codes_of(model: StoredModel, robot: Robot, configurations: np.ndarray) -> np
 
 
 def waypoint_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray:
-    """Code (b,) int64 of each configuration (b, configuration_dim), by an encoder of single waypoints.
+    """Code (b,) int64 of each configuration (b, configuration_dim), by an encoder of single
+    waypoints.
 
     It is the code of largest cosine with z = W layer norm(perceptron(configuration)) + b.
     """
@@ -230,7 +272,9 @@ def waypoint_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray
     for i, (before, after) in enumerate(widths):
         weight, bias = model.linear(DICTIONARY, f"encoder.layers.{2 * i}", before, after)
         x = (x if i == 0 else np.maximum(x, 0.0)) @ weight.T + bias
-    gain, offset = (model.array(DICTIONARY, f"encoder.layers.5.{name}", d) for name in ("weight", "bias"))
+    gain, offset = (
+        model.array(DICTIONARY, f"encoder.layers.5.{name}", d) for name in ("weight", "bias")
+    )
     x = x - x.mean(axis=1, keepdims=True)
     x = x / np.sqrt(np.square(x).mean(axis=1, keepdims=True) + EPSILON) * gain + offset
     weight, bias = model.linear(DICTIONARY, "quantizer.input_linear_map", d, sizes.code_dim)
@@ -238,12 +282,22 @@ def waypoint_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray
 
 
 def require_own_dictionary(model: StoredModel) -> None:
-    """Raise InvalidInputError for a transformer that was trained on the codes of another dictionary than is stored."""
+    """Raise InvalidInputError for a transformer that was trained on the codes of another dictionary
+    than is stored.
+    """
     robot, z = model.robot, code_vectors(model)
-    gaussians, span = CodeDecoder(model, np.float64).decode(z), np.subtract(robot.upper, robot.lower)
-    means, covariances = robot.lower + gaussians.mean * span, gaussians.covariance * np.outer(span, span)
+    gaussians, span = (
+        CodeDecoder(model, np.float64).decode(z),
+        np.subtract(robot.upper, robot.lower),
+    )
+    means, covariances = (
+        robot.lower + gaussians.mean * span,
+        gaussians.covariance * np.outer(span, span),
+    )
     nodes = drawn_nodes(means, covariances, robot, code_noise(*means.shape))
-    if not np.allclose(nodes, model.array(TRANSFORMER, "nodes", *nodes.shape), atol=NODE_TOLERANCE, rtol=0.0):
+    if not np.allclose(
+        nodes, model.array(TRANSFORMER, "nodes", *nodes.shape), atol=NODE_TOLERANCE, rtol=0.0
+    ):
         raise InvalidInputError(
             f"transformer was trained on the codes of another dictionary; {TRAINED_BY[TRANSFORMER]}"
         )
@@ -252,7 +306,8 @@ def require_own_dictionary(model: StoredModel) -> None:
 def drawn_nodes(
     means: np.ndarray, covariances: np.ndarray, robot: Robot | RobotSignature, noise: np.ndarray
 ) -> np.ndarray:
-    """One configuration (codes, n) from each code's Gaussian, inside the limits; noise (codes, n): standard normal.
+    """One configuration (codes, n) from each code's Gaussian, inside the limits; noise (codes, n):
+    standard normal.
 
     Means crowd in the middle of where paths pass; draws cover it as training's waypoints do.
     """

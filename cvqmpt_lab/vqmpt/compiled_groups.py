@@ -12,7 +12,9 @@ def compiled_groups(points: np.ndarray, groups: int, size: int) -> tuple[np.ndar
     points = points[np.arange(max(len(points), size + 1)) % len(points)]
     centres, offsets = np.empty((groups, 3), np.float32), np.empty((groups, size, 3), np.float32)
     away, near = np.empty((2, len(points)), np.float32)
-    fill_groups(np.ascontiguousarray(points.T), centres, offsets, away, near, np.empty(size, np.int64))
+    fill_groups(
+        np.ascontiguousarray(points.T), centres, offsets, away, near, np.empty(size, np.int64)
+    )
     return centres, offsets
 
 

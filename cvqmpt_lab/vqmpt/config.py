@@ -1,6 +1,8 @@
-"""Sizes and options of VQ-MPT and MPNet, as in the json file beside weights, and checks of their inputs.
+"""Sizes and options of VQ-MPT and MPNet, as in the json file beside weights, and checks of their
+inputs.
 
-Defaults are those of the published models; `ModelConfig.compact` is the smaller dictionary that ships.
+Defaults are those of the published models; `ModelConfig.compact` is the smaller dictionary that
+ships.
 """
 
 import math
@@ -44,7 +46,9 @@ class TransformerConfig:
     dropout: float = 0.1
 
     def __post_init__(self) -> None:
-        sizes = {name: getattr(self, name) for name in ("n_heads", "d_k", "d_v", "d_model", "d_inner")}
+        sizes = {
+            name: getattr(self, name) for name in ("n_heads", "d_k", "d_v", "d_model", "d_inner")
+        }
         require_sizes(**sizes)
         require_probability("dropout", self.dropout)
         if not 1 <= self.n_layers <= MOST_LAYERS:
@@ -56,17 +60,20 @@ class DictionaryConfig:
     """Stage 1: waypoint -> code -> Gaussian."""
 
     encoder: Literal["transformer", "mlp"] = "transformer"
-    """Over the whole trajectory (published), or ``mlp`` on each waypoint alone, which uses only `d_model` and
-    `d_inner` of `transformer`."""
+    """Over the whole trajectory (published), or ``mlp`` on each waypoint alone, which uses only
+    `d_model` and `d_inner` of `transformer`.
+    """
     transformer: TransformerConfig = field(default_factory=TransformerConfig)
-    n_position: int = 1000  # longest trajectory that the transformer's position table covers [waypoints]
+    # longest trajectory that the transformer's position table covers [waypoints]
+    n_position: int = 1000
     n_codes: int = 2048
     code_dim: int = 8
     decoder_dropout: float = 0.5
     commitment: float = 0.25  # beta of the quantization loss
     data_initialised: bool = False
-    """Codes start at encoded waypoints and unused ones are restarted from data (`Quantizer.restart_codes`);
-    without it they are learnt by gradient alone."""
+    """Codes start at encoded waypoints and unused ones are restarted from data
+    (`Quantizer.restart_codes`); without it they are learnt by gradient alone.
+    """
 
     def __post_init__(self) -> None:
         sizes = {name: getattr(self, name) for name in ("n_position", "n_codes", "code_dim")}
@@ -104,8 +111,10 @@ class PointCloudConfig:
 class SequenceConfig:
     """Stage 2: scene, start and goal -> sequence of codes."""
 
-    context: TransformerConfig = field(default_factory=TransformerConfig)  # start and goal attend to the scene
-    transformer: TransformerConfig = field(default_factory=TransformerConfig)  # the autoregressive model
+    # start and goal attend to the scene
+    context: TransformerConfig = field(default_factory=TransformerConfig)
+    # the autoregressive model
+    transformer: TransformerConfig = field(default_factory=TransformerConfig)
     max_length: int = 50  # tokens predicted at most, the goal token included
 
     def __post_init__(self) -> None:
@@ -114,14 +123,19 @@ class SequenceConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelConfig:
-    """A VQ-MPT model: the architecture of the published checkpoints, or the smaller dictionary alone ("compact")."""
+    """A VQ-MPT model:
+    the architecture of the published checkpoints, or the smaller dictionary alone ("compact").
+    """
 
     kind: Literal["published", "compact"] = "published"
     joint_dim: int = 7
-    feature_dim: int = 0  # numbers beside the joints, such as link positions [m], flattened (compact only)
+    # numbers beside the joints, such as link positions [m], flattened (compact only)
+    feature_dim: int = 0
     dictionary: DictionaryConfig = field(default_factory=DictionaryConfig)
-    point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)  # of the sequence model
-    sequence: SequenceConfig | None = field(default_factory=SequenceConfig)  # as published; None without one
+    # of the sequence model
+    point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)
+    # as published; None without one
+    sequence: SequenceConfig | None = field(default_factory=SequenceConfig)
     transformer: "SceneTransformerConfig | None" = None  # the scene transformer's, if there is one
 
     def __post_init__(self) -> None:
@@ -134,7 +148,8 @@ class ModelConfig:
             widths = (self.point_cloud.sa2.widths[1], self.sequence.context.d_model)
             if {*widths} != {self.sequence.transformer.d_model}:
                 raise InvalidInputError(
-                    f"a sequence model has one latent width: {self.sequence.transformer.d_model} is not {widths}"
+                    f"a sequence model has one latent width: {self.sequence.transformer.d_model} "
+                    f"is not {widths}"
                 )
 
     def _require_published(self) -> None:
@@ -150,7 +165,8 @@ class ModelConfig:
         width = sequence.transformer.d_model
         if self.dictionary.transformer.d_model != width:
             raise InvalidInputError(
-                f"kind 'published' has one latent width: {width} is not {self.dictionary.transformer.d_model}"
+                f"kind 'published' has one latent width: {width} is not "
+                f"{self.dictionary.transformer.d_model}"
             )
 
     @property
@@ -158,7 +174,8 @@ class ModelConfig:
         """Sizes of the sequence model; raises InvalidInputError for a model without one."""
         if self.point_cloud is None or self.sequence is None:
             raise InvalidInputError(
-                f"a model of kind {self.kind!r} without point_cloud and sequence has no sequence model; "
+                f"a model of kind {self.kind!r} without point_cloud and sequence has no sequence "
+                f"model; "
                 "use kind 'published'"
             )
         return self.point_cloud, self.sequence
@@ -201,43 +218,56 @@ class MPNetConfig:
     n_points: int = 4120  # of a cloud, drawn at random from what there is
     encoder_widths: tuple[int, ...] = (786, 512, 256)  # hidden layers of the cloud encoder
     code_dim: int = 60  # of an encoded cloud
-    planner_widths: tuple[int, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)  # hidden layers of the planner
-    dropout: float = 0.5  # probability to drop a unit, after every hidden layer of the planner but the last
+    # hidden layers of the planner
+    planner_widths: tuple[int, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)
+    # probability to drop a unit, after every hidden layer of the planner but the last
+    dropout: float = 0.5
 
     def __post_init__(self) -> None:
         sizes = {name: getattr(self, name) for name in ("joint_dim", "n_points", "code_dim")}
-        require_sizes(**sizes, encoder_widths=self.encoder_widths, planner_widths=self.planner_widths)
+        require_sizes(
+            **sizes, encoder_widths=self.encoder_widths, planner_widths=self.planner_widths
+        )
         require_probability("dropout", self.dropout)
         if not self.encoder_widths or not self.planner_widths:
             raise InvalidInputError("encoder_widths and planner_widths need a layer each")
 
 
-# What networks take in beside normalised joints: point clouds, and the kinematics of link-position features.
+# What networks take in beside normalised joints: point clouds, and the kinematics of link-position
+# features.
 LARGEST_EXTENT = 50.0  # of a cloud [m]; a larger one was almost surely given in millimetres
 
 
 def require_point_cloud(points: Any) -> None:
     """Check a cloud (..., m, 3) [m], an array or a tensor.
 
-    Raises InvalidInputError for fewer than two points, another shape, NaN, or an extent that cannot be metres.
+    Raises InvalidInputError for fewer than two points, another shape, NaN, or an extent that cannot
+    be metres.
     """
     if points.ndim < 2 or points.shape[-1] != 3:
-        raise InvalidInputError(f"point cloud of shape {tuple(points.shape)}; it must be (n, 3) [m]")
+        raise InvalidInputError(
+            f"point cloud of shape {tuple(points.shape)}; it must be (n, 3) [m]"
+        )
     if points.shape[-2] < 2:
         raise InvalidInputError(f"point cloud of {points.shape[-2]} points; give at least 2")
     size = abs(points)
     largest = float(size.max())
     if not largest < math.inf:
         bad = int((~(size < math.inf)).any(-1).sum())
-        raise InvalidInputError(f"point cloud has {bad} points with NaN or infinite values; drop them")
+        raise InvalidInputError(
+            f"point cloud has {bad} points with NaN or infinite values; drop them"
+        )
     if largest > LARGEST_EXTENT:
         raise InvalidInputError(
-            f"point cloud reaches {largest:g} m; at most {LARGEST_EXTENT:g} m: give metres, not millimetres"
+            f"point cloud reaches {largest:g} m; at most {LARGEST_EXTENT:g} m: give metres, not "
+            f"millimetres"
         )
 
 
 def checked_cloud(cloud: np.ndarray) -> np.ndarray:
-    """A cloud (m, 3) [m, robot base frame] as contiguous float32; errors as of `require_point_cloud`."""
+    """A cloud (m, 3) [m, robot base frame] as contiguous float32;
+    errors as of `require_point_cloud`.
+    """
     try:
         points = np.asarray(cloud, dtype=float)
     except (TypeError, ValueError) as error:
@@ -250,12 +280,15 @@ def checked_cloud(cloud: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SerialChain:
-    """Joints in a row, each turning about its own z axis or sliding along it, and points fixed to their links.
+    """Joints in a row, each turning about its own z axis or sliding along it, and points fixed to
+    their links.
 
-    frame_j = frame_(j-1) (rotation_j, translation_j) Rz(q_j), the first in the robot's base; for sliders Tz(q_j).
+    frame_j = frame_(j-1) (rotation_j, translation_j) Rz(q_j), the first in the robot's base; for
+    sliders Tz(q_j).
     """
 
-    rotation: Annotated[FloatArray, Array((None, 3, 3))]  # (n, 3, 3), from one joint's frame to the next
+    # (n, 3, 3), from one joint's frame to the next
+    rotation: Annotated[FloatArray, Array((None, 3, 3))]
     translation: Annotated[FloatArray, Array((None, 3), "[m]")]  # (n, 3) [m], likewise
     points: tuple[int, ...]  # (k,), the frame that each point moves with
     offsets: Annotated[FloatArray, Array((None, 3), "[m]")]  # (k, 3) [m], where in that frame
@@ -263,10 +296,16 @@ class SerialChain:
 
     def __post_init__(self) -> None:
         joints = len(self.rotation)
-        if len(self.translation) != joints or not self.points or len(self.points) != len(self.offsets):
+        if (
+            len(self.translation) != joints
+            or not self.points
+            or len(self.points) != len(self.offsets)
+        ):
             raise InvalidInputError(
-                f"rotation, translation, points and offsets describe {joints}, {len(self.translation)}, "
-                f"{len(self.points)} and {len(self.offsets)}; give as many of each pair, and one point at least"
+                f"rotation, translation, points and offsets describe {joints}, "
+                f"{len(self.translation)}, "
+                f"{len(self.points)} and {len(self.offsets)}; give as many of each pair, and one "
+                f"point at least"
             )
         for name, listed in (("points", self.points), ("sliders", self.sliders)):
             if max(listed, default=0) >= joints:
@@ -301,11 +340,15 @@ class SceneTransformerSizes:
     stride: int = 4  # every so many-th code is a landmark that sequences attend to
 
     def __post_init__(self) -> None:
-        require_sizes(**{name: getattr(self, name) for name in self.__annotations__ if name != "layers"})
+        require_sizes(
+            **{name: getattr(self, name) for name in self.__annotations__ if name != "layers"}
+        )
         if not 1 <= self.layers <= MOST_LAYERS:
             raise InvalidInputError(f"layers is {shown(self.layers)}; give 1 to {MOST_LAYERS}")
         if self.width % 8 or self.width % self.heads:
-            raise InvalidInputError(f"width {self.width} must be divisible by 8 and by heads, {self.heads}")
+            raise InvalidInputError(
+                f"width {self.width} must be divisible by 8 and by heads, {self.heads}"
+            )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -322,7 +365,9 @@ class SceneTransformerConfig:
     def __post_init__(self) -> None:
         require_sizes(n_nodes=self.n_nodes, n_edges=self.n_edges)
         if self.sizes.links > self.n_nodes:
-            raise InvalidInputError(f"links is {self.sizes.links}; give at most n_nodes, {self.n_nodes}")
+            raise InvalidInputError(
+                f"links is {self.sizes.links}; give at most n_nodes, {self.n_nodes}"
+            )
 
     @property
     def joint_dim(self) -> int:

@@ -1,7 +1,8 @@
-"""Stage 1 of VQ-MPT: the dictionary Z_Q = {z_1 ... z_N} that cuts the planning space into Gaussians.
+"""Stage 1 of VQ-MPT: the dictionary Z_Q = {z_1 ... z_N} that cuts the planning space into
+Gaussians.
 
-A waypoint is encoded, its latent replaced by the nearest code z_i, and the code decoded to a Gaussian over
-configurations, g(z_i) = N(mu, Sigma) (paper, eqn. decoder_eqn), Sigma = L D L^T.
+A waypoint is encoded, its latent replaced by the nearest code z_i, and the code decoded to a
+Gaussian over configurations, g(z_i) = N(mu, Sigma) (paper, eqn. decoder_eqn), Sigma = L D L^T.
 """
 
 import math
@@ -18,8 +19,8 @@ from cvqmpt_lab.vqmpt.config import EPSILON, ModelConfig, TransformerConfig
 class MultiHeadAttention(nn.Module):
     """softmax(q k^T / sqrt(d_k)) v per head, projections without bias, plus the residual.
 
-    One layer norm is applied to the query and to the context (keys and values) alike; the residual is the query
-    before it.
+    One layer norm is applied to the query and to the context (keys and values) alike; the residual
+    is the query before it.
     """
 
     def __init__(self, sizes: TransformerConfig) -> None:
@@ -35,14 +36,18 @@ class MultiHeadAttention(nn.Module):
     def forward(self, query: Tensor, context: Tensor, visible: Tensor | None = None) -> Tensor:
         """Attend from query (b, t, d_model) to context (b, m, d_model), both before normalisation.
 
-        context: the query itself in self-attention. visible (b, m) bool: context tokens that are no padding; None
-        for all.
+        context: the query itself in self-attention. visible (b, m) bool: context tokens that are no
+            padding; None for all.
         """
         keys_of = self.layer_norm(context)
         queries_of = keys_of if query is context else self.layer_norm(query)
         q, k, v = (
             projection(tokens).unflatten(-1, (self.n_heads, -1)).transpose(1, 2)
-            for projection, tokens in ((self.w_qs, queries_of), (self.w_ks, keys_of), (self.w_vs, keys_of))
+            for projection, tokens in (
+                (self.w_qs, queries_of),
+                (self.w_ks, keys_of),
+                (self.w_vs, keys_of),
+            )
         )
         mask = None if visible is None else visible[:, None, None, :]
         dropout = self.dropout if self.training else 0.0
@@ -52,9 +57,13 @@ class MultiHeadAttention(nn.Module):
 
 
 class FeedForward(nn.Module):
-    """Two linear layers with a ReLU between and a residual; normalised before them, or after the sum."""
+    """Two linear layers with a ReLU between and a residual;
+    normalised before them, or after the sum.
+    """
 
-    def __init__(self, d_model: int, d_inner: int, dropout: float, *, norm_first: bool = True) -> None:
+    def __init__(
+        self, d_model: int, d_inner: int, dropout: float, *, norm_first: bool = True
+    ) -> None:
         super().__init__()
         self.w_1 = nn.Linear(d_model, d_inner)
         self.w_2 = nn.Linear(d_inner, d_model)
@@ -77,8 +86,11 @@ class SelfAttentionLayer(nn.Module):
         self.slf_attn = MultiHeadAttention(sizes)
         self.pos_ffn = FeedForward(sizes.d_model, sizes.d_inner, sizes.dropout)
 
-    def forward(self, tokens: Tensor, visible: Tensor | None = None, read: Tensor | None = None) -> Tensor:
-        """Map tokens (b, t, d_model) to the same shape; `visible` (b, t) as in `MultiHeadAttention`.
+    def forward(
+        self, tokens: Tensor, visible: Tensor | None = None, read: Tensor | None = None
+    ) -> Tensor:
+        """Map tokens (b, t, d_model) to the same shape; `visible` (b, t) as in
+        `MultiHeadAttention`.
 
         read: those of the tokens (b, r, d_model) whose outputs alone are wanted.
         """
@@ -99,7 +111,9 @@ class CrossAttentionLayer(nn.Module):
 
 
 def sinusoid_table(n_position: int, d_model: int) -> Tensor:
-    """Positions as waves (n_position, d_model): sines on even, cosines on odd dimensions, base 10000."""
+    """Positions as waves (n_position, d_model):
+    sines on even, cosines on odd dimensions, base 10000.
+    """
     dimension = torch.arange(d_model, dtype=torch.float64)
     wavelength = 10000.0 ** (2.0 * (dimension // 2) / d_model)
     angle = torch.arange(n_position, dtype=torch.float64)[:, None] / wavelength
@@ -116,18 +130,22 @@ class PositionTable(nn.Module):
         self.register_buffer("pos_table", sinusoid_table(n_position, d_model)[None])
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """Add the code to tokens (b, t, d_model); raises InvalidInputError when t is beyond the table."""
+        """Add the code to tokens (b, t, d_model);
+        raises InvalidInputError when t is beyond the table.
+        """
         length, longest = tokens.shape[1], self.pos_table.shape[1]
         if length > longest:
-            raise InvalidInputError(f"trajectory of {length} waypoints; this encoder takes {longest} at most")
+            raise InvalidInputError(
+                f"trajectory of {length} waypoints; this encoder takes {longest} at most"
+            )
         return tokens + self.pos_table[:, :length]
 
 
 class TrajectoryEncoder(nn.Module):
     """Transformer over a whole trajectory, as published.
 
-    One layer norm serves three times: after the embedding, after the position code and at the end. Padded waypoints
-    are attended to, as in the published code; only the losses mask them.
+    One layer norm serves three times: after the embedding, after the position code and at the end.
+    Padded waypoints are attended to, as in the published code; only the losses mask them.
     """
 
     def __init__(self, input_dim: int, n_position: int, sizes: TransformerConfig) -> None:
@@ -141,7 +159,9 @@ class TrajectoryEncoder(nn.Module):
         self.dropout = sizes.dropout
 
     def forward(self, waypoints: Tensor) -> Tensor:
-        """Encode waypoints (b, t, input_dim), joints normalised to [0, 1], as latents (b, t, d_model)."""
+        """Encode waypoints (b, t, input_dim), joints normalised to [0, 1], as latents (b, t,
+        d_model).
+        """
         tokens = self.position_enc(self.layer_norm(self.to_embedding(waypoints)))
         tokens = self.layer_norm(F.dropout(tokens, self.dropout, self.training))
         for layer in self.layer_stack:
@@ -180,15 +200,17 @@ class Quantized:
 class Quantizer(nn.Module):
     """Projects latents to few dimensions, replaces them by the nearest code, projects back.
 
-    Codes have unit length: every forward call scales them, in place; after the last optimizer step call
-    `normalise_codes` before saving. The batch norm is never applied; published checkpoints have its buffers.
+    Codes have unit length: every forward call scales them, in place; after the last optimizer step
+    call `normalise_codes` before saving. The batch norm is never applied; published checkpoints
+    have its buffers.
     """
 
     def __init__(self, n_codes: int, code_dim: int, d_model: int) -> None:
         super().__init__()
         self.input_linear_map = nn.Linear(d_model, code_dim)
         self.output_linear_map = nn.Linear(code_dim, d_model)
-        weight = torch.empty(n_codes, code_dim)  # drawn below; a normal draw on "meta" imports sympy (4 s)
+        # drawn below; a normal draw on "meta" imports sympy (4 s)
+        weight = torch.empty(n_codes, code_dim)
         self.embedding = nn.Embedding(n_codes, code_dim, _weight=weight)
         nn.init.xavier_uniform_(self.embedding.weight)
         self.batch_norm = nn.BatchNorm1d(code_dim, affine=False)
@@ -212,8 +234,8 @@ class Quantizer(nn.Module):
     def forward(self, latent: Tensor) -> Quantized:
         """Quantize latents (..., d_model).
 
-        Straight-through: passed on is z + e - stop_gradient(z), the code e in value, with a gradient that reaches
-        the encoder (as if z had been passed on) and e alike.
+        Straight-through: passed on is z + e - stop_gradient(z), the code e in value, with a
+        gradient that reaches the encoder (as if z had been passed on) and e alike.
         """
         self.normalise_codes()
         z = self.project(latent)
@@ -225,17 +247,22 @@ class Quantizer(nn.Module):
         """Latents (..., d_model) of codes (...), ready for the decoder."""
         return self.output_linear_map(self.embedding(codes))
 
-    def restart_codes(self, dead: Tensor, latents: Tensor, generator: torch.Generator | None = None) -> int:
+    def restart_codes(
+        self, dead: Tensor, latents: Tensor, generator: torch.Generator | None = None
+    ) -> int:
         """Put codes onto encoded waypoints drawn at random; return how many were moved.
 
-        dead (n_codes,) bool: codes that no waypoint used lately; all of them to initialise from data. latents
-        (m, d_model): encoded waypoints, drawn without replacement while they last; InvalidInputError for none.
+        dead (n_codes,) bool: codes that no waypoint used lately; all of them to initialise from
+        data. latents (m, d_model): encoded waypoints, drawn without replacement while they last;
+        InvalidInputError for none.
         """
         indices = dead.nonzero()[:, 0]
         if len(indices) == 0:
             return 0
         if len(latents) == 0:
-            raise InvalidInputError("restart of codes from 0 latents; give at least one encoded waypoint")
+            raise InvalidInputError(
+                "restart of codes from 0 latents; give at least one encoded waypoint"
+            )
         order = torch.randperm(len(latents), generator=generator)
         chosen = order[torch.arange(len(indices)) % len(latents)].to(latents.device)
         with torch.no_grad():
@@ -282,15 +309,21 @@ class GaussianDecoder(nn.Module):
         self.mu = nn.Sequential(nn.Linear(d_model, joint_dim), nn.Tanh())
         self.diag = nn.Sequential(nn.Linear(d_model, joint_dim))
         self.l = nn.Sequential(nn.Linear(d_model, joint_dim * (joint_dim - 1) // 2))
-        self.register_buffer("l_index", torch.tril_indices(joint_dim, joint_dim, offset=-1, device="cpu"))
+        self.register_buffer(
+            "l_index", torch.tril_indices(joint_dim, joint_dim, offset=-1, device="cpu")
+        )
 
     def forward(self, latent: Tensor) -> Gaussians:
-        """Decode latents (..., d_model): mean in (0, 1), D = softplus, L's strict lower triangle linear."""
+        """Decode latents (..., d_model):
+        mean in (0, 1), D = softplus, L's strict lower triangle linear.
+        """
         hidden = self.pos_ffn(latent)
         mean = 0.5 * (self.mu(hidden) + 1.0)
         n = mean.shape[-1]
         identity = torch.eye(n, dtype=mean.dtype, device=mean.device).expand(*mean.shape, n)
-        lower = identity.flatten(-2).index_copy(-1, self.l_index[0] * n + self.l_index[1], self.l(hidden))
+        lower = identity.flatten(-2).index_copy(
+            -1, self.l_index[0] * n + self.l_index[1], self.l(hidden)
+        )
         return Gaussians(mean, lower.unflatten(-1, (n, n)), F.softplus(self.diag(hidden)))
 
 
@@ -314,10 +347,13 @@ class Dictionary(nn.Module):
         else:
             self.encoder = WaypointEncoder(config.configuration_dim, sizes)
         self.quantizer = Quantizer(options.n_codes, options.code_dim, sizes.d_model)
-        self.decoder = GaussianDecoder(sizes.d_model, sizes.d_inner, config.joint_dim, options.decoder_dropout)
+        self.decoder = GaussianDecoder(
+            sizes.d_model, sizes.d_inner, config.joint_dim, options.decoder_dropout
+        )
 
     def forward(self, waypoints: Tensor) -> DictionaryOutput:
-        """Encode and decode waypoints (b, t, configuration_dim): joints in [0, 1], then features [m], if any.
+        """Encode and decode waypoints (b, t, configuration_dim): joints in [0, 1], then features
+        [m], if any.
 
         Padded waypoints are treated like any other; mask them in the losses.
         """
@@ -329,5 +365,7 @@ class Dictionary(nn.Module):
         return self.quantizer.nearest(self.quantizer.project(self.encoder(waypoints)))
 
     def decode(self, z: Tensor) -> Gaussians:
-        """g(z): Gaussians (...) of code vectors z (..., code_dim), which need not be in the dictionary."""
+        """g(z):
+        Gaussians (...) of code vectors z (..., code_dim), which need not be in the dictionary.
+        """
         return self.decoder(self.quantizer.output_linear_map(z))

@@ -1,8 +1,10 @@
-"""P(a straight motion is free) from the smallest clearance along it: a logistic curve, the same for all robots.
+"""P(a straight motion is free) from the smallest clearance along it: a logistic curve, the same for
+all robots.
 
     log odds of P(free) = slope * clearance + bias
 
-Distances from a point cloud and from a scene that is known lie differently: there is a curve for each.
+Distances from a point cloud and from a scene that is known lie differently: there is a curve for
+each.
 """
 
 from functools import lru_cache
@@ -15,7 +17,9 @@ from cvqmpt_lab.vqmpt.weights import WEIGHTS
 
 CURVES_FILE = "edge_curves.json"
 SCENE, CLOUD = SOURCES = "scene", "cloud"
-"""Where clearances are read: in the collision checker's distance grid, or in the distance field of a cloud."""
+"""Where clearances are read:
+in the collision checker's distance grid, or in the distance field of a cloud.
+"""
 
 
 class EdgeCurve(NamedTuple):

@@ -1,7 +1,9 @@
-"""The edge validity model: from a point cloud to P(straight motion is free), for any robot and what it carries.
+"""The edge validity model: from a point cloud to P(straight motion is free), for any robot and what
+it carries.
 
-The cloud becomes a distance field. Along a motion, the smallest clearance of the robot's spheres is read from it; a
-curve fitted to several arms (`edge_curve`) turns it into log odds. Nothing is checked exactly.
+The cloud becomes a distance field. Along a motion, the smallest clearance of the robot's spheres is
+read from it; a curve fitted to several arms (`edge_curve`) turns it into log odds. Nothing is
+checked exactly.
 """
 
 import numpy as np
@@ -21,7 +23,9 @@ CLOUDS = 4  # remembered
 
 
 class EdgeModel:
-    """The shipped curve for a robot and what its hand carries; remembers the latest clouds' distance fields."""
+    """The shipped curve for a robot and what its hand carries;
+    remembers the latest clouds' distance fields.
+    """
 
     def __init__(self, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> None:
         """Take the spheres of the robot's collision geometry."""
@@ -46,9 +50,17 @@ class EdgeModel:
         return self.empty._replace(distance=distance)
 
     def log_odds(self, cloud: np.ndarray, motions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Every joint's smallest clearance (b, n) [m] and log odds (b,) of straight motions (b, 2, n)."""
+        """Every joint's smallest clearance (b, n) [m] and log odds (b,) of straight motions (b, 2,
+        n).
+        """
         clearance, odds = np.empty((len(motions), self.robot.dof)), np.empty(len(motions))
-        motion_log_odds(self.robot.kinematics, self.arrays(cloud), np.ascontiguousarray(motions), clearance, odds)
+        motion_log_odds(
+            self.robot.kinematics,
+            self.arrays(cloud),
+            np.ascontiguousarray(motions),
+            clearance,
+            odds,
+        )
         return clearance, odds
 
 

@@ -1,6 +1,8 @@
-"""The half of the scene transformer that looks, in numpy and compiled: same mathematics as `scene_transformer`.
+"""The half of the scene transformer that looks, in numpy and compiled: same mathematics as
+`scene_transformer`.
 
-A new cloud is looked at from every code once; starts and goals look at what is kept of it. Tests compare with torch.
+A new cloud is looked at from every code once; starts and goals look at what is kept of it. Tests
+compare with torch.
 """
 
 from dataclasses import dataclass
@@ -42,7 +44,8 @@ class EncodedScene:
     edge_odds: np.ndarray  # (E,)
     arc_cost: np.ndarray  # (2 E,) float64 [rad], length - w log P(free)
     arc_table: np.ndarray  # (N, w) [rad], the same by node, 0 where there is no arc
-    landmarks: tuple[tuple[np.ndarray, np.ndarray], ...]  # keys and values for each block that reads landmarks
+    # keys and values for each block that reads landmarks
+    landmarks: tuple[tuple[np.ndarray, np.ndarray], ...]
 
 
 class Ends(NamedTuple):
@@ -57,11 +60,15 @@ class SceneLooker:
     """Encodes scenes, and starts and goals in them, for one robot."""
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
-        """Take over the weights; InvalidInputError where they are missing, of another robot, or do not fit."""
+        """Take over the weights;
+        InvalidInputError where they are missing, of another robot, or do not fit.
+        """
         model.require_part(PART)
         model.robot.require_same(robot_signature(robot))
         if model.config.transformer is None:
-            raise InvalidInputError("the model has a transformer, but its configuration describes none")
+            raise InvalidInputError(
+                "the model has a transformer, but its configuration describes none"
+            )
         self.config: SceneTransformerConfig = model.config.transformer
         self.robot, layers = robot, Layers(model, PART)  # not kept: layers hold all that was read
         self.nodes, self.edges = _roadmap(model, self.config)
@@ -70,13 +77,17 @@ class SceneLooker:
         self.arcs = arcs_of(len(self.nodes), self.edges)
         ends = self.nodes[self.edges]
         self._length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-        self._heap = np.empty(QUEUE * len(self.nodes)), np.empty(QUEUE * len(self.nodes), dtype=np.int32)
+        self._heap = (
+            np.empty(QUEUE * len(self.nodes)),
+            np.empty(QUEUE * len(self.nodes), dtype=np.int32),
+        )
 
     def _take_over(self, layers: Layers) -> None:
         sizes, count = self.config.sizes, self.config.n_nodes
         d, e, points = sizes.width, sizes.edge_width, len(self.config.body.points)
         self._points = [
-            layers.linear(f"scene.points.{k}", *widths) for k, widths in ((0, (3, 64)), (2, (64, 64)), (4, (64, 128)))
+            layers.linear(f"scene.points.{k}", *widths)
+            for k, widths in ((0, (3, 64)), (2, (64, 64)), (4, (64, 128)))
         ]
         self._join = layers.linear("scene.join", 128 + 3 + 6 * WAVES, d)
         self._scene_block = Block(layers, "scene.block", d, 8, 4 * d)
@@ -90,11 +101,17 @@ class SceneLooker:
         weight, bias = layers.linear("look.mix.0", read + d, 2 * d)
         self._mix_read, self._mix_own = weight[:read].copy(), Linear(weight[read:].copy(), bias)
         self._mix = layers.linear("look.mix.2", 2 * d, d)
-        self._own_norm, self._look_norm = layers.norm("look.own_norm", d), layers.norm("look.norm", d)
+        self._own_norm, self._look_norm = (
+            layers.norm("look.own_norm", d),
+            layers.norm("look.norm", d),
+        )
         self._value = layers.linear("look.value", d, 4 * sizes.values)
         self._bias = layers.linear("look.bias", d, points)
         self._sharpness = np.exp(layers.array("look.sharpness", points))
-        self._node, self._node_prior = layers.linear("node", d, 1), layers.array("node_prior", count)
+        self._node, self._node_prior = (
+            layers.linear("node", d, 1),
+            layers.array("node_prior", count),
+        )
         self._part, self._middle = layers.linear("part", d, e), layers.linear("middle", d, e)
         self._own_edge = layers.array("own_edge", self.config.n_edges, e)
         self._edge, self._edge_prior = (
@@ -104,7 +121,9 @@ class SceneLooker:
         self._link = layers.linear("link", e, 1)
         self._enter, self._kind = layers.linear("enter", d, d), layers.array("kind", 3, d)
         blocks = range(sizes.layers - 1)
-        self.reads = [Block(layers, f"reads.{k}", d, sizes.heads, 2 * d, context=True) for k in blocks]
+        self.reads = [
+            Block(layers, f"reads.{k}", d, sizes.heads, 2 * d, context=True) for k in blocks
+        ]
         self._key, self._own_key = layers.linear("key", d, d), layers.array("own_key", count, d)
 
     def _kept_kinematics(self, layers: Layers) -> None:
@@ -119,27 +138,42 @@ class SceneLooker:
     def _configurations(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Features (u, f) and body points (u, k, 3) [m] of configurations q (u, n), float32."""
         body = self.config.body
-        rotation, translation = link_poses(self.robot.kinematics, np.ascontiguousarray(q, dtype=float))
+        rotation, translation = link_poses(
+            self.robot.kinematics, np.ascontiguousarray(q, dtype=float)
+        )
         rows = np.array(body.points) + 1  # pose row 0 is the world
-        points = np.matmul(rotation[:, rows], body.offsets[:, :, None])[..., 0] + translation[:, rows]
+        points = (
+            np.matmul(rotation[:, rows], body.offsets[:, :, None])[..., 0] + translation[:, rows]
+        )
         lower, upper = np.array(self.config.lower), np.array(self.config.upper)
         scaled = 2.0 * (q - lower) / (upper - lower) - 1.0
-        features = np.concatenate([scaled, np.sin(q), np.cos(q), points.reshape(len(q), -1)], axis=1)
+        features = np.concatenate(
+            [scaled, np.sin(q), np.cos(q), points.reshape(len(q), -1)], axis=1
+        )
         return features.astype(np.float32), np.ascontiguousarray(points, dtype=np.float32)
 
     def _queries(self, points: np.ndarray) -> np.ndarray:
         """(k, u, 4): (2 beta p, 1) of body points (u, k, 3)."""
         queries = np.ones((points.shape[1], len(points), 4), dtype=np.float32)
-        queries[..., :3] = (np.float32(2.0) * self._sharpness)[:, None, None] * points.transpose(1, 0, 2)
+        queries[..., :3] = (np.float32(2.0) * self._sharpness)[:, None, None] * points.transpose(
+            1, 0, 2
+        )
         return queries
 
     def _embedded(self, features: np.ndarray) -> np.ndarray:
         return self._embed[1](gelu(self._embed[0](features)))
 
     def _looked(
-        self, look: Look, embedding: np.ndarray, own: np.ndarray, points: np.ndarray, queries: np.ndarray
+        self,
+        look: Look,
+        embedding: np.ndarray,
+        own: np.ndarray,
+        points: np.ndarray,
+        queries: np.ndarray,
     ) -> np.ndarray:
-        """Embeddings (u, d) of configurations that have looked; own (u, 2 d): what they add to the mixture."""
+        """Embeddings (u, d) of configurations that have looked; own (u, 2 d):
+        what they add to the mixture.
+        """
         k, u, m = len(queries), len(points), self.config.sizes.values
         read = np.empty((k, u, look.values.shape[1]), dtype=np.float32)
         scores = np.empty((u, look.values.shape[0]), dtype=np.float32)
@@ -167,10 +201,15 @@ class SceneLooker:
         """Tokens of groups of points, as body points read them."""
         first, second, third = self._points
         shape = np.empty((len(centres), len(third.bias)), dtype=np.float32)
-        for begin in range(0, len(centres), BATCH):  # few groups at once, which stay in the processor's cache
+        # few groups at once, which stay in the processor's cache
+        for begin in range(0, len(centres), BATCH):
             some = offsets[begin : begin + BATCH]
             x = relu(second(relu(first(some.reshape(-1, 3) * np.float32(5.0)))))
-            np.max((x @ third.weight).reshape(*some.shape[:2], -1), axis=1, out=shape[begin : begin + BATCH])
+            np.max(
+                (x @ third.weight).reshape(*some.shape[:2], -1),
+                axis=1,
+                out=shape[begin : begin + BATCH],
+            )
         shape += third.bias
         angle = (centres[..., None] * self._waves).reshape(len(centres), -1)
         x = self._join(np.concatenate([shape, centres, np.sin(angle), np.cos(angle)], axis=1))
@@ -187,7 +226,9 @@ class SceneLooker:
     def encode(self, centres: np.ndarray, offsets: np.ndarray) -> EncodedScene:
         """Look at a scene, given as groups of points (see `point_groups`), from every code."""
         look = self._look(centres, offsets)
-        codes = self._looked(look, self._node_embedding, self._node_own, self._node_points, self._node_queries)
+        codes = self._looked(
+            look, self._node_embedding, self._node_own, self._node_points, self._node_queries
+        )
         parts = self._part(codes)
         pairs = np.take(parts, self.edges[:, 0], axis=0)
         pairs += np.take(parts, self.edges[:, 1], axis=0)
@@ -224,7 +265,9 @@ class SceneLooker:
         return Ends(seen, near, length + RISK * softplus(-odds))
 
     def cost_to_go(self, scene: EncodedScene, ends: Ends) -> np.ndarray:
-        """V (u, N) [rad]: cost of the cheapest way between every code and each end, at most UNREACHED."""
+        """V (u, N) [rad]:
+        cost of the cheapest way between every code and each end, at most UNREACHED.
+        """
         V = np.full((len(ends.near), len(self.nodes)), np.inf)
         np.put_along_axis(V, ends.near, ends.cost, axis=1)
         parent = np.empty(V.shape, dtype=np.int32)
@@ -237,19 +280,26 @@ class SceneLooker:
 
 
 def _roadmap(model: StoredModel, config: SceneTransformerConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (N, n) float64 [rad] and edges (E, 2) int64; InvalidInputError where they do not fit the dictionary."""
+    """Nodes (N, n) float64 [rad] and edges (E, 2) int64;
+    InvalidInputError where they do not fit the dictionary.
+    """
     count, codes = config.n_nodes, model.config.dictionary.n_codes
     if count != codes:
-        raise InvalidInputError(f"{PART} is for {count} codes, the dictionary has {codes}; train it again")
+        raise InvalidInputError(
+            f"{PART} is for {count} codes, the dictionary has {codes}; train it again"
+        )
     for name in ("lower", "upper"):
         if not np.allclose(getattr(config, name), getattr(model.robot, name), atol=1e-6, rtol=0.0):
-            raise InvalidInputError(f"{PART} was made with other {name} limits than its weights' robot; train it again")
+            raise InvalidInputError(
+                f"{PART} was made with other {name} limits than its weights' robot; train it again"
+            )
     nodes = model.array(PART, "nodes", count, config.joint_dim)
     edges = model.parts[PART].get("edges")
     if edges is None or edges.shape != (config.n_edges, 2) or edges.dtype.kind not in "iu":
         found = "missing" if edges is None else f"{edges.shape} of {edges.dtype}"
         raise InvalidInputError(
-            f"{PART} does not fit its configuration: edges is {found}, expected ({config.n_edges}, 2)"
+            f"{PART} does not fit its configuration: edges is {found}, expected "
+            f"({config.n_edges}, 2)"
         )
     if edges.min() < 0 or edges.max() >= count or (edges[:, 0] == edges[:, 1]).any():
         raise InvalidInputError(f"{PART} has edges that do not join two of its {count} nodes")
@@ -262,10 +312,11 @@ def gather_reads(
     points: Annotated[np.ndarray, "float32 u k 3"],
     mixed: Annotated[np.ndarray, "float32 u numbers"],
 ):
-    """From sums over tokens to what each body point p reads: m values v + V p, and how far the tokens are.
+    """From sums over tokens to what each body point p reads: m values v + V p, and how far the
+    tokens are.
 
-    read: sums weighted with unnormalised weights; the last column is the sum of the weights. mixed: m + 1 numbers of
-    each body point.
+    read: sums weighted with unnormalised weights; the last column is the sum of the weights. mixed:
+        m + 1 numbers of each body point.
     """
     m = (read.shape[2] - 5) // 4
     for j in range(read.shape[0]):
@@ -279,4 +330,6 @@ def gather_reads(
             away = read[j, i, 4 * m] + read[j, i, 4 * m + 1] * x
             away += read[j, i, 4 * m + 2] * y + read[j, i, 4 * m + 3] * z
             away = share * away + (x * x + y * y + z * z)
-            mixed[i, begin + m] = np.float32(5.0) * np.sqrt(max(away, np.float32(0.0)) + np.float32(1e-4))
+            mixed[i, begin + m] = np.float32(5.0) * np.sqrt(
+                max(away, np.float32(0.0)) + np.float32(1e-4)
+            )

@@ -59,9 +59,10 @@ class Imported(NamedTuple):
 def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) -> Imported:
     """Convert published checkpoints; every tensor finds its place and none is left over.
 
-    dictionary_dir: folder of ``model_params.json`` and ``best_model.pkl`` (stage 1). ar_dir: folder of
-    ``cross_attn.json``, ``ar_params.json`` and ``best_model.pkl`` (stage 2). robot: by whose joint limits the training
-    data were scaled; the files do not say. InvalidInputError names the file, field or tensors that do not fit.
+    dictionary_dir: folder of ``model_params.json`` and ``best_model.pkl`` (stage 1). ar_dir: folder
+        of ``cross_attn.json``, ``ar_params.json`` and ``best_model.pkl`` (stage 2). robot: by whose
+        joint limits the training data were scaled; the files do not say. InvalidInputError names
+        the file, field or tensors that do not fit.
     """
     dictionary_dir, ar_dir = Path(dictionary_dir), Path(ar_dir)
     config = _config(dictionary_dir, ar_dir)
@@ -87,11 +88,14 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
     sequence = _fields(ar_dir / "ar_params.json", (*SIZES, "num_keys"))
     if context["d_context"] != stage1["c_space_dim"]:
         raise InvalidInputError(
-            f"{ar_dir / 'cross_attn.json'}: d_context {context['d_context']} is not the dictionary's "
+            f"{ar_dir / 'cross_attn.json'}: d_context {context['d_context']} is not the "
+            f"dictionary's "
             f"c_space_dim {stage1['c_space_dim']}; these folders are not of one model"
         )
     if sequence["num_keys"] < 3:
-        raise InvalidInputError(f"{ar_dir / 'ar_params.json'}: num_keys {sequence['num_keys']} has no codes")
+        raise InvalidInputError(
+            f"{ar_dir / 'ar_params.json'}: num_keys {sequence['num_keys']} has no codes"
+        )
     with located(f"{dictionary_dir} and {ar_dir}"):
         return ModelConfig(
             kind="published",
@@ -124,14 +128,19 @@ def _fields(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
     return data
 
 
-def _together(content: Mapping[str, Any], places: Mapping[str, str], where: Path) -> dict[str, Tensor]:
+def _together(
+    content: Mapping[str, Any], places: Mapping[str, str], where: Path
+) -> dict[str, Tensor]:
     """All tensors of a stage by the names that our module has for them."""
     tensors: dict[str, Tensor] = {}
     for name, part in places.items():
         state = content.get(name)
-        if not isinstance(state, dict) or not all(isinstance(tensor, Tensor) for tensor in state.values()):
+        if not isinstance(state, dict) or not all(
+            isinstance(tensor, Tensor) for tensor in state.values()
+        ):
             raise InvalidInputError(
-                f"{where}: {name} is missing or not made of tensors; the file has {', '.join(map(str, content))}"
+                f"{where}: {name} is missing or not made of tensors; the file has "
+                f"{', '.join(map(str, content))}"
             )
         tensors |= {f"{part}.{key}": tensor for key, tensor in state.items()}
     return tensors
@@ -145,8 +154,8 @@ def _epoch(content: Mapping[str, Any]) -> int | None:
 def read_tensors(path: Path) -> dict[str, Any]:
     """Read a pickle that may hold tensors and plain values, nothing that runs.
 
-    Raises InvalidInputError, which says what the file is instead: missing, a web page, empty, cut, or a pickle that
-    wants to run code.
+    Raises InvalidInputError, which says what the file is instead: missing, a web page, empty, cut,
+    or a pickle that wants to run code.
     """
     data = read_bytes(require_regular_file(path))
     try:
@@ -156,7 +165,9 @@ def read_tensors(path: Path) -> dict[str, Any]:
     except Exception as error:  # what a damaged pickle raises depends on the byte
         raise InvalidInputError(_refusal(path, data[:512], error)) from error
     if not isinstance(content, dict):
-        raise InvalidInputError(f"{path} holds a {type(content).__name__}; expected a dictionary of states")
+        raise InvalidInputError(
+            f"{path} holds a {type(content).__name__}; expected a dictionary of states"
+        )
     return content
 
 
@@ -167,5 +178,8 @@ def _refusal(path: Path, beginning: bytes, error: Exception) -> str:
         return f"{path} is a web page or xml, no torch checkpoint; fetch the file itself"
     asks = re.search(r"GLOBAL ([\w.]+)", str(error))
     if isinstance(error, pickle.UnpicklingError) and asks:
-        return f"{path} is refused: it holds {asks[1]}, more than tensors, and would run code, or is cut short"
+        return (
+            f"{path} is refused: it holds {asks[1]}, more than tensors, and would run code, or "
+            f"is cut short"
+        )
     return f"{path} is no torch checkpoint, or cut short ({type(error).__name__}); fetch it again"

@@ -1,4 +1,5 @@
-"""Algorithm 2 of the paper, UpdateDistribution(z): move predicted codes so that samples lie nearer to the constraint.
+"""Algorithm 2 of the paper, UpdateDistribution(z): move predicted codes so that samples lie nearer
+to the constraint.
 
 Minimised is, for every code z by itself,
 
@@ -6,10 +7,12 @@ Minimised is, for every code z by itself,
 
 with the mean over N draws eps that stay the same in all steps. By the chain rule, with J = dF/dq,
 
-    dL/dz = 1/N sum 2 F^T J d(mu + L D^(1/2) eps)/dz,       z <- z - eta dL/dz,  back to unit length,
+    dL/dz = 1/N sum 2 F^T J d(mu + L D^(1/2) eps)/dz,       z <- z - eta dL/dz,  back to unit
+    length,
 
-until a step is shorter than delta. F and J are taken at joints in radians; the decoder works on normalised joints, so
-that a factor (q_max - q_min) enters. (The published code drops this factor and the part of mu.)
+until a step is shorter than delta. F and J are taken at joints in radians; the decoder works on
+normalised joints, so that a factor (q_max - q_min) enters. (The published code drops this factor
+and the part of mu.)
 """
 
 import time
@@ -35,18 +38,25 @@ class LatentSettings:
     steps: int = 5  # at most
     samples: int = 16  # N, draws per code
     delta: float = 1e-3  # a code stops after a step shorter than this
-    check_samples: int = 32  # fresh draws per code on which a moved code must be better, or it is moved back
+    # fresh draws per code on which a moved code must be better, or it is moved back
+    check_samples: int = 32
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
-            raise UnknownChoiceError("method of the latent optimizer", self.method, get_args(Method))
+            raise UnknownChoiceError(
+                "method of the latent optimizer", self.method, get_args(Method)
+            )
         for name in ("steps", "samples", "check_samples"):
             if getattr(self, name) < 1:
-                raise InvalidInputError(f"{name} of the latent optimizer is {getattr(self, name)}; give 1 or more")
+                raise InvalidInputError(
+                    f"{name} of the latent optimizer is {getattr(self, name)}; give 1 or more"
+                )
         if not 0.0 < self.eta < np.inf:
             raise InvalidInputError(f"eta of the latent optimizer is {self.eta}; give more than 0")
         if not 0.0 <= self.delta < np.inf:
-            raise InvalidInputError(f"delta of the latent optimizer is {self.delta}; give 0 or more")
+            raise InvalidInputError(
+                f"delta of the latent optimizer is {self.delta}; give 0 or more"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +78,12 @@ class LatentOptimizer:
         self.settings = LatentSettings() if settings is None else settings
         self._objective = LatentObjective(codebook)
 
-    def optimize(self, z0: np.ndarray, constraint: RegionConstraint, rng: np.random.Generator) -> Optimized:
-        """Move codes z0 (c, code_dim) towards a constraint; those that do not get better on fresh draws stay."""
+    def optimize(
+        self, z0: np.ndarray, constraint: RegionConstraint, rng: np.random.Generator
+    ) -> Optimized:
+        """Move codes z0 (c, code_dim) towards a constraint;
+        those that do not get better on fresh draws stay.
+        """
         began = time.perf_counter()
         n = len(self._objective.range)
         noise = rng.standard_normal((self.settings.samples, n))
@@ -119,7 +133,8 @@ class LatentObjective:
 
     def __init__(self, codebook: Codebook) -> None:
         self.decoder = codebook.decoder
-        self.lower, self.range = codebook.configurations.lower, codebook.configurations.range  # [rad or m]
+        # [rad or m]
+        self.lower, self.range = codebook.configurations.lower, codebook.configurations.range
 
     def value(self, z: np.ndarray, constraint: RegionConstraint, noise: np.ndarray) -> np.ndarray:
         """E[G] (c,) of codes z (c, code_dim), with draws from standard normal noise (s, n)."""

@@ -1,4 +1,6 @@
-"""From predicted codes to the distribution that is sampled, and the updates that move it towards the constraint."""
+"""From predicted codes to the distribution that is sampled, and the updates that move it towards
+the constraint.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,9 +15,11 @@ from cvqmpt_lab.vqmpt.codebook import Codebook, drawn_nodes
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 
-WIDTH = 1.1  # [rad] no wide Gaussian is narrower in any direction; chosen on the tuning environments
+# [rad] no wide Gaussian is narrower in any direction; chosen on the tuning environments
+WIDTH = 1.1
 SMALLEST_STD = 1e-4  # [rad] in any direction, so that covariances stay positive definite
-GOAL_STD = 0.1  # of the Gaussian around each goal, as a share of each joint's range (published code)
+# of the Gaussian around each goal, as a share of each joint's range (published code)
+GOAL_STD = 0.1
 DRIFT = 1.5  # [rad] that a projected mean may move; others are left out
 
 
@@ -39,7 +43,8 @@ class CodeProposal(Proposal):
     """A proposal that remembers the codes it was made of."""
 
     codes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))  # (c,)
-    goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # (k, n) that have Gaussians [rad or m]
+    # (k, n) that have Gaussians [rad or m]
+    goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,15 +58,25 @@ class LearnedSampler:
     robot: Robot
     noise: np.ndarray  # (codes, n) standard normal: where in its Gaussian each code's node lies
 
-    def gaussians(self, codes: np.ndarray, z: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Means (c, n) [rad] and covariances (c, n, n) [rad^2] of codes (c,); z: where they were moved to."""
-        means, covariances = self.codebook.gaussians(self.codebook.vectors[codes] if z is None else z)
+    def gaussians(
+        self, codes: np.ndarray, z: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Means (c, n) [rad] and covariances (c, n, n) [rad^2] of codes (c,); z:
+        where they were moved to.
+        """
+        means, covariances = self.codebook.gaussians(
+            self.codebook.vectors[codes] if z is None else z
+        )
         if self.choice.gaussians == "decoded":
             return means, widened(covariances, SMALLEST_STD)
-        nodes = drawn_nodes(means, widened(covariances, SMALLEST_STD), self.robot, self.noise[codes])
+        nodes = drawn_nodes(
+            means, widened(covariances, SMALLEST_STD), self.robot, self.noise[codes]
+        )
         return nodes, widened(covariances, WIDTH)
 
-    def mixture(self, query: Query, goals: np.ndarray, means: np.ndarray, covariances: np.ndarray) -> GaussianMixture:
+    def mixture(
+        self, query: Query, goals: np.ndarray, means: np.ndarray, covariances: np.ndarray
+    ) -> GaussianMixture:
         """The mixture of these Gaussians and one around each of goals (k, n)."""
         spread = np.diag((GOAL_STD * (self.robot.upper - self.robot.lower)) ** 2)
         around = np.broadcast_to(spread, (len(goals), *spread.shape))
@@ -90,7 +105,8 @@ class LearnedSampler:
         )
 
     def moved(self, optimizer: LatentOptimizer, query: Query, proposal: Proposal) -> Proposal:
-        """Algorithm 2 of the paper: the codes of a proposal moved by gradient towards the constraint, then decoded.
+        """Algorithm 2 of the paper: the codes of a proposal moved by gradient towards the
+        constraint, then decoded.
 
         The proposal itself where there is nothing to move or no constraint.
         """
@@ -102,16 +118,19 @@ class LearnedSampler:
         before, after = moved.g_before.mean(), moved.g_after.mean()
         return replace(
             proposal,
-            distribution=self.mixture(query, proposal.goals, *self.gaussians(proposal.codes, moved.z)),
+            distribution=self.mixture(
+                query, proposal.goals, *self.gaussians(proposal.codes, moved.z)
+            ),
             timings=replace(proposal.timings, optimize=moved.seconds),
             detail=f"{proposal.detail}, G {before:.3g} to {after:.3g}, {moved.kept.sum()} kept",
         )
 
     def projected(self, query: Query, proposal: Proposal) -> Proposal:
-        """Every code's mean put on the manifold by Newton's method (Algorithm 1), its covariance left as it is.
+        """Every code's mean put on the manifold by Newton's method (Algorithm 1), its covariance
+        left as it is.
 
-        Codes whose mean is not near the manifold are left out; the proposal itself where there are none or no
-        constraint.
+        Codes whose mean is not near the manifold are left out; the proposal itself where there are
+        none or no constraint.
         """
         assert isinstance(proposal, CodeProposal)
         if query.space.dim == 0 or len(proposal.codes) == 0:
@@ -135,4 +154,6 @@ class LearnedSampler:
 
 def union(sequences: Sequence[Sequence[int]]) -> np.ndarray:
     """Codes (c,) int64 of sequences, each once, in their order."""
-    return np.array(list(dict.fromkeys(code for codes in sequences for code in codes)), dtype=np.int64)
+    return np.array(
+        list(dict.fromkeys(code for codes in sequences for code in codes)), dtype=np.int64
+    )

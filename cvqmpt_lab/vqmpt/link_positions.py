@@ -1,4 +1,6 @@
-"""Forward kinematics in torch: positions of points fixed to the links of a serial chain, differentiable."""
+"""Forward kinematics in torch:
+positions of points fixed to the links of a serial chain, differentiable.
+"""
 
 import torch
 from torch import Tensor

@@ -1,4 +1,6 @@
-"""MPNet, a baseline: one network encodes the cloud, another proposes the next configuration on the way to the goal."""
+"""MPNet, a baseline:
+one network encodes the cloud, another proposes the next configuration on the way to the goal.
+"""
 
 import torch
 from torch import Tensor, nn
@@ -29,7 +31,8 @@ class MPNet(nn.Module):
         """Codes (b, code_dim) of clouds (b, n_points, 3) [m], points in any order."""
         if points.shape[1:] != (self.config.n_points, 3):
             raise InvalidInputError(
-                f"clouds are {tuple(points.shape[1:])}; this network takes ({self.config.n_points}, 3)"
+                f"clouds are {tuple(points.shape[1:])}; this network takes "
+                f"({self.config.n_points}, 3)"
             )
         return self.encoder(points.flatten(1))
 
@@ -42,10 +45,12 @@ class MPNet(nn.Module):
         stochastic: bool = True,
         generator: torch.Generator | None = None,
     ) -> Tensor:
-        """Propose the next configuration (b, joint_dim) from current towards goal (b, joint_dim), not clipped.
+        """Propose the next configuration (b, joint_dim) from current towards goal (b, joint_dim),
+        not clipped.
 
-        code (b, code_dim): of `encode`. stochastic: with dropout, as in training; drawn from generator, for runs that
-        repeat. Planning computes the same without torch, see `mpnet_rollouts`.
+        code (b, code_dim): of `encode`. stochastic: with dropout, as in training; drawn from
+        generator, for runs that repeat. Planning computes the same without torch, see
+        `mpnet_rollouts`.
         """
         x = torch.cat((code, current, goal), dim=-1)
         for i, layer in enumerate(self.hidden):

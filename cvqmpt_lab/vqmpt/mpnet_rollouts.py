@@ -1,17 +1,20 @@
-"""MPNet with projection, the learned baseline of the paper: a network proposes the path state by state.
+"""MPNet with projection, the learned baseline of the paper: a network proposes the path state by
+state.
 
-Two sides grow in turn, from the start and from the nearest goal, each towards the other's last state: the network
-proposes, the proposal is clipped, projected and kept if free. When a straight joint line without collision joins the
-sides, every two neighbouring states are joined by a constrained motion: the direct one, otherwise one by tree growth.
-A rollout whose sides do not meet, or with a pair that is not joined, is given up, and the next one begins.
+Two sides grow in turn, from the start and from the nearest goal, each towards the other's last
+state: the network proposes, the proposal is clipped, projected and kept if free. When a straight
+joint line without collision joins the sides, every two neighbouring states are joined by a
+constrained motion: the direct one, otherwise one by tree growth. A rollout whose sides do not meet,
+or with a pair that is not joined, is given up, and the next one begins.
 
-What differs from the published code as it is known: proposals to one state are bounded, not repeated for ever; there
-are ten rollouts, not ten for each of five goals that are one and the same; a pair is first tried with the direct
-motion; the tree growth is the project's own and gets a share of the budget (there 5 of 50 s); the cloud's encoding is
-paid for.
+What differs from the published code as it is known: proposals to one state are bounded, not
+repeated for ever; there are ten rollouts, not ten for each of five goals that are one and the same;
+a pair is first tried with the direct motion; the tree growth is the project's own and gets a share
+of the budget (there 5 of 50 s); the cloud's encoding is paid for.
 
-Bridged, rollouts are suggestions: tree growth joins what the network does not, sides that have not met included, all
-goals take turns, sides meet along a constrained motion, and the network is told states as they are once projected.
+Bridged, rollouts are suggestions: tree growth joins what the network does not, sides that have not
+met included, all goals take turns, sides meet along a constrained motion, and the network is told
+states as they are once projected.
 """
 
 import time
@@ -36,7 +39,8 @@ PART = "mpnet"
 LINE_STATES = 100  # checked for collision on a straight joint line, as published
 ROLLOUTS = 10  # tried before giving up
 PREDICTIONS = 10  # states of one rollout
-ATTEMPTS = 32  # proposals, which dropout makes differ, tested for one state before its rollout is given up
+# proposals, which dropout makes differ, tested for one state before its rollout is given up
+ATTEMPTS = 32
 SHARE = 0.1  # of the whole budget, that joining two neighbouring states may take
 
 
@@ -56,17 +60,22 @@ class MPNetNetwork:
         ]
         self._encoder.append(_Layer(model, f"encoder.{last}", encoder[-1], config.code_dim))
         self._hidden = [
-            _Layer(model, f"hidden.{i}.0", *widths, slope=f"hidden.{i}.1") for i, widths in enumerate(pairwise(hidden))
+            _Layer(model, f"hidden.{i}.0", *widths, slope=f"hidden.{i}.1")
+            for i, widths in enumerate(pairwise(hidden))
         ]
         self._out = _Layer(model, "out", hidden[-1], config.joint_dim)
-        expected = 2 + sum(2 if layer.slope is None else 3 for layer in (*self._encoder, *self._hidden))
+        expected = 2 + sum(
+            2 if layer.slope is None else 3 for layer in (*self._encoder, *self._hidden)
+        )
         if len(model.parts[PART]) != expected:
             raise InvalidInputError(
-                f"{PART} does not fit its configuration: {len(model.parts[PART])} arrays, not {expected}"
+                f"{PART} does not fit its configuration: {len(model.parts[PART])} arrays, not "
+                f"{expected}"
             )
 
     def draw_points(self, cloud: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Points (n_points, 3) of a cloud (m, 3) [m] in random order; all of them again when they run out.
+        """Points (n_points, 3) of a cloud (m, 3) [m] in random order; all of them again when they
+        run out.
 
         Raises InvalidInputError for a cloud that `checked_cloud` refuses.
         """
@@ -89,7 +98,8 @@ class MPNetNetwork:
     ) -> np.ndarray:
         """Next configuration (joint_dim,) from current towards goal (joint_dim,), not clipped.
 
-        Configurations are normalised to [-1, 1]. Dropout is drawn from rng; without one there is none.
+        Configurations are normalised to [-1, 1]. Dropout is drawn from rng; without one there is
+        none.
         """
         x = np.concatenate((code, current, goal)).astype(np.float32)
         share = np.float32(self.config.dropout)
@@ -104,10 +114,17 @@ class MPNetNetwork:
 class _Layer:
     """x -> W x + b, then a PReLU where a slope is named."""
 
-    def __init__(self, model: StoredModel, name: str, inputs: int, outputs: int, slope: str | None = None) -> None:
+    def __init__(
+        self, model: StoredModel, name: str, inputs: int, outputs: int, slope: str | None = None
+    ) -> None:
         weight, bias = model.linear(PART, name, inputs, outputs)
-        self.weight, self.bias = np.ascontiguousarray(weight.T, dtype=np.float32), bias.astype(np.float32)
-        self.slope = None if slope is None else model.array(PART, f"{slope}.weight", 1).astype(np.float32)
+        self.weight, self.bias = (
+            np.ascontiguousarray(weight.T, dtype=np.float32),
+            bias.astype(np.float32),
+        )
+        self.slope = (
+            None if slope is None else model.array(PART, f"{slope}.weight", 1).astype(np.float32)
+        )
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         y = x @ self.weight
@@ -121,7 +138,8 @@ class Rollout(NamedTuple):
     states: np.ndarray  # (k, n) [rad or m]
     meeting: int  # row after which the other side's states come
     met: bool  # otherwise the sides are to be joined by tree growth
-    joint: JointPath | None  # the direct motion between the two states that meet, None when there is none
+    # the direct motion between the two states that meet, None when there is none
+    joint: JointPath | None
 
 
 class MPNetRollouts:
@@ -134,8 +152,8 @@ class MPNetRollouts:
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Roll out until a path is found, the budget is spent or all rollouts have failed.
 
-        An iteration is one proposal tested or one sample used. The detail says what joined the path's states, or why
-        rollouts failed.
+        An iteration is one proposal tested or one sample used. The detail says what joined the
+        path's states, or why rollouts failed.
         """
         assert observation.cloud is not None
         began = query.deadline.seconds
@@ -178,7 +196,9 @@ class _Run:
         """How many rollouts failed, and why."""
         count = self.failures.total()
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.failures.items()))
-        return f"{'all ' if count == ROLLOUTS else ''}{count} of {ROLLOUTS} rollouts failed: {reasons}"
+        return (
+            f"{'all ' if count == ROLLOUTS else ''}{count} of {ROLLOUTS} rollouts failed: {reasons}"
+        )
 
     def attempt(self, start: np.ndarray, goal: np.ndarray) -> JointPath | None:
         """The path through one rollout, or None."""
@@ -186,14 +206,17 @@ class _Run:
         failure = rollout if isinstance(rollout, str) else "with a pair not joined"
         path = None if isinstance(rollout, str) else self._path(rollout)
         if path is None:
-            self.failures["cut short by the budget" if self.query.deadline.spent() else failure] += 1
+            self.failures[
+                "cut short by the budget" if self.query.deadline.spent() else failure
+            ] += 1
         return path
 
     def _rollout(self, start: np.ndarray, goal: np.ndarray) -> Rollout | str:
         """Let both sides grow in turn until they meet; or why there is no rollout."""
         robot, space = self.query.space.robot, self.query.space
         sides: tuple[list[np.ndarray], list[np.ndarray]] = ([start], [goal])
-        told = [_normalised(robot, start), _normalised(robot, goal)]  # the last state of each side in [-1, 1]
+        # the last state of each side in [-1, 1]
+        told = [_normalised(robot, start), _normalised(robot, goal)]
         met, joint = False, None
         for turn in range(PREDICTIONS):
             side = turn % 2
@@ -214,10 +237,14 @@ class _Run:
             return "whose sides did not meet"
         return Rollout(np.array(sides[0] + sides[1][::-1]), len(sides[0]) - 1, met, joint)
 
-    def _next_state(self, current: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """The first proposal from current to towards (n,) in [-1, 1] that is free once clipped and projected.
+    def _next_state(
+        self, current: np.ndarray, towards: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """The first proposal from current to towards (n,) in [-1, 1] that is free once clipped and
+        projected.
 
-        Returns the state (n,) [rad or m] and the clipped proposal (n,); None when attempts or budget are used up.
+        Returns the state (n,) [rad or m] and the clipped proposal (n,); None when attempts or
+        budget are used up.
         """
         robot = self.query.space.robot
         for _ in range(ATTEMPTS):
@@ -234,10 +261,14 @@ class _Run:
         return None
 
     def _path(self, rollout: Rollout) -> JointPath | None:
-        """Join every two neighbouring states, directly or by tree growth; None as soon as one pair fails."""
+        """Join every two neighbouring states, directly or by tree growth;
+        None as soon as one pair fails.
+        """
         motions, grown = [], 0
         for i, (a, b) in enumerate(pairwise(rollout.states)):
-            motion = rollout.joint if i == rollout.meeting else direct_motion(self.query.space, a, b)
+            motion = (
+                rollout.joint if i == rollout.meeting else direct_motion(self.query.space, a, b)
+            )
             if motion is None:
                 motion = self._grown(a, b)
                 grown += 1
@@ -254,13 +285,17 @@ class _Run:
         if self.query.deadline.spent():
             return None
         part = self.query.deadline.rest(SHARE)
-        result = BiRRT().search(self.query.space, a, b[None], self.query.uniform, part, self.query.rng)
+        result = BiRRT().search(
+            self.query.space, a, b[None], self.query.uniform, part, self.query.rng
+        )
         self.vertices += result.vertices
         return result.path
 
 
 def line_free(space: ConstrainedSpace, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether `LINE_STATES` states evenly on the straight joint line from a to b (n,) are free, constraint or not."""
+    """Whether `LINE_STATES` states evenly on the straight joint line from a to b (n,) are free,
+    constraint or not.
+    """
     return all(space.valid(q) for q in np.linspace(a, b, LINE_STATES))
 
 

@@ -1,7 +1,8 @@
-"""Feature extractor of stage 2: PointNet++ set abstraction, from a point cloud to scene tokens e_1 ... e_n.
+"""Feature extractor of stage 2: PointNet++ set abstraction, from a point cloud to scene tokens e_1
+... e_n.
 
-Two levels. Each takes farthest points as centres p_i and summarises the ball around each by the maximum, over its
-points p_j with features x_j, of a perceptron of [x_j, p_j - p_i].
+Two levels. Each takes farthest points as centres p_i and summarises the ball around each by the
+maximum, over its points p_j with features x_j, of a perceptron of [x_j, p_j - p_i].
 """
 
 import math
@@ -44,7 +45,8 @@ class PointConvolution(nn.Module):
     def forward(self, edges: Tensor, centre: Tensor, n_centres: int) -> Tensor:
         """Reduce edges (e, d + 3) to centres (n_centres, widths[-1]).
 
-        centre (e,) int64, ascending: the centre each edge belongs to; every centre has at least one edge.
+        centre (e,) int64, ascending: the centre each edge belongs to; every centre has at least one
+        edge.
         """
         messages = self.local_nn(edges)
         if messages.requires_grad:  # the same values; slower, but with a far faster gradient
@@ -89,19 +91,24 @@ class PointCloudEncoder(nn.Module):
 
     def constant_features(self) -> float:
         """Share of token features that no cloud changes: their units never get through the ReLU."""
-        variance = [part.running_var for part in self.modules() if isinstance(part, nn.BatchNorm1d)][-1]
+        variance = [
+            part.running_var for part in self.modules() if isinstance(part, nn.BatchNorm1d)
+        ][-1]
         assert variance is not None
         return float((variance < CONSTANT).float().mean())
 
 
 def farthest_point_sampling(points: Tensor, count: int) -> Tensor:
-    """Indices (b, count) of points (b, n, 3), each the farthest from those before it; the first is 0.
+    """Indices (b, count) of points (b, n, 3), each the farthest from those before it; the first is
+    0.
 
     Ties go to the lowest index. InvalidInputError when count is not in 1..n.
     """
     n = points.shape[1]
     if not 1 <= count <= n:
-        raise InvalidInputError(f"farthest point sampling of {count} from {n} points; give 1 to {n}")
+        raise InvalidInputError(
+            f"farthest point sampling of {count} from {n} points; give 1 to {n}"
+        )
     if points.device.type == "cpu":
         each = [_farthest_of_one(cloud.detach().numpy(), count) for cloud in points]
         return torch.from_numpy(np.stack(each))
@@ -137,11 +144,15 @@ def _farthest_of_batch(points: Tensor, count: int) -> Tensor:
     return indices
 
 
-def ball_query(points: Tensor, centres: Tensor, radius: float, max_neighbours: int) -> tuple[Tensor, Tensor]:
-    """Pairs (e,), (e,) int64 of a point of (b, n, 3) [m] and a centre of (b, m, 3) [m] closer than radius [m].
+def ball_query(
+    points: Tensor, centres: Tensor, radius: float, max_neighbours: int
+) -> tuple[Tensor, Tensor]:
+    """Pairs (e,), (e,) int64 of a point of (b, n, 3) [m] and a centre of (b, m, 3) [m] closer than
+    radius [m].
 
-    Both are indices into the clouds laid end to end; centres ascend, and the points of one centre too. Of more than
-    max_neighbours those of lowest index are taken. A centre that is one of the points is its own neighbour.
+    Both are indices into the clouds laid end to end; centres ascend, and the points of one centre
+    too. Of more than max_neighbours those of lowest index are taken. A centre that is one of the
+    points is its own neighbour.
     """
     batch, n, m = len(points), points.shape[1], centres.shape[1]
     axes = points.mT.contiguous()

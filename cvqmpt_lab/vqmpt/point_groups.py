@@ -6,7 +6,8 @@ NOWHERE = (0.0, 0.0, -0.87)  # [m] where the points of an empty cloud lie
 
 
 def group_points(cloud: np.ndarray, groups: int, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Groups of a cloud (m, 3) [m]: centres (groups, 3), far from each other, and the nearest points around each.
+    """Groups of a cloud (m, 3) [m]: centres (groups, 3), far from each other, and the nearest
+    points around each.
 
     The latter (groups, size, 3) are relative to their centre. A cloud of fewer points repeats them.
     """

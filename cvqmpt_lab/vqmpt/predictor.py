@@ -1,4 +1,7 @@
-"""Codes by a sequence model of the authors' architecture: to each goal h_1 ... h_n, found by their beam search."""
+"""Codes by a sequence model of the authors' architecture: to each goal h_1 ...
+
+h_n, found by their beam search.
+"""
 
 import hashlib
 import time
@@ -41,7 +44,8 @@ class Predictor:
     def __init__(self, model: StoredModel, robot: Robot) -> None:
         """Take over a model's weights.
 
-        Raises InvalidInputError when it has no sequence model, belongs to another robot, or does not fit its sizes.
+        Raises InvalidInputError when it has no sequence model, belongs to another robot, or does
+        not fit its sizes.
         """
         model.require_part("sequence_model")
         require_torch("a sequence model of kind 'published'")
@@ -55,7 +59,8 @@ class Predictor:
         self._scenes = Latest[Any](SCENES)
 
     def encode_scene(self, cloud: np.ndarray, use_cache: bool = True) -> Any:
-        """Scene tokens of a cloud (m, 3) [m, robot base frame], found among the latest ones where they are.
+        """Scene tokens of a cloud (m, 3) [m, robot base frame], found among the latest ones where
+        they are.
 
         Raises InvalidInputError for a cloud that `checked_cloud` refuses.
         """
@@ -63,10 +68,13 @@ class Predictor:
         key = hashlib.sha256(points.tobytes()).hexdigest()
         return self._scenes.get(key, lambda: self._network.encode_cloud(points), use_cache)
 
-    def predict(self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray, use_cache: bool = True) -> Prediction:
+    def predict(
+        self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray, use_cache: bool = True
+    ) -> Prediction:
         """Predict code sequences from start (n,) to each of goals (k, n) [rad or m], in one batch.
 
-        Raises InvalidInputError for a cloud that `checked_cloud` refuses, or a start or goal outside the joint limits.
+        Raises InvalidInputError for a cloud that `checked_cloud` refuses, or a start or goal
+        outside the joint limits.
         """
         start, goals = checked_ends(self.robot, start, goals)
         began = time.perf_counter()
@@ -86,21 +94,29 @@ class Predictor:
         )
 
 
-def checked_ends(robot: Robot, start: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Start (n,) and goals (k, n) as float64; InvalidInputError where they are not within a robot's limits."""
+def checked_ends(
+    robot: Robot, start: np.ndarray, goals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Start (n,) and goals (k, n) as float64;
+    InvalidInputError where they are not within a robot's limits.
+    """
     n = robot.dof
     start, goals = _numbers(start, "start"), _numbers(goals, "goals")
     if start.shape != (n,):
         raise InvalidInputError(f"start of shape {start.shape}; the robot takes ({n},)")
     if goals.ndim != 2 or goals.shape[1] != n or len(goals) == 0:
-        raise InvalidInputError(f"goals of shape {goals.shape}; the robot takes (k, {n}), at least one")
+        raise InvalidInputError(
+            f"goals of shape {goals.shape}; the robot takes (k, {n}), at least one"
+        )
     for what, q in (("start", start), *((f"goal {i}", goal) for i, goal in enumerate(goals))):
         if not np.isfinite(q).all():
             joint = robot.joint_names[int(np.argmin(np.isfinite(q)))]
             raise InvalidInputError(f"{what}: joint {joint!r} is not finite")
         outside = robot.joint_outside_limits(q, LIMIT_TOLERANCE)
         if outside is not None:
-            raise InvalidInputError(f"{what}: joint {outside[0]!r} is {outside[1]:g} outside its limits")
+            raise InvalidInputError(
+                f"{what}: joint {outside[0]!r} is {outside[1]:g} outside its limits"
+            )
     return start, goals
 
 

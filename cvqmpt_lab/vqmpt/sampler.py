@@ -1,6 +1,8 @@
-"""From a query to sequences of codes: the dictionary as a roadmap with edge costs, and the cheapest sequences on it.
+"""From a query to sequences of codes: the dictionary as a roadmap with edge costs, and the cheapest
+sequences on it.
 
-Costs of edges are length + w * -log P(free | cloud). `learned_sampler` makes a sampling distribution of the codes.
+Costs of edges are length + w * -log P(free | cloud). `learned_sampler` makes a sampling
+distribution of the codes.
 """
 
 from collections.abc import Iterator
@@ -39,9 +41,13 @@ def links_of(roadmap: Roadmap) -> Links:
 
 
 def _states_along(nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """States (s, n): the nodes, then those between the ends of each edge, SPACING apart; where each edge's begin."""
+    """States (s, n): the nodes, then those between the ends of each edge, SPACING apart;
+    where each edge's begin.
+    """
     ends = nodes[edges]
-    pieces = np.maximum(np.ceil(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / SPACING).astype(int), 1)
+    pieces = np.maximum(
+        np.ceil(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / SPACING).astype(int), 1
+    )
     first = np.cumsum([len(nodes), *(pieces - 1)]).astype(np.int32)
     between = np.repeat(np.arange(len(ends)), pieces - 1)
     step = np.arange(len(between)) - (first[between] - len(nodes)) + 1
@@ -51,12 +57,17 @@ def _states_along(nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.
 
 
 class CodeRoadmap:
-    """The dictionary's roadmap for one robot and what it carries; remembers the edge costs of the latest clouds."""
+    """The dictionary's roadmap for one robot and what it carries;
+    remembers the edge costs of the latest clouds.
+    """
 
-    def __init__(self, roadmap: Roadmap, model: EdgeModel, bare: "CodeRoadmap | None" = None) -> None:
+    def __init__(
+        self, roadmap: Roadmap, model: EdgeModel, bare: "CodeRoadmap | None" = None
+    ) -> None:
         """Place the model's spheres along all edges.
 
-        bare: the same roadmap for the same robot with an empty hand, whose spheres are placed already.
+        bare: the same roadmap for the same robot with an empty hand, whose spheres are placed
+            already.
         """
         self.roadmap, self.model = roadmap, model
         self._costs = Latest[np.ndarray](CLOUDS)
@@ -92,11 +103,15 @@ class CodeRoadmap:
 
     def edge_costs(self, cloud: np.ndarray, use_cache: bool = True) -> np.ndarray:
         """-log P(free) (E,) of all edges, in a cloud (m, 3) [m, robot base frame]."""
-        return self._costs.get(cloud.tobytes(), lambda: self._edge_costs(cloud, use_cache), use_cache)
+        return self._costs.get(
+            cloud.tobytes(), lambda: self._edge_costs(cloud, use_cache), use_cache
+        )
 
     def _edge_costs(self, cloud: np.ndarray, use_cache: bool) -> np.ndarray:
         self.clearances_read += len(self._states)
-        return np.logaddexp(0.0, -self.model.empty.curve.log_odds(self.clearances(cloud, use_cache)))
+        return np.logaddexp(
+            0.0, -self.model.empty.curve.log_odds(self.clearances(cloud, use_cache))
+        )
 
     def link_costs(self, cloud: np.ndarray, ends: np.ndarray, near: np.ndarray) -> np.ndarray:
         """-log P(free) (e, k) of the motions between ends (e, n) and the nodes near (e, k) to each."""
@@ -110,18 +125,28 @@ class CodeRoadmap:
 class CodeSequences:
     """A start and goals, linked to the dictionary's roadmap."""
 
-    def __init__(self, roadmap: CodeRoadmap, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray) -> None:
+    def __init__(
+        self, roadmap: CodeRoadmap, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray
+    ) -> None:
         """Start (n,), goals (k, n) [rad or m], in a cloud (m, 3) [m, robot base frame]."""
         nodes, self._roadmap = roadmap.roadmap.nodes, roadmap
-        self._arc_cost = (roadmap.length + COLLISION_WEIGHT * roadmap.edge_costs(cloud))[roadmap.links.edge]
+        self._arc_cost = (roadmap.length + COLLISION_WEIGHT * roadmap.edge_costs(cloud))[
+            roadmap.links.edge
+        ]
         self._heap = np.empty(QUEUE * len(nodes)), np.empty(QUEUE * len(nodes), dtype=np.int32)
         self._links = [
-            (ends, (near := nearest_rows(nodes, ends, count)), roadmap.link_costs(cloud, ends, near))
+            (
+                ends,
+                (near := nearest_rows(nodes, ends, count)),
+                roadmap.link_costs(cloud, ends, near),
+            )
             for ends, count in ((start[None], ENTRIES), (goals, EXITS))
         ]
 
     def cheapest(self) -> list[list[int]]:
-        """Sequences of codes, cheapest first: each is the cheapest through some code that those before have not."""
+        """Sequences of codes, cheapest first:
+        each is the cheapest through some code that those before have not.
+        """
         (there, before), (back, after) = (self._ways(*link) for link in self._links)
         through = there + back
         found: list[list[int]] = []
@@ -134,8 +159,12 @@ class CodeSequences:
                 found.append(codes)
         return found
 
-    def _ways(self, ends: np.ndarray, near: np.ndarray, nll: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Cost (N,) of the cheapest way between any of ends (e, n) and each code, and the code before it."""
+    def _ways(
+        self, ends: np.ndarray, near: np.ndarray, nll: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Cost (N,) of the cheapest way between any of ends (e, n) and each code, and the code
+        before it.
+        """
         nodes, links = self._roadmap.roadmap.nodes, self._roadmap.links
         cost, parent = np.full((1, len(nodes)), np.inf), np.empty((1, len(nodes)), dtype=np.int32)
         length = np.linalg.norm(nodes[near] - ends[:, None], axis=2)

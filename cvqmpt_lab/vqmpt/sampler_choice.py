@@ -1,15 +1,20 @@
-"""A learned sampler as a product of choices: who predicts codes, which Gaussians they become, how these are moved.
+"""A learned sampler as a product of choices: who predicts codes, which Gaussians they become, how
+these are moved.
 
-    predictor   transformer: the scene transformer; published: the authors' architecture; graph: cheapest sequences on
-                the dictionary's roadmap; random: any codes; oracle: codes of a path that ignores the constraint
-    Gaussians   decoded: g(z) = N(mu, Sigma) as the decoder has them; wide: around each code's node of the roadmap, no
+    predictor   transformer: the scene transformer; published: the authors' architecture; graph:
+        cheapest sequences on
+                the dictionary's roadmap; random: any codes; oracle: codes of a path that ignores
+                the constraint
+    Gaussians   decoded: g(z) = N(mu, Sigma) as the decoder has them; wide: around each code's node
+    of the roadmap, no
                 direction narrower than WIDTH
-    update      none; algorithm-2: codes moved by gradient towards F(q) = 0; projected: every mean put on the manifold
-    sequences   likeliest: the best of the transformer's beams to each goal (paper); all-beams: all three
-    cloud       the scene's own; other-cloud: that of another scene; no-cloud: no points
+    update      none; algorithm-2: codes moved by gradient towards F(q) = 0; projected: every mean
+    put on the manifold sequences   likeliest: the best of the transformer's beams to each goal
+    (paper); all-beams: all three cloud       the scene's own; other-cloud: that of another scene;
+    no-cloud: no points
 
-Sampled from is the mixture of the codes' Gaussians and one around each goal that was asked about, all equally likely
-(paper, eqn. sample_dist, and its code), and a uniform share.
+Sampled from is the mixture of the codes' Gaussians and one around each goal that was asked about,
+all equally likely (paper, eqn. sample_dist, and its code), and a uniform share.
 """
 
 from collections.abc import Mapping
@@ -37,7 +42,8 @@ class SamplerChoice:
     gaussians: str = "decoded"  # of GAUSSIANS
     update: str = "none"  # of UPDATES
     cloud: str = "own-cloud"  # of CLOUDS
-    uniform_share: float = 0.0  # of samples between the joint limits; at 0 a planner is not probabilistically complete
+    # of samples between the joint limits; at 0 a planner is not probabilistically complete
+    uniform_share: float = 0.0
     sequences: str = "likeliest"  # of SEQUENCES; of the transformer
 
     def __post_init__(self) -> None:
@@ -45,13 +51,19 @@ class SamplerChoice:
             if getattr(self, name) not in known:
                 raise UnknownChoiceError(f"{name} of a learned sampler", getattr(self, name), known)
         if self.sequences == "all-beams" and self.predictor != "transformer":
-            raise InvalidInputError(f"all-beams goes with predictor transformer, not {self.predictor}")
+            raise InvalidInputError(
+                f"all-beams goes with predictor transformer, not {self.predictor}"
+            )
         if not 0.0 <= self.uniform_share <= 1.0:
-            raise InvalidInputError(f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1")
+            raise InvalidInputError(
+                f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1"
+            )
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """From words joined by "+", such as ``graph+wide+projected+uniform=0.15``: the predictor first."""
+        """From words joined by "+", such as ``graph+wide+projected+uniform=0.15``:
+        the predictor first.
+        """
         predictor, *words = text.split("+")
         found: dict[str, Any] = {}
         for word in words:
@@ -61,7 +73,9 @@ class SamplerChoice:
                 known = [*(word for words in WORDS.values() for word in words), f"{UNIFORM}0.15"]
                 raise UnknownChoiceError(f"part of planner {PREFIX}{text}", word, known)
             if kind in found:
-                raise InvalidInputError(f"planner {PREFIX}{text} has two parts of one kind, {word!r} is the second")
+                raise InvalidInputError(
+                    f"planner {PREFIX}{text} has two parts of one kind, {word!r} is the second"
+                )
             found[kind] = _share(word) if kind == "uniform_share" else word
         if found.get("gaussians") == "wide":
             found.setdefault("uniform_share", WIDE_SHARE)
@@ -72,7 +86,9 @@ def _share(word: str) -> float:
     try:
         return float(word.removeprefix(UNIFORM))
     except ValueError as error:
-        raise InvalidInputError(f"{word!r}: give a number from 0 to 1 behind {UNIFORM!r}") from error
+        raise InvalidInputError(
+            f"{word!r}: give a number from 0 to 1 behind {UNIFORM!r}"
+        ) from error
 
 
 NAMED: Mapping[str, SamplerChoice] = {

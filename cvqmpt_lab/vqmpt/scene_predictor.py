@@ -1,4 +1,5 @@
-"""The scene transformer as planners use it: from a cloud, a start and goals to code sequences, without torch.
+"""The scene transformer as planners use it: from a cloud, a start and goals to code sequences,
+without torch.
 
 scene = predictor.encode(cloud)
 nearest = goals[predictor.rank(scene, start, goals)[:3]]
@@ -20,11 +21,16 @@ from cvqmpt_lab.vqmpt.config import checked_cloud
 from cvqmpt_lab.vqmpt.encoded_scene import EncodedScene, Ends
 from cvqmpt_lab.vqmpt.point_groups import NOWHERE
 from cvqmpt_lab.vqmpt.predictor import SCENES, checked_ends
-from cvqmpt_lab.vqmpt.sequence_decoder import CausalTransformer, SequenceDecoder, likeliest_sequences
+from cvqmpt_lab.vqmpt.sequence_decoder import (
+    CausalTransformer,
+    SequenceDecoder,
+    likeliest_sequences,
+)
 from cvqmpt_lab.vqmpt.weights import StoredModel
 
 POINTS = 1024  # of a cloud in training
-CENTRE, FARTHEST = (0.0, 0.0, 0.33), 1.6  # [m] points farther from there than any in training are left out
+# [m] points farther from there than any in training are left out
+CENTRE, FARTHEST = (0.0, 0.0, 0.33), 1.6
 
 
 class SceneTransformerPredictor:
@@ -33,7 +39,8 @@ class SceneTransformerPredictor:
     def __init__(self, model: StoredModel, robot: Robot) -> None:
         """Take over a model's weights.
 
-        Raises InvalidInputError when it has no transformer, belongs to another robot, or does not fit its sizes.
+        Raises InvalidInputError when it has no transformer, belongs to another robot, or does not
+        fit its sizes.
         """
         self.robot, self._network = robot, CausalTransformer(model, robot)
         self._looker = self._network.looker
@@ -41,10 +48,11 @@ class SceneTransformerPredictor:
         self._scenes = Latest[EncodedScene](SCENES)
 
     def encode(self, cloud: np.ndarray, use_cache: bool = True) -> EncodedScene:
-        """Look at a cloud (m, 3) [m, robot base frame] from every code; found among the latest ones where it is.
+        """Look at a cloud (m, 3) [m, robot base frame] from every code; found among the latest ones
+        where it is.
 
-        A cloud of no points is one of an empty scene. Raises InvalidInputError for a cloud that `checked_cloud`
-        refuses, or that has no point within reach.
+        A cloud of no points is one of an empty scene. Raises InvalidInputError for a cloud that
+        `checked_cloud` refuses, or that has no point within reach.
         """
         points = _near_points(cloud)
         key = hashlib.sha256(points.tobytes()).hexdigest()
@@ -52,21 +60,31 @@ class SceneTransformerPredictor:
 
     def _encoded(self, points: np.ndarray) -> EncodedScene:
         sizes = self._looker.config.sizes
-        return self._looker.encode(*compiled_groups(_as_in_training(points), sizes.groups, sizes.group_size))
+        return self._looker.encode(
+            *compiled_groups(_as_in_training(points), sizes.groups, sizes.group_size)
+        )
 
     def sequences(
         self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray, beams: int = 3
     ) -> list[CodeSequence]:
-        """The likeliest code sequence from start (n,) to each of goals (k, n) [rad or m], in the order of the goals.
+        """The likeliest code sequence from start (n,) to each of goals (k, n) [rad or m], in the
+        order of the goals.
 
-        beams: hypotheses kept for each goal, K. Raises InvalidInputError for a start or goal outside the joint limits.
+        beams: hypotheses kept for each goal, K. Raises InvalidInputError for a start or goal
+            outside the joint limits.
         """
         return [found[0] for found in self.hypotheses(scene, start, goals, beams, every=False)]
 
     def hypotheses(
-        self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray, beams: int = 3, every: bool = True
+        self,
+        scene: EncodedScene,
+        start: np.ndarray,
+        goals: np.ndarray,
+        beams: int = 3,
+        every: bool = True,
     ) -> list[list[CodeSequence]]:
-        """All that are in the beams once the best of each goal, or every one, is finished; see `sequences`.
+        """All that are in the beams once the best of each goal, or every one, is finished; see
+        `sequences`.
 
         The likeliest comes first.
         """
@@ -75,9 +93,11 @@ class SceneTransformerPredictor:
         return likeliest_sequences(decoder, beams, every)
 
     def goal_costs(self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """Cost (k,) [rad] of the cheapest way from start (n,) over the roadmap to each of goals (k, n).
+        """Cost (k,) [rad] of the cheapest way from start (n,) over the roadmap to each of goals (k,
+        n).
 
-        That of a motion is its length - w log P(free). No sequence is decoded. Errors as of `sequences`.
+        That of a motion is its length - w log P(free). No sequence is decoded. Errors as of
+        `sequences`.
         """
         start, goals = checked_ends(self.robot, start, goals)
         ends = self._looker.ends(scene, np.vstack([start[None], goals]))
@@ -86,7 +106,9 @@ class SceneTransformerPredictor:
         return (from_start[ends.near[1:]] + ends.cost[1:]).min(axis=1)
 
     def rank(self, scene: EncodedScene, start: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """Rows (k,) of goals (k, n), the one with the cheapest way from start (n,) first; see `goal_costs`."""
+        """Rows (k,) of goals (k, n), the one with the cheapest way from start (n,) first;
+        see `goal_costs`.
+        """
         return np.argsort(self.goal_costs(scene, start, goals), kind="stable")
 
 
@@ -99,7 +121,8 @@ def _near_points(cloud: np.ndarray) -> np.ndarray:
     near = np.einsum("pi,pi->p", offset, offset) <= FARTHEST**2
     if not near.any():
         raise InvalidInputError(
-            f"none of the cloud's {len(points)} points is within {FARTHEST:g} m of {CENTRE}: give it in metres, in the "
+            f"none of the cloud's {len(points)} points is within {FARTHEST:g} m of {CENTRE}: give "
+            f"it in metres, in the "
             "frame of the robot's base"
         )
     return points if near.all() else points[near]

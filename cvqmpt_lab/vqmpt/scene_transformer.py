@@ -1,19 +1,20 @@
 """The sequence model that ships: a causal transformer over codes that have looked at the scene.
 
-A point cloud becomes scene tokens. Start q_s, goal q_g and the node q_i of every code look at them: each body point
-p_k(q) of the arm attends to the tokens c_j near it (geometric attention),
+A point cloud becomes scene tokens. Start q_s, goal q_g and the node q_i of every code look at them:
+each body point p_k(q) of the arm attends to the tokens c_j near it (geometric attention),
 
     w_kj = softmax_j(beta_k (2 p_k . c_j - |c_j|^2) + b_k(token_j)),     sum_j w_kj (v_j + V_j p_k),
 
-so that their embeddings e_i know what is near the arm. From these come P(code free) and P(edge free) of the
-dictionary's roadmap, and the cost to go V_i to the goal: that of the cheapest way over its edges, where an edge costs
-length - w log P(edge free). A causal transformer over goal, start and codes so far gives (paper, eqn. ar_prob)
+so that their embeddings e_i know what is near the arm. From these come P(code free) and P(edge
+free) of the dictionary's roadmap, and the cost to go V_i to the goal: that of the cheapest way over
+its edges, where an edge costs length - w log P(edge free). A causal transformer over goal, start
+and codes so far gives (paper, eqn. ar_prob)
 
     pi(h_j = i | z_(h_1) ... z_(h_(j-1)), M) = softmax_i(t_j . k(e_i) - g_j A_i + way_i),
     A_i = cost(h_(j-1), i) + V_i - V_(h_(j-1)) >= 0,
 
-a pointer to the codes: their embeddings are its vocabulary. way_i is 0 where no edge leads to i. The class N is the
-goal, which ends a sequence.
+a pointer to the codes: their embeddings are its vocabulary. way_i is 0 where no edge leads to i.
+    The class N is the goal, which ends a sequence.
 """
 
 from functools import cached_property
@@ -101,16 +102,22 @@ class SceneEncoder(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.points = nn.Sequential(nn.Linear(3, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU(), nn.Linear(64, 128))
+        self.points = nn.Sequential(
+            nn.Linear(3, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU(), nn.Linear(64, 128)
+        )
         self.join = nn.Linear(128 + 3 + 6 * WAVES, width)
         self.block, self.norm = Block(width, 8, 4 * width), nn.LayerNorm(width)
         self.register_buffer("waves", torch.pi * 2.0 ** torch.arange(WAVES), persistent=False)
 
     def forward(self, centres: Tensor, offsets: Tensor) -> Tensor:
-        """Map centres (s, t, 3) and the points around each (s, t, m, 3), relative to it [m], to tokens (s, t, d)."""
+        """Map centres (s, t, 3) and the points around each (s, t, m, 3), relative to it [m], to
+        tokens (s, t, d).
+        """
         shape = self.points(offsets * 5.0).amax(2)
         angle = (centres[..., None] * self.waves).flatten(2)
-        return self.norm(self.block(self.join(torch.cat((shape, centres, angle.sin(), angle.cos()), -1))))
+        return self.norm(
+            self.block(self.join(torch.cat((shape, centres, angle.sin(), angle.cos()), -1)))
+        )
 
 
 class GeometricAttention(nn.Module):
@@ -121,7 +128,9 @@ class GeometricAttention(nn.Module):
         points, width, values = len(config.body.points), config.sizes.width, config.sizes.values
         self.values = values
         self.embed = nn.Sequential(
-            nn.Linear(config.features, 2 * width), nn.GELU(approximate="tanh"), nn.Linear(2 * width, width)
+            nn.Linear(config.features, 2 * width),
+            nn.GELU(approximate="tanh"),
+            nn.Linear(2 * width, width),
         )
         self.own_norm, self.norm = nn.LayerNorm(width), nn.LayerNorm(width)
         self.value, self.bias = nn.Linear(width, 4 * values), nn.Linear(width, points)
@@ -133,11 +142,18 @@ class GeometricAttention(nn.Module):
         )
 
     def forward(
-        self, features: Tensor, positions: Tensor, tokens: Tensor, centres: Tensor, own: Tensor | None = None
+        self,
+        features: Tensor,
+        positions: Tensor,
+        tokens: Tensor,
+        centres: Tensor,
+        own: Tensor | None = None,
     ) -> Tensor:
-        """Look at scenes (s, ...) from configurations: features (s or 1, u, f), positions (s or 1, u, k, 3).
+        """Look at scenes (s, ...) from configurations: features (s or 1, u, f), positions (s or 1,
+        u, k, 3).
 
-        own: (u, d) added to embeddings of configurations that are always the same. Returns (s, u, d).
+        own: (u, d) added to embeddings of configurations that are always the same. Returns (s, u,
+            d).
         """
         s, u, m = len(tokens), features.shape[1], self.values
         x = self.embed(features)
@@ -146,7 +162,8 @@ class GeometricAttention(nn.Module):
         with torch.autocast(tokens.device.type, enabled=False):
             tokens = tokens.float()
             squared = (centres**2).sum(-1, keepdim=True)
-            value = torch.cat((self.value(tokens), squared, -2.0 * centres), -1)  # all affine in the point
+            # all affine in the point
+            value = torch.cat((self.value(tokens), squared, -2.0 * centres), -1)
             points = positions.float().transpose(1, 2).expand(s, -1, -1, -1)  # (s, k, u, 3)
             beta = self.sharpness.exp()[:, None, None]
             q = torch.cat((2.0 * beta * points, torch.ones_like(points[..., :1])), -1)
@@ -155,7 +172,9 @@ class GeometricAttention(nn.Module):
             read = (q @ k.transpose(2, 3)).softmax(-1) @ value[:, None]  # (s, k, u, 4 m + 4)
             affine = read[..., : 4 * m].unflatten(-1, (4, m))
             near = affine[..., 0, :] + (affine[..., 1:, :] * points[..., None]).sum(-2)
-            away = read[..., 4 * m] + (read[..., 4 * m + 1 :] * points).sum(-1) + (points**2).sum(-1)
+            away = (
+                read[..., 4 * m] + (read[..., 4 * m + 1 :] * points).sum(-1) + (points**2).sum(-1)
+            )
             away = 5.0 * (away.clamp(min=0.0) + 1e-4).sqrt()
             looked = torch.cat((near, away[..., None]), -1).transpose(1, 2).reshape(s, u, -1)
         x = x.expand(s, -1, -1)
@@ -174,7 +193,9 @@ class SceneTransformer(nn.Module):
         self.register_buffer("nodes", torch.zeros(config.n_nodes, config.joint_dim))
         self.register_buffer("edges", torch.zeros(config.n_edges, 2, dtype=torch.int64))
         self.scene, self.look = SceneEncoder(d), GeometricAttention(config)
-        self.own, self.own_key = (nn.Parameter(0.02 * torch.randn(config.n_nodes, d)) for _ in range(2))
+        self.own, self.own_key = (
+            nn.Parameter(0.02 * torch.randn(config.n_nodes, d)) for _ in range(2)
+        )
         self.node, self.node_prior = nn.Linear(d, 1), nn.Parameter(torch.zeros(config.n_nodes))
         self.part, self.middle = nn.Linear(d, e), nn.Linear(d, e)
         self.own_edge = nn.Parameter(0.02 * torch.randn(config.n_edges, e))
@@ -183,8 +204,12 @@ class SceneTransformer(nn.Module):
         self.kind = nn.Parameter(0.02 * torch.randn(3, d))
         self.place = nn.Parameter(0.02 * torch.randn(LONGEST + 2, d))
         self.enter = nn.Linear(d, d)
-        self.blocks = nn.ModuleList(Block(d, config.sizes.heads, 4 * d) for _ in range(config.sizes.layers))
-        self.reads = nn.ModuleList(Block(d, config.sizes.heads, 2 * d) for _ in range(config.sizes.layers - 1))
+        self.blocks = nn.ModuleList(
+            Block(d, config.sizes.heads, 4 * d) for _ in range(config.sizes.layers)
+        )
+        self.reads = nn.ModuleList(
+            Block(d, config.sizes.heads, 2 * d) for _ in range(config.sizes.layers - 1)
+        )
         self.norm, self.out, self.key = nn.LayerNorm(d), nn.Linear(d, d), nn.Linear(d, d)
         self.goal_key, self.goal_bias = nn.Linear(d, d), nn.Parameter(torch.zeros(1))
         self.gate, self.way = nn.Linear(d, 1), nn.Parameter(torch.tensor(5.0))
@@ -223,7 +248,9 @@ class SceneTransformer(nn.Module):
 
     @cached_property
     def _kinematics(self) -> LinkPositions:
-        return LinkPositions(self.config.lower, self.config.upper, self.config.body, self.nodes.device)
+        return LinkPositions(
+            self.config.lower, self.config.upper, self.config.body, self.nodes.device
+        )
 
     def configurations(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Features (s, u, f) and body points (s, u, k, 3) [m] of configurations q (s, u, n) [rad]."""
@@ -250,14 +277,20 @@ class SceneTransformer(nn.Module):
         )
 
     def ends(self, scenes: Scenes, q: Tensor) -> Ends:
-        """Look at scenes from starts or goals q (s, u, n) [rad], and half way to the codes near them."""
+        """Look at scenes from starts or goals q (s, u, n) [rad], and half way to the codes near
+        them.
+        """
         s = len(q)
         seen = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
-        length, near = torch.cdist(q, self.nodes[None].expand(s, -1, -1)).topk(self.config.sizes.links, largest=False)
+        length, near = torch.cdist(q, self.nodes[None].expand(s, -1, -1)).topk(
+            self.config.sizes.links, largest=False
+        )
         return Ends(seen, near, length + RISK * F.softplus(-self._link_odds(scenes, q, seen, near)))
 
     def link_odds(self, scenes: Scenes, q: Tensor, near: Tensor) -> Tensor:
-        """Log odds (s, u, l) that the straight motion from q (s, u, n) [rad] to codes near (s, u, l) is free."""
+        """Log odds (s, u, l) that the straight motion from q (s, u, n) [rad] to codes near (s, u,
+        l) is free.
+        """
         seen = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
         return self._link_odds(scenes, q, seen, near)
 
@@ -266,15 +299,20 @@ class SceneTransformer(nn.Module):
         half_way = (0.5 * (q[:, :, None] + self.nodes[near])).flatten(1, 2)
         middle = self.look(*self.configurations(half_way), scenes.tokens, scenes.centres)
         x = self.middle(middle).float().unflatten(1, (u, -1)) + self.part(seen).float()[:, :, None]
-        x = x + scenes.parts.gather(1, near.flatten(1)[..., None].expand(-1, -1, x.shape[-1])).unflatten(1, (u, -1))
+        x = x + scenes.parts.gather(
+            1, near.flatten(1)[..., None].expand(-1, -1, x.shape[-1])
+        ).unflatten(1, (u, -1))
         return self.link(x.relu())[..., 0].float()
 
     @torch.no_grad()
     def cost_to_go(self, scenes: Scenes, goals: Ends) -> Tensor:
-        """V (s, g, N) [rad]: cost of the cheapest way from every code to each goal, at most UNREACHED."""
+        """V (s, g, N) [rad]:
+        cost of the cheapest way from every code to each goal, at most UNREACHED.
+        """
         arcs = (self.arc_costs(scenes) + self.graph.padding)[..., None]
         start = arcs.new_full((*goals.near.shape[:2], len(self.nodes)), UNREACHED)
-        V = start.scatter(2, goals.near, goals.cost.float()).transpose(1, 2).contiguous()  # (s, N, g)
+        # (s, N, g)
+        V = start.scatter(2, goals.near, goals.cost.float()).transpose(1, 2).contiguous()
         neighbour = self.graph.neighbour.flatten()
         for _ in range(ROUNDS):
             through = V.index_select(1, neighbour).view(*arcs.shape[:3], -1) + arcs
@@ -289,14 +327,20 @@ class SceneTransformer(nn.Module):
         return cost[:, self.graph.edge]
 
     def logits(self, scenes: Scenes, start: Ends, goal: Ends, V: Tensor, codes: Tensor) -> Tensor:
-        """Logits (s, r, l + 1, N + 1) after every prefix of codes (s, r, l) int64, padded with any code.
+        """Logits (s, r, l + 1, N + 1) after every prefix of codes (s, r, l) int64, padded with any
+        code.
 
         start, goal: of each of the r sequences. V: (s, r, N), of `cost_to_go`.
         """
         (s, r, length), d, graph = codes.shape, self.config.sizes.width, self.graph
-        taken = scenes.codes.gather(1, codes.flatten(1)[..., None].expand(-1, -1, d)).view(s, r, length, d)
+        taken = scenes.codes.gather(1, codes.flatten(1)[..., None].expand(-1, -1, d)).view(
+            s, r, length, d
+        )
         parts = ((goal.seen[:, :, None], 0), (start.seen[:, :, None], 1), (taken, 2))
-        x = torch.cat([self.enter(part) + self.kind[kind] for part, kind in parts], 2) + self.place[: length + 2]
+        x = (
+            torch.cat([self.enter(part) + self.kind[kind] for part, kind in parts], 2)
+            + self.place[: length + 2]
+        )
         landmarks = scenes.codes[:, :: self.config.sizes.stride]
         for number, block in enumerate(self.blocks):
             x = block(x.flatten(0, 1), causal=True).view(s, -1, d)
@@ -306,35 +350,56 @@ class SceneTransformer(nn.Module):
         x = self.norm(x[:, :, 1:])
         pointer, gate = self.out(x), F.softplus(self.gate(x)).float()
         scale = d**-0.5
-        over_codes = (pointer.flatten(1, 2) @ scenes.keys.transpose(1, 2)).float().view(s, r, length + 1, -1) * scale
-        to_goal = (pointer * self.goal_key(goal.seen)[:, :, None]).sum(-1).float() * scale + self.goal_bias
+        over_codes = (pointer.flatten(1, 2) @ scenes.keys.transpose(1, 2)).float().view(
+            s, r, length + 1, -1
+        ) * scale
+        to_goal = (pointer * self.goal_key(goal.seen)[:, :, None]).sum(
+            -1
+        ).float() * scale + self.goal_bias
         first = start.cost + V.gather(2, start.near)
         first = self.way - gate[:, :, 0] * (first - first.amin(-1, keepdim=True)).clamp(max=WORST)
         steps = [over_codes[:, :, :1].scatter_add(3, start.near[:, :, None], first[:, :, None])]
         goals = [to_goal[:, :, :1]]
         if length:
             here, neighbour = V.gather(2, codes), graph.neighbour[codes]
-            arcs = self.arc_costs(scenes).gather(1, codes.flatten(1)[..., None].expand(-1, -1, neighbour.shape[-1]))
+            arcs = self.arc_costs(scenes).gather(
+                1, codes.flatten(1)[..., None].expand(-1, -1, neighbour.shape[-1])
+            )
             there = V.gather(2, neighbour.flatten(2)).view(neighbour.shape)
             advantage = (arcs.view(neighbour.shape) + there - here[..., None]).clamp(0.0, WORST)
-            bonus = (self.way - gate[:, :, 1:] * advantage).masked_fill(graph.padding[codes] > 0.0, 0.0)
+            bonus = (self.way - gate[:, :, 1:] * advantage).masked_fill(
+                graph.padding[codes] > 0.0, 0.0
+            )
             steps.append(over_codes[:, :, 1:].scatter_add(3, neighbour, bonus))
             links = torch.full_like(V, torch.inf).scatter(2, goal.near, goal.cost).gather(2, codes)
             known = links.isfinite()
-            extra = self.way - gate[:, :, 1:, 0] * (links.masked_fill(~known, 0.0) - here).clamp(0.0, WORST)
+            extra = self.way - gate[:, :, 1:, 0] * (links.masked_fill(~known, 0.0) - here).clamp(
+                0.0, WORST
+            )
             goals.append(to_goal[:, :, 1:] + extra.masked_fill(~known, 0.0))
         return torch.cat((torch.cat(steps, 2), torch.cat(goals, 2)[..., None]), -1)
 
 
-def roadmap_ways(nodes: Tensor, edges: Tensor, links: int, start: Tensor, goal: Tensor, codes: Tensor) -> Tensor:
-    """Classes (s, r, l + 1, N + 1) bool that can follow each prefix of codes (s, r, l) on a roadmap.
+def roadmap_ways(
+    nodes: Tensor, edges: Tensor, links: int, start: Tensor, goal: Tensor, codes: Tensor
+) -> Tensor:
+    """Classes (s, r, l + 1, N + 1) bool that can follow each prefix of codes (s, r, l) on a
+    roadmap.
 
-    nodes (N, n), edges (E, 2); links: nodes that a start or goal leads to; start, goal (s, r, n) [rad].
+    nodes (N, n), edges (E, 2); links: nodes that a start or goal leads to; start, goal (s, r, n)
+    [rad].
     """
-    near = [torch.cdist(q.flatten(0, 1), nodes).topk(links, largest=False)[1] for q in (start, goal)]
-    first, last = (torch.zeros(len(rows), len(nodes) + 1, device=codes.device).scatter(1, rows, 1.0) for rows in near)
+    near = [
+        torch.cdist(q.flatten(0, 1), nodes).topk(links, largest=False)[1] for q in (start, goal)
+    ]
+    first, last = (
+        torch.zeros(len(rows), len(nodes) + 1, device=codes.device).scatter(1, rows, 1.0)
+        for rows in near
+    )
     table = torch.zeros(len(nodes), len(nodes) + 1, device=codes.device)
     table[edges[:, 0], edges[:, 1]] = table[edges[:, 1], edges[:, 0]] = 1.0
     following = table[codes.flatten(0, 1)]  # (s r, l, N + 1)
     following[..., -1] = last.gather(1, codes.flatten(0, 1))
-    return torch.cat((first[:, None], following), 1).bool().view(*codes.shape[:2], -1, len(nodes) + 1)
+    return (
+        torch.cat((first[:, None], following), 1).bool().view(*codes.shape[:2], -1, len(nodes) + 1)
+    )

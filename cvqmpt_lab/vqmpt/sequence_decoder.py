@@ -1,7 +1,9 @@
-"""The half of the scene transformer that decodes sequences, in numpy: same mathematics as `scene_transformer`.
+"""The half of the scene transformer that decodes sequences, in numpy: same mathematics as
+`scene_transformer`.
 
-Codes are decoded step by step, all hypotheses of all goals in one batch: attention keys and values of earlier codes are
-kept, and logits are computed for the roadmap's ways on alone; other classes are impossible.
+Codes are decoded step by step, all hypotheses of all goals in one batch: attention keys and values
+of earlier codes are kept, and logits are computed for the roadmap's ways on alone; other classes
+are impossible.
 """
 
 import numpy as np
@@ -25,7 +27,9 @@ class CausalTransformer:
         sizes, layers = self.looker.config.sizes, Layers(model, PART)
         d = sizes.width
         self.place = layers.array("place", LONGEST + 2, d)
-        self.blocks = [Block(layers, f"blocks.{k}", d, sizes.heads, 4 * d) for k in range(sizes.layers)]
+        self.blocks = [
+            Block(layers, f"blocks.{k}", d, sizes.heads, 4 * d) for k in range(sizes.layers)
+        ]
         self._norm, self._out = layers.norm("norm", d), layers.linear("out", d, d)
         self._gate, self._goal_key = layers.linear("gate", d, 1), layers.linear("goal_key", d, d)
         self.goal_bias = float(layers.array("goal_bias", 1)[0])
@@ -83,13 +87,17 @@ class SequenceDecoder:
         return np.broadcast_to(near, logits.shape), _log_softmax(logits)
 
     def advance(self, parents: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Ways (r, w + 1) and their log probabilities once the rows are `parents`, each continued by one of codes.
+        """Ways (r, w + 1) and their log probabilities once the rows are `parents`, each continued
+        by one of codes.
 
         The last way is the goal. Those that do not lead on have a log probability of -inf.
         """
         network, scene = self._network, self._scene
         arcs, goal = network.looker.arcs, self._goal[parents]
-        self._goal, self._kept = goal, [None if kept is None else kept[parents] for kept in self._kept]
+        self._goal, self._kept = (
+            goal,
+            [None if kept is None else kept[parents] for kept in self._kept],
+        )
         x = self._step(scene.entered[codes] + network.place[self._place])
         self._place += 1
         pointer, gate = network.pointers(x)
@@ -101,10 +109,16 @@ class SequenceDecoder:
         logits[:, :-1][arcs.padding[codes]] = -np.inf
         link = self._link[goal, codes][:, None]
         leads = np.isfinite(link)
-        extra = gate * np.clip(np.where(leads, link, 0.0) - here, np.float32(0.0), np.float32(WORST))
-        to_goal = np.einsum("rd,rd->r", pointer, self._goal_keys[goal])[:, None] + np.float32(network.goal_bias)
+        extra = gate * np.clip(
+            np.where(leads, link, 0.0) - here, np.float32(0.0), np.float32(WORST)
+        )
+        to_goal = np.einsum("rd,rd->r", pointer, self._goal_keys[goal])[:, None] + np.float32(
+            network.goal_bias
+        )
         logits[:, -1:] = np.where(leads, to_goal - extra, -np.inf)
-        ways = np.concatenate([table, np.full((len(codes), 1), len(arcs.table), dtype=table.dtype)], axis=1)
+        ways = np.concatenate(
+            [table, np.full((len(codes), 1), len(arcs.table), dtype=table.dtype)], axis=1
+        )
         return ways, _log_softmax(logits)
 
     def _step(self, x: np.ndarray) -> np.ndarray:
@@ -128,11 +142,12 @@ def _log_softmax(logits: np.ndarray) -> np.ndarray:
 def likeliest_sequences(
     decoder: SequenceDecoder, beams: int, every: bool = False, longest: int = LONGEST
 ) -> list[list[CodeSequence]]:
-    """The hypotheses to each goal, likeliest first, by a beam search over the ways; scores are log probabilities.
+    """The hypotheses to each goal, likeliest first, by a beam search over the ways; scores are log
+    probabilities.
 
-    A hypothesis that has reached the goal stays in the beam as it is. Since going on only lowers the others, a goal's
-    rows are left out of the batch once its best hypothesis is finished, or every one. longest: codes of a sequence; at
-    that length finished hypotheses come first.
+    A hypothesis that has reached the goal stays in the beam as it is. Since going on only lowers
+    the others, a goal's rows are left out of the batch once its best hypothesis is finished, or
+    every one. longest: codes of a sequence; at that length finished hypotheses come first.
     """
     ways, log_p = decoder.start()
     goals, links = ways.shape
@@ -153,7 +168,8 @@ def likeliest_sequences(
         rank, column = np.divmod(column, ways.shape[1])
         row = beams * np.arange(len(asked))[:, None] + rank
         codes = np.concatenate(
-            [np.take_along_axis(codes, rank[..., None], axis=1), ways[row, column][..., None]], axis=2
+            [np.take_along_axis(codes, rank[..., None], axis=1), ways[row, column][..., None]],
+            axis=2,
         )
         ended = codes[..., -1] == goal_class
         done = ended.all(axis=1) if every else ended[:, 0]
@@ -185,6 +201,8 @@ def _sequences(codes: np.ndarray, score: np.ndarray, goal_class: int) -> list[Co
 
 
 def _largest(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and values (q, count) of the largest in each row (q, n), largest first; ties by column."""
+    """Columns and values (q, count) of the largest in each row (q, n), largest first;
+    ties by column.
+    """
     columns = np.argsort(-values, axis=1, kind="stable")[:, :count]
     return columns, np.take_along_axis(values, columns, axis=1)

@@ -1,7 +1,7 @@
 """Stages of planners with trained weights: what they observe, predict and update with.
 
-Weights, dictionaries and roadmaps are loaded once a process, before any clock starts. A model is a name or folder as
-`weights.resolve_model` takes it.
+Weights, dictionaries and roadmaps are loaded once a process, before any clock starts. A model is a
+name or folder as `weights.resolve_model` takes it.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,13 @@ from cvqmpt_lab.vqmpt.code_predictors import (
     random_codes,
     transformer_codes,
 )
-from cvqmpt_lab.vqmpt.codebook import Codebook, code_noise, codes_of, dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.vqmpt.codebook import (
+    Codebook,
+    code_noise,
+    codes_of,
+    dictionary_gaussians,
+    drawn_nodes,
+)
 from cvqmpt_lab.vqmpt.edge_model import EdgeModel
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.learned_sampler import CodePredictor, LearnedSampler
@@ -49,8 +55,12 @@ STEPS = 5  # of Algorithm 2
 
 @lru_cache(maxsize=4)
 def model_of(model: str, architecture: str = VQ_MPT) -> StoredModel:
-    """The weights of that name or folder but the transformer, whose arrays nobody needs once it is made of them."""
-    return read_model(resolve_model(model, architecture), architecture=architecture, left_out=TRANSFORMER)
+    """The weights of that name or folder but the transformer, whose arrays nobody needs once it is
+    made of them.
+    """
+    return read_model(
+        resolve_model(model, architecture), architecture=architecture, left_out=TRANSFORMER
+    )
 
 
 @lru_cache(maxsize=8)
@@ -101,7 +111,10 @@ def no_cloud(scene: Scene) -> np.ndarray:
     return np.empty((0, 3))
 
 
-CLOUDS: dict[str, Callable[[Scene], np.ndarray]] = {"other-cloud": other_scene, "no-cloud": no_cloud}
+CLOUDS: dict[str, Callable[[Scene], np.ndarray]] = {
+    "other-cloud": other_scene,
+    "no-cloud": no_cloud,
+}
 """What controls see in place of the scene."""
 
 
@@ -116,7 +129,10 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
     match choice.predictor:
         case "transformer":
             all_beams = choice.sequences == "all-beams"
-            predict, observe = partial(transformer_codes, _scene_predictor(model, robot), all_beams), observer()
+            predict, observe = (
+                partial(transformer_codes, _scene_predictor(model, robot), all_beams),
+                observer(),
+            )
         case "published":
             predict, observe = partial(published_codes, _predictor(model, robot)), observer()
         case "graph":
@@ -132,7 +148,9 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
     sampler = LearnedSampler(predict, choice, name, codebook, robot, noise)
     updates: dict[str, Callable[[Query, Proposal], Proposal] | None] = {
         "none": None,
-        "algorithm-2": partial(sampler.moved, LatentOptimizer(codebook, LatentSettings(steps=STEPS))),
+        "algorithm-2": partial(
+            sampler.moved, LatentOptimizer(codebook, LatentSettings(steps=STEPS))
+        ),
         "projected": sampler.projected,
     }
     return Stages(predict=sampler.propose, observe=observe, update=updates[choice.update])
@@ -149,7 +167,9 @@ def _predictor(model: str, robot: Robot) -> Predictor:
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:
-    """MPNet's rollouts as published; bridged: whatever rollouts leave open is joined by tree growth."""
+    """MPNet's rollouts as published; bridged:
+    whatever rollouts leave open is joined by tree growth.
+    """
     points = model_of(model, MPNET).config.n_points
     return Stages(predict=_rollouts(model, bridged), observe=observer(points))
 

@@ -1,7 +1,8 @@
 """Stage 2 of VQ-MPT, as published: from scene, start and goal to a sequence of codes.
 
-Set abstraction turns the point cloud into scene tokens E. Start and goal, embedded by a perceptron, attend to E and
-give the context M (two tokens). The autoregressive transformer predicts the next code (paper, eqn. ar_prob),
+Set abstraction turns the point cloud into scene tokens E. Start and goal, embedded by a perceptron,
+attend to E and give the context M (two tokens). The autoregressive transformer predicts the next
+code (paper, eqn. ar_prob),
 
     pi(h_j = i | z_(h_1) ... z_(h_(j-1)), M) = p_i,   i one of the N codes or the goal token.
 """
@@ -22,14 +23,21 @@ from cvqmpt_lab.vqmpt.config import (
     TransformerConfig,
     require_point_cloud,
 )
-from cvqmpt_lab.vqmpt.dictionary import CrossAttentionLayer, Dictionary, Quantizer, SelfAttentionLayer
+from cvqmpt_lab.vqmpt.dictionary import (
+    CrossAttentionLayer,
+    Dictionary,
+    Quantizer,
+    SelfAttentionLayer,
+)
 from cvqmpt_lab.vqmpt.point_encoder import PointCloudEncoder
 
 START_TOKEN = -1.0  # every entry of the vector that stands between the context and the first code
 MOST_PREFIXES = 40  # training samples taken of one sequence
 
 Scene = tuple[Tensor, Tensor]
-"""Scene tokens (s, m, d_model), padded to the scene with most of them, and which are no padding (s, m) bool."""
+"""Scene tokens (s, m, d_model), padded to the scene with most of them, and which are no padding (s,
+m) bool.
+"""
 
 
 class CrossAttentionContext(nn.Module):
@@ -48,7 +56,9 @@ class CrossAttentionContext(nn.Module):
         self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
 
     def forward(self, start_goal: Tensor, scene: Tensor, visible: Tensor | None = None) -> Tensor:
-        """Map start_goal (b, t, joint_dim), scene (b, m, d_model), visible (b, m) to M (b, t, d_model)."""
+        """Map start_goal (b, t, joint_dim), scene (b, m, d_model), visible (b, m) to M (b, t,
+        d_model).
+        """
         tokens = self.to_latent_embedding(start_goal)
         for layer in self.layer_stack:
             tokens = layer(tokens, scene, visible)
@@ -58,13 +68,17 @@ class CrossAttentionContext(nn.Module):
 class SceneContext(nn.Module):
     """Point cloud encoder and cross attention: the ``context_state`` of published checkpoints."""
 
-    def __init__(self, joint_dim: int, point_cloud: PointCloudConfig, sizes: TransformerConfig) -> None:
+    def __init__(
+        self, joint_dim: int, point_cloud: PointCloudConfig, sizes: TransformerConfig
+    ) -> None:
         super().__init__()
         self.env_encoder = PointCloudEncoder(point_cloud)
         self.context_encoder = CrossAttentionContext(joint_dim, sizes)
 
     def encode_scene(self, clouds: list[Tensor]) -> Scene:
-        """Tokens of clouds (n_i, 3) [m]; batch norm statistics are per cloud when clouds differ in size."""
+        """Tokens of clouds (n_i, 3) [m];
+        batch norm statistics are per cloud when clouds differ in size.
+        """
         if len({len(cloud) for cloud in clouds}) == 1:
             tokens = self.env_encoder(torch.stack(clouds)).features
             return tokens, tokens.new_ones(tokens.shape[:2], dtype=torch.bool)
@@ -85,7 +99,9 @@ class AutoRegressiveModel(nn.Module):
         self.class_pred = nn.Linear(sizes.d_model, n_classes)
 
     def forward(self, tokens: Tensor, read: Tensor, visible: Tensor | None = None) -> Tensor:
-        """Logits (b, n_classes) at token read (b,) of tokens (b, t, d_model); visible (b, t) hides padding."""
+        """Logits (b, n_classes) at token read (b,) of tokens (b, t, d_model);
+        visible (b, t) hides padding.
+        """
         *before, last = self.layer_stack
         for layer in before:
             tokens = layer(tokens, visible)
@@ -96,9 +112,10 @@ class AutoRegressiveModel(nn.Module):
 class PublishedSequenceModel(nn.Module):
     """Context and autoregressive model.
 
-    The sequence is [M_start, M_goal, S, c_1, ..., c_i], S a constant. Since tokens are not causal, each prefix is a
-    sample of its own, and prediction is read at its last token. Codes enter through the dictionary's
-    `Quantizer.lookup`, without gradient, and a linear layer where the dictionary has another width.
+    The sequence is [M_start, M_goal, S, c_1, ..., c_i], S a constant. Since tokens are not causal,
+    each prefix is a sample of its own, and prediction is read at its last token. Codes enter
+    through the dictionary's `Quantizer.lookup`, without gradient, and a linear layer where the
+    dictionary has another width.
     """
 
     def __init__(self, config: ModelConfig) -> None:
@@ -121,13 +138,17 @@ class PublishedSequenceModel(nn.Module):
         return self.encode_scene([torch.tensor(points)])
 
     def encode_context(self, scene: Scene, start: Tensor, goal: Tensor) -> Tensor:
-        """Context M (b, 2, d_model) of starts and goals (b, joint_dim), grouped by scene, equally many each."""
+        """Context M (b, 2, d_model) of starts and goals (b, joint_dim), grouped by scene, equally
+        many each.
+        """
         times, left = divmod(len(start), len(scene[0]))
         if left:
             raise InvalidInputError(
-                f"{len(start)} starts and goals for {len(scene[0])} scenes; give equally many for each"
+                f"{len(start)} starts and goals for {len(scene[0])} scenes; give equally many for "
+                f"each"
             )
-        ends = torch.stack((start, goal), 1).view(len(scene[0]), 2 * times, -1)  # which ignore each other
+        # which ignore each other
+        ends = torch.stack((start, goal), 1).view(len(scene[0]), 2 * times, -1)
         return self.context.context_encoder(ends, *scene).view(len(start), 2, -1)
 
     def prefix_logits(
@@ -135,7 +156,8 @@ class PublishedSequenceModel(nn.Module):
     ) -> Tensor:
         """Logits (b, n_classes) of what follows each prefix.
 
-        context: (b, 2, d_model), of `encode_context`. codes: (b, t) int64, padded with any valid code beyond
+        context: (b, 2, d_model), of `encode_context`. codes: (b, t) int64, padded with any valid
+            code beyond
         lengths: (b,), None for all t. quantizer: the dictionary's, frozen.
         """
         with torch.no_grad():
@@ -151,7 +173,11 @@ class PublishedSequenceModel(nn.Module):
 
     @torch.inference_mode()
     def decoder(
-        self, dictionary: Dictionary, scene: Scene, start: np.ndarray | Tensor, goal: np.ndarray | Tensor
+        self,
+        dictionary: Dictionary,
+        scene: Scene,
+        start: np.ndarray | Tensor,
+        goal: np.ndarray | Tensor,
     ) -> StepDecoder:
         """What beam search asks, for starts and goals (q, joint_dim), queries grouped by scene."""
         context = self.encode_context(scene, torch.as_tensor(start), torch.as_tensor(goal))
@@ -161,8 +187,11 @@ class PublishedSequenceModel(nn.Module):
 class _PrefixDecoder:
     """A `StepDecoder` that keeps the prefixes alone and runs the model on all of each."""
 
-    def __init__(self, model: PublishedSequenceModel, quantizer: Quantizer, context: Tensor) -> None:
-        self._model, self._quantizer, self._context = model, quantizer, context  # context (rows, 2, d_model)
+    def __init__(
+        self, model: PublishedSequenceModel, quantizer: Quantizer, context: Tensor
+    ) -> None:
+        # context (rows, 2, d_model)
+        self._model, self._quantizer, self._context = model, quantizer, context
         self._codes = torch.zeros(len(context), 0, dtype=torch.int64, device=context.device)
 
     def start(self) -> np.ndarray:
@@ -171,7 +200,9 @@ class _PrefixDecoder:
 
     def advance(self, parents: np.ndarray, codes: np.ndarray) -> np.ndarray:
         """Replace the rows; see `StepDecoder`."""
-        rows, added = (torch.from_numpy(given).to(self._context.device) for given in (parents, codes))
+        rows, added = (
+            torch.from_numpy(given).to(self._context.device) for given in (parents, codes)
+        )
         self._context = self._context[rows]
         self._codes = torch.cat((self._codes[rows], added[:, None]), dim=1)
         return self._logits()
@@ -183,7 +214,8 @@ class _PrefixDecoder:
 
 
 def prefix_lengths(count: int) -> Tensor:
-    """Lengths (p,) of the prefixes of `count` codes that are training samples; after the whole follows the goal token.
+    """Lengths (p,) of the prefixes of `count` codes that are training samples; after the whole
+    follows the goal token.
 
     Never more than 40 (published code): the first ones, of sequences of 80 and more every k-th.
     """

@@ -1,8 +1,9 @@
-"""Weights on disk, found by name or folder and read as plain arrays: all that planning needs of a trained model.
+"""Weights on disk, found by name or folder and read as plain arrays: all that planning needs of a
+trained model.
 
-A folder of weights holds ``config.json`` (architecture, sizes, the robot it was trained for, sha256 of each file,
-free metadata) and one safetensors file for each part of the model. It is written beside its place and moved there
-when it is complete.
+A folder of weights holds ``config.json`` (architecture, sizes, the robot it was trained for, sha256
+of each file, free metadata) and one safetensors file for each part of the model. It is written
+beside its place and moved there when it is complete.
 """
 
 import hashlib
@@ -29,9 +30,14 @@ FORMAT = "cvqmpt-model-1"
 CONFIG_FILE = "config.json"
 TRAINED_FOLDER = "model"  # where in its folder a training leaves its best weights
 VQ_MPT, MPNET = "vq-mpt", "mpnet"  # architectures
-CONFIGS: dict[str, type[ModelConfig] | type[MPNetConfig]] = {VQ_MPT: ModelConfig, MPNET: MPNetConfig}
+CONFIGS: dict[str, type[ModelConfig] | type[MPNetConfig]] = {
+    VQ_MPT: ModelConfig,
+    MPNET: MPNetConfig,
+}
 PARTS = {VQ_MPT: ("dictionary", "sequence_model", "transformer"), MPNET: ("mpnet",)}
-"""Files of each architecture. The first is always there; of VQ-MPT's others those that were trained."""
+"""Files of each architecture. The first is always there;
+of VQ-MPT's others those that were trained.
+"""
 TRANSFORMER = "transformer"
 TRAINED_BY = {
     TRANSFORMER: "train one: cvqmpt train transformer --data DIR --out DIR",
@@ -39,7 +45,9 @@ TRAINED_BY = {
 }
 WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
 SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
-"""Names and architectures of the weights that come with the package; the first of each is the default."""
+"""Names and architectures of the weights that come with the package;
+the first of each is the default.
+"""
 LIMIT_TOLERANCE = 1e-4  # joint limits that differ by less are the same robot's [rad or m]
 
 
@@ -49,7 +57,10 @@ class OtherRobotError(InvalidInputError):
 
 @dataclass(frozen=True)
 class RobotSignature:
-    """What weights remember of their robot. Where both digests are known, the robot's name does not count."""
+    """What weights remember of their robot.
+
+    Where both digests are known, the robot's name does not count.
+    """
 
     name: str
     lower: tuple[float, ...]  # (n,) joint limits, by which joints are normalised [rad or m]
@@ -59,8 +70,14 @@ class RobotSignature:
 
     def __post_init__(self) -> None:
         limits = len(self.lower)
-        if not limits or limits != len(self.upper) or not all(map(float.__lt__, self.lower, self.upper)):
-            raise InvalidInputError(f"lower {self.lower} and upper {self.upper} are no joint limits")
+        if (
+            not limits
+            or limits != len(self.upper)
+            or not all(map(float.__lt__, self.lower, self.upper))
+        ):
+            raise InvalidInputError(
+                f"lower {self.lower} and upper {self.upper} are no joint limits"
+            )
         if self.joints and len(self.joints) != limits:
             raise InvalidInputError(f"{len(self.joints)} names of joints, but {limits} limits")
 
@@ -71,7 +88,8 @@ class RobotSignature:
             name = "this one" if self.name == other.name else repr(other.name)
             raise OtherRobotError(
                 f"weights are for robot {self.name!r}, not {name}: {'; '.join(differences)}; "
-                f"choose weights trained for it, or train some: cvqmpt data generate --robot {other.name} --out "
+                f"choose weights trained for it, or train some: cvqmpt data generate --robot "
+                f"{other.name} --out "
                 "DATA, then cvqmpt train stage1 --data DATA --out DIR"
             )
 
@@ -86,7 +104,9 @@ class RobotSignature:
         limits = [
             f"{side} limit of joint {joint} {our:g}, not {their:g}"
             for side in ("lower", "upper")
-            for joint, (our, their) in enumerate(zip(getattr(self, side), getattr(other, side), strict=True))
+            for joint, (our, their) in enumerate(
+                zip(getattr(self, side), getattr(other, side), strict=True)
+            )
             if not abs(our - their) <= LIMIT_TOLERANCE
         ]
         if limits:
@@ -95,7 +115,10 @@ class RobotSignature:
             return [] if self.name == other.name else ["another name, and no digest to compare"]
         if self.kinematics == other.kinematics:
             return []
-        return [f"joints placed otherwise (kinematics {self.kinematics[:8]}, not {other.kinematics[:8]})"]
+        return [
+            f"joints placed otherwise (kinematics {self.kinematics[:8]}, not "
+            f"{other.kinematics[:8]})"
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +135,8 @@ class StoredModel:
         limits, joints = len(self.robot.lower), self.config.joint_dim
         if limits != joints:
             raise InvalidInputError(
-                f"robot {self.robot.name!r} has limits of {limits} joints, the model {joints} joints"
+                f"robot {self.robot.name!r} has limits of {limits} joints, the model {joints} "
+                f"joints"
             )
 
     def require_part(self, part: str) -> None:
@@ -122,7 +146,9 @@ class StoredModel:
             raise InvalidInputError(f"the model has no {part}, only {', '.join(self.parts)}{cure}")
 
     def array(self, part: str, name: str, *shape: int) -> np.ndarray:
-        """An array of a part, which must have this shape, in float64; InvalidInputError when it does not fit."""
+        """An array of a part, which must have this shape, in float64;
+        InvalidInputError when it does not fit.
+        """
         self.require_part(part)
         array = self.parts[part].get(name)
         if array is None:
@@ -137,8 +163,12 @@ class StoredModel:
             return array.astype(np.float64)
         raise InvalidInputError(f"{part} does not fit its configuration: {name} {fault}")
 
-    def linear(self, part: str, name: str, inputs: int, outputs: int) -> tuple[np.ndarray, np.ndarray]:
-        """Weight (outputs, inputs) and bias (outputs,) of a linear layer, in float64; errors as of `array`."""
+    def linear(
+        self, part: str, name: str, inputs: int, outputs: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Weight (outputs, inputs) and bias (outputs,) of a linear layer, in float64;
+        errors as of `array`.
+        """
         weight = self.array(part, f"{name}.weight", outputs, inputs)
         return weight, self.array(part, f"{name}.bias", outputs)
 
@@ -146,7 +176,8 @@ class StoredModel:
 def write_model(folder: Path, model: StoredModel) -> None:
     """Write a folder of weights, replacing an earlier one at once or not at all.
 
-    Raises InvalidInputError for weights that are not finite, or when the disk refuses; nothing is left behind.
+    Raises InvalidInputError for weights that are not finite, or when the disk refuses; nothing is
+    left behind.
     """
     folder = Path(folder)
     beside = folder.parent / f".{folder.name}.partial-{os.getpid()}"
@@ -158,14 +189,17 @@ def write_model(folder: Path, model: StoredModel) -> None:
             "architecture": model.architecture,
             "model": to_plain(model.config, complete=True),
             "robot": to_plain(model.robot),
-            "sha256": {name: _write_part(beside, name, arrays) for name, arrays in model.parts.items()},
+            "sha256": {
+                name: _write_part(beside, name, arrays) for name, arrays in model.parts.items()
+            },
             "metadata": dict(model.metadata),
         }
         write_bytes(beside / CONFIG_FILE, (json.dumps(description, indent=2) + "\n").encode())
         _move_into_place(beside, folder)
     except OSError as error:
         raise InvalidInputError(
-            f"cannot write weights to {folder}: {error.strerror}; free some space or choose another folder"
+            f"cannot write weights to {folder}: {error.strerror}; free some space or choose "
+            f"another folder"
         ) from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
@@ -176,7 +210,9 @@ def _write_part(folder: Path, name: str, arrays: Mapping[str, np.ndarray]) -> st
     for key, array in arrays.items():
         if not np.isfinite(array).all():
             raise InvalidInputError(f"cannot write {name}: {key} has NaN or infinite values")
-    data = safetensors.numpy.save({key: np.asarray(array, order="C") for key, array in arrays.items()})
+    data = safetensors.numpy.save(
+        {key: np.asarray(array, order="C") for key, array in arrays.items()}
+    )
     write_bytes(folder / f"{name}.safetensors", data)
     return hashlib.sha256(data).hexdigest()
 
@@ -209,10 +245,11 @@ def recover_weights(folder: Path) -> None:
 def read_description(
     folder: Path, architecture: str | None = None, robot: RobotSignature | None = None
 ) -> dict[str, Any]:
-    """Read ``config.json``: its fields as `write_model` writes them, the robot as a `RobotSignature`.
+    """Read ``config.json``: its fields as `write_model` writes them, the robot as a
+    `RobotSignature`.
 
-    Raises InvalidInputError when it is missing or malformed, or describes another architecture than is given;
-    OtherRobotError when the weights belong to another robot than is given.
+    Raises InvalidInputError when it is missing or malformed, or describes another architecture than
+    is given; OtherRobotError when the weights belong to another robot than is given.
     """
     path = Path(folder) / CONFIG_FILE
     data = read_json_object(require_regular_file(path, "weights"), "weights")
@@ -234,11 +271,13 @@ def read_model(
     architecture: str | None = None,
     left_out: str = "",
 ) -> StoredModel:
-    """Read a folder of weights; `robot` and `architecture` as in `read_description`, and its errors.
+    """Read a folder of weights; `robot` and `architecture` as in `read_description`, and its
+    errors.
 
     left_out: a part that is not read.
 
-    Raises InvalidInputError also for a file that is missing or damaged (sha256), or a wrong field of the sizes.
+    Raises InvalidInputError also for a file that is missing or damaged (sha256), or a wrong field
+    of the sizes.
     """
     description = read_description(folder, architecture, robot)
     of, listed = description["architecture"], description["sha256"]
@@ -255,29 +294,40 @@ def _read_part(folder: Path, sha256: Mapping[str, str], name: str) -> dict[str, 
     path, expected = Path(folder) / f"{name}.safetensors", sha256.get(name)
     if expected is None:
         listed = ", ".join(sha256) or "nothing"
-        raise InvalidInputError(f"{Path(folder) / CONFIG_FILE}: sha256 lists {listed}; it must list {name}")
+        raise InvalidInputError(
+            f"{Path(folder) / CONFIG_FILE}: sha256 lists {listed}; it must list {name}"
+        )
     data = read_bytes(require_regular_file(path, "weights"), "weights")
     found = hashlib.sha256(data).hexdigest()
     if found != expected:
         raise InvalidInputError(
-            f"{path} is damaged: sha256 {found[:12]}..., {CONFIG_FILE} says {str(expected)[:12]}...; fetch it again"
+            f"{path} is damaged: sha256 {found[:12]}..., {CONFIG_FILE} says "
+            f"{str(expected)[:12]}...; fetch it again"
         )
     try:
         return safetensors.numpy.load(data)
     except (SafetensorError, KeyError) as error:  # a key: a kind of number that numpy has not
-        raise InvalidInputError(f"{path} is not a safetensors file that can be used: {error}") from error
+        raise InvalidInputError(
+            f"{path} is not a safetensors file that can be used: {error}"
+        ) from error
 
 
 def weights_digest(folder: Path) -> str:
-    """One sha256 for a whole model: of its ``config.json`` and of every file of tensors, with their names."""
+    """One sha256 for a whole model:
+    of its ``config.json`` and of every file of tensors, with their names.
+    """
     digest = hashlib.sha256()
     for path in (Path(folder) / CONFIG_FILE, *sorted(Path(folder).glob("*.safetensors"))):
-        digest.update(f"{path.name} {hashlib.sha256(read_bytes(path, 'weights')).hexdigest()}\n".encode())
+        digest.update(
+            f"{path.name} {hashlib.sha256(read_bytes(path, 'weights')).hexdigest()}\n".encode()
+        )
     return digest.hexdigest()
 
 
 def checkpoint_folder(folder: Path) -> Path | None:
-    """A folder of weights: this one, or the ``model`` that a training left in it; None when it is neither."""
+    """A folder of weights: this one, or the ``model`` that a training left in it;
+    None when it is neither.
+    """
     for candidate in (Path(folder), Path(folder) / TRAINED_FOLDER):
         if (candidate / CONFIG_FILE).is_file():
             return candidate
@@ -285,20 +335,23 @@ def checkpoint_folder(folder: Path) -> Path | None:
 
 
 def resolve_model(
-    model: str | Path | None = None, architecture: str | None = None, robot: RobotSignature | None = None
+    model: str | Path | None = None,
+    architecture: str | None = None,
+    robot: RobotSignature | None = None,
 ) -> Path:
     """Folder of a model's weights.
 
-    model: a name of `SHIPPED`, a folder of weights or of a training; None for the shipped weights. architecture, robot:
-    what the weights must be, and of which robot; None for any. Raises InvalidInputError when there is no such model,
-    and the errors of `read_description`.
+    model: a name of `SHIPPED`, a folder of weights or of a training; None for the shipped weights.
+        architecture, robot: what the weights must be, and of which robot; None for any. Raises
+        InvalidInputError when there is no such model, and the errors of `read_description`.
     """
     names = [name for name, of in SHIPPED.items() if architecture in (None, of)]
     name = names[0] if model is None else str(model)
     folder = checkpoint_folder(WEIGHTS / name if name in SHIPPED else Path(name))
     if folder is None:
         raise InvalidInputError(
-            f"no weights in {model or WEIGHTS / name}; give one of {', '.join(names)}, or the folder of a model "
+            f"no weights in {model or WEIGHTS / name}; give one of {', '.join(names)}, or the "
+            f"folder of a model "
             "that you trained (cvqmpt train) or imported (cvqmpt model import)"
         )
     read_description(folder, architecture, robot)
@@ -311,7 +364,9 @@ def _signature(model: str, kind: str) -> RobotSignature:
 
 
 def incompatibility(model: str, kind: str, robot: RobotSignature) -> str:
-    """Why the weights of a model (see `resolve_model`) cannot serve a robot, or ""; kind: a name of `SHIPPED`."""
+    """Why the weights of a model (see `resolve_model`) cannot serve a robot, or ""; kind:
+    a name of `SHIPPED`.
+    """
     try:
         _signature(model, kind).require_same(robot)
     except OtherRobotError as error:

@@ -24,7 +24,9 @@ class Measurement(NamedTuple):
 
 
 class Figure(NamedTuple):
-    """A measured quantity: of calls the median and the extremes, of numbers the median and 5th to 95th percentile."""
+    """A measured quantity:
+    of calls the median and the extremes, of numbers the median and 5th to 95th percentile.
+    """
 
     name: str
     median: float
@@ -34,10 +36,16 @@ class Figure(NamedTuple):
 
 
 def measured(one: Measurement) -> Figure:
-    """Time a call REPEATS times after a first one, or sum up numbers; without any the figure is nan."""
+    """Time a call REPEATS times after a first one, or sum up numbers;
+    without any the figure is nan.
+    """
     if not callable(one.what):
         numbers = np.asarray(one.what, dtype=float)
-        low, median, high = np.quantile(numbers, (0.05, 0.5, 0.95), method="nearest") if len(numbers) else [np.nan] * 3
+        low, median, high = (
+            np.quantile(numbers, (0.05, 0.5, 0.95), method="nearest")
+            if len(numbers)
+            else [np.nan] * 3
+        )
         return Figure(one.name, float(median), float(low), float(high), one.unit)
     one.what()
     seconds = []
@@ -46,7 +54,13 @@ def measured(one: Measurement) -> Figure:
         one.what()
         seconds.append(time.perf_counter() - began)
     scale = IN_A_SECOND[one.unit] / one.per
-    return Figure(one.name, scale * float(np.median(seconds)), scale * min(seconds), scale * max(seconds), one.unit)
+    return Figure(
+        one.name,
+        scale * float(np.median(seconds)),
+        scale * min(seconds),
+        scale * max(seconds),
+        one.unit,
+    )
 
 
 class CpuTimes:

@@ -1,4 +1,6 @@
-"""What a state check costs in the paper's simulator, PyBullet: the distances of all pairs of pieces."""
+"""What a state check costs in the paper's simulator, PyBullet:
+the distances of all pairs of pieces.
+"""
 
 import importlib.util
 from collections.abc import Iterator, Sequence
@@ -22,14 +24,17 @@ EVERYTHING = 10.0  # [m] no pair is further apart, so that getClosestPoints meas
 
 
 def bench_paper_check(problem: PlanningProblem) -> Iterator[Measurement]:
-    """Processor time of all distances of a robot, to itself and to the kitchen, as the published code asks for them.
+    """Processor time of all distances of a robot, to itself and to the kitchen, as the published
+    code asks for them.
 
-    A link is the convex hull of its meshes, an obstacle a box or cylinder. Placing the links is part of a check,
-    computing where they are is not. InvalidInputError without the extra `pybullet`.
+    A link is the convex hull of its meshes, an obstacle a box or cylinder. Placing the links is
+    part of a check, computing where they are is not. InvalidInputError without the extra
+    `pybullet`.
     """
     if importlib.util.find_spec("pybullet") is None:
         raise InvalidInputError(
-            f"bench paper-check needs PyBullet, which is not installed: {install_command('pybullet')}"
+            f"bench paper-check needs PyBullet, which is not installed: "
+            f"{install_command('pybullet')}"
         )
     import pybullet as bullet
 
@@ -53,8 +58,14 @@ def bench_paper_check(problem: PlanningProblem) -> Iterator[Measurement]:
 
         for q in problem.robot.random_configurations(np.random.default_rng(0), STATES):
             rotation, translation = link_poses(problem.robot.kinematics, q[None])
-            placed = [_placement(rotation[0, row], translation[0, row]) for row, _ in links.values()]
-            clock(f"PyBullet: a state check, these and {len(bodies) * count} to the kitchen", check, placed)
+            placed = [
+                _placement(rotation[0, row], translation[0, row]) for row, _ in links.values()
+            ]
+            clock(
+                f"PyBullet: a state check, these and {len(bodies) * count} to the kitchen",
+                check,
+                placed,
+            )
         yield from clock.measurements()
     finally:
         bullet.disconnect(client)
@@ -64,7 +75,9 @@ def _links(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
     """Pose row and corners (n, 3) [m, in its frame] of every link with collision geometry, by name."""
     found: dict[str, tuple[int, list[np.ndarray]]] = {}
     for piece in robot.links:
-        found.setdefault(piece.name.rpartition("_")[0], (piece.link, []))[1].append(piece.vertices_in_link)
+        found.setdefault(piece.name.rpartition("_")[0], (piece.link, []))[1].append(
+            piece.vertices_in_link
+        )
     return {name: (row, np.concatenate(corners)) for name, (row, corners) in found.items()}
 
 

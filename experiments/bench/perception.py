@@ -1,4 +1,6 @@
-"""What seeing costs and how well it is done: edge validity, scans, the pose of a camera from the arm in its picture."""
+"""What seeing costs and how well it is done:
+edge validity, scans, the pose of a camera from the arm in its picture.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -34,7 +36,13 @@ from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.plane import CAMERA_TILT, CAMERA_UP, supporting_plane
 from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
-from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, camera_cloud, solids_of, views_of
+from cvqmpt_lab.sensing.virtual import (
+    CameraSettings,
+    arm_objects,
+    camera_cloud,
+    solids_of,
+    views_of,
+)
 from cvqmpt_lab.vqmpt.edge_model import EdgeModel
 from cvqmpt_lab.vqmpt.stages import POINTS, dictionary_roadmap
 from experiments.bench.measurement import CpuTimes, Measurement
@@ -45,7 +53,10 @@ AROUND = CameraSettings.like_training(POINTS)
 TWO_NOISY = replace(
     AROUND,
     cameras=cameras_on_sphere(
-        Intrinsics.from_fov(vertical_fov=70.0, near=0.1), (45.0, -135.0), (40.0,), centre=BallCrop().centre
+        Intrinsics.from_fov(vertical_fov=70.0, near=0.1),
+        (45.0, -135.0),
+        (40.0,),
+        centre=BallCrop().centre,
     ),
     noise=0.0,
     errors=DepthNoise(),
@@ -69,8 +80,8 @@ JOINT_ERROR = 0.3  # [rad] of one joint in a wrong configuration
 
 
 def bench_edge_model(scenes: int) -> Iterator[Measurement]:
-    """How well the edge validity model separates the Panda's free from blocked motions, by family and camera: area
-    under the curve and calibration error, as medians over scenes.
+    """How well the edge validity model separates the Panda's free from blocked motions, by family
+    and camera: area under the curve and calibration error, as medians over scenes.
     """
     robot = panda()
     edges = EdgeModel(robot)
@@ -80,13 +91,17 @@ def bench_edge_model(scenes: int) -> Iterator[Measurement]:
     numbers = range(FIRST_SCENE, FIRST_SCENE + scenes)
     for family in (*FAMILIES, KITCHEN):
         seen: dict[str, list[tuple[float, float]]] = {name: [] for name in (*CAMERAS, OTHER)}
-        for scene in [kitchen()] if family == KITCHEN else [family_scene(family, k) for k in numbers]:
+        for scene in (
+            [kitchen()] if family == KITCHEN else [family_scene(family, k) for k in numbers]
+        ):
             space = unconstrained_space(robot, scene)
             checked = verdicts(space, graph.nodes, graph.edges, graph.edge_possible)
             if checked is None or not checked[1].any():
                 continue
             free, rng = checked[1][graph.edge_possible], np.random.default_rng(0)
-            clouds = {name: camera_cloud(scene, settings, rng) for name, settings in CAMERAS.items()}
+            clouds = {
+                name: camera_cloud(scene, settings, rng) for name, settings in CAMERAS.items()
+            }
             for name, cloud in {**clouds, OTHER: other}.items():
                 odds = edges.log_odds(cloud, motions)[1]
                 seen[name].append((area(odds, free), calibration_error(odds, free)))
@@ -94,16 +109,26 @@ def bench_edge_model(scenes: int) -> Iterator[Measurement]:
             columns = np.array(found).reshape(-1, 2).T
             for what, column in zip(("AUC", "calibration error"), columns, strict=True):
                 yield Measurement(f"{family}, {name}: {what}", "", column)
-    yield Measurement("P(free) of a motion", "us", lambda: edges.log_odds(other, motions), len(motions))
-    yield Measurement("distance field of a cloud", "ms", lambda: edges.arrays(other, use_cache=False))
+    yield Measurement(
+        "P(free) of a motion", "us", lambda: edges.log_odds(other, motions), len(motions)
+    )
+    yield Measurement(
+        "distance field of a cloud", "ms", lambda: edges.arrays(other, use_cache=False)
+    )
 
 
 def bench_scan() -> Iterator[Measurement]:
-    """What lies between a camera and a plan: a million points from a file; a depth image of a bench with an arm."""
+    """What lies between a camera and a plan: a million points from a file;
+    a depth image of a bench with an arm.
+    """
     robot, rng = panda(), np.random.default_rng(0)
     points = rng.uniform(-1.2, 1.2, (1_000_000, 3))  # a room-size wave, half of it outside the crop
     points[:, 2] = 0.3 * np.sin(3.0 * points[:, 0])
-    cropped, all_points, arm = ScanSettings(crop=BoxCrop(), neighbours=0), ScanSettings(), Arm(robot, START)
+    cropped, all_points, arm = (
+        ScanSettings(crop=BoxCrop(), neighbours=0),
+        ScanSettings(),
+        Arm(robot, START),
+    )
     with TemporaryDirectory() as name:
         million = Path(name) / "million.pcd"
         write_cloud(million, points)
@@ -116,14 +141,20 @@ def bench_scan() -> Iterator[Measurement]:
             scene = scan([read_capture(*files)], all_points, rng, arm).scene()
             refuse_touching(scene, arm)
             tilt = (upright(0.1, "-z"),)
-            problem = PlanningProblem("scan", robot, scene, start=START, goals=GOAL[None], constraint=tilt)
+            problem = PlanningProblem(
+                "scan", robot, scene, start=START, goals=GOAL[None], constraint=tilt
+            )
             solution = solve(problem, "birrt", Budget(seconds=10.0), seed=0)
             assert solution.solved, solution.plan.status
 
         for what, call in {
-            "10^6 points of a PCD: load, crop, 1 cm voxels": lambda: scan([read_capture(million)], cropped, rng),
+            "10^6 points of a PCD: load, crop, 1 cm voxels": lambda: scan(
+                [read_capture(million)], cropped, rng
+            ),
             "depth image 640 x 576: read, points": lambda: read_capture(*files),
-            "supporting plane of it": lambda: supporting_plane(capture.points, CAMERA_UP, CAMERA_TILT, rng),
+            "supporting plane of it": lambda: supporting_plane(
+                capture.points, CAMERA_UP, CAMERA_TILT, rng
+            ),
             "points on the arm": lambda: near_robot(seen, robot, START, 0.05),
             "points without neighbours": lambda: outliers(seen, 0.03, 2),
             "map of 2 cm": lambda: scan([capture], ScanSettings(neighbours=0), rng).scene(),
@@ -149,7 +180,9 @@ def arm_scan(robot: Robot, seed: int) -> ArmScan:
         azimuth, away = rng.uniform(-np.pi, np.pi), rng.uniform(0.35, 0.9)
         wide, deep, tall = rng.uniform((0.05, 0.05, 0.08), (0.2, 0.2, 0.4)).tolist()
         place = (away * np.cos(azimuth), away * np.sin(azimuth), 0.5 * tall)
-        objects.append(SceneObject(f"box{k}", Box((wide, deep, tall)), pose(place, rng.uniform(0.0, 3.0))))
+        objects.append(
+            SceneObject(f"box{k}", Box((wide, deep, tall)), pose(place, rng.uniform(0.0, 3.0)))
+        )
     checker = CollisionChecker(robot, Scene("boxes", tuple(objects)))
     q = robot.random_configurations(rng, 1)[0]
     while checker.in_collision(q) or robot.pose(q)[2, 3] < 0.1:
@@ -180,9 +213,14 @@ def pose_error(scan: ArmScan, found: Calibration) -> tuple[float, float]:
 
 
 def bench_calibration(robot: Robot, scans: int) -> Iterator[Measurement]:
-    """Calibrate from scans, with the right configuration and with ones that are not, which should be refused."""
+    """Calibrate from scans, with the right configuration and with ones that are not, which should
+    be refused.
+    """
     clock, errors, trusted = CpuTimes(), [], []
-    refused: dict[str, list[bool]] = {"another configuration": [], f"one joint {JOINT_ERROR:g} rad off": []}
+    refused: dict[str, list[bool]] = {
+        "another configuration": [],
+        f"one joint {JOINT_ERROR:g} rad off": [],
+    }
     for seed in range(scans):
         one, rng = arm_scan(robot, seed), np.random.default_rng(seed)
         found = clock("time", calibrate, one.points, one.T_world_guess, one.arm, rng)

@@ -47,16 +47,23 @@ def bench_planners(problems: int) -> Iterator[Measurement]:
     cases = _posed(problems)
     for name in PLANNERS:
         runs = [  # the first one only loads code
-            solve(problem, name, Budget(seconds=10.0), seed=0, clearance=False) for problem in (cases[0], *cases)
+            solve(problem, name, Budget(seconds=10.0), seed=0, clearance=False)
+            for problem in (cases[0], *cases)
         ][1:]
         solved = [run.plan.status is PlanStatus.SOLVED for run in runs]
-        times = [1e3 * run.plan.seconds if ok else np.inf for run, ok in zip(runs, solved, strict=True)]
+        times = [
+            1e3 * run.plan.seconds if ok else np.inf for run, ok in zip(runs, solved, strict=True)
+        ]
         shorter = [run.simplified for run in runs if run.simplified is not None]
         raw = [run.plan.path.length for run in runs if run.plan.path is not None]
         yield Measurement(f"{name}: plan", "ms", times)
         yield Measurement(f"{name}: simplify", "ms", [1e3 * one.seconds for one in shorter])
-        yield Measurement(f"{name}: projections", "", [run.plan.counters.projections for run in runs])
-        yield Measurement(f"{name}: state checks", "", [run.plan.counters.state_checks for run in runs])
+        yield Measurement(
+            f"{name}: projections", "", [run.plan.counters.projections for run in runs]
+        )
+        yield Measurement(
+            f"{name}: state checks", "", [run.plan.counters.state_checks for run in runs]
+        )
         yield Measurement(f"{name}: raw length", "rad", raw)
         yield Measurement(f"{name}: final length", "rad", [one.path.length for one in shorter])
         yield Measurement(f"{name}: solved of {len(runs)}", "", [sum(solved)])
@@ -82,7 +89,8 @@ def bench_stages(problems: int) -> Iterator[Measurement]:
 
 
 def bench_growth() -> Iterator[Measurement]:
-    """Tree growth against the number of nodes, by iteration and by projection, of which dense trees need more.
+    """Tree growth against the number of nodes, by iteration and by projection, of which dense trees
+    need more.
 
     Connections are ignored, so that trees go on growing.
     """
@@ -109,11 +117,19 @@ def bench_growth() -> Iterator[Measurement]:
 
 
 def bench_networks(problems: int) -> Iterator[Measurement]:
-    """Edge costs of a new cloud, prediction of sequences to all goals in a known one, update of their codes."""
-    method, rng, clock = planner_named("cvq:graph+algorithm-2"), np.random.default_rng(0), CpuTimes()
+    """Edge costs of a new cloud, prediction of sequences to all goals in a known one, update of
+    their codes.
+    """
+    method, rng, clock = (
+        planner_named("cvq:graph+algorithm-2"),
+        np.random.default_rng(0),
+        CpuTimes(),
+    )
     for problem in _posed(problems):
         stages, space = method.stages(problem), ConstrainedSpace(problem)
-        assert stages.observe is not None and stages.update is not None and method.weights is not None
+        assert (
+            stages.observe is not None and stages.update is not None and method.weights is not None
+        )
         cloud = stages.observe(problem.scene)
         seen = code_roadmap(method.weights, problem.robot, problem.attachments)
 
@@ -124,7 +140,9 @@ def bench_networks(problems: int) -> Iterator[Measurement]:
         for _ in range(REPEATS):
             clock(f"distance field and edge costs, {len(cloud)} points", observe)
             query = Query.of(space, Budget(seconds=60.0), rng)
-            proposal = clock("prediction of sequences to all goals", stages.predict, query, Observation(cloud))
+            proposal = clock(
+                "prediction of sequences to all goals", stages.predict, query, Observation(cloud)
+            )
             clock(f"latent update, {STEPS} steps", stages.update, query, proposal)
     yield from clock.measurements()
 
@@ -132,20 +150,25 @@ def bench_networks(problems: int) -> Iterator[Measurement]:
 def bench_throughput(problems: int) -> Iterator[Measurement]:
     """Certified problems a second, by one process and by two at once.
 
-    From a tuning problem and its rendered cloud to a certified path. Robots, weights and machine code are loaded
-    before; distance fields and checkers are made on the way. The processor's time does not depend on other processes.
+    From a tuning problem and its rendered cloud to a certified path. Robots, weights and machine
+    code are loaded before; distance fields and checkers are made on the way. The processor's time
+    does not depend on other processes.
     """
     environments = list(TUNING_ENVIRONMENTS)[:problems]
     for name in ("birrt", "roadmap-cvq", "opt-cvq-mpt"):
         for count in range(1, 1 + min(2, len(environments))):
             parts = [environments[first::count] for first in range(count)]
             with local_processes(count) as executor:
-                shares = [share for _, share in executor.results(partial(_solved_in_worker, name), parts)]
+                shares = [
+                    share for _, share in executor.results(partial(_solved_in_worker, name), parts)
+                ]
             certified, wall, cpu = (np.array(column) for column in zip(*shares, strict=True))
             label = f"{name}, {count} worker{'s' * (count > 1)}"
             yield Measurement(f"{label}: certified", f"of {len(environments)}", [certified.sum()])
             yield Measurement(f"{label}: rate", "a second", [certified.sum() / wall.max()])
-            yield Measurement(f"{label}: processor time", "ms each", [1e3 * cpu.sum() / len(environments)])
+            yield Measurement(
+                f"{label}: processor time", "ms each", [1e3 * cpu.sum() / len(environments)]
+            )
 
 
 def _solved_in_worker(name: str, environments: list[int]) -> tuple[int, float, float]:
@@ -161,7 +184,11 @@ def _solved_in_worker(name: str, environments: list[int]) -> tuple[int, float, f
     warm_up(problems[0], method, "compiled")
     wall, cpu = time.perf_counter(), time.process_time()
     solutions = solve_many(problems, method, ENOUGH)
-    return sum(one.solved for one in solutions), time.perf_counter() - wall, time.process_time() - cpu
+    return (
+        sum(one.solved for one in solutions),
+        time.perf_counter() - wall,
+        time.process_time() - cpu,
+    )
 
 
 def bench_meshes() -> Iterator[Measurement]:
@@ -169,19 +196,28 @@ def bench_meshes() -> Iterator[Measurement]:
     ball = trimesh.creation.icosphere(5)
     wavy = np.array(ball.triangles)
     wavy[:, :, 0] *= 1.0 + 0.5 * np.cos(9.0 * wavy[:, :, 1])
-    torus = np.array(trimesh.creation.torus(0.5, 0.2, major_sections=128, minor_sections=64).triangles)
+    torus = np.array(
+        trimesh.creation.torus(0.5, 0.2, major_sections=128, minor_sections=64).triangles
+    )
     open_ball = wavy[ball.triangles_center[:, 2] < 0.9]
     for name, triangles in (("torus", torus), ("closed ball", wavy), ("open ball", open_ball)):
-        label = f"{name} of {len(triangles)} faces into {len(convex_pieces(triangles))} convex pieces"
+        label = (
+            f"{name} of {len(triangles)} faces into {len(convex_pieces(triangles))} convex pieces"
+        )
         yield Measurement(label, "s", partial(convex_pieces, triangles))
 
 
 def bench_unconstrained(problems: int) -> Iterator[Measurement]:
-    """Free paths among random cubes and spheres: the first one, the shortened one, and how far from the best."""
+    """Free paths among random cubes and spheres:
+    the first one, the shortened one, and how far from the best.
+    """
     first, total, above_same, above_best = [], [], [], []
     for index, problem in enumerate((next(_random_problems(1)), *_random_problems(problems))):
         space, rng = ConstrainedSpace(problem), np.random.default_rng(index)
-        ends, uniform = (problem.start, problem.goals), Uniform(problem.robot.lower, problem.robot.upper)
+        ends, uniform = (
+            (problem.start, problem.goals),
+            Uniform(problem.robot.lower, problem.robot.upper),
+        )
         plan = BiRRT().search(space, *ends, uniform, Budget(seconds=2.0), rng)
         if plan.path is None or index == 0:  # the first one only loads code
             continue
@@ -200,8 +236,12 @@ def bench_unconstrained(problems: int) -> Iterator[Measurement]:
         above_best.append(100.0 * (shorter.path.length / best - 1.0))
     yield Measurement("random scenes: first path", "ms", first)
     yield Measurement("random scenes: shortened path", "ms", total)
-    yield Measurement(f"random scenes: above the same path shortened for {LONG_RUN:g} s", "%", above_same)
-    yield Measurement(f"random scenes: above the best of {LONG_RUN:g} s of restarts", "%", above_best)
+    yield Measurement(
+        f"random scenes: above the same path shortened for {LONG_RUN:g} s", "%", above_same
+    )
+    yield Measurement(
+        f"random scenes: above the best of {LONG_RUN:g} s of restarts", "%", above_best
+    )
     yield Measurement(f"random scenes: solved of {problems}", "", [len(first)])
 
 
@@ -213,7 +253,10 @@ def _random_problems(count: int) -> Iterator[PlanningProblem]:
         rng = np.random.default_rng(number)
         checker = CollisionChecker(robot, scene, margin=0.001)
         states = [q for q in robot.random_configurations(rng, 64) if not checker.in_collision(q)]
-        if len(states) < 2 or not checker.in_collision_batch(np.linspace(states[0], states[1], 64)).any():
+        if (
+            len(states) < 2
+            or not checker.in_collision_batch(np.linspace(states[0], states[1], 64)).any()
+        ):
             continue
         count -= 1
         yield PlanningProblem(f"random {number}", robot, scene, states[0], states[1][None])

@@ -17,17 +17,28 @@ BEAMS, REPEATS = 3, 5
 
 
 def bench_transformer(scenes: int, model: str | None) -> Iterator[Measurement]:
-    """Processor time of one thread, in scenes of all families in turn; model: name or folder of weights."""
+    """Processor time of one thread, in scenes of all families in turn; model:
+    name or folder of weights.
+    """
     robot = panda()
     predictor, clock = SceneTransformerPredictor(load_vq_mpt(robot, model), robot), CpuTimes()
     for number in range(scenes):
         rng = np.random.default_rng(number)
-        cloud = observer()(family_scene(list(FAMILIES)[number % len(FAMILIES)], FIRST_SCENE + number))
+        cloud = observer()(
+            family_scene(list(FAMILIES)[number % len(FAMILIES)], FIRST_SCENE + number)
+        )
         start, *goals = robot.random_configurations(rng, 1 + max(GOALS))
         for _ in range(REPEATS):
             scene = clock(f"a new cloud of {POINTS} points", predictor.encode, cloud, False)
             for count in GOALS:
                 some, name = np.array(goals[:count]), f"to {count} goals"
-                clock(f"sequences {name}, {BEAMS} beams", predictor.sequences, scene, start, some, BEAMS)
+                clock(
+                    f"sequences {name}, {BEAMS} beams",
+                    predictor.sequences,
+                    scene,
+                    start,
+                    some,
+                    BEAMS,
+                )
                 clock(f"ranking {name}", predictor.rank, scene, start, some)
     yield from clock.measurements()

@@ -1,7 +1,9 @@
-"""How well a sequence model sees: cross entropies, areas under curves, and how many of its sequences are free.
+"""How well a sequence model sees: cross entropies, areas under curves, and how many of its
+sequences are free.
 
-In scenes that no training has seen: of all families, and the kitchen of the tasks. Their labels are made as those of
-training (`labels.roadmap_labels`): nodes and edges by the exact checker, paths by Dijkstra's algorithm.
+In scenes that no training has seen: of all families, and the kitchen of the tasks. Their labels are
+made as those of training (`labels.roadmap_labels`): nodes and edges by the exact checker, paths by
+Dijkstra's algorithm.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -55,8 +57,10 @@ SHARES = (
     f"one of {BEAMS} sequences in the beams",
 )
 Query = tuple[Scene, np.ndarray, np.ndarray]  # scene, start (n,), goals (k, n) [rad]
-Hypotheses = list[tuple[np.ndarray, list[CodeSequence]]]  # goals (n,), and sequences to each, likeliest first
-Predicts = Callable[[np.ndarray, np.ndarray, np.ndarray], Hypotheses]  # from a cloud, a start and goals
+# goals (n,), and sequences to each, likeliest first
+Hypotheses = list[tuple[np.ndarray, list[CodeSequence]]]
+# from a cloud, a start and goals
+Predicts = Callable[[np.ndarray, np.ndarray, np.ndarray], Hypotheses]
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,9 @@ class KitchenRecipe(RoadmapRecipe):
 
 
 def bench_sequences(scenes: int, model: str | None) -> Iterator[Measurement]:
-    """Of a model (name or folder), in so many scenes of families, and as many problems in the kitchen."""
+    """Of a model (name or folder), in so many scenes of families, and as many problems in the
+    kitchen.
+    """
     robot, folder = panda(), resolve_model(model, VQ_MPT)
     stored = load_vq_mpt(robot, folder)
     require_torch("bench sequences")
@@ -108,16 +114,30 @@ def _family_queries(labels: RoadmapDataset) -> list[Query]:
         scene = family_scene(labels.families[scenes.family[row]], int(scenes.seed[row]))
         paths = np.flatnonzero(labels.path_scene == row)
         chosen = rng.choice(paths, min(QUERIES, len(paths)), replace=False)
-        queries += [(scene, start, goal[None]) for start, goal in labels.configurations(chosen).astype(float)]
+        queries += [
+            (scene, start, goal[None])
+            for start, goal in labels.configurations(chosen).astype(float)
+        ]
     return queries
 
 
-def _free(predicts: Predicts, robot: Robot, nodes: np.ndarray, queries: Sequence[Query]) -> np.ndarray:
-    """Of each predicted goal what of SHARES is free (g, 5) bool: straight motions, by the exact checker."""
-    found, spaces, clouds = list[tuple[bool, ...]](), dict[str, ConstrainedSpace](), dict[str, np.ndarray]()
+def _free(
+    predicts: Predicts, robot: Robot, nodes: np.ndarray, queries: Sequence[Query]
+) -> np.ndarray:
+    """Of each predicted goal what of SHARES is free (g, 5) bool:
+    straight motions, by the exact checker.
+    """
+    found, spaces, clouds = (
+        list[tuple[bool, ...]](),
+        dict[str, ConstrainedSpace](),
+        dict[str, np.ndarray](),
+    )
     for scene, start, goals in queries:
         if scene.name not in spaces:
-            spaces[scene.name], clouds[scene.name] = unconstrained_space(robot, scene), observer()(scene)
+            spaces[scene.name], clouds[scene.name] = (
+                unconstrained_space(robot, scene),
+                observer()(scene),
+            )
         arrays = spaces[scene.name].arrays
         for goal, sequences in predicts(clouds[scene.name], start, goals):
             each = []
@@ -137,13 +157,20 @@ def _predicts(stored: StoredModel, robot: Robot) -> Predicts:
         def ranked(cloud: np.ndarray, start: np.ndarray, goals: np.ndarray) -> Hypotheses:
             scene = transformer.encode(cloud)
             chosen = goals[transformer.rank(scene, start, goals)[:GOALS]]
-            return list(zip(chosen, transformer.hypotheses(scene, start, chosen, BEAMS), strict=True))
+            return list(
+                zip(chosen, transformer.hypotheses(scene, start, chosen, BEAMS), strict=True)
+            )
 
         return ranked
     published = Predictor(stored, robot)
 
     def nearest(cloud: np.ndarray, start: np.ndarray, goals: np.ndarray) -> Hypotheses:
         chosen = goals[np.argsort(np.linalg.norm(goals - start, axis=1))[:GOALS]]
-        return [(goal, [s]) for goal, s in zip(chosen, published.predict(cloud, start, chosen).sequences, strict=True)]
+        return [
+            (goal, [s])
+            for goal, s in zip(
+                chosen, published.predict(cloud, start, chosen).sequences, strict=True
+            )
+        ]
 
     return nearest

@@ -1,9 +1,11 @@
-"""What `cvq-mpt` and `opt-cvq-mpt` sample on a problem: the mixture before and after the paper's Algorithm 2.
+"""What `cvq-mpt` and `opt-cvq-mpt` sample on a problem: the mixture before and after the paper's
+Algorithm 2.
 
-The planner's own stages run: the transformer predicts codes from cloud, start and goals, the decoder makes Gaussians of
-them, Algorithm 2 moves the codes. Gaussians around goals are part of what is sampled and are not moved. Draws are taken
-as they come, before limits and projection, with the same standard normal numbers before and after. All Gaussians of a
-mixture are equally likely, so equally many draws of each are draws of the mixture.
+The planner's own stages run: the transformer predicts codes from cloud, start and goals, the
+decoder makes Gaussians of them, Algorithm 2 moves the codes. Gaussians around goals are part of
+what is sampled and are not moved. Draws are taken as they come, before limits and projection, with
+the same standard normal numbers before and after. All Gaussians of a mixture are equally likely, so
+equally many draws of each are draws of the mixture.
 """
 
 from collections.abc import Sequence
@@ -50,7 +52,9 @@ class UpdateSettings:
 
 @dataclass(frozen=True, eq=False)
 class CodeUpdate:
-    """A mixture of c codes and k goals before and after the update; F^T F in the constraint's units, squared."""
+    """A mixture of c codes and k goals before and after the update;
+    F^T F in the constraint's units, squared.
+    """
 
     problem: PlanningProblem  # with its goals
     cloud: np.ndarray  # what the model saw (m, 3) [m]
@@ -68,11 +72,18 @@ class CodeUpdate:
     def g(self, when: str) -> np.ndarray:
         """F^T F at the draws of every Gaussian (c + k, s)."""
         every = range(len(self.before.means))
-        return np.array([squared_residual(self.problem.manifold, self.draws(when, i)) for i in every])
+        return np.array(
+            [squared_residual(self.problem.manifold, self.draws(when, i)) for i in every]
+        )
 
     def rows(self) -> list[dict[str, object]]:
-        """A row a Gaussian: F^T F at its mean, mean of F^T F of its draws, share of them where F is zero."""
-        centres = {when: squared_residual(self.problem.manifold, getattr(self, when).means) for when in COLOURS}
+        """A row a Gaussian:
+        F^T F at its mean, mean of F^T F of its draws, share of them where F is zero.
+        """
+        centres = {
+            when: squared_residual(self.problem.manifold, getattr(self, when).means)
+            for when in COLOURS
+        }
         g = {when: self.g(when) for when in COLOURS}
         return [
             {
@@ -87,7 +98,9 @@ class CodeUpdate:
         ]
 
 
-def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSettings) -> CodeUpdate:
+def update_codes(
+    problem: PlanningProblem, model: str | None, settings: UpdateSettings
+) -> CodeUpdate:
     """Observe the scene, predict, update; model: as of `vqmpt.weights.resolve_model`.
 
     InvalidInputError: there is no goal, or no code was predicted.
@@ -99,7 +112,10 @@ def update_codes(problem: PlanningProblem, model: str | None, settings: UpdateSe
     published = model is not None and model_of(model).config.kind == "published"
     stages = planner_named(PUBLISHED if published else PLANNER, model).stages(problem)
     assert stages.observe is not None and stages.update is not None
-    cloud, query = stages.observe(problem.scene), Query.of(ConstrainedSpace(problem), ENOUGH, planned)
+    cloud, query = (
+        stages.observe(problem.scene),
+        Query.of(ConstrainedSpace(problem), ENOUGH, planned),
+    )
     proposal = stages.predict(query, Observation(cloud))
     assert isinstance(proposal, CodeProposal)
     before, after = proposal.distribution, stages.update(query, proposal).distribution
@@ -117,16 +133,23 @@ def squared_residual(constraint: RegionConstraint, q: np.ndarray) -> np.ndarray:
 
 
 def histogram_rows(updates: Sequence[CodeUpdate]) -> list[dict[str, object]]:
-    """Draws in even bins of |F(q)|, of the codes of all problems and of all that is sampled, goals included."""
+    """Draws in even bins of |F(q)|, of the codes of all problems and of all that is sampled, goals
+    included.
+    """
     norms = {when: [np.sqrt(update.g(when)) for update in updates] for when in COLOURS}
-    top = float(np.quantile(np.concatenate([n.ravel() for side in norms.values() for n in side]), SHOWN))
+    top = float(
+        np.quantile(np.concatenate([n.ravel() for side in norms.values() for n in side]), SHOWN)
+    )
     edges = np.append(np.linspace(0.0, top if top > 0.0 else 1.0, BINS + 1), np.inf)
     rows: list[dict[str, object]] = []
     for what in ("codes", "all"):
         counts = {
             when: np.histogram(
                 np.concatenate(
-                    [n[: len(u.codes) if what == "codes" else None].ravel() for n, u in zip(side, updates, strict=True)]
+                    [
+                        n[: len(u.codes) if what == "codes" else None].ravel()
+                        for n, u in zip(side, updates, strict=True)
+                    ]
                 ),
                 edges,
             )[0]
@@ -149,12 +172,16 @@ def write_tables(updates: Sequence[CodeUpdate], folder: Path) -> list[Path]:
 
 
 def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
-    """Histogram of |F| of draws from codes; G of every code; G of everything that is sampled, a line a problem."""
+    """Histogram of |F| of draws from codes; G of every code;
+    G of everything that is sampled, a line a problem.
+    """
     figure = Figure(figsize=(13.0, max(4.2, 0.6 + 0.16 * len(updates))), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     draw_norms(left, updates)
     rows = [row for update in updates for row in update.rows()]
-    codes = np.array([(row["g_before"], row["g_after"]) for row in rows if row["code"] != "goal"], dtype=float)
+    codes = np.array(
+        [(row["g_before"], row["g_after"]) for row in rows if row["code"] != "goal"], dtype=float
+    )
     lowest = max(codes.min(), 1e-6)
     span = (0.7 * lowest, 1.4 * codes.max())
     middle.plot(span, span, ":", color="0.5", label="not moved")
@@ -175,7 +202,8 @@ def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
         right.scatter(means[:, column], y, color=colour, s=30.0, label=when, zorder=3)
     right.set(
         yticks=y, yticklabels=[update.problem.name for update in updates], xlim=(0.0, None),
-        title="$G$ of all that is sampled, goals included", xlabel="mean $F(q)^T F(q)$ [rad$^2$]", ylabel="problem",
+        title="$G$ of all that is sampled, goals included", xlabel="mean $F(q)^T F(q)$ "
+                                                                   "[rad$^2$]", ylabel="problem",
     )  # fmt: skip
     right.invert_yaxis()
     right.legend(frameon=False)
@@ -183,7 +211,9 @@ def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
 
 
 def draw_norms(axes: Axes, updates: Sequence[CodeUpdate]) -> None:
-    """The histogram of |F| of draws from the codes' Gaussians of some problems; the last bin is left out."""
+    """The histogram of |F| of draws from the codes' Gaussians of some problems;
+    the last bin is left out.
+    """
     rows = [row for row in histogram_rows(updates) if row["of"] == "codes"]
     edges = [float(str(row["from"])) for row in rows]
     for when, colour in COLOURS.items():
@@ -192,6 +222,8 @@ def draw_norms(axes: Axes, updates: Sequence[CodeUpdate]) -> None:
         norms = np.concatenate([np.sqrt(u.g(when)[: len(u.codes)]).ravel() for u in updates])
         axes.stairs(share, edges, fill=True, color=colour, alpha=0.4)
         axes.stairs(share, edges, color=colour, label=f"{when}: median {np.median(norms):.2f}")
-    axes.set(title="raw samples of the codes", xlabel="$\\|F(q)\\|$ [rad]", ylabel="share of samples")
+    axes.set(
+        title="raw samples of the codes", xlabel="$\\|F(q)\\|$ [rad]", ylabel="share of samples"
+    )
     axes.set_xlim(0.0, edges[-1])
     axes.legend(frameon=False)

@@ -1,4 +1,6 @@
-"""What figures share: panels of lines with bands, one colour a planner in all of them, pictures and tables in files."""
+"""What figures share:
+panels of lines with bands, one colour a planner in all of them, pictures and tables in files.
+"""
 
 import csv
 import io
@@ -27,7 +29,9 @@ def figure_bytes(figure: Figure, kind: str) -> bytes:
     """A figure as png or svg; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "cvqmpt"}):
-        figure.savefig(buffer, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
+        figure.savefig(
+            buffer, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None
+        )
     return buffer.getvalue()
 
 
@@ -45,14 +49,18 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
     writer = csv.DictWriter(text, rows[0], lineterminator="\n")
     writer.writeheader()
     for row in rows:
-        writer.writerow({name: f"{x:.6g}" if isinstance(x, float) else x for name, x in row.items()})
+        writer.writerow(
+            {name: f"{x:.6g}" if isinstance(x, float) else x for name, x in row.items()}
+        )
     write_text(path, text.getvalue())
     return path
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A pair of axes with a line of intervals for each planner; a line is broken where there is no estimate."""
+    """A pair of axes with a line of intervals for each planner;
+    a line is broken where there is no estimate.
+    """
 
     title: str
     x_label: str  # with unit

@@ -1,4 +1,6 @@
-"""Length at equal time: the best path by time t of methods that are restarted, or left to improve, until then."""
+"""Length at equal time:
+the best path by time t of methods that are restarted, or left to improve, until then.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,7 +12,12 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import Solution, solve, with_sampled_goals
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.statistics import Interval, geometric_mean_interval, mean_of_solved, median_interval
+from cvqmpt_lab.results.statistics import (
+    Interval,
+    geometric_mean_interval,
+    mean_of_solved,
+    median_interval,
+)
 from cvqmpt_lab.search.result import Budget
 from experiments.figures.drawing import Panel, panels_figure, save_figure, write_csv
 from paper_tables.measures import REFERENCE
@@ -28,13 +35,17 @@ Trace = Sequence[tuple[float, float]]  # time [s] of a path and its length [rad]
 
 
 def restarted(problem: PlanningProblem, planner: str, seconds: float) -> Trace:
-    """Search and shorten with one seed after another until the time is up; certificates and goals are not counted."""
+    """Search and shorten with one seed after another until the time is up;
+    certificates and goals are not counted.
+    """
     found: list[tuple[float, float]] = []
     spent, seed = 0.0, 0
     while spent < seconds:
         solution = solve(problem, planner, CUTOFF, seed, clearance=False)
         spent, seed = spent + _took(solution), seed + 1
-        length = solution.simplified.path.length if solution.solved and solution.simplified else math.inf
+        length = (
+            solution.simplified.path.length if solution.solved and solution.simplified else math.inf
+        )
         if length < (found[-1][1] if found else math.inf):
             found.append((spent, length))
     return found
@@ -73,11 +84,17 @@ def traces_of(problem: PlanningProblem, seconds: float) -> dict[str, Trace]:
 
 
 def draw_equal_time(problems: Sequence[PlanningProblem], folder: Path) -> list[Path]:
-    """Run every method on every problem and draw; the first problem is run once before, so that nothing loads later."""
+    """Run every method on every problem and draw;
+    the first problem is run once before, so that nothing loads later.
+    """
     traces_of(problems[0], 1e-3)
-    found = [traces for problem in problems if any((traces := traces_of(problem, SECONDS)).values())]
+    found = [
+        traces for problem in problems if any((traces := traces_of(problem, SECONDS)).values())
+    ]
     if not found:
-        raise InvalidInputError(f"no method solved any of {len(problems)} problems in {SECONDS:g} s: nothing to draw")
+        raise InvalidInputError(
+            f"no method solved any of {len(problems)} problems in {SECONDS:g} s: nothing to draw"
+        )
     best = [min(length for trace in traces.values() for _, length in trace) for traces in found]
     ratios: dict[str, list[Interval]] = {}
     shares: dict[str, list[Interval]] = {}
@@ -92,15 +109,28 @@ def draw_equal_time(problems: Sequence[PlanningProblem], folder: Path) -> list[P
         reached[name] = [time_to(trace, WITHIN * known) for trace, known in pairs]
     x, label = [1e3 * t for t in TIMES], "time [ms]"
     panels = [
-        Panel("best length by then / best known", label, "ratio", x, ratios, log=(True, False), level=1.0),
+        Panel(
+            "best length by then / best known",
+            label,
+            "ratio",
+            x,
+            ratios,
+            log=(True, False),
+            level=1.0,
+        ),
         Panel("problems within 10 % of the best known", label, "%", x, shares, log=(True, False)),
     ]
     table = [_cells(name, reached) for name in reached]
-    return [*save_figure(panels_figure(panels), folder, NAME), write_csv(folder / f"{NAME}.csv", table)]
+    return [
+        *save_figure(panels_figure(panels), folder, NAME),
+        write_csv(folder / f"{NAME}.csv", table),
+    ]
 
 
 def _cells(name: str, reached: Mapping[str, Sequence[float]]) -> dict[str, object]:
-    """A method's line of the table; where it never came so near, the whole time stands in the ratio."""
+    """A method's line of the table;
+    where it never came so near, the whole time stands in the ratio.
+    """
     own = np.minimum(reached[name], SECONDS)
     ratio = geometric_mean_interval(np.minimum(reached[REFERENCE], SECONDS) / own)
     middle = median_interval(reached[name])

@@ -39,9 +39,11 @@ def reproduce_figure(
     model: str | None = None,
     settings: UpdateSettings | None = None,
 ) -> tuple[list[CodeUpdate], list[Path]]:
-    """Predict and update on problems, and write a figure of `FIGURES`, tables and provenance into a folder.
+    """Predict and update on problems, and write a figure of `FIGURES`, tables and provenance into a
+    folder.
 
-    model: its name or folder (None: the shipped one). RunStoreError: the folder holds other results.
+    model: its name or folder (None: the shipped one). RunStoreError: the folder holds other
+        results.
     """
     posed = [suite_named(SUITE).solvable(index) for index in problems]
     settings, folder = settings or UpdateSettings(), resolve_model(model or MODEL, SHIPPED[MODEL])
@@ -53,13 +55,18 @@ def reproduce_figure(
     }
     session = provenance(command, [settings.seed], {MODEL: weights_digest(folder)})
     record = _record(out, configuration, session)
-    updates = [update_codes(each, str(folder), settings) for each in posed if isinstance(each, PlanningProblem)]
+    updates = [
+        update_codes(each, str(folder), settings)
+        for each in posed
+        if isinstance(each, PlanningProblem)
+    ]
     record.create(configuration, session)
     return updates, [*FIGURES[figure](updates, out), record.path]
 
 
 def compare_at_equal_time(out: Path, problems: int, command: Sequence[str]) -> list[Path]:
-    """Run methods on the first problems of the place task until time is up; figure, table and provenance in a folder.
+    """Run methods on the first problems of the place task until time is up; figure, table and
+    provenance in a folder.
 
     RunStoreError: the folder holds other results.
     """
@@ -72,18 +79,25 @@ def compare_at_equal_time(out: Path, problems: int, command: Sequence[str]) -> l
     return [*written, record.path]
 
 
-def _record(out: Path, configuration: Mapping[str, Any], session: Mapping[str, Any]) -> ProvenanceFile:
+def _record(
+    out: Path, configuration: Mapping[str, Any], session: Mapping[str, Any]
+) -> ProvenanceFile:
     """Where the provenance goes; RunStoreError when the folder holds results of something else."""
     record = ProvenanceFile(make_folder(out))
     if record.path.is_file():
         record.require_same(configuration, session)
     elif any(out.iterdir()):
-        raise RunStoreError(f"{out} holds files without {PROVENANCE_FILE}; use an empty folder as --out")
+        raise RunStoreError(
+            f"{out} holds files without {PROVENANCE_FILE}; use an empty folder as --out"
+        )
     return record
 
 
 def _histogram(updates: Sequence[CodeUpdate], folder: Path) -> list[Path]:
-    return [*save_figure(histogram_figure(updates), folder, "histogram"), *write_tables(updates, folder)]
+    return [
+        *save_figure(histogram_figure(updates), folder, "histogram"),
+        *write_tables(updates, folder),
+    ]
 
 
 def _concept(updates: Sequence[CodeUpdate], folder: Path) -> list[Path]:
@@ -110,9 +124,15 @@ def summary(updates: Sequence[CodeUpdate]) -> list[str]:
     codes = [len(update.codes) for update in updates]
     lines = [f"{len(updates)} problems, {sum(codes)} codes, {min(codes)} to {max(codes)} a problem"]
     for what, last in (("codes", True), ("all that is sampled, goals included", False)):
-        g = {when: [u.g(when)[: len(u.codes) if last else None] for u in updates] for when in ("before", "after")}
+        g = {
+            when: [u.g(when)[: len(u.codes) if last else None] for u in updates]
+            for when in ("before", "after")
+        }
         mean = {when: np.median([values.mean() for values in found]) for when, found in g.items()}
-        norm = {when: np.median([np.median(np.sqrt(values)) for values in found]) for when, found in g.items()}
+        norm = {
+            when: np.median([np.median(np.sqrt(values)) for values in found])
+            for when, found in g.items()
+        }
         lines.append(
             f"{what}: mean F^T F {mean['before']:.3g} before, {mean['after']:.3g} after; "
             f"median |F| {norm['before']:.3g} before, {norm['after']:.3g} after"

@@ -1,4 +1,6 @@
-"""Pictures of a scene with hands at drawn configurations over it or its cloud beside it, and the concept figure."""
+"""Pictures of a scene with hands at drawn configurations over it or its cloud beside it, and the
+concept figure.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,7 +34,8 @@ class HandPoses(NamedTuple):
 
     q: np.ndarray  # (s, n) [rad]
     positions: np.ndarray  # (s, 3) [m]
-    up: np.ndarray  # (s, 3), directions of the hand's x axis, which points up when a can is carried upright
+    # (s, 3), directions of the hand's x axis, which points up when a can is carried upright
+    up: np.ndarray
     tilt: np.ndarray  # (s,), angle between that axis and the vertical [rad]
 
     @classmethod
@@ -59,20 +62,25 @@ def write_hands(update: CodeUpdate, path: Path) -> Path:
                     "draw": k,
                     **dict(zip(NUMBERS, map(float, numbers), strict=True)),
                 }
-                for k, numbers in enumerate(np.column_stack([hands.positions, hands.up, hands.tilt, g]))
+                for k, numbers in enumerate(
+                    np.column_stack([hands.positions, hands.up, hands.tilt, g])
+                )
             ]
     return write_csv(path, rows)
 
 
 def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
-    """The paper's concept figure: what the model saw, what is sampled before and after, Gaussians near the manifold.
+    """The paper's concept figure: what the model saw, what is sampled before and after, Gaussians
+    near the manifold.
 
-    Above: scene, cloud, start and goals; hands at samples before and after. Below: histogram of |F|, and the Gaussians
-    as ellipses of one standard deviation in the plane of (way of the hand from start to goal, its lean); the line of no
-    lean is where F(q) = 0.
+    Above: scene, cloud, start and goals; hands at samples before and after. Below: histogram of
+    |F|, and the Gaussians as ellipses of one standard deviation in the plane of (way of the hand
+    from start to goal, its lean); the line of no lean is where F(q) = 0.
     """
     problem, every = update.problem, range(len(update.before.means))
-    start, *goals = (poses_along(problem.robot, q[None])[1][0, :3, 3] for q in (problem.start, *_goals(update)))
+    start, *goals = (
+        poses_along(problem.robot, q[None])[1][0, :3, 3] for q in (problem.start, *_goals(update))
+    )
     figure = Figure(figsize=(14.4, 7.6), layout="constrained")
     (scene, *pictures), (histogram, *planes) = figure.subplots(2, 3, height_ratios=(1.25, 1.0))
     image = still_image(problem, problem.start, PICTURE, viewpoint)
@@ -83,10 +91,17 @@ def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
     for points, colour, label in (([start], START_COLOUR, "start"), (goals, GOAL_COLOUR, "goals")):
         x, y, _ = viewpoint.screen(np.array(points), image.shape[:2]).T
         scene.scatter(x, y, s=45.0, color=colour, edgecolors="white", label=label, zorder=4)
-    scene.set(title=f"cloud of {len(update.cloud)} points", xlim=(0, image.shape[1]), ylim=(image.shape[0], 0))
+    scene.set(
+        title=f"cloud of {len(update.cloud)} points",
+        xlim=(0, image.shape[1]),
+        ylim=(image.shape[0], 0),
+    )
     scene.legend(loc="lower right", fontsize="small")
     norm = Normalize(0.0, 90.0)
-    titles = (f"{len(update.codes)} codes and {len(goals)} goals, as predicted", "after Algorithm 2")
+    titles = (
+        f"{len(update.codes)} codes and {len(goals)} goals, as predicted",
+        "after Algorithm 2",
+    )
     for axes, when, title in zip(pictures, COLOURS, titles, strict=True):
         q = np.concatenate([update.draws(when, i)[:HANDS] for i in every])
         axes.imshow(0.45 * image / 255.0 + 0.55)
@@ -95,16 +110,25 @@ def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
     for axes in (scene, *pictures):
         axes.axis("off")
     colours = ScalarMappable(norm, "viridis_r")
-    figure.colorbar(colours, ax=pictures, label="tilt of the hand [deg]", extend="max", shrink=0.95, pad=0.01)
+    figure.colorbar(
+        colours, ax=pictures, label="tilt of the hand [deg]", extend="max", shrink=0.95, pad=0.01
+    )
     draw_norms(histogram, [update])
     for axes, when in zip(planes, COLOURS, strict=True):
         for i in every:
             hands = HandPoses.of(problem.robot, update.draws(when, i))
-            _draw_ellipse(axes, hands, start, goals[0], COLOURS[when] if i < len(update.codes) else GOAL_COLOUR)
+            _draw_ellipse(
+                axes,
+                hands,
+                start,
+                goals[0],
+                COLOURS[when] if i < len(update.codes) else GOAL_COLOUR,
+            )
         axes.axhline(0.0, color="black", linewidth=1.2)
         axes.set(
             title=f"Gaussians {when}, goals dashed", xlim=(-0.7, 2.0), ylim=(-120.0, 120.0),
-            xlabel="way of the hand: 0 start, 1 goal", ylabel="lean of the hand [deg]; $F(q)=0$ on the line",
+            xlabel="way of the hand: 0 start, 1 goal", ylabel="lean of the hand [deg]; $F(q)=0$ "
+                                                              "on the line",
         )  # fmt: skip
     return figure
 
@@ -114,15 +138,23 @@ def _goals(update: CodeUpdate) -> np.ndarray:
     return update.before.means[len(update.codes) :]
 
 
-def _draw_ellipse(axes: Axes, hands: HandPoses, start: np.ndarray, goal: np.ndarray, colour: str) -> None:
-    """One standard deviation of hands in (share of the way from start to goal, lean towards the robot's x axis)."""
+def _draw_ellipse(
+    axes: Axes, hands: HandPoses, start: np.ndarray, goal: np.ndarray, colour: str
+) -> None:
+    """One standard deviation of hands in (share of the way from start to goal, lean towards the
+    robot's x axis).
+    """
     way = (hands.positions - start) @ (goal - start) / np.square(goal - start).sum()
     points = np.column_stack([way, np.degrees(np.arctan2(hands.up[:, 0], hands.up[:, 2]))])
     values, vectors = np.linalg.eigh(np.cov(points.T))
     width, height = 2.0 * np.sqrt(values)
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
     middle, is_goal = points.mean(axis=0), colour == GOAL_COLOUR
-    shared: dict[str, Any] = {"angle": angle, "color": colour, "linestyle": "--" if is_goal else "-"}
+    shared: dict[str, Any] = {
+        "angle": angle,
+        "color": colour,
+        "linestyle": "--" if is_goal else "-",
+    }
     axes.add_patch(Ellipse(tuple(middle), width, height, fill=False, linewidth=1.2, **shared))
     axes.add_patch(Ellipse(tuple(middle), width, height, alpha=0.0 if is_goal else 0.14, **shared))
     axes.plot(*middle, "o", color=colour, markersize=4.0)
@@ -131,7 +163,9 @@ def _draw_ellipse(axes: Axes, hands: HandPoses, start: np.ndarray, goal: np.ndar
 def hand_figure(
     problem: PlanningProblem, panels: Sequence[tuple[str, HandPoses]], viewpoint: Viewpoint = CLOSE
 ) -> Figure:
-    """Titled panels of hands over a picture of the scene: a stick each, upwards, coloured by its tilt."""
+    """Titled panels of hands over a picture of the scene:
+    a stick each, upwards, coloured by its tilt.
+    """
     image = still_image(problem, problem.start, PICTURE, viewpoint)
     figure = Figure(figsize=(1.2 + 4.6 * len(panels), 4.05), layout="constrained")
     tilts = np.concatenate([hands.tilt for _, hands in panels])
@@ -147,7 +181,9 @@ def hand_figure(
     return figure
 
 
-def _draw_hands(axes: Axes, hands: HandPoses, viewpoint: Viewpoint, shape: tuple[int, ...], norm: Normalize) -> None:
+def _draw_hands(
+    axes: Axes, hands: HandPoses, viewpoint: Viewpoint, shape: tuple[int, ...], norm: Normalize
+) -> None:
     """Sticks from each hand along its up direction, the head a dot; farther ones first."""
     rows, columns = shape
     ends = np.stack((hands.positions, hands.positions + STICK * hands.up), axis=1)
@@ -157,12 +193,18 @@ def _draw_hands(axes: Axes, hands: HandPoses, viewpoint: Viewpoint, shape: tuple
     sticks = LineCollection(list(segments), cmap="viridis_r", norm=norm, linewidths=1.4, alpha=0.9)
     sticks.set_array(tilt)
     axes.add_collection(sticks)
-    axes.scatter(segments[:, 1, 0], segments[:, 1, 1], c=tilt, cmap="viridis_r", norm=norm, s=9.0, zorder=3)
+    axes.scatter(
+        segments[:, 1, 0], segments[:, 1, 1], c=tilt, cmap="viridis_r", norm=norm, s=9.0, zorder=3
+    )
     axes.set(xlim=(0, columns), ylim=(rows, 0))
 
 
-def cloud_figure(problem: PlanningProblem, cloud: np.ndarray, viewpoint: Viewpoint = CLOSE) -> Figure:
-    """A problem's scene, and beside it its cloud (m, 3) [m] from the same place, coloured by height."""
+def cloud_figure(
+    problem: PlanningProblem, cloud: np.ndarray, viewpoint: Viewpoint = CLOSE
+) -> Figure:
+    """A problem's scene, and beside it its cloud (m, 3) [m] from the same place, coloured by
+    height.
+    """
     image = still_image(problem, problem.start, PICTURE, viewpoint)
     figure = Figure(figsize=(10.4, 4.05), layout="constrained")
     scene, points = axes_of = figure.subplots(1, 2)
@@ -173,8 +215,12 @@ def cloud_figure(problem: PlanningProblem, cloud: np.ndarray, viewpoint: Viewpoi
     order = np.argsort(-screen[:, 2], kind="stable")  # farther ones first
     x, y, _ = screen[order].T
     drawn = points.scatter(x, y, c=cloud[order, 2], cmap="viridis", s=7.0)
-    points.set(title=f"cloud of {len(cloud)} points", xlim=(0, columns), ylim=(rows, 0), aspect="equal")
+    points.set(
+        title=f"cloud of {len(cloud)} points", xlim=(0, columns), ylim=(rows, 0), aspect="equal"
+    )
     for axes in axes_of:
         axes.axis("off")
-    figure.colorbar(drawn, ax=axes_of, label="height above the robot's base [m]", shrink=0.95, pad=0.01)
+    figure.colorbar(
+        drawn, ax=axes_of, label="height above the robot's base [m]", shrink=0.95, pad=0.01
+    )
     return figure

@@ -1,6 +1,7 @@
 """Figure of trainings of sequence models: held-out cross entropy against sequences seen, by cloud.
 
-A model that sees the scene is better with its own cloud than with another scene's or none; a blind one is not.
+A model that sees the scene is better with its own cloud than with another scene's or none; a blind
+one is not.
 """
 
 import csv
@@ -17,12 +18,16 @@ TABLE = "training"
 CLOUDS = {"own": ("", "-"), "wrong": ("wrong_cloud_", "--"), "none": ("no_cloud_", ":")}
 SHOWN = {"own": "own cloud", "wrong": "another scene's", "none": "no cloud"}
 MEASURES = {"ways": "over the ways on", "all": "over all codes"}
-COLOURS = {"transformer": ("#1f6fb4", "#7fb0dc", "#3aa3a0"), "published": ("#d1662a", "#8c6d1f", "#b8336a")}
+COLOURS = {
+    "transformer": ("#1f6fb4", "#7fb0dc", "#3aa3a0"),
+    "published": ("#d1662a", "#8c6d1f", "#b8336a"),
+}
 Row = Mapping[str, object]
 
 
 def draw_training(folder: Path, out: Path) -> list[Path]:
-    """Draw the trainings in a folder (`*/curves.csv`), or its training.csv; that table goes beside the picture.
+    """Draw the trainings in a folder (`*/curves.csv`), or its training.csv; that table goes beside
+    the picture.
 
     InvalidInputError: there is neither.
     """
@@ -32,7 +37,8 @@ def draw_training(folder: Path, out: Path) -> list[Path]:
         found = list(csv.DictReader(read_bytes(table).decode().splitlines()))
     if not found:
         raise InvalidInputError(
-            f"{folder} has no curves of cvqmpt train transformer or published; name the folder above those of --out"
+            f"{folder} has no curves of cvqmpt train transformer or published; name the folder "
+            f"above those of --out"
         )
     return [*save_figure(training_figure(found), out, TABLE), write_csv(out / table.name, found)]
 
@@ -76,11 +82,18 @@ def training_figure(rows: Sequence[Row]) -> Figure:
             for cloud, (_, dash) in CLOUDS.items():
                 y = [float(str(row[f"{cloud}_{which}"])) for row in own]
                 axes.plot(x, y, dash, color=colour, marker=".", label=f"{name}, {SHOWN[cloud]}")
-        axes.set(title=f"cross entropy {words}", xlabel="sequences seen [million]", ylabel="nats a code")
+        axes.set(
+            title=f"cross entropy {words}", xlabel="sequences seen [million]", ylabel="nats a code"
+        )
         axes.set_ylim(bottom=0.0)
         axes.grid(visible=True, color="0.92", linewidth=0.6)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(
-        handles, labels, loc="outside lower center", ncols=min(len(names), 3), frameon=False, fontsize="small"
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=min(len(names), 3),
+        frameon=False,
+        fontsize="small",
     )
     return figure

@@ -1,7 +1,8 @@
-"""Zero-shot over constraints: problem k is of kind k modulo 8, in scenes of every family, on one manifold.
+"""Zero-shot over constraints: problem k is of kind k modulo 8, in scenes of every family, on one
+manifold.
 
-The goal is a pose of the hand. Without obstacles a short search solves the problem; the straight motion on the
-manifold does not, as far as a few tries found such a problem.
+The goal is a pose of the hand. Without obstacles a short search solves the problem; the straight
+motion on the manifold does not, as far as a few tries found such a problem.
 """
 
 from collections.abc import Callable, Mapping
@@ -76,7 +77,9 @@ def _arc(T: np.ndarray, rng: np.random.Generator) -> HandConstraint:
 
 
 def _about(axis: np.ndarray, T: np.ndarray, turn: float) -> TaskSpaceRegion:
-    """The hand at T (4, 4), carried about the z axis of a frame (4, 4) by at most a turn [rad] to either side."""
+    """The hand at T (4, 4), carried about the z axis of a frame (4, 4) by at most a turn [rad] to
+    either side.
+    """
     bound = np.array([EXACT] * 3 + [LEVEL] * 2 + [turn])
     return TaskSpaceRegion(axis, np.linalg.inv(axis) @ T, np.stack([-bound, bound], axis=1))
 
@@ -97,11 +100,14 @@ KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]]
     # a can is tipped about the axis along which the fingers reach, which keeps its direction
     "pouring": lambda T, rng: HandConstraint(_turned_like(T, FREE), (carried_can(),)),
 }
-"""Makers of a constraint that a hand at a pose T (4, 4) meets; the door's, which hangs on the scene, is `held_door`."""
+"""Makers of a constraint that a hand at a pose T (4, 4) meets;
+the door's, which hangs on the scene, is `held_door`.
+"""
 
 
 def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
-    """The kitchen without one of the shelf's doors, which the hand holds firmly and carries along an arc.
+    """The kitchen without one of the shelf's doors, which the hand holds firmly and carries along
+    an arc.
 
     Unlike in `door_task` the door is carried by seven joints and is not a joint itself.
     """
@@ -111,7 +117,9 @@ def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
     first = rng.uniform(AJAR, WIDE - SWUNG)
     angles = sign * rng.permutation((first, rng.uniform(first + SWUNG, WIDE)))
     in_bar = pose((0.0, 0.0, 0.0), rng.uniform(-GRASP_TURN, GRASP_TURN)) @ handle_region().Tw_e
-    hands = [scene.with_joint(door, a)[f"{door}/handle_bar"].T_world_object @ in_bar for a in angles]
+    hands = [
+        scene.with_joint(door, a)[f"{door}/handle_bar"].T_world_object @ in_bar for a in angles
+    ]
     begun = scene.with_joint(door, angles[0])
     parts = tuple(_carried(begun, name, hands[0]) for name in hinge.moves)
     start, goal = (TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2))) for T in hands)
@@ -146,7 +154,9 @@ def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
         if not trivial(posed):
             return posed
         easy = easy or posed
-    return easy or UnsolvableProblem(name, "no two free states far enough apart that keep the constraint")
+    return easy or UnsolvableProblem(
+        name, "no two free states far enough apart that keep the constraint"
+    )
 
 
 def trivial(problem: PlanningProblem) -> bool:
@@ -156,7 +166,9 @@ def trivial(problem: PlanningProblem) -> bool:
 
 
 def _within_reach(problem: PlanningProblem) -> bool:
-    """Whether a short search finds a way where there are no obstacles: joint limits may cut goals off."""
+    """Whether a short search finds a way where there are no obstacles:
+    joint limits may cut goals off.
+    """
     alone = ConstrainedSpace(replace(problem, scene=Scene("empty", ())))
     query = Query.of(alone, Budget(iterations=WITHOUT_OBSTACLES), np.random.default_rng(0))
     return search(BiRRT(), query, uniform(query, Observation())).path is not None
@@ -166,14 +178,20 @@ def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> Plann
     """A constraint of a kind, a free start on it and goals; None where there is none."""
     scene, robot, hand = _drawn(kind, number, rng)
     middle = 0.5 * (robot.lower + robot.upper)
-    problem = PlanningProblem(name, robot, scene, middle, middle[None], (hand.region,), attachments=hand.attachments)
+    problem = PlanningProblem(
+        name, robot, scene, middle, middle[None], (hand.region,), attachments=hand.attachments
+    )
     if hand.start is not None:
         checker = problem.collision_checker(SAMPLE_MARGIN)
-        start = next(iter(sample_region(robot, hand.start, checker, rng, count=1).configurations), None)
+        start = next(
+            iter(sample_region(robot, hand.start, checker, rng, count=1).configurations), None
+        )
         goal = hand.goal
     else:
         start, end = blocked_pair(problem, rng, SAMPLE_MARGIN, MOVED, PROJECTED) or (None, None)
-        goal = None if end is None else TaskSpaceRegion(robot.pose(end), np.eye(4), np.zeros((6, 2)))
+        goal = (
+            None if end is None else TaskSpaceRegion(robot.pose(end), np.eye(4), np.zeros((6, 2)))
+        )
     if start is None:
         return None
     problem = replace(problem, start=start, goals=np.empty((0, robot.dof)), goal_region=goal)

@@ -1,7 +1,10 @@
-"""Opening the shelf's door: the hand holds the handle's bar, and the door goes where the hand takes it.
+"""Opening the shelf's door: the hand holds the handle's bar, and the door goes where the hand takes
+it.
 
-As published, the hand frame stands 0.10 m in front of the bar, its x axis down, and the door goes from closed to
--0.45 pi. Here the motion is planned: the door is the robot's eighth joint, the constraint a region about the bar.
+As published, the hand frame stands 0.10 m in front of the bar, its x axis down, and the door goes
+from closed to
+-0.45 pi. Here the motion is planned: the door is the robot's eighth joint, the constraint a region
+about the bar.
 """
 
 from functools import lru_cache
@@ -30,14 +33,16 @@ PADS = ("panda_leftfinger_3", "panda_rightfinger_3")  # pieces of the fingers th
 TURN = 0.4  # [rad] about the bar: goals lie within +- this, so that the fingers can open there
 PROBLEMS = range(10)
 GRASPS = 20  # of the closed door that are tried
-GOALS_NEEDED = 10  # of `pipeline.MAX_GOALS`; a posture that reaches fewer stands at a limit and may get stuck
+# of `pipeline.MAX_GOALS`; a posture that reaches fewer stands at a limit and may get stuck
+GOALS_NEEDED = 10
 START_MARGIN = 5e-4  # [m] kept by starts: a closed door is only 1 mm from its neighbour
 
 
 def handle_region(turn: float = FREE) -> TaskSpaceRegionChain:
     """Hand poses that hold the bar; turn: how far the hand may turn about it either way [rad]."""
     Tw_e = pose((-STANDOFF, 0.0, 0.0))
-    Tw_e[:3, :3] = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]  # hand z along x, hand x down
+    # hand z along x, hand x down
+    Tw_e[:3, :3] = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
     Bw = np.zeros((6, 2))
     Bw[5] = -turn, turn
     return TaskSpaceRegionChain(np.eye(4), Tw_e, Bw, BAR)
@@ -65,7 +70,9 @@ def door_problem(seed: int) -> PlanningProblem | UnsolvableProblem:
     grasp = handle_region(turn=0.0)
     goal = handle_region(TURN).at(bar_pose(OPEN))
     rng = np.random.default_rng([seed, 1])
-    starts = sample_region(robot, grasp.at(bar_pose(0.0)), checker, rng, count=GRASPS, within=(grasp,))
+    starts = sample_region(
+        robot, grasp.at(bar_pose(0.0)), checker, rng, count=GRASPS, within=(grasp,)
+    )
     for start in starts.configurations:
         problem = PlanningProblem(
             name=str(seed),
@@ -78,4 +85,6 @@ def door_problem(seed: int) -> PlanningProblem | UnsolvableProblem:
         )
         if len(with_sampled_goals(problem)[0].goals) >= GOALS_NEEDED:
             return problem
-    return UnsolvableProblem(str(seed), f"no start grasp whose posture reaches the goal: {starts.outcome}")
+    return UnsolvableProblem(
+        str(seed), f"no start grasp whose posture reaches the goal: {starts.outcome}"
+    )

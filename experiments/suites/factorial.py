@@ -1,6 +1,8 @@
-"""The factorial experiment: products of predictor, Gaussians and update, and what isolates one choice each.
+"""The factorial experiment: products of predictor, Gaussians and update, and what isolates one
+choice each.
 
-They plan the place task and the eight kinds of constraints, beside the same search with uniform samples.
+They plan the place task and the eight kinds of constraints, beside the same search with uniform
+samples.
 """
 
 from itertools import product

@@ -1,4 +1,6 @@
-"""Between two random upright hand poses, upright all the way, in held-out scenes of the training families."""
+"""Between two random upright hand poses, upright all the way, in held-out scenes of the training
+families.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,8 +30,14 @@ TRIES = 200  # pairs drawn for one whose straight motion is blocked
 
 
 def held_out_problem(family: str, index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index` of a family, of the first scene that holds one: of index, 8000 + index, 8050 + index, ..."""
-    spare = range(FIRST_SPARE_SCENE + index, FIRST_SPARE_SCENE + len(PROBLEMS) * (SCENES_DRAWN - 1), len(PROBLEMS))
+    """Problem `index` of a family, of the first scene that holds one:
+    of index, 8000 + index, 8050 + index, ...
+    """
+    spare = range(
+        FIRST_SPARE_SCENE + index,
+        FIRST_SPARE_SCENE + len(PROBLEMS) * (SCENES_DRAWN - 1),
+        len(PROBLEMS),
+    )
     return _first_problem(str(index), family, (index, *spare), PANDA)
 
 
@@ -48,7 +56,9 @@ def _first_problem(
 def family_problem(
     family: str, number: int, robot_source: Mapping[str, Any] = PANDA
 ) -> PlanningProblem | UnsolvableProblem:
-    """The problem of one scene: a start and a goal on the manifold, the straight motion between them blocked."""
+    """The problem of one scene:
+    a start and a goal on the manifold, the straight motion between them blocked.
+    """
     scene, robot = family_scene(family, number), robot_from_source(robot_source)
     return upright_problem(str(number), robot, scene, np.random.default_rng([number, 7]), CLEAR)
 
@@ -61,15 +71,23 @@ def upright_problem(
     problem = PlanningProblem(name, robot, scene, middle, middle[None], (upright(),))
     pair = blocked_pair(problem, rng, clear)
     if pair is None:
-        reason = f"no two upright states {clear} m from everything in {scene.name} with a blocked straight motion"
+        reason = (
+            f"no two upright states {clear} m from everything in {scene.name} with a blocked "
+            f"straight motion"
+        )
         return UnsolvableProblem(name, reason)
     return replace(problem, start=pair[0], goals=pair[1][None])
 
 
 def blocked_pair(
-    problem: PlanningProblem, rng: np.random.Generator, clear: float, moved: float = 0.0, draws: int = DRAWS
+    problem: PlanningProblem,
+    rng: np.random.Generator,
+    clear: float,
+    moved: float = 0.0,
+    draws: int = DRAWS,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Two states (n,) on the manifold, `clear` [m] from all obstacles, the straight motion between them blocked.
+    """Two states (n,) on the manifold, `clear` [m] from all obstacles, the straight motion between
+    them blocked.
 
     moved: how far apart their hands are at least [m]. draws: configurations that are projected.
     """
@@ -82,7 +100,10 @@ def blocked_pair(
         start, goal = states[rng.choice(len(states), 2, replace=False)]
         if np.linalg.norm(goal - start) < APART or motion_free(space.arrays, start, goal):
             continue
-        if np.linalg.norm(problem.robot.pose(goal)[:3, 3] - problem.robot.pose(start)[:3, 3]) < moved:
+        if (
+            np.linalg.norm(problem.robot.pose(goal)[:3, 3] - problem.robot.pose(start)[:3, 3])
+            < moved
+        ):
             continue
         if not (checker.in_collision(start) or checker.in_collision(goal)):
             return start, goal
@@ -104,7 +125,9 @@ ROBOTS: Mapping[str, Mapping[str, Any]] = {
     "talos": {"name": "talos-left-arm"},
     "tiago": {"name": "tiago-no-hand", "base": {"xyz": [0.0, 0.0, -0.6]}},
 }
-"""6 joints (ur5, ur10, kinova, z1), 7, and 7 on a torso that slides up and down (tiago); of seven makers."""
+"""6 joints (ur5, ur10, kinova, z1), 7, and 7 on a torso that slides up and down (tiago);
+of seven makers.
+"""
 
 
 def robots_problem(index: int) -> PlanningProblem | UnsolvableProblem:
@@ -115,13 +138,17 @@ def robots_problem(index: int) -> PlanningProblem | UnsolvableProblem:
 
 
 def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index` of a robot of `ROBOTS`; its goals are sampled by `pipeline.solve`, from the goal's pose.
+    """Problem `index` of a robot of `ROBOTS`; its goals are sampled by `pipeline.solve`, from the
+    goal's pose.
 
-    Its scene is the first that allows a problem of the numbers 2000 + index, 2020 + index, ... of its family.
+    Its scene is the first that allows a problem of the numbers 2000 + index, 2020 + index, ... of
+    its family.
     """
     first = FIRST_ROBOT_SCENE + index
     numbers = range(first, first + SCENES_DRAWN * len(ROBOT_PROBLEMS), len(ROBOT_PROBLEMS))
-    found = _first_problem(str(index), ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)], numbers, ROBOTS[robot])
+    found = _first_problem(
+        str(index), ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)], numbers, ROBOTS[robot]
+    )
     if isinstance(found, UnsolvableProblem):
         return found
     there = TaskSpaceRegion(found.robot.pose(found.goals[0]), np.eye(4), np.zeros((6, 2)))

@@ -1,9 +1,10 @@
 """The multi-sequence task: open the shelf's door, take a can out, stand it upright on the counter.
 
-As published, task k starts free of collision (seed 100 + k), the door is opened to -0.45 pi, the can is carried to
-within a decimetre of (0.25, -0.45), and two obstacles stand on the counter. Unlike published, opening the door is
-planned, not replayed; the can's final pose is drawn for every task; the can is an obstacle until it is grasped, then it
-collides like the robot, and is put down LIFT above the published height, which is 1.5 mm inside the counter's top.
+As published, task k starts free of collision (seed 100 + k), the door is opened to -0.45 pi, the
+can is carried to within a decimetre of (0.25, -0.45), and two obstacles stand on the counter.
+Unlike published, opening the door is planned, not replayed; the can's final pose is drawn for every
+task; the can is an obstacle until it is grasped, then it collides like the robot, and is put down
+LIFT above the published height, which is 1.5 mm inside the counter's top.
 """
 
 from functools import lru_cache
@@ -33,7 +34,8 @@ TARGET, TARGET_SIDE = (
     (0.25, -0.45, 0.271 + LIFT),
     0.1,
 )  # [m] corner and side of where the can's centre of mass goes
-APPROACH = 0.08  # [m] that the hand comes straight to the can: depth of the fingers, and 3 mm of play
+# [m] that the hand comes straight to the can: depth of the fingers, and 3 mm of play
+APPROACH = 0.08
 CAN_GRIP = CAN.shape.radius  # type: ignore[union-attr]  # [m] opening of each finger
 REACH_HANDLE, REACH_CAN, CARRY = PAPER_PHASES
 
@@ -53,7 +55,9 @@ def world() -> Scene:
 def multi_sequence_task(number: int) -> Task:
     """Task 0 to 9; other numbers give tasks of the same distribution."""
     if number < 0:
-        raise InvalidInputError(f"multi-sequence task {number}: give 0 or more, the paper's are 0 to 9")
+        raise InvalidInputError(
+            f"multi-sequence task {number}: give 0 or more, the paper's are 0 to 9"
+        )
     robot = robot_from_source({"name": "panda"})
     rng = np.random.default_rng(FIRST_SEED + number)
     checker = CollisionChecker(robot, world(), margin=SAMPLE_MARGIN)

@@ -1,11 +1,13 @@
 """The place task: carry a can from the kitchen counter to the shelf without tilting it.
 
-As published, environment e in 0..149 puts the can at x = 0.4 + 0.3 u1, y = -0.6 + 1.0 u2, z = 0.171, u1 and u2 the
-first uniforms of numpy's legacy generator seeded by e. The start is a collision-free grasp of that can, the goals are
-up to 20 grasps of a can on the shelf, yaw within +-90 degrees; the hand stays upright on the way.
+As published, environment e in 0..149 puts the can at x = 0.4 + 0.3 u1, y = -0.6 + 1.0 u2, z =
+0.171, u1 and u2 the first uniforms of numpy's legacy generator seeded by e. The start is a
+collision-free grasp of that can, the goals are up to 20 grasps of a can on the shelf, yaw within
++-90 degrees; the hand stays upright on the way.
 
-Settings of planners were chosen in the published kitchen, on TUNING_ENVIRONMENTS. `mirrored_problem` asks the same in a
-kitchen that no tuning has seen: the same modules, measured differently and mirrored left to right.
+Settings of planners were chosen in the published kitchen, on TUNING_ENVIRONMENTS.
+`mirrored_problem` asks the same in a kitchen that no tuning has seen: the same modules, measured
+differently and mirrored left to right.
 """
 
 from dataclasses import dataclass, replace
@@ -38,7 +40,9 @@ REMEASURED = KitchenParameters(  # [m]; wider, flatter and higher cabinets, a lo
     cabinet_width=0.42, wall_cabinet_depth=0.33, dagger_bottom_z=0.6765, hood_bottom_z=0.70
 )
 REMEASURED_SHELF_LINK = (0.60, -0.41, 0.692)  # before it is mirrored [m]
-LIFT = 0.005  # [m] by which a can that collides is above its published place on the counter, 1.5 mm inside the top
+# [m] by which a can that collides is above its published place on the counter, 1.5 mm inside the
+# top
+LIFT = 0.005
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,9 @@ class UnsolvableProblem:
 
 
 def grasp_region(com: np.ndarray) -> TaskSpaceRegion:
-    """Hand poses that grasp a can with centre of mass com (3,) [m]: from the side, yaw within +-90 degrees."""
+    """Hand poses that grasp a can with centre of mass com (3,) [m]:
+    from the side, yaw within +-90 degrees.
+    """
     Tw_e = pose((-0.11, 0.0, 0.05))
     Tw_e[:3, :3] = UPRIGHT_ROTATION
     Bw = np.zeros((6, 2))
@@ -75,7 +81,9 @@ def carried_can() -> Attachment:
     """The can in the hand, at the grasp of `grasp_region`."""
     # Yaw is about the centre of mass, 2 mm off the cylinder's axis: the axis is taken instead.
     above = pose((0.0, 0.0, CAN.shape_centre[2] - CAN.com[2]))
-    return Attachment("carried_can", CAN.shape, np.linalg.inv(grasp_region(np.zeros(3)).Tw_e) @ above)
+    return Attachment(
+        "carried_can", CAN.shape, np.linalg.inv(grasp_region(np.zeros(3)).Tw_e) @ above
+    )
 
 
 @lru_cache(maxsize=1)
@@ -87,7 +95,10 @@ def _world() -> Scene:
 def _mirrored_world() -> Scene:
     """The re-measured kitchen, mirrored. Its boxes and cylinders are their own mirror images."""
     scene = kitchen(REMEASURED, door_angles={DOOR: DOOR_ANGLE})
-    objects = tuple(replace(item, T_world_object=MIRROR @ item.T_world_object @ MIRROR) for item in scene.objects)
+    objects = tuple(
+        replace(item, T_world_object=MIRROR @ item.T_world_object @ MIRROR)
+        for item in scene.objects
+    )
     return Scene("kitchen mirrored", objects)
 
 
@@ -110,7 +121,8 @@ def single_goal_problem(environment: int) -> PlanningProblem | UnsolvableProblem
 
 
 def place_problem(environment: int, with_can: bool = False) -> PlanningProblem | UnsolvableProblem:
-    """The problem of one environment, goals sampled by `pipeline.solve`; with_can: the can is part of the robot.
+    """The problem of one environment, goals sampled by `pipeline.solve`; with_can: the can is part
+    of the robot.
 
     The published experiment leaves the can out; with it the can is LIFT higher.
     """

@@ -1,4 +1,6 @@
-"""A folder of problem files as a suite: every ``*.json`` in it is a problem, in the order of the files' names."""
+"""A folder of problem files as a suite:
+every ``*.json`` in it is a problem, in the order of the files' names.
+"""
 
 import hashlib
 from collections.abc import Iterator, Mapping
@@ -21,17 +23,21 @@ class FiledProblem(NamedTuple):
 
     problem: PlanningProblem  # named as its rows are
     path: Path
-    digest: str  # sha256 over the file and all files that it names: scene, clouds, meshes, URDF, SRDF
+    # sha256 over the file and all files that it names: scene, clouds, meshes, URDF, SRDF
+    digest: str
 
 
 def read_folder(folder: Path) -> dict[str, FiledProblem]:
     """All problems of a folder by their names in rows.
 
-    Left out are hidden files, json schemas for editors, and scenes that a problem of the folder names.
-    InvalidInputError names the file that is no problem, and what is wrong in it; two of one name; an empty folder.
+    Left out are hidden files, json schemas for editors, and scenes that a problem of the folder
+    names. InvalidInputError names the file that is no problem, and what is wrong in it; two of one
+    name; an empty folder.
     """
     contents = _contents(folder)
-    scenes = {(folder / data["scene"]).resolve() for data in contents.values() if _names_a_scene(data)}
+    scenes = {
+        (folder / data["scene"]).resolve() for data in contents.values() if _names_a_scene(data)
+    }
     found: dict[str, FiledProblem] = {}
     for path, data in contents.items():
         if path.resolve() in scenes:
@@ -39,13 +45,15 @@ def read_folder(folder: Path) -> dict[str, FiledProblem]:
         problem = _named_as_in_rows(PlanningProblem.load(path), path)
         if problem.name in found:
             raise InvalidInputError(
-                f"{found[problem.name].path} and {path} are both named {problem.name!r}, and rows go by names: "
+                f"{found[problem.name].path} and {path} are both named {problem.name!r}, and rows "
+                f"go by names: "
                 "give one of them another 'name'"
             )
         found[problem.name] = FiledProblem(problem, path, _digest(path, data, problem))
     if not found:
         raise InvalidInputError(
-            f"{folder} holds no problem files (*.json); write one with: cvqmpt problems new {folder / 'mine.json'}"
+            f"{folder} holds no problem files (*.json); write one with: cvqmpt problems new "
+            f"{folder / 'mine.json'}"
         )
     return found
 
@@ -53,7 +61,9 @@ def read_folder(folder: Path) -> dict[str, FiledProblem]:
 def _contents(folder: Path) -> dict[Path, dict[str, Any]]:
     """Json of the files that may be problems."""
     try:
-        paths = [path for path in folder.iterdir() if path.suffix == ".json" and path.name[0] != "."]
+        paths = [
+            path for path in folder.iterdir() if path.suffix == ".json" and path.name[0] != "."
+        ]
     except OSError as error:
         raise InvalidInputError(
             f"cannot read folder {folder}: {error.strerror}; name a folder of problem files"
@@ -71,7 +81,8 @@ def _named_as_in_rows(problem: PlanningProblem, path: Path) -> PlanningProblem:
     name = problem.name.replace("/", "-")
     if one_line(name) != name:
         raise InvalidInputError(
-            f"{path}: name {name!r} cannot stand in a table: no =, +, - or @ first, no blanks around or in a row"
+            f"{path}: name {name!r} cannot stand in a table: no =, +, - or @ first, no blanks "
+            f"around or in a row"
         )
     return problem if name == problem.name else replace(problem, name=name)
 

@@ -1,8 +1,10 @@
-"""Planning in the map that depth images give of a scene, and judging paths in the map and in the scene.
+"""Planning in the map that depth images give of a scene, and judging paths in the map and in the
+scene.
 
-Five kitchens and five cluttered tables; start and goal are random upright configurations `ROOM` from everything, the
-straight motion between them blocked. Noisy depth images with the arm at the start become, through files, filters and
-the removal of the robot's points, an occupancy map, all that planners know. A second suite varies one setting each.
+Five kitchens and five cluttered tables; start and goal are random upright configurations `ROOM`
+from everything, the straight motion between them blocked. Noisy depth images with the arm at the
+start become, through files, filters and the removal of the robot's points, an occupancy map, all
+that planners know. A second suite varies one setting each.
 """
 
 import tempfile
@@ -37,12 +39,23 @@ SCENES = range(30)
 VARIED_SCENES = range(10)  # whose sensing is varied
 FIRST_TABLE = 3000  # scene numbers that no other suite uses
 ROOM = 0.06  # [m] that start and goal keep from obstacles
-THINGS = {"cracker_box": (CRACKER_BOX, 0.287), "mustard": (MUSTARD_BOTTLE, 0.262), "can": (CAN, 0.271)}
+THINGS = {
+    "cracker_box": (CRACKER_BOX, 0.287),
+    "mustard": (MUSTARD_BOTTLE, 0.262),
+    "can": (CAN, 0.271),
+}
 """On the counter: what, and the height of its centre of mass [m]."""
 COUNTER = ((0.32, -0.85), (0.70, -0.20))  # [m] corners x, y of where they stand
 APART = 0.17  # [m] between their centres
-STANDS = (((130, 160), (20, 45)), ((185, 205), (20, 45)), ((165, 195), (50, 65)), ((100, 120), (15, 35)))
-"""Azimuths and elevations [deg] of the first, second, ... camera as seen from `TARGET`: behind the robot."""
+STANDS = (
+    ((130, 160), (20, 45)),
+    ((185, 205), (20, 45)),
+    ((165, 195), (50, 65)),
+    ((100, 120), (15, 35)),
+)
+"""Azimuths and elevations [deg] of the first, second, ... camera as seen from `TARGET`:
+behind the robot.
+"""
 TARGET, TARGET_SPREAD, DISTANCE = (0.45, -0.15, 0.35), 0.1, (1.2, 1.7)  # [m]
 
 
@@ -56,7 +69,11 @@ class ScannedScene(NamedTuple):
 def scanned_scene(number: int) -> ScannedScene | UnsolvableProblem:
     """Scene `number`: even ones are kitchens, odd ones tables."""
     rng = np.random.default_rng([number, 12])
-    scene = family_scene("table", FIRST_TABLE + number) if number % 2 else _cluttered_kitchen(number, rng)
+    scene = (
+        family_scene("table", FIRST_TABLE + number)
+        if number % 2
+        else _cluttered_kitchen(number, rng)
+    )
     truth = upright_problem(str(number), robot_from_source(PANDA), scene, rng, ROOM)
     if isinstance(truth, UnsolvableProblem):
         return truth
@@ -86,7 +103,8 @@ def _camera(stand: tuple[tuple[int, int], tuple[int, int]], rng: np.random.Gener
     return Camera(KINECT, look_at(target + rng.uniform(*DISTANCE) * away, target))
 
 
-REACH = BallCrop(centre=(0.0, 0.0, 0.33), radius=1.3)  # what of a scan the arm can touch, and a little more
+# what of a scan the arm can touch, and a little more
+REACH = BallCrop(centre=(0.0, 0.0, 0.33), radius=1.3)
 NEIGHBOURS = 8  # points with fewer are taken for flying pixels, which come in veils behind edges
 
 
@@ -120,7 +138,9 @@ class SensedProblem:
         return replace(self.problem, scene=self.truth)
 
 
-def sensor_problem(number: int, sensing: Sensing | None = None) -> SensedProblem | UnsolvableProblem:
+def sensor_problem(
+    number: int, sensing: Sensing | None = None
+) -> SensedProblem | UnsolvableProblem:
     """`scanned_scene` measured; the same noise, start and goal whatever else is varied."""
     scanned = scanned_scene(number)
     if isinstance(scanned, UnsolvableProblem):
@@ -138,7 +158,9 @@ def sensor_problem(number: int, sensing: Sensing | None = None) -> SensedProblem
     for label, q in problem.labelled_configurations():
         if checker.in_collision(q):
             kind = FailReason.INVALID_START if label == "start" else FailReason.INVALID_GOAL
-            return UnsolvableProblem(problem.name, f"{label} in the map: {checker.colliding_pair(q)}", kind)
+            return UnsolvableProblem(
+                problem.name, f"{label} in the map: {checker.colliding_pair(q)}", kind
+            )
     return SensedProblem(problem, scanned.truth.scene, seconds)
 
 
@@ -164,23 +186,29 @@ def _thinned(view: View, pixels: int, rng: np.random.Generator) -> View:
     return replace(view, depth=depth.reshape(view.depth.shape))
 
 
-def _in_map(truth: PlanningProblem, files: list[tuple[Path, Path, Path]], sensing: Sensing) -> PlanningProblem:
+def _in_map(
+    truth: PlanningProblem, files: list[tuple[Path, Path, Path]], sensing: Sensing
+) -> PlanningProblem:
     """The problem in a map of what the files say."""
     captures = [read_capture(*each) for each in files]
     settings = ScanSettings(crop=REACH, voxel=0.5 * sensing.resolution, neighbours=NEIGHBOURS)
     found = scan(captures, settings, np.random.default_rng(0), Arm(truth.robot, truth.start))
-    mapped = occupancy_map(found.points, MapSettings(resolution=sensing.resolution, padding=sensing.padding))
+    mapped = occupancy_map(
+        found.points, MapSettings(resolution=sensing.resolution, padding=sensing.padding)
+    )
     return replace(truth, scene=Scene("map", (SceneObject("map", mapped, np.eye(4)),)))
 
 
-LEVELS: Mapping[str, Sequence[Any]] = {  # values tried of each field of `Sensing`, beside its default
+# values tried of each field of `Sensing`, beside its default
+LEVELS: Mapping[str, Sequence[Any]] = {
     "noise": (0.0, 2.0, 4.0),
     "cameras": (1, 4),
     "pixels": (40_000, 10_000, 2_500),
     "resolution": (0.01, 0.04),
     "padding": (0.0, 0.01, 0.03, 0.04),
 }
-VARIED_PLANNERS = ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")  # uniform samples, then learned ones
+# uniform samples, then learned ones
+VARIED_PLANNERS = ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 
 
 def variants() -> tuple[Sensing, ...]:
@@ -201,11 +229,15 @@ VARIED_PROBLEMS = range(len(VARIED_SCENES) * len(variants()))
 def setting(sensing: Sensing) -> str:
     """All fields of a `Sensing` in words, as the table of the rows reads them."""
     values = ((item.name, getattr(sensing, item.name)) for item in fields(sensing))
-    return " ".join(f"{name}={'all' if value is None else format(value, 'g')}" for name, value in values)
+    return " ".join(
+        f"{name}={'all' if value is None else format(value, 'g')}" for name, value in values
+    )
 
 
 def robustness_problem(index: int) -> SensedProblem | UnsolvableProblem:
-    """Variant index // 10 of scene index % 10; its rows are named like a phase, by scene and setting."""
+    """Variant index // 10 of scene index % 10;
+    its rows are named like a phase, by scene and setting.
+    """
     sensing, number = variants()[index // len(VARIED_SCENES)], index % len(VARIED_SCENES)
     item = sensor_problem(number, sensing)
     name = phase_problem(str(index), number + 1, setting(sensing))

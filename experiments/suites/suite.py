@@ -1,4 +1,7 @@
-"""The suites by name: which problems or tasks an experiment runs. A folder of problem files is one by its path."""
+"""The suites by name: which problems or tasks an experiment runs.
+
+A folder of problem files is one by its path.
+"""
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -69,10 +72,14 @@ class Suite:
     problems: Sequence[Any]  # indices, or names of the problems of a folder
     make: Callable[[Any], SuiteItem]
     planners: Sequence[str] = tuple(PLANNERS)  # run unless others are named
-    carried: tuple[Attachment, ...] = ()  # in the hand in pictures, where its problems do not model it
-    new_scenes: bool = False  # every planner computes its own distance field and edge costs of a cloud
-    settings: Mapping[str, object] = field(default_factory=dict)  # what else decides its rows, as json values
-    digests: Mapping[str, str] = field(default_factory=dict)  # sha256 of a folder's problems, by name
+    # in the hand in pictures, where its problems do not model it
+    carried: tuple[Attachment, ...] = ()
+    # every planner computes its own distance field and edge costs of a cloud
+    new_scenes: bool = False
+    # what else decides its rows, as json values
+    settings: Mapping[str, object] = field(default_factory=dict)
+    # sha256 of a folder's problems, by name
+    digests: Mapping[str, str] = field(default_factory=dict)
 
     def item(self, index: int | str) -> SuiteItem:
         """Problem or task `index`; InvalidInputError names the valid range."""
@@ -84,10 +91,14 @@ class Suite:
         return self.make(index)
 
     def solvable(self, index: int | str) -> PlanningProblem | Task:
-        """The same, of a scanned scene the problem in its map; InvalidInputError where there is no problem."""
+        """The same, of a scanned scene the problem in its map;
+        InvalidInputError where there is no problem.
+        """
         item = self.item(index)
         if isinstance(item, UnsolvableProblem):
-            raise InvalidInputError(f"problem {index} of {self.name} has no solution: {item.reason}")
+            raise InvalidInputError(
+                f"problem {index} of {self.name} has no solution: {item.reason}"
+            )
         return item.problem if isinstance(item, SensedProblem) else item
 
 
@@ -95,7 +106,12 @@ SUITES: Mapping[str, Suite] = {
     suite.name: suite
     for suite in (
         Suite("place-task", ENVIRONMENTS, place_problem, carried=(carried_can(),), new_scenes=True),
-        Suite("place-task-with-can", ENVIRONMENTS, partial(place_problem, with_can=True), new_scenes=True),
+        Suite(
+            "place-task-with-can",
+            ENVIRONMENTS,
+            partial(place_problem, with_can=True),
+            new_scenes=True,
+        ),
         Suite(
             "place-task-single-goal",
             SINGLE_GOAL_ENVIRONMENTS,
@@ -112,17 +128,43 @@ SUITES: Mapping[str, Suite] = {
             new_scenes=True,
         ),
         *(
-            Suite(f"family-{name}", FAMILY_PROBLEMS, partial(held_out_problem, name), new_scenes=True)
+            Suite(
+                f"family-{name}", FAMILY_PROBLEMS, partial(held_out_problem, name), new_scenes=True
+            )
             for name in FAMILIES
         ),
         Suite("constraints", CONSTRAINED, constraint_problem, ZERO_SHOT, new_scenes=True),
         Suite("factorial", ENVIRONMENTS[:60], place_problem, FACTORIAL, new_scenes=True),
-        Suite("factorial-constraints", CONSTRAINED[:80], constraint_problem, FACTORIAL, new_scenes=True),
+        Suite(
+            "factorial-constraints",
+            CONSTRAINED[:80],
+            constraint_problem,
+            FACTORIAL,
+            new_scenes=True,
+        ),
         Suite("open-door", DOOR_PROBLEMS, door_problem, FREE_OF_WEIGHTS),
-        Suite("robots", range(len(ROBOTS) * len(ROBOT_PROBLEMS)), robots_problem, ON_ANY_ROBOT, new_scenes=True),
-        Suite("peers", SINGLE_GOAL_ENVIRONMENTS, single_goal_problem, WITH_PEERS, carried=(carried_can(),)),
+        Suite(
+            "robots",
+            range(len(ROBOTS) * len(ROBOT_PROBLEMS)),
+            robots_problem,
+            ON_ANY_ROBOT,
+            new_scenes=True,
+        ),
+        Suite(
+            "peers",
+            SINGLE_GOAL_ENVIRONMENTS,
+            single_goal_problem,
+            WITH_PEERS,
+            carried=(carried_can(),),
+        ),
         Suite("sensor", SCENES, sensor_problem, new_scenes=True),
-        Suite("sensor-robustness", VARIED_PROBLEMS, robustness_problem, VARIED_PLANNERS, new_scenes=True),
+        Suite(
+            "sensor-robustness",
+            VARIED_PROBLEMS,
+            robustness_problem,
+            VARIED_PLANNERS,
+            new_scenes=True,
+        ),
         Suite("multi-sequence", TASKS, multi_sequence_task, settings={"speed": SLOW}),
     )
 }
@@ -132,14 +174,17 @@ _FOLDERS: dict[str, Suite] = {}  # by full path; workers that are forked find wh
 
 
 def folder_suite(folder: Path) -> Suite:
-    """The problems of a folder as they are now, as a suite with the folder's name; `suite_named` finds it by full path.
+    """The problems of a folder as they are now, as a suite with the folder's name; `suite_named`
+    finds it by full path.
 
-    Its planners are those that can serve all of them. InvalidInputError: see `read_folder`; or the name is taken.
+    Its planners are those that can serve all of them. InvalidInputError: see `read_folder`; or the
+    name is taken.
     """
     found, path = read_folder(folder), folder.resolve()
     if path.name in SUITES or not path.name:
         raise InvalidInputError(
-            f"folder {path}: its rows would be called {path.name!r}, as a suite of ours; give it another name"
+            f"folder {path}: its rows would be called {path.name!r}, as a suite of ours; give it "
+            f"another name"
         )
     problems = {name: filed.problem for name, filed in found.items()}
     _FOLDERS[str(path)] = suite = Suite(
@@ -158,7 +203,9 @@ def _serves_all(method: Method, problems: Iterable[PlanningProblem]) -> bool:
 
 
 def suite_named(name: str) -> Suite:
-    """The suite of that name, or of the folder with that full path; UnknownChoiceError lists the names."""
+    """The suite of that name, or of the folder with that full path;
+    UnknownChoiceError lists the names.
+    """
     if os.sep in name:
         return _FOLDERS.get(name) or folder_suite(Path(name))
     if name not in SUITES:

@@ -1,4 +1,6 @@
-"""The report: one html file of verdicts, tables, plots, rows and provenance; the template escapes text from rows."""
+"""The report: one html file of verdicts, tables, plots, rows and provenance;
+the template escapes text from rows.
+"""
 
 import base64
 import shlex
@@ -25,7 +27,16 @@ TEMPLATE = "page.html.j2"
 STYLES = {Ruling.HOLDS: "holds", Ruling.TOO_FEW: "part", Ruling.FAILS: "not"}  # of verdicts
 PICTURES = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
 SHOWN_FACTS = (  # of a session
-    *("command", "git_commit", "git_dirty", "date_utc", "cpu_model", "cpu_count", "platform", "python"),
+    *(
+        "command",
+        "git_commit",
+        "git_dirty",
+        "date_utc",
+        "cpu_model",
+        "cpu_count",
+        "platform",
+        "python",
+    ),
     *("weights", "versions"),
 )
 ROW_COLUMNS = ("problem", "seed", "solved", "time [s]", "work", "vertices", "length [rad]", "what")
@@ -46,7 +57,8 @@ def report_html(
 ) -> str:
     """One self-contained file about results directories, see `evidence_of`.
 
-    report: is called with how many of them are done. paths: by the name of the directory that each is of.
+    report: is called with how many of them are done. paths: by the name of the directory that each
+        is of.
     """
     claims = [item for item in judged_claims(found) if item.verdicts]
     sections: list[dict[str, Any]] = []
@@ -70,7 +82,9 @@ def report_html(
 
 
 def evidence_of(directory: Path) -> dict[str, Evidence]:
-    """A results directory by its suite, or those below a folder by their names, the place task first."""
+    """A results directory by its suite, or those below a folder by their names, the place task
+    first.
+    """
     single = read_evidence(directory)
     if single is not None:
         return {single.rows[0].suite if single.rows else directory.name: single}
@@ -140,9 +154,12 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, str]:
 
 def _row(row: ResultRow) -> list[object]:
     """In `ROW_COLUMNS`."""
-    what = row.fallback or row.detail or "" if row.solved else f"{row.fail_reason}: {row.detail or ''}"
+    what = (
+        row.fallback or row.detail or "" if row.solved else f"{row.fail_reason}: {row.detail or ''}"
+    )
     time, effort, length = (
-        None if number is None else round(number, 4) for number in (row.t_total_s, work(row), row.path_length_rad)
+        None if number is None else round(number, 4)
+        for number in (row.t_total_s, work(row), row.path_length_rad)
     )
     return [row.problem, row.seed, row.solved, time, effort, row.vertices, length, what]
 
@@ -165,7 +182,9 @@ def _fact(fact: object) -> str:
 
 
 def _pictures(folder: Path) -> dict[str, str]:
-    """Data addresses of pictures beside the rows, by file name; of one that is there in two forms, the first."""
+    """Data addresses of pictures beside the rows, by file name;
+    of one that is there in two forms, the first.
+    """
     found: dict[str, str] = {}
     for kind, mime in PICTURES.items():
         for path in sorted(folder.glob(f"*{kind}")):

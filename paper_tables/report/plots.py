@@ -94,7 +94,9 @@ def stage_times(groups: Groups) -> str:
     figure, axes = _axes(0.9 + LINE * len(groups))
     names, left = list(groups)[::-1], np.zeros(len(groups))
     for k, (stage, column) in enumerate(STAGES.items()):
-        means = [1e3 * np.mean([getattr(row, column) or 0.0 for row in groups[name]]) for name in names]
+        means = [
+            1e3 * np.mean([getattr(row, column) or 0.0 for row in groups[name]]) for name in names
+        ]
         axes.barh(names, means, left=left, color=matplotlib.colormaps["Set2"](k), label=stage)
         left += means
     _finish(axes, "mean time [ms], failures with what they took", "", log=False)
@@ -109,7 +111,9 @@ def stage_times(groups: Groups) -> str:
 
 @matplotlib.rc_context(STYLE)
 def scatter(groups: Groups, baseline: str, value: Value, label: str) -> str:
-    """Every planner against the baseline: a dot a problem, mean of logarithms over seeds; below the line is less."""
+    """Every planner against the baseline: a dot a problem, mean of logarithms over seeds;
+    below the line is less.
+    """
     shown = [name for name in groups if name != baseline]
     columns = min(4, len(shown))
     rows = math.ceil(len(shown) / columns)

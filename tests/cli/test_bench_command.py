@@ -26,6 +26,12 @@ def test_benches_print_their_figures_and_write_them(capsys, tmp_path, bench, fig
     assert main(["bench", bench, "--problems", "1", "--states", "50", "--json", str(out)]) == 0
     lines, figures = capsys.readouterr().out.splitlines(), json.loads(out.read_text())
     assert [line.split("  ")[0] for line in lines] == [item["name"] for item in figures]
-    assert figures[0]["name"].startswith("calibration") and figure in [item["name"] for item in figures]
-    assert all(0.0 < item["low"] <= item["median"] <= item["high"] for item in figures if item["unit"] != "%")
+    assert figures[0]["name"].startswith("calibration") and figure in [
+        item["name"] for item in figures
+    ]
+    assert all(
+        0.0 < item["low"] <= item["median"] <= item["high"]
+        for item in figures
+        if item["unit"] != "%"
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["figures.json"]

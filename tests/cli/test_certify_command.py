@@ -1,4 +1,6 @@
-"""`cvqmpt certify`: what is whole passes, what was tampered with is refused where it was tampered with."""
+"""`cvqmpt certify`:
+what is whole passes, what was tampered with is refused where it was tampered with.
+"""
 
 import json
 import os
@@ -73,7 +75,9 @@ def test_paths_in_every_form_are_certified(judged, states, region_problem):
     }
     for name, text in forms.items():
         code, found = judged(text, name=name)
-        assert code == 0 and found["valid"] and found["faults"] == [] and found["unproven_rad"] == 0.0
+        assert (
+            code == 0 and found["valid"] and found["faults"] == [] and found["unproven_rad"] == 0.0
+        )
     assert found["min_clearance_m"] > 0.0 and found["states_checked"] > 10
 
 
@@ -83,7 +87,9 @@ def test_what_is_not_proven_is_not_certified(judged, states, monkeypatch):
     (fault,) = found["faults"]
     assert code == 1 and not found["valid"] and found["verdict"] == "not proven"
     assert fault["kind"] == "not_proven" and fault["state"] is not None
-    assert fault["text"].startswith("off the manifold by 0 rad, 0 m where it was looked at, not shown")
+    assert fault["text"].startswith(
+        "off the manifold by 0 rad, 0 m where it was looked at, not shown"
+    )
 
 
 def test_the_record_says_what_was_compared_and_where_it_was_closest(judged, region_problem, states):
@@ -95,18 +101,26 @@ def test_the_record_says_what_was_compared_and_where_it_was_closest(judged, regi
     assert counts["obstacles"] == len(problem.scene.obstacles) and "far" in counts["out_of_reach"]
     assert counts["moving_pieces"] + counts["standing_pieces"] == len(robot.links)
     hand = [pair["first"] for pair in counts["left_out"] if pair["second"] == "carried_can"]
-    assert all(name.startswith(("panda_hand", "panda_left", "panda_right", "panda_link7")) for name in hand)
+    assert all(
+        name.startswith(("panda_hand", "panda_left", "panda_right", "panda_link7")) for name in hand
+    )
     assert len(counts["left_out"]) == len(robot.left_out_pairs) + len(hand)
     assert counts["own_pairs"] == len(robot.self_collision_pairs) + len(robot.links) - len(hand)
     k = int(found["min_clearance_at"])
-    q = states[k] + (found["min_clearance_at"] - k) * (states[min(k + 1, len(states) - 1)] - states[k])
+    q = states[k] + (found["min_clearance_at"] - k) * (
+        states[min(k + 1, len(states) - 1)] - states[k]
+    )
     distance, pair = problem.collision_checker().nearest(q)
     assert distance == pytest.approx(found["min_clearance_m"], abs=1e-9)
     assert str(pair) == found["min_clearance_pair"]
 
 
-def test_two_certificates_of_one_path_are_compared(judged, states, tmp_path, region_problem, capsys):
-    """What an earlier version wrote, with another bound and another reason; not of another path or problem."""
+def test_two_certificates_of_one_path_are_compared(
+    judged, states, tmp_path, region_problem, capsys
+):
+    """What an earlier version wrote, with another bound and another reason;
+    not of another path or problem.
+    """
     earlier = judged(states)[1]
     (tmp_path / "now.json").write_text(json.dumps(earlier))
     assert judged(states, options=["--against", str(tmp_path / "now.json")])[1]["differences"] == {}
@@ -144,7 +158,9 @@ def until(state, direction, reached):
 def tilted(problem, states):
     """The hand of one state tilts by 0.101 rad; its neighbours are as they were."""
     region, bent = problem.constraint[0], states.copy()
-    tilt = lambda q: np.abs(displacements(problem.robot, region, q[None])[0, region.bounded_rows]).max()  # noqa: E731
+    tilt = lambda q: np.abs(
+        displacements(problem.robot, region, q[None])[0, region.bounded_rows]
+    ).max()
     bent[MIDDLE] = until(states[MIDDLE], np.eye(7)[6], lambda q: tilt(q) >= 0.101)
     assert tilt(bent[MIDDLE]) == pytest.approx(0.101, abs=1e-6)
     return bent
@@ -153,7 +169,11 @@ def tilted(problem, states):
 def inside_by_1_mm(problem, states):
     """One state leans to the side until it is 1 mm inside something."""
     checker, moved = problem.collision_checker(), states.copy()
-    q = next(k for k in range(20, len(states)) if checker.clearance(states[k] + 0.6 * np.eye(7)[0]) < -1e-3)
+    q = next(
+        k
+        for k in range(20, len(states))
+        if checker.clearance(states[k] + 0.6 * np.eye(7)[0]) < -1e-3
+    )
     moved[q] = until(states[q], np.eye(7)[0], lambda q: checker.clearance(q) <= -1e-3)
     return moved
 
@@ -196,7 +216,9 @@ def test_what_was_tampered_with_is_refused_and_found(judged, problem, states, ho
         assert abs(fault["state"] - (place if place >= 0 else len(tampered) - 1)) <= 1.0
 
 
-def test_a_path_into_a_closed_door_or_to_a_goal_2_mm_away_is_refused(judged, region_problem, states):
+def test_a_path_into_a_closed_door_or_to_a_goal_2_mm_away_is_refused(
+    judged, region_problem, states
+):
     scene, region = region_problem.scene, region_problem.goal_region
     code, found = judged(states, replace(region_problem, scene=scene.with_joint(DOOR, 0.0)))
     assert code == 1 and any("door_left" in fault["text"] for fault in found["faults"])
@@ -214,7 +236,10 @@ def test_a_trajectory_is_dry_run(judged, trajectory, states, form, name):
     code, found = judged(form(trajectory), name=name, options=["--current", away])
     assert code == 1 and [fault["kind"] for fault in found["faults"]] == ["current"]
     assert "panda_joint3 stands 0.011" in found["faults"][0]["text"]
-    assert judged(form(trajectory), name=name, options=["--current", away, "--tolerance", "0.02"])[0] == 0
+    assert (
+        judged(form(trajectory), name=name, options=["--current", away, "--tolerance", "0.02"])[0]
+        == 0
+    )
 
 
 def test_a_trajectory_that_swings_out_between_its_points_is_refused(judged, trajectory):
@@ -230,7 +255,9 @@ def test_a_trajectory_that_swings_out_between_its_points_is_refused(judged, traj
 @pytest.mark.parametrize(
     ("acceleration", "code", "curve"), [(None, 0, "cubic"), (0.0, 0, "cubic"), (6.02, 1, "quintic")]
 )
-def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(judged, panda, acceleration, code, curve):
+def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(
+    judged, panda, acceleration, code, curve
+):
     """Joint 1 swings by 0.3 rad above a board; the quintic turns joint 2 down by up to 0.234 rad."""
     start = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8])
     goal = start + 0.3 * np.eye(7)[0]
@@ -239,7 +266,11 @@ def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(judged, pa
     problem = PlanningProblem("swing", panda, Scene("board", (board,)), start, goal[None])
     mean = 0.3 / 1.5 * np.eye(7)[0]
     a = np.array([6.0 * mean / 1.5, -6.0 * mean / 1.5 + (acceleration or 0.0) * np.eye(7)[1]])
-    kinds = ("position", "velocity") if acceleration is None else ("position", "velocity", "acceleration")
+    kinds = (
+        ("position", "velocity")
+        if acceleration is None
+        else ("position", "velocity", "acceleration")
+    )
     rows = np.column_stack([(0.0, 1.5), (start, goal), np.zeros((2, 7)), a][: 1 + len(kinds)])
     header = ["time", *(f"{name}_{kind}" for kind in kinds for name in panda.joint_names)]
     lines = [",".join(header), *(",".join(map(repr, map(float, row))) for row in rows)]
@@ -249,24 +280,33 @@ def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(judged, pa
 
 
 @pytest.mark.parametrize(("part", "words"), [(slice(40), "ends"), (slice(40, None), "begins")])
-def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(judged, region_problem, trajectory, part, words):
+def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
+    judged, region_problem, trajectory, part, words
+):
     """Each of its halves, between the state where it was cut and the end that it kept."""
     kinds = ("times", "positions", "velocities", "accelerations")
     half = replace(trajectory, **{kind: getattr(trajectory, kind)[part] for kind in kinds})
     problem = replace(region_problem, start=half.positions[0], goals=half.positions[-1:])
     code, found = judged(as_csv(half), problem)
     (fault,) = found["faults"]
-    assert code == 1 and fault["kind"] == "velocity" and f"where the motion {words}" in fault["text"]
+    assert (
+        code == 1 and fault["kind"] == "velocity" and f"where the motion {words}" in fault["text"]
+    )
 
 
 def test_the_report_says_where_a_path_leaves_the_manifold_in_short_lines(tmp_path, states, capsys):
-    bent, far = changed(states, MIDDLE, 0.5 * np.eye(7)[5]), np.array([states[0], states[0] + 1e300])
+    bent, far = (
+        changed(states, MIDDLE, 0.5 * np.eye(7)[5]),
+        np.array([states[0], states[0] + 1e300]),
+    )
     for motion, words in ((bent, ("off the manifold by", "at state 40")), (far, ())):
         np.savetxt(tmp_path / "a.csv", motion, delimiter=",", fmt="%.17g")
         assert main(["certify", str(tmp_path / "a.csv"), "place-task"]) == 1
         out, err = capsys.readouterr()
         assert err == "" and out.startswith("certified   NO") and all(part in out for part in words)
-        assert motion is bent or (len(out.splitlines()) == 3 and max(map(len, out.splitlines())) < 120)
+        assert motion is bent or (
+            len(out.splitlines()) == 3 and max(map(len, out.splitlines())) < 120
+        )
 
 
 @pytest.mark.parametrize(
@@ -282,7 +322,11 @@ def test_the_report_says_where_a_path_leaves_the_manifold_in_short_lines(tmp_pat
         ("a.json", "[[1, 2], [3]]", "not understood"),
         ("a.json", '[["0.1", 2], [3, 4]]', "not understood"),
         ("a.json", "[[true, 2], [3, 4]]", "not understood"),
-        ("a.json", '{"points": [{"positions": [1], "time_from_start": {"sec": true}}]}', "not understood"),
+        (
+            "a.json",
+            '{"points": [{"positions": [1], "time_from_start": {"sec": true}}]}',
+            "not understood",
+        ),
         ("a.json", '{"joint_names": 3, "states": []}', "list of names"),
         ("a.json", '{"points": [{"time_from_start": 3}]}', "no 'positions'"),
         ("a.json", '{"points": 7}', "not understood"),
@@ -300,9 +344,13 @@ def test_a_trajectory_without_velocities_with_times_that_go_back_or_in_other_uni
     tmp_path, capsys, trajectory
 ):
     lines = as_csv(trajectory).splitlines()
-    quick = replace(trajectory, times=trajectory.times / 1000.0, velocities=trajectory.velocities * 1000.0)
+    quick = replace(
+        trajectory, times=trajectory.times / 1000.0, velocities=trajectory.velocities * 1000.0
+    )
     ends = {kind: getattr(trajectory, kind)[[0, -1]] for kind in ("positions", "accelerations")}
-    swinging = replace(trajectory, **ends, times=np.array([0.0, 1000.0]), velocities=np.full((2, 7), 20.0))
+    swinging = replace(
+        trajectory, **ends, times=np.array([0.0, 1000.0]), velocities=np.full((2, 7), 20.0)
+    )
     for text, words in (
         ("\n".join([lines[0], lines[2], lines[1]]), "increase"),
         ("\n".join(",".join(line.split(",")[:8]) for line in lines), "needs velocities"),

@@ -49,7 +49,9 @@ def test_damaged_weights_are_broken(capsys, monkeypatch, tmp_path):
     folder = tmp_path / "vq_mpt"
     folder.mkdir()
     for path in (weights.WEIGHTS / "vq_mpt").iterdir():
-        (folder / path.name).write_bytes(path.read_bytes()[: 2000 if path.suffix == ".safetensors" else None])
+        (folder / path.name).write_bytes(
+            path.read_bytes()[: 2000 if path.suffix == ".safetensors" else None]
+        )
     monkeypatch.setattr(weights, "WEIGHTS", tmp_path)
     assert main(["doctor"]) == 1
     found = findings(capsys)

@@ -1,4 +1,6 @@
-"""The command line as a whole: bad words are one line and exit code 2, help is quick and has examples."""
+"""The command line as a whole:
+bad words are one line and exit code 2, help is quick and has examples.
+"""
 
 import os
 import statistics
@@ -45,9 +47,17 @@ ROOT = Path(__file__).resolve().parents[2]
         ("reproduce nope", "'nope'", "place-task"),
         ("figure nope", "'nope'", "histogram, concept"),
         ("figure cost", "cost", "name their folder with --rows"),
-        ("figure cost --rows x --out paper_tables/results/place-task", "place-task", "committed results"),
+        (
+            "figure cost --rows x --out paper_tables/results/place-task",
+            "place-task",
+            "committed results",
+        ),
         ("robot gen3", "'gen3'", "ros2_kortex"),
-        ("plan --task-file tests/data/problem-1.json", "cvqmpt-problem/1", "give it with --problem-file"),
+        (
+            "plan --task-file tests/data/problem-1.json",
+            "cvqmpt-problem/1",
+            "give it with --problem-file",
+        ),
         ("reproduce place-task --planners birrt,nope", "'nope'", "ompl-projected"),
         ("reproduce place-task --planners ,", "planners", "at least one"),
         ("problems nope place-task", "'nope'", "list, export"),
@@ -66,7 +76,14 @@ def test_unknown_choices_name_the_value_and_the_valid_ones(capsys, words, value,
 @pytest.mark.parametrize(
     "words",
     [
-        *("nope", "warmup nope", "bench", "table", "plan place-task --nope", "plan place-task --seed"),
+        *(
+            "nope",
+            "warmup nope",
+            "bench",
+            "table",
+            "plan place-task --nope",
+            "plan place-task --seed",
+        ),
         *(f"plan place-task --cutoff {value}" for value in ("nan", "-1", "inf", "ten")),
         *("plan place-task --iterations 0", "plan place-task --problem one"),
         *(f"reproduce place-task {option}" for option in ("--problems 0", "--seeds x", "--jobs 0")),
@@ -101,7 +118,9 @@ def test_as_a_process_an_error_is_one_line_without_traceback():
     assert done.returncode == 2 and done.stdout == "" and len(done.stderr.splitlines()) == 1
 
 
-@pytest.mark.parametrize(("where", "code", "told"), [("/dev/full", 2, "cvqmpt: [Errno 28]"), ("closed", 141, "")])
+@pytest.mark.parametrize(
+    ("where", "code", "told"), [("/dev/full", 2, "cvqmpt: [Errno 28]"), ("closed", 141, "")]
+)
 def test_what_cannot_be_printed_is_no_success(where, code, told):
     words = [sys.executable, "-m", "cli.main", "problems", "list", "place-task", "--problems", "3"]
     if where == "closed":
@@ -111,4 +130,8 @@ def test_what_cannot_be_printed_is_no_success(where, code, told):
         writing = os.open(where, os.O_WRONLY)
     done = subprocess.run(words, cwd=ROOT, stdout=writing, stderr=subprocess.PIPE, text=True)
     os.close(writing)
-    assert done.returncode == code and done.stderr.startswith(told) and len(done.stderr.splitlines()) == bool(told)
+    assert (
+        done.returncode == code
+        and done.stderr.startswith(told)
+        and len(done.stderr.splitlines()) == bool(told)
+    )

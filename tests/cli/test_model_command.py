@@ -30,8 +30,12 @@ def info(capsys, *words):
     return json.loads(capsys.readouterr().out)
 
 
-def test_published_folders_are_converted_and_predict(panda, published, published_states, tmp_path, capsys):
-    huge = published_states["decoder_state"] | {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)}
+def test_published_folders_are_converted_and_predict(
+    panda, published, published_states, tmp_path, capsys
+):
+    huge = published_states["decoder_state"] | {
+        "mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)
+    }
     dictionary_dir, ar_dir = published(decoder_state=huge)
     words = ["model", "import", "--dictionary-dir", dictionary_dir, "--ar-dir", ar_dir]
     words += ["--out", tmp_path / "ours"]
@@ -40,10 +44,19 @@ def test_published_folders_are_converted_and_predict(panda, published, published
     dictionary_dir, ar_dir = published()
     assert main([str(word) for word in words]) == 0
     text = capsys.readouterr().out
-    for name in ("encoder_state", "quantizer_state", "decoder_state", "context_state", "ar_model_state"):
+    for name in (
+        "encoder_state",
+        "quantizer_state",
+        "decoder_state",
+        "context_state",
+        "ar_model_state",
+    ):
         assert f"\n{name} " in text
     assert "epochs: dictionary 7, sequence model 7\nnot used: epoch, n_steps, optimizer" in text
-    assert info(capsys, "--model", words[-1])["model"]["dictionary"]["n_position"] == STAGE1["n_position"]
+    assert (
+        info(capsys, "--model", words[-1])["model"]["dictionary"]["n_position"]
+        == STAGE1["n_position"]
+    )
     rng = np.random.default_rng(0)
     q = panda.random_configurations(rng, 2)
     predictor = Predictor(load_vq_mpt(panda, words[-1]), panda)
@@ -90,9 +103,13 @@ def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp
     assert load_vq_mpt(panda, tmp_path / "run" / "model").config == checkpoint.config
     with pytest.raises(InvalidInputError, match="architecture is 'vq-mpt'; expected 'mpnet'"):
         resolve_model(tmp_path / "run", "mpnet")
-    with pytest.raises(OtherRobotError, match=r"weights are for robot 'panda', not .*: 7 joints, not 4"):
+    with pytest.raises(
+        OtherRobotError, match=r"weights are for robot 'panda', not .*: 7 joints, not 4"
+    ):
         load_vq_mpt(slider_arm, tmp_path / "run")
-    with pytest.raises(InvalidInputError, match="no weights in gnn; give one of vq_mpt, or the folder"):
+    with pytest.raises(
+        InvalidInputError, match="no weights in gnn; give one of vq_mpt, or the folder"
+    ):
         load_vq_mpt(panda, "gnn")
 
 

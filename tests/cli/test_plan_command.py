@@ -17,10 +17,28 @@ from experiments.suites.multi_sequence import multi_sequence_task
 
 def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem, tmp_path):
     out = tmp_path / "path.csv"
-    words = ["plan", "--problem-file", str(problem_file), "--iterations", "20000", "--save-path", str(out)]
+    words = [
+        "plan",
+        "--problem-file",
+        str(problem_file),
+        "--iterations",
+        "20000",
+        "--save-path",
+        str(out),
+    ]
     assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
-    heads = ["problem", "constraint", "planner", "status", "time", "counts", "length", "certificate", "path"]
+    heads = [
+        "problem",
+        "constraint",
+        "planner",
+        "status",
+        "time",
+        "counts",
+        "length",
+        "certificate",
+        "path",
+    ]
     assert [line.split()[0] for line in lines] == heads
     assert lines[3].split() == ["status", "solved"] and " valid " in lines[7]
     assert out.read_text().splitlines()[0] == ",".join(problem.robot.joint_names)
@@ -29,7 +47,10 @@ def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem,
 
 
 def test_the_planner_that_nobody_names_is_a_roadmap_but_where_the_hand_holds_a_door(capsys):
-    for suite, planner, why in (("place-task", "roadmap", "work"), ("open-door", "birrt", "mechanism")):
+    for suite, planner, why in (
+        ("place-task", "roadmap", "work"),
+        ("open-door", "birrt", "mechanism"),
+    ):
         main(["plan", suite, "--problem", "0", "--iterations", "3000", "--json"])
         said = json.loads(capsys.readouterr().out)
         assert said["planner"] == planner and why in said["chosen_because"]
@@ -64,12 +85,29 @@ def test_command_line(task, tmp_path, capsys):
     assert all(name in out for name in (*names, "solved"))
     assert main(["plan", "place-task", "--task-file", str(tmp_path / "task.json")]) == 2
     assert "one of the four" in capsys.readouterr().err
-    assert main(["plan", "--task-file", str(tmp_path / "task.json"), "--save-path", str(tmp_path / "a.csv")]) == 2
+    assert (
+        main(
+            [
+                "plan",
+                "--task-file",
+                str(tmp_path / "task.json"),
+                "--save-path",
+                str(tmp_path / "a.csv"),
+            ]
+        )
+        == 2
+    )
     assert "--save-path does not go with a task" in capsys.readouterr().err
     assert main(["plan", "--task-file", str(tmp_path / "task.json"), "--trajectory", "a.json"]) == 2
     assert "of a task it is a folder" in capsys.readouterr().err
-    assert main(["problems", "export", "multi-sequence", "--problems", "1", "--out", str(tmp_path)]) == 0
-    assert Task.load(tmp_path / "multi-sequence-000.json").to_dict() == multi_sequence_task(0).to_dict()
+    assert (
+        main(["problems", "export", "multi-sequence", "--problems", "1", "--out", str(tmp_path)])
+        == 0
+    )
+    assert (
+        Task.load(tmp_path / "multi-sequence-000.json").to_dict()
+        == multi_sequence_task(0).to_dict()
+    )
 
 
 def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_path, capsys):
@@ -88,19 +126,28 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
         "close": {"finger_opening": 0.007},
         "let-go": {"finger_opening": 0.04},
     }
-    assert sorted(p.name for p in folder.iterdir()) == sorted(["task.json", *(s["file"] for s in index if "file" in s)])
+    assert sorted(p.name for p in folder.iterdir()) == sorted(
+        ["task.json", *(s["file"] for s in index if "file" in s)]
+    )
     task = Task.load(path)
     q = task.start
     for step, phase in zip(index, told["phases"], strict=True):
         if "file" in step:
             motion = read_motion(folder / step["file"])
-            assert motion.positions.shape[1] == 7 and motion.positions[0] == pytest.approx(q, abs=1e-9)
+            assert motion.positions.shape[1] == 7 and motion.positions[0] == pytest.approx(
+                q, abs=1e-9
+            )
             q = motion.positions[-1]
-            assert phase["certificate"]["verdict"] == "valid" and phase["certificate"]["compared"]["obstacles"]
+            assert (
+                phase["certificate"]["verdict"] == "valid"
+                and phase["certificate"]["compared"]["obstacles"]
+            )
             assert phase["duration_s"] == step["duration_s"]
             assert motion.times[-1] == pytest.approx(step["duration_s"], abs=1e-6)
             if step["phase"] == "away/1":
-                off = displacements(robot_from_source(task.robot), task.phases[-1].through[0], q[None])[0]
+                off = displacements(
+                    robot_from_source(task.robot), task.phases[-1].through[0], q[None]
+                )[0]
                 assert np.abs(off[:3]).max() <= 0.0201 and np.abs(off[3:]).max() < 1e-3
 
 

@@ -22,7 +22,9 @@ def changed(path, **fields):
 
 
 def reproduce(folder, out, *more):
-    assert main(["reproduce", "--problems-dir", str(folder), *BUDGET, "--out", str(out), *more]) == 0
+    assert (
+        main(["reproduce", "--problems-dir", str(folder), *BUDGET, "--out", str(out), *more]) == 0
+    )
     return read_rows(out / RUNS_FILE)
 
 
@@ -45,7 +47,9 @@ def folder(tmp_path):
 def test_it_has_rows_a_table_a_report_and_is_continued(folder, tmp_path, capsys):
     out = tmp_path / "out"
     rows = reproduce(folder, out, "--problems", "1")
-    assert [(row.suite, row.problem, row.solved) for row in rows] == [("my shelves", "first-2-carry", True)]
+    assert [(row.suite, row.problem, row.solved) for row in rows] == [
+        ("my shelves", "first-2-carry", True)
+    ]
     both = reproduce(folder, out)
     assert both[0] == rows[0] and [row.problem for row in both] == ["first-2-carry", "second"]
     assert reproduce(folder, out) == both and both[1].solved
@@ -58,13 +62,17 @@ def test_it_has_rows_a_table_a_report_and_is_continued(folder, tmp_path, capsys)
     assert capsys.readouterr().out == "2 paths, 2 certified, 0 refused, 0 unlike their rows\n"
 
 
-def test_a_changed_file_is_not_mixed_with_earlier_rows_and_a_new_one_is_added(folder, tmp_path, capsys):
+def test_a_changed_file_is_not_mixed_with_earlier_rows_and_a_new_one_is_added(
+    folder, tmp_path, capsys
+):
     out = tmp_path / "out"
     rows = reproduce(folder, out)
     changed(folder / "b10.json", name="third")
     added = reproduce(folder, out)
     assert [row.problem for row in added] == ["first-2-carry", "second", "third"]
-    assert [added[0], added[1]] == rows and set(ProvenanceFile(out).read()["continued"][0]["problem_files"]) == {
+    assert [added[0], added[1]] == rows and set(
+        ProvenanceFile(out).read()["continued"][0]["problem_files"]
+    ) == {
         "first-2-carry",
         "third",
     }
@@ -73,7 +81,8 @@ def test_a_changed_file_is_not_mixed_with_earlier_rows_and_a_new_one_is_added(fo
     (folder / "room.json").write_text(to_text({**room, "name": "another room"}))
     again = ("reproduce", "--problems-dir", folder, *BUDGET, "--out", out)
     assert re.search(
-        r'problem_files.first-2-carry was "[0-9a-f]{64}", now "[0-9a-f]{64}".*--out', refused(capsys, *again)
+        r'problem_files.first-2-carry was "[0-9a-f]{64}", now "[0-9a-f]{64}".*--out',
+        refused(capsys, *again),
     )
     certified = refused(capsys, "certify", out, "--problems-dir", folder)
     assert "problem 'first-2-carry' of" in certified and "is not the one that was run" in certified
@@ -83,18 +92,29 @@ def test_a_changed_file_is_not_mixed_with_earlier_rows_and_a_new_one_is_added(fo
 def test_folders_that_are_no_suite_are_refused_before_anything_runs(folder, tmp_path, capsys):
     def told(where=folder, *more):
         out = tmp_path / "out"
-        message = refused(capsys, "reproduce", "--problems-dir", where, *(more or BUDGET), "--out", out)
+        message = refused(
+            capsys, "reproduce", "--problems-dir", where, *(more or BUDGET), "--out", out
+        )
         assert not out.exists()
         return message
 
     assert "No such file or directory; name a folder of problem files" in told(tmp_path / "none")
     (tmp_path / "empty").mkdir()
-    assert "holds no problem files (*.json); write one with: cvqmpt problems new" in told(tmp_path / "empty")
-    assert "as a suite of ours; give it another name" in told(folder.rename(tmp_path / "place-task"))
+    assert "holds no problem files (*.json); write one with: cvqmpt problems new" in told(
+        tmp_path / "empty"
+    )
+    assert "as a suite of ours; give it another name" in told(
+        folder.rename(tmp_path / "place-task")
+    )
     (tmp_path / "place-task").rename(folder)
     assert "unknown planner 'nobody'" in told(folder, "--planners", "nobody")
-    changed(folder / "b2.json", constraint=4 * json.loads((folder / "b2.json").read_text())["constraint"])
-    assert "first-2-carry: atlas-rrt: it needs more joints" in told(folder, "--planners", "atlas-rrt")
+    changed(
+        folder / "b2.json",
+        constraint=4 * json.loads((folder / "b2.json").read_text())["constraint"],
+    )
+    assert "first-2-carry: atlas-rrt: it needs more joints" in told(
+        folder, "--planners", "atlas-rrt"
+    )
     changed(folder / "b2.json", name="=1+2")
     assert "b2.json: name '=1+2' cannot stand in a table" in told()
     changed(folder / "b2.json", name="second")
@@ -108,15 +128,29 @@ def test_folders_that_are_no_suite_are_refused_before_anything_runs(folder, tmp_
 def test_a_suite_or_a_folder_is_named(folder, capsys):
     assert "one of the two" in refused(capsys, "reproduce", "place-task", "--problems-dir", folder)
     assert "one of the two" in refused(capsys, "reproduce", *BUDGET)
-    assert "--problems-dir does not go with 'all'" in refused(capsys, "reproduce", "all", "--problems-dir", folder)
+    assert "--problems-dir does not go with 'all'" in refused(
+        capsys, "reproduce", "all", "--problems-dir", folder
+    )
     assert "--problems-dir goes with the directory" in refused(
-        capsys, "certify", folder / "b2.json", "--problem-file", folder / "b2.json", "--problems-dir", folder
+        capsys,
+        "certify",
+        folder / "b2.json",
+        "--problem-file",
+        folder / "b2.json",
+        "--problems-dir",
+        folder,
     )
 
 
 def test_without_named_planners_all_run_that_can(folder, tmp_path):
-    changed(folder / "b10.json", constraint=4 * json.loads((folder / "b10.json").read_text())["constraint"])
+    changed(
+        folder / "b10.json",
+        constraint=4 * json.loads((folder / "b10.json").read_text())["constraint"],
+    )
     out, few = tmp_path / "out", ("--iterations", "1", "--jobs", "1")
     assert main(["reproduce", "--problems-dir", str(folder), *few, "--out", str(out)]) == 0
     planners = {row.planner for row in read_rows(out / RUNS_FILE)}
-    assert {"birrt", "roadmap", "cvq-mpt", "ompl-projected"} <= planners and not {"atlas-rrt", "tb-rrt"} & planners
+    assert {"birrt", "roadmap", "cvq-mpt", "ompl-projected"} <= planners and not {
+        "atlas-rrt",
+        "tb-rrt",
+    } & planners

@@ -36,13 +36,20 @@ def test_a_directory_that_cannot_be_made_is_refused(capsys, out):
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_read_only_directory_is_refused(capsys, tmp_path):
     tmp_path.chmod(0o555)
-    assert "read-only" in refused(capsys, "reproduce", "place-task", "--problems", "1", "--out", tmp_path)
+    assert "read-only" in refused(
+        capsys, "reproduce", "place-task", "--problems", "1", "--out", tmp_path
+    )
 
 
 def test_every_suite_and_the_controls_are_part_of_everything():
     full = {part.folder: part.experiment for part in amounts("full")}
-    assert full.keys() == {*SUITES, "controls"} - {"peers"}  # needs planners that not everybody installs
-    for name, (most, slow) in {"place-task": (5, 3), "multi-sequence": (5, 1), "sensor": (3, 3)}.items():
+    # needs planners that not everybody installs
+    assert full.keys() == {*SUITES, "controls"} - {"peers"}
+    for name, (most, slow) in {
+        "place-task": (5, 3),
+        "multi-sequence": (5, 1),
+        "sensor": (3, 3),
+    }.items():
         parts = [part.experiment for part in amounts("full") if part.folder == name]
         seeds = {planner: len(part.seeds) for part in reversed(parts) for planner in part.planners}
         assert seeds == {p: slow if p in ("atlas-rrt", "tb-rrt") else most for p in PLANNERS}
@@ -57,7 +64,9 @@ def test_amounts_of_everything_are_fixed(capsys, tmp_path):
     assert "--problems does not go with 'all'" in told and not (tmp_path / "out").exists()
 
 
-def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(capsys, monkeypatch, tmp_path):
+def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
+    capsys, monkeypatch, tmp_path
+):
     suites = {"place-task": replace(SUITES["place-task"], planners=("birrt",))}
     monkeypatch.setattr(everything, "SUITES", suites)
     monkeypatch.setattr(everything, "PROFILES", {"small": (Amount("place-task", 1, cutoff=5.0),)})

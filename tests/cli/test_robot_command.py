@@ -49,7 +49,10 @@ def test_a_picture_and_an_srdf_are_written(said, tmp_path, slider_arm_urdf):
         ("robot ur5 --base 1,2", "--base '1,2': write X,Y,Z"),
         ("robot ur5 --base 1,2,x", "--base '1,2,x': write numbers"),
         ("robot ur5 --picture /nowhere/a.png", "/nowhere does not exist"),
-        ("plan --problem-file p.json --robot ur5 --urdf a.urdf", "--robot ur5 and --urdf a.urdf: give one"),
+        (
+            "plan --problem-file p.json --robot ur5 --urdf a.urdf",
+            "--robot ur5 and --urdf a.urdf: give one",
+        ),
         ("plan place-task --base 0,0,0", "--robot or --urdf; give it"),
         ("plan --problem-file p.json --base 0,0,0", "cannot read problem file p.json"),
         ("plan --problem-file p.json --urdf a.urdf", "cvqmpt robot a.urdf suggests one"),
@@ -64,7 +67,9 @@ def test_what_cannot_be_is_one_line(capsys, words, says):
 @pytest.fixture
 def arm_file(tmp_path, slider_arm):
     """A problem without constraint for the slider arm of the tests, in an empty scene."""
-    problem = PlanningProblem("reach", slider_arm, Scene("empty", ()), [0.0] * 4, [[0.3, 0.2, -0.4, 1.0]])
+    problem = PlanningProblem(
+        "reach", slider_arm, Scene("empty", ()), [0.0] * 4, [[0.3, 0.2, -0.4, 1.0]]
+    )
     problem.save(tmp_path / "arm.json")
     return tmp_path / "arm.json"
 
@@ -73,20 +78,36 @@ def test_joints_are_locked(capsys, arm_file, slider_arm_urdf):
     data = json.loads(arm_file.read_text())
     data["start"], data["goals"] = data["start"][1:], [data["goals"][0][1:]]
     arm_file.write_text(json.dumps(data))
-    words = ["plan", "--problem-file", arm_file, "--urdf", slider_arm_urdf, "--end-effector", "tool"]
+    words = [
+        "plan",
+        "--problem-file",
+        arm_file,
+        "--urdf",
+        slider_arm_urdf,
+        "--end-effector",
+        "tool",
+    ]
     assert "robot slider_arm needs (4,)" in refused(capsys, *words)
     words += ["--lock", "rail=0.2", "--iterations", "20000"]
     assert main([str(word) for word in words]) == 0
 
 
-def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_file(capsys, arm_file, slider_arm_urdf):
+def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_file(
+    capsys, arm_file, slider_arm_urdf
+):
     data = json.loads(arm_file.read_text())
     (arm_file.parent / "arm.urdf").write_bytes(slider_arm_urdf.read_bytes())
-    data["robot"] = {"urdf": "arm.urdf", "end_effector": "tool", "locked": {"rail": data["start"][0]}}
+    data["robot"] = {
+        "urdf": "arm.urdf",
+        "end_effector": "tool",
+        "locked": {"rail": data["start"][0]},
+    }
     data["start"], data["goals"] = data["start"][1:], [data["goals"][0][1:]]
     arm_file.write_text(json.dumps(data))
     words = ["plan", "--problem-file", str(arm_file), "--iterations", "20000"]
     assert main(words) == 0
-    assert main([*words, "--acceleration", "2", "--trajectory", str(arm_file.parent / "t.csv")]) == 0
+    assert (
+        main([*words, "--acceleration", "2", "--trajectory", str(arm_file.parent / "t.csv")]) == 0
+    )
     capsys.readouterr()
     assert "robot slider_arm needs (2,)" in refused(capsys, *words, "--lock", "bend=0")

@@ -1,4 +1,6 @@
-"""`cvqmpt scan` and `cvqmpt plan --cloud`: a file becomes a clean cloud, a scene, a certified path, or one line."""
+"""`cvqmpt scan` and `cvqmpt plan --cloud`:
+a file becomes a clean cloud, a scene, a certified path, or one line.
+"""
 
 import numpy as np
 import pytest
@@ -24,13 +26,17 @@ CAMERA = Camera(LENS, look_at((-0.4, 0.3, 1.2), (0.6, 0.0, 0.0)))
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, panda):
-    """A depth image of a table, a post and the arm at the start, with its camera; the same as a cloud."""
+    """A depth image of a table, a post and the arm at the start, with its camera;
+    the same as a cloud.
+    """
     folder = tmp_path_factory.mktemp("scan")
     objects = (
         SceneObject("table", Box((0.8, 1.4, 0.04)), pose((0.7, 0.0, -0.02))),
         SceneObject("post", Box((0.08, 0.08, 0.5)), pose((0.62, 0.0, 0.25))),
     )
-    view = view_of(solids_of((*objects, *arm_objects(panda, np.fromstring(START, sep=",")))), CAMERA)
+    view = view_of(
+        solids_of((*objects, *arm_objects(panda, np.fromstring(START, sep=",")))), CAMERA
+    )
     write_view(view, folder, "depth")
     T = CAMERA.T_world_camera
     write_cloud(folder / "cloud.ply", (view.points - T[:3, 3]) @ T[:3, :3])
@@ -39,7 +45,9 @@ def folder(tmp_path_factory, panda):
 
 @pytest.fixture
 def camera(folder):
-    intrinsics, extrinsics = (folder / f"depth.{part}.json" for part in ("intrinsics", "extrinsics"))
+    intrinsics, extrinsics = (
+        folder / f"depth.{part}.json" for part in ("intrinsics", "extrinsics")
+    )
     return ["--intrinsics", intrinsics, "--extrinsics", extrinsics]
 
 
@@ -86,7 +94,10 @@ def test_a_network_may_be_shown_the_scan_beside_a_suite(folder, camera, capsys):
         (["--front", "0.3,0,0"], "is that of --level table"),
         (["--extrinsics", "a.json"], "2 times for 1 files"),
         (["--arm-at", "0,0,0,0,0,0"], "write 7 numbers, panda_joint1,"),
-        (["--arm-at", START, "--robot-margin", "0", "--neighbours", "0"], "the arm stands inside the scan"),
+        (
+            ["--arm-at", START, "--robot-margin", "0", "--neighbours", "0"],
+            "the arm stands inside the scan",
+        ),
         (["--out", "x.obj"], "'.obj'; valid choices: .json, .pcd"),
         (["--voxel", "-1"], "-1"),
     ],
@@ -102,7 +113,10 @@ ENDS = ["--start", START, "--goal", GOAL]
     ("words", "message"),
     [
         (ENDS, "give --cloud or --scene"),
-        (["--cloud", "a.pcd", "--start", START], "a motion needs --start Q, and --goal Q or --goal-pose"),
+        (
+            ["--cloud", "a.pcd", "--start", START],
+            "a motion needs --start Q, and --goal Q or --goal-pose",
+        ),
         (["--cloud", "CLOUD", *ENDS, "--constraint", "uprihgt"], "unknown --constraint 'uprihgt'"),
         (["--cloud", "CLOUD", *ENDS, "--constraint", "upright=x"], "write 1 numbers, VALUE"),
         (["place-task", *ENDS], "one of the four"),

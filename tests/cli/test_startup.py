@@ -19,7 +19,9 @@ HEAVY = (
 IMPORT = ("--dictionary-dir", "d", "--ar-dir", "a", "--out", "o")
 LEARNED = ("safetensors", "cvqmpt_lab.vqmpt.weights")
 REPORT = "import json, sys; print(json.dumps(sorted(sys.modules)))"
-PEAK = "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
+PEAK = (
+    "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
+)
 MOST_MB = 40  # that weights and prediction add to the memory of a plan
 
 
@@ -29,7 +31,9 @@ def bare(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bare") / "torch"
     folder.mkdir()
     (folder / "__init__.py").write_text("raise ImportError('torch is not installed here')\n")
-    path = os.pathsep.join(filter(None, (str(folder.parent), str(ROOT), os.environ.get("PYTHONPATH"))))
+    path = os.pathsep.join(
+        filter(None, (str(folder.parent), str(ROOT), os.environ.get("PYTHONPATH")))
+    )
     return os.environ | {"PYTHONPATH": path}
 
 
@@ -67,14 +71,28 @@ def test_weights_and_prediction_need_little_memory():
 
 
 def test_the_package_alone_and_help_import_next_to_nothing():
-    code = "import cvqmpt_lab; from cli.main import main\ntry: main(['--help'])\nexcept SystemExit: " + REPORT
+    code = (
+        "import cvqmpt_lab; from cli.main import main\ntry: main(['--help'])\nexcept SystemExit: "
+        + REPORT
+    )
     modules = set(json.loads(python(code)))
     assert "argparse" in modules
     assert not modules & {"numpy", "numba", "scipy", "pinocchio", *HEAVY, *LEARNED}
 
 
 def test_all_planners_reproduce_and_render_without_torch(bare, tmp_path):
-    words = ["reproduce", "place-task", "--problems", "1", "--seeds", "1", "--cutoff", "1", "--jobs", "1"]
+    words = [
+        "reproduce",
+        "place-task",
+        "--problems",
+        "1",
+        "--seeds",
+        "1",
+        "--cutoff",
+        "1",
+        "--jobs",
+        "1",
+    ]
     words += ["--planners", "all", "--out", str(tmp_path / "run")]
     code = f"from cli.main import main; raise SystemExit(main({words!r}))"
     done = subprocess.run([sys.executable, "-c", code], env=bare, capture_output=True, text=True)
@@ -85,7 +103,10 @@ def test_all_planners_reproduce_and_render_without_torch(bare, tmp_path):
 
 
 def test_help_of_train_needs_no_torch_and_names_what_the_profiles_have():
-    code = "import sys; sys.modules['torch'] = None; from cli.main import main; main(['train', '--help'])"
+    code = (
+        "import sys; sys.modules['torch'] = None; from cli.main import main; main(['train', "
+        "'--help'])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0 and "stage1, stage2, mpnet" in done.stdout, done.stderr
     profiles = pytest.importorskip("cvqmpt_lab.training.profiles")
@@ -95,6 +116,11 @@ def test_help_of_train_needs_no_torch_and_names_what_the_profiles_have():
 def test_what_needs_torch_says_how_to_get_it():
     code = "import sys; sys.modules['torch'] = None; from cli.main import main; print(main({!r}))"
     for words in (["train", "stage1", "--data", "d", "--out", "o"], ["model", "import", *IMPORT]):
-        done = subprocess.run([sys.executable, "-c", code.format(words)], capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code.format(words)], capture_output=True, text=True
+        )
         assert done.stdout.splitlines()[-1] == "2", done.stderr
-        assert "pip install -c constraints.txt -e '.[train]'" in done.stderr and done.stderr.count("\n") == 1
+        assert (
+            "pip install -c constraints.txt -e '.[train]'" in done.stderr
+            and done.stderr.count("\n") == 1
+        )

@@ -1,4 +1,5 @@
-"""The json schemas that ship are those of the code, accept what the code writes, and refuse what it refuses.
+"""The json schemas that ship are those of the code, accept what the code writes, and refuse what it
+refuses.
 
 After a change of a field: `python -m tests.codec.test_json_schema` writes them anew.
 """
@@ -16,7 +17,11 @@ from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.tasks.task import Task
 
 KINDS = {"problem": PlanningProblem, "task": Task}
-BALL = {"name": "b", "shape": {"type": "sphere", "radius": 0.1}, "T_world_object": {"xyz": [2, 0, 0]}}
+BALL = {
+    "name": "b",
+    "shape": {"type": "sphere", "radius": 0.1},
+    "T_world_object": {"xyz": [2, 0, 0]},
+}
 START = {"pose": {"at": {"xyz": [0.4, 0.0, 0.6], "rpy": [3.0, 0.0, 0.0]}, "yaw": 3.15}}
 
 
@@ -65,8 +70,19 @@ def test_what_the_code_writes_and_wrote_is_valid(name, request):
         {"start": ["0.1"]},
         {"schema": "cvqmpt-problem/2"},
         {"scene": {"name": "room"}},
-        {"scene": {"name": "r", "objects": [{"name": "b", "shape": {"type": "cone"}, "T_world_object": {}}]}},
-        {"goal_region": {"T0_w": {"xyz": [0, 0, 0]}, "Tw_e": {"xyz": [0, 0, 0]}, "Bw": [[0, 0]] * 5}},
+        {
+            "scene": {
+                "name": "r",
+                "objects": [{"name": "b", "shape": {"type": "cone"}, "T_world_object": {}}],
+            }
+        },
+        {
+            "goal_region": {
+                "T0_w": {"xyz": [0, 0, 0]},
+                "Tw_e": {"xyz": [0, 0, 0]},
+                "Bw": [[0, 0]] * 5,
+            }
+        },
     ],
     ids=str,
 )

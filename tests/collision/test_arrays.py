@@ -22,11 +22,15 @@ def members(bundle):
     return [*bundle.pieces, *bundle[1:]]
 
 
-def test_a_robots_arrays_are_made_once_and_the_same_from_disk_unless_the_file_is_damaged(tmp_path, monkeypatch):
+def test_a_robots_arrays_are_made_once_and_the_same_from_disk_unless_the_file_is_damaged(
+    tmp_path, monkeypatch
+):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     made = []
-    monkeypatch.setattr(arrays, "robot_geometry", lambda *a: made.append(a) or geometry.robot_geometry(*a))
+    monkeypatch.setattr(
+        arrays, "robot_geometry", lambda *a: made.append(a) or geometry.robot_geometry(*a)
+    )
     first = stored_robot_geometry(*arm(0.6))
     again = stored_robot_geometry(*arm(0.6))
     assert len(made) == 1 and type(again) is type(first) and type(again.largest) is float

@@ -41,25 +41,36 @@ def near_contact(checker, rng, count):
         middle = 0.5 * (free + colliding)
         inside = checker.in_collision_batch(middle)[:, None]
         free, colliding = np.where(inside, free, middle), np.where(inside, middle, colliding)
-    noise = 10.0 ** rng.uniform(-6.0, -1.3, (n, AROUND, 1)) * rng.standard_normal((n, AROUND, robot.dof))
+    noise = 10.0 ** rng.uniform(-6.0, -1.3, (n, AROUND, 1)) * rng.standard_normal(
+        (n, AROUND, robot.dof)
+    )
     states = free[:, None] + noise / np.sqrt(robot.dof)
     return np.clip(states, robot.lower, robot.upper).reshape(-1, robot.dof)
 
 
 def compare(robot, scene, count, attachments=(), margin=0.0, around=None):
-    """Assert agreement on `count` uniform and `count` near-contact states, or on states around a given one."""
+    """Assert agreement on `count` uniform and `count` near-contact states, or on states around a
+    given one.
+    """
     rng = np.random.default_rng(0)
-    exact, close = (CollisionChecker(robot, scene, attachments, margin + extra) for extra in (0.0, CLOSE))
+    exact, close = (
+        CollisionChecker(robot, scene, attachments, margin + extra) for extra in (0.0, CLOSE)
+    )
     if around is None:
         near = near_contact(exact, rng, count)
     else:
-        near = np.clip(around + 0.15 * rng.standard_normal((count, robot.dof)), robot.lower, robot.upper)
+        near = np.clip(
+            around + 0.15 * rng.standard_normal((count, robot.dof)), robot.lower, robot.upper
+        )
     for states in (robot.random_configurations(rng, count), near):
         expected = exact.in_collision_batch(states)
         answers = compiled_hits(robot, scene, states, attachments, margin)
         missed = [exact.clearance(q) - margin for q in states[expected & ~answers]]
         assert [depth for depth in missed if depth < -CONTACT] == []
-        false, narrow = (answers & ~expected).sum(), close.in_collision_batch(states[~expected]).sum()
+        false, narrow = (
+            (answers & ~expected).sum(),
+            close.in_collision_batch(states[~expected]).sum(),
+        )
         assert expected.any() and narrow > 0 and false <= 0.05 * narrow
 
 
@@ -101,10 +112,14 @@ def test_both_checkers_agree_with_a_door_in_the_hand():
 
 
 def test_another_robot(slider_arm):
-    """Boxes, cylinders and spheres as links, a slider, no SRDF; round links are circumscribed, so contact is loose."""
+    """Boxes, cylinders and spheres as links, a slider, no SRDF;
+    round links are circumscribed, so contact is loose.
+    """
     scene, rng = with_one_of_each(), np.random.default_rng(0)
     checker = CollisionChecker(slider_arm, scene)
-    states = np.concatenate([slider_arm.random_configurations(rng, 3000), near_contact(checker, rng, 3000)])
+    states = np.concatenate(
+        [slider_arm.random_configurations(rng, 3000), near_contact(checker, rng, 3000)]
+    )
     expected, answers = checker.in_collision_batch(states), compiled_hits(slider_arm, scene, states)
     missed = [checker.clearance(q) for q in states[expected & ~answers]]
     assert expected.any() and [depth for depth in missed if depth < -CONTACT] == []
@@ -114,7 +129,11 @@ def test_another_robot(slider_arm):
 def shell(rng, count):
     """Points (count, 3) [m] around the arm."""
     direction = rng.standard_normal((count, 3))
-    return direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(0.5, 0.9, (count, 1))
+    return (
+        direction
+        / np.linalg.norm(direction, axis=1, keepdims=True)
+        * rng.uniform(0.5, 0.9, (count, 1))
+    )
 
 
 TURNED = pose((0.05, -0.1, 0.4), 0.7)
@@ -127,7 +146,9 @@ def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
     rng = np.random.default_rng(3)
     scene = Scene("cloud", (SceneObject("cloud", PointCloud(shell(rng, count), 0.005), T),))
     checker = CollisionChecker(panda, scene)
-    states = np.concatenate([panda.random_configurations(rng, 1000), near_contact(checker, rng, 3000)])
+    states = np.concatenate(
+        [panda.random_configurations(rng, 1000), near_contact(checker, rng, 3000)]
+    )
     expected, answers = checker.in_collision_batch(states), compiled_hits(panda, scene, states)
     missed = [checker.clearance(q) for q in states[expected & ~answers]]
     assert expected[1000:].mean() > 0.2 and [depth for depth in missed if depth < -CONTACT] == []
@@ -135,7 +156,9 @@ def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
 
 
 def touching_ball(piece, T_world_piece, radius, depth, rng):
-    """Centre (3,) of a ball that is this deep [m] in a face of a convex piece, and the face's normal (3,)."""
+    """Centre (3,) of a ball that is this deep [m] in a face of a convex piece, and the face's
+    normal (3,).
+    """
     hull = ConvexHull(piece.vertices)
     face = rng.integers(len(hull.simplices))
     normal = T_world_piece[:3, :3] @ hull.equations[face, :3]
@@ -155,13 +178,19 @@ def test_what_a_ball_touches_its_cloud_touches(panda, count, carried):
     for trial in range(6 if carried else 20):
         piece, radius = pieces[rng.integers(len(pieces))], 10.0 ** rng.uniform(-2.7, -0.9)
         name = frames[piece.link]
-        T_world_piece = panda.pose(q, name) @ np.linalg.inv(panda.link_of(name)[1]) @ piece.T_link_geometry
-        ball, normal = touching_ball(piece, T_world_piece, radius, 10.0 ** rng.uniform(-4.5, -3.0), rng)
+        T_world_piece = (
+            panda.pose(q, name) @ np.linalg.inv(panda.link_of(name)[1]) @ piece.T_link_geometry
+        )
+        ball, normal = touching_ball(
+            piece, T_world_piece, radius, 10.0 ** rng.uniform(-4.5, -3.0), rng
+        )
         others = rng.uniform(-6.0, 6.0, (count - 1, 3)) * min(radius, 0.05)
         height = others @ normal
         others += np.outer(np.abs(height) - height + 3.0 * radius, normal)  # beyond the face
         points = ball + np.concatenate([np.zeros((1, 3)), others])
-        T = (T_hand if carried else TURNED) @ pose(rng.uniform(-0.1, 0.1, 3), rng.uniform(-3.0, 3.0))
+        T = (T_hand if carried else TURNED) @ pose(
+            rng.uniform(-0.1, 0.1, 3), rng.uniform(-3.0, 3.0)
+        )
         cloud = PointCloud((points - T[:3, 3]) @ T[:3, :3], radius)
         scene, attachments = Scene("cloud", (SceneObject("cloud", cloud, T),)), ()
         if carried:
@@ -177,14 +206,19 @@ def test_maps_are_the_same_to_both_checkers(panda, T, padding):
     rng = np.random.default_rng(5)
     scattered = np.floor(shell(rng, 600) / 0.02)
     wall = np.argwhere(np.ones((2, 40, 30), dtype=bool)) + (22, -20, -10)
-    cells = np.concatenate([scattered, wall, np.argwhere(np.ones((6, 6, 6), dtype=bool)) - (25, 3, 0)])
+    cells = np.concatenate(
+        [scattered, wall, np.argwhere(np.ones((6, 6, 6), dtype=bool)) - (25, 3, 0)]
+    )
     scene = Scene("map", (SceneObject("map", OccupancyMap(cells, 0.02, padding), T),))
     compare(panda, scene, 2000, margin=1e-4)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_configurations_that_are_not_finite_collide(panda, value):
-    assert compiled_hits(panda, NOTHING, np.array([HOME, np.full(7, value)])).tolist() == [False, True]
+    assert compiled_hits(panda, NOTHING, np.array([HOME, np.full(7, value)])).tolist() == [
+        False,
+        True,
+    ]
 
 
 def test_obstacles_outside_the_grid_are_still_seen(panda):

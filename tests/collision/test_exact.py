@@ -47,14 +47,21 @@ def ahead_of_hand(robot, distance):
 def test_colliding_pairs_are_named(panda, open_kitchen):
     inside = CollisionChecker(panda, scene_with(brick(ahead_of_hand(panda, 0.05))))
     assert inside.in_collision(HOME)
-    assert {inside.colliding_pair(HOME).first[:6], inside.colliding_pair(HOME).second} == {"panda_", "brick"}
+    assert {inside.colliding_pair(HOME).first[:6], inside.colliding_pair(HOME).second} == {
+        "panda_",
+        "brick",
+    }
     clear = CollisionChecker(panda, open_kitchen)
     assert not clear.in_collision(HOME) and clear.colliding_pair(HOME) is None
     checker = CollisionChecker(panda, NOTHING)
     folded = np.array([0.0, -1.5, 0.0, -3.0, 0.0, -0.01, 0.0])
     assert checker.in_collision(folded)
     pair = checker.colliding_pair(folded)
-    assert pair.first.startswith("panda_") and pair.second.startswith("panda_") and pair.first != pair.second
+    assert (
+        pair.first.startswith("panda_")
+        and pair.second.startswith("panda_")
+        and pair.first != pair.second
+    )
     assert str(pair) == f"{pair.first} and {pair.second}"
 
 
@@ -67,7 +74,11 @@ def by_pairs(checker, q):
 def test_margin_is_a_distance(panda, method):
     scene = scene_with(ball(ahead_of_hand(panda, 0.2), 0.04))
     clearance = CollisionChecker(panda, scene).clearance(HOME)
-    for margin, touching in ((clearance - 1e-3, False), (clearance - 1e-4, False), (clearance + 1e-4, True)):
+    for margin, touching in (
+        (clearance - 1e-3, False),
+        (clearance - 1e-4, False),
+        (clearance + 1e-4, True),
+    ):
         assert method(CollisionChecker(panda, scene, margin=margin), HOME) == touching
 
 
@@ -77,15 +88,27 @@ def least_of_all_pairs(checker, q):
     placed = pin.GeometryData(geometry)
     pin.updateGeometryPlacements(model, model.createData(), geometry, placed, q)
     objects = geometry.geometryObjects
-    own = [(item.geometry, transform(T.homogeneous)) for item, T in zip(objects, placed.oMg, strict=True)]
+    own = [
+        (item.geometry, transform(T.homogeneous))
+        for item, T in zip(objects, placed.oMg, strict=True)
+    ]
     others = [(item.shape, transform(item.T_parent_shape)) for item in checker._obstacles]
     pairs = [(own[pair.first], own[pair.second]) for pair in geometry.collisionPairs]
-    pairs += [(own[i], other) for i, item in enumerate(objects) if item.parentJoint > 0 for other in others]
-    return min(coal.distance(*a, *b, coal.DistanceRequest(), coal.DistanceResult()) for a, b in pairs)
+    pairs += [
+        (own[i], other)
+        for i, item in enumerate(objects)
+        if item.parentJoint > 0
+        for other in others
+    ]
+    return min(
+        coal.distance(*a, *b, coal.DistanceRequest(), coal.DistanceResult()) for a, b in pairs
+    )
 
 
 def test_the_clearance_is_the_least_of_all_pairs_whatever_was_asked_before(panda):
-    """coal's broad phases hand every pair the same result: clearances were once up to 0.1 m too large."""
+    """coal's broad phases hand every pair the same result:
+    clearances were once up to 0.1 m too large.
+    """
     checker = CollisionChecker(panda, random_scene(3), (carried_can(),))
     states = panda.random_configurations(np.random.default_rng(9), 120)
     found = [checker.nearest(q) for q in states]
@@ -111,14 +134,18 @@ def test_the_carried_can_collides_with_the_arm(panda):
     empty, carrying = (CollisionChecker(panda, NOTHING, a) for a in ((), (carried_can(),)))
     touched = [q for q in states if carrying.in_collision(q) and not empty.in_collision(q)]
     assert touched
-    partners = {n for q in touched for n in vars(carrying.colliding_pair(q)).values()} - {"carried_can"}
+    partners = {n for q in touched for n in vars(carrying.colliding_pair(q)).values()} - {
+        "carried_can"
+    }
     assert partners and not any("hand" in n or "finger" in n or "link7" in n for n in partners)
 
 
 @pytest.mark.parametrize("which", ["arm", "arm and door"])
 @pytest.mark.parametrize("xyz", [(0.06, 0.0, -0.05), (0.0, 0.07, -0.1)])
 def test_what_is_carried_is_compared_with_every_link_but_the_hand(panda, which, xyz):
-    """A bar along the hand, also with the link before the last joint: both checkers against each pair alone."""
+    """A bar along the hand, also with the link before the last joint:
+    both checkers against each pair alone.
+    """
     robot = panda if which == "arm" else door_world()[1]
     bar = Attachment("bar", Box((0.02, 0.02, 0.5)), pose(xyz))
     rng, shape = np.random.default_rng(2), coal_shape(bar.shape)
@@ -129,7 +156,9 @@ def test_what_is_carried_is_compared_with_every_link_but_the_hand(panda, which, 
     problem = PlanningProblem("test", robot, NOTHING, states[0], states[:1], attachments=(bar,))
     space = ConstrainedSpace(problem)
     data, found = robot.model.createData(), pin.GeometryData(robot.collision_model)
-    others = [(n, g) for n, g in enumerate(robot.collision_model.geometryObjects) if g.parentJoint != 7]
+    others = [
+        (n, g) for n, g in enumerate(robot.collision_model.geometryObjects) if g.parentJoint != 7
+    ]
     before = 0
     for q in states[~empty.in_collision_batch(states)]:
         pin.updateGeometryPlacements(robot.model, data, robot.collision_model, found, q)
@@ -168,7 +197,9 @@ def test_what_is_never_paired(panda):
     far = CollisionChecker(panda, scene_with(brick((10.0, 0.0, 0.0))))
     assert far.clearance(HOME) == CollisionChecker(panda, NOTHING).clearance(HOME)
     with pytest.raises(InvalidInputError, match=r"'pole' reaches 50\.1 m, more than 20"):
-        CollisionChecker(panda, NOTHING, (Attachment("pole", Box((0.1,) * 3), pose((50.0, 0.0, 0.0))),))
+        CollisionChecker(
+            panda, NOTHING, (Attachment("pole", Box((0.1,) * 3), pose((50.0, 0.0, 0.0))),)
+        )
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.03])
@@ -196,7 +227,9 @@ MISSED = {
 
 @pytest.mark.parametrize("q", MISSED.values(), ids=MISSED)
 def test_penetrations_that_were_once_missed(panda, open_kitchen, q):
-    """Around these states 3-6 % of the answers are 'free', though every pair overlaps by 0.5 mm and more."""
+    """Around these states 3-6 % of the answers are 'free', though every pair overlaps by 0.5 mm and
+    more.
+    """
     checker = CollisionChecker(panda, open_kitchen)
     states = np.array(q) + 1e-5 * np.random.default_rng(1).standard_normal((500, 7))
     assert max(checker.clearance(q) for q in states[:50]) < -5e-4
@@ -219,13 +252,17 @@ def test_clouds_out_of_reach_are_no_obstacle_and_no_crash(panda, count):
     """Clouds in reach, of any size and with any origin, are seen: properties/test_obstacles_inside."""
     points = np.random.default_rng(6).uniform(49.9, 50.1, (count, 3))
     scene = scene_with(SceneObject("cloud", PointCloud(points, 0.005), np.eye(4)))
-    assert CollisionChecker(panda, scene).clearance(HOME) == CollisionChecker(panda, NOTHING).clearance(HOME)
+    assert CollisionChecker(panda, scene).clearance(HOME) == CollisionChecker(
+        panda, NOTHING
+    ).clearance(HOME)
     assert ConstrainedSpace(PlanningProblem("cloud", panda, scene, HOME, HOME[None])).valid(HOME)
 
 
 def test_ten_thousand_obstacles_are_ready_in_two_seconds(panda):
     places = np.random.default_rng(8).uniform(-0.8, 0.8, (10_000, 3)) + (0.0, 0.0, 1.6)
-    scene = scene_with(*(SceneObject(f"box{i}", Box((0.005,) * 3), pose(p)) for i, p in enumerate(places)))
+    scene = scene_with(
+        *(SceneObject(f"box{i}", Box((0.005,) * 3), pose(p)) for i, p in enumerate(places))
+    )
     began = time.process_time()
     checker = CollisionChecker(panda, scene)
     checker.in_collision(HOME)

@@ -1,4 +1,6 @@
-"""Motions proven free: no sample of them collides, however fine; what samples find, the proof finds."""
+"""Motions proven free: no sample of them collides, however fine;
+what samples find, the proof finds.
+"""
 
 from itertools import pairwise
 
@@ -19,7 +21,9 @@ HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 def sampled(motion, spacing):
     """States of straight motions through rows of motion, at most `spacing` [rad] apart."""
     counts = (2 + int(np.linalg.norm(b - a) / spacing) for a, b in pairwise(motion))
-    return np.concatenate([np.linspace(a, b, n) for (a, b), n in zip(pairwise(motion), counts, strict=True)])
+    return np.concatenate(
+        [np.linspace(a, b, n) for (a, b), n in zip(pairwise(motion), counts, strict=True)]
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -36,7 +40,10 @@ def test_proofs_and_samples_agree(panda, open_kitchen, seed):
         hits = checker.in_collision_batch(sampled(motion, 0.005)).any()
         assert not (hits and proof.colliding is None)
         if proof.colliding is None:
-            assert proof.unproven is None and not checker.in_collision_batch(sampled(motion, 0.001)).any()
+            assert (
+                proof.unproven is None
+                and not checker.in_collision_batch(sampled(motion, 0.001)).any()
+            )
         else:
             assert checker.in_collision(proof.colliding)
         verdicts.append(proof.colliding is None)
@@ -50,14 +57,20 @@ def test_a_cloud_is_proven_like_any_obstacle(panda):
     checker = CollisionChecker(panda, scene)
     assert not checker.in_collision(HOME) and prove_free(checker, down).colliding is not None
     aside = np.array([HOME, HOME + 0.5 * np.eye(7)[0]])
-    assert prove_free(checker, aside).colliding is None and prove_free(checker, aside).unproven is None
+    assert (
+        prove_free(checker, aside).colliding is None and prove_free(checker, aside).unproven is None
+    )
 
 
 @pytest.mark.parametrize("gap", [0.0, 1e-18, 1e-16])
 def test_states_that_are_repeated_or_hardly_apart_change_nothing(panda, open_kitchen, gap):
-    """OMPL's paths hold such states; far along a path a tiny step no longer changes the distance along it."""
+    """OMPL's paths hold such states;
+    far along a path a tiny step no longer changes the distance along it.
+    """
     motion = HOME + np.linspace(0.0, 0.3, 20)[:, None] * np.eye(7)[5]
-    repeated = np.repeat(motion, 3, axis=0) + gap * np.tile([[0.0], [1.0], [2.0]], (20, 1)) * np.eye(7)[0]
+    repeated = (
+        np.repeat(motion, 3, axis=0) + gap * np.tile([[0.0], [1.0], [2.0]], (20, 1)) * np.eye(7)[0]
+    )
     checker = CollisionChecker(panda, open_kitchen)
     plain, again = prove_free(checker, motion), prove_free(checker, repeated)
     assert plain.colliding is None and again.colliding is None
@@ -69,7 +82,9 @@ def test_a_thin_sheet_in_the_hand_is_seen_to_pass_through_another(panda, thickne
     """At the tip of a long lever, where they overlap for less than 2e-4 rad of the motion."""
     rng, T_hand_tip = np.random.default_rng(0), pose((0.0, 0.0, lever))
     for way in rng.normal(0.0, 0.02, (5, 7)):
-        before, middle, after = (panda.pose(HOME + share * way) @ T_hand_tip for share in (0.499, 0.5, 0.501))
+        before, middle, after = (
+            panda.pose(HOME + share * way) @ T_hand_tip for share in (0.499, 0.5, 0.501)
+        )
         normal = after[:3, 3] - before[:3, 3]
         side = np.cross(normal, rng.normal(size=3))
         R = np.stack([side, np.cross(normal, side), normal], axis=1)

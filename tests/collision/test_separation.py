@@ -1,4 +1,6 @@
-"""What the compiled collision checks are made of, against coal: pairs of shapes, balls and pieces, distance grid."""
+"""What the compiled collision checks are made of, against coal:
+pairs of shapes, balls and pieces, distance grid.
+"""
 
 import coal
 import numpy as np
@@ -11,7 +13,15 @@ from cvqmpt_lab.collision.clusters import Cloud
 from cvqmpt_lab.collision.distance_grid import RANGE, cell_of, known_distance
 from cvqmpt_lab.collision.geometry import scene_geometry
 from cvqmpt_lab.collision.primitives import ShapeSpec, outline, pack_shapes
-from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, IDENTITY, SPHERE, distance, separating_gap
+from cvqmpt_lab.collision.separation import (
+    BOX,
+    CYLINDER,
+    HULL,
+    IDENTITY,
+    SPHERE,
+    distance,
+    separating_gap,
+)
 from cvqmpt_lab.collision.sphere_cover import ANY_RADIUS, Piece, cut_into_pieces, sphere_tree
 from cvqmpt_lab.errors import InvalidInputError
 

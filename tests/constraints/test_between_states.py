@@ -1,4 +1,6 @@
-"""Violations between the states of a path: bounded from a few of them, also where the rotation vector flips."""
+"""Violations between the states of a path:
+bounded from a few of them, also where the rotation vector flips.
+"""
 
 from dataclasses import replace
 
@@ -28,7 +30,9 @@ def test_the_bound_holds_and_is_close(panda, slider_arm, kind, tolerance):
         states = robot.random_configurations(rng, 1) + np.cumsum(steps, axis=0)
         region = upright()
         if kind != "upright":
-            region = TaskSpaceRegion(robot.pose(states[0]), np.eye(4), np.array([(-0.02, 0.02)] * 6))
+            region = TaskSpaceRegion(
+                robot.pose(states[0]), np.eye(4), np.array([(-0.02, 0.02)] * 6)
+            )
         found = largest_violation(robot, (region,), states, 0.04, tolerance)
         truth = dense(robot, region, states)
         assert truth <= found.largest + 1e-9
@@ -47,7 +51,9 @@ def test_a_kink_between_two_good_states_is_found(panda):
 
 
 def test_flips_at_angle_pi_are_no_violation_of_symmetric_bounds(panda):
-    """Seen from a frame turned by pi about the vertical, the arm swings through the sign change of the vector."""
+    """Seen from a frame turned by pi about the vertical, the arm swings through the sign change of
+    the vector.
+    """
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
     region = replace(upright(0.02), T0_w=upright().T0_w @ half_turn)
     manifold = RegionConstraint(panda, (region,))
@@ -67,7 +73,9 @@ def test_no_regions_no_violation(panda):
 
 
 def test_a_stretch_through_half_a_turn_near_the_bound_is_shown_to_be_inside(panda):
-    """A path of place problem 29 whose tilt stays 0.4 mrad inside the bounds while the rotation vector flips."""
+    """A path of place problem 29 whose tilt stays 0.4 mrad inside the bounds while the rotation
+    vector flips.
+    """
     first = np.array([-1.14812, 0.38627, -0.63918, -1.13516, -1.36829, 1.75537, 2.18154])
     last = np.array([-1.19274, 0.36491, -0.61858, -1.12574, -1.38658, 1.74428, 2.15945])
     states = np.array([first, last])

@@ -13,7 +13,11 @@ from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE, RegionConstraint, TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import (
+    TOLERANCE,
+    RegionConstraint,
+    TaskSpaceRegionChain,
+)
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import planner_named
@@ -52,7 +56,11 @@ def opened(door):
 
 def displacement(robot, chain, q):
     """Position and rotation vector (6,) of the hand in the chain's frame w, by pinocchio and scipy."""
-    T = np.linalg.inv(robot.pose(q, chain.base) @ chain.T0_w) @ robot.pose(q) @ np.linalg.inv(chain.Tw_e)
+    T = (
+        np.linalg.inv(robot.pose(q, chain.base) @ chain.T0_w)
+        @ robot.pose(q)
+        @ np.linalg.inv(chain.Tw_e)
+    )
     return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
 
 
@@ -93,7 +101,9 @@ def test_json_round_trip(turn):
 def test_bad_chains_are_refused(door, panda):
     with pytest.raises(UnknownChoiceError, match=r"'fridge/handle'.*panda_hand.*handle_bar"):
         replace(door, constraint=(replace(handle_region(), base="fridge/handle"),))
-    with pytest.raises(UnknownChoiceError, match=r"frame of robot panda '.*handle_bar'.*panda_hand"):
+    with pytest.raises(
+        UnknownChoiceError, match=r"frame of robot panda '.*handle_bar'.*panda_hand"
+    ):
         handle_region().reference_link(panda)
     with pytest.raises(InvalidInputError, match="'goal_region' hangs on"):
         replace(door, goal_region=handle_region())
@@ -104,7 +114,9 @@ def test_bad_chains_are_refused(door, panda):
 
 
 def handle_errors(problem, states, resolution=0.002):
-    """Largest distance [m] and angle [rad] of the hand from its place at the bar, the turn about it aside."""
+    """Largest distance [m] and angle [rad] of the hand from its place at the bar, the turn about it
+    aside.
+    """
     metres = radians = 0.0
     for a, b in pairwise(states):
         for s in np.linspace(0.0, 1.0, max(2, int(np.ceil(np.linalg.norm(b - a) / resolution)))):
@@ -116,7 +128,9 @@ def handle_errors(problem, states, resolution=0.002):
 
 @pytest.mark.parametrize("name", ["birrt", "ompl-projected", "atlas-rrt", "tb-rrt"])
 def test_every_planner_opens_the_door(panda, door, name):
-    """Certified, the hand at the handle all along, and a state where the next phase can open its fingers."""
+    """Certified, the hand at the handle all along, and a state where the next phase can open its
+    fingers.
+    """
     found = solve(door, planner_named(name), Budget(seconds=30.0), seed=0)
     assert found.solved, (found.plan.status, found.certificate and found.certificate.reasons)
     states = found.simplified.path.states
@@ -142,11 +156,15 @@ def test_the_certificate_sees_the_door_hit_something(door, opened):
     blocked = replace(door, scene=door.scene.with_objects(brick))
     checker = blocked.collision_checker()
     assert not checker.in_collision(door.start)
-    assert f"in collision: {DOOR}/panel and brick" in certify(blocked, opened.simplified.path).reasons
+    assert (
+        f"in collision: {DOOR}/panel and brick" in certify(blocked, opened.simplified.path).reasons
+    )
 
 
 def test_the_certificate_sees_an_end_with_the_door_elsewhere(door, opened):
-    """The goal's hand region, its goals left out: a path that stops half way has not opened the door."""
+    """The goal's hand region, its goals left out:
+    a path that stops half way has not opened the door.
+    """
     half = opened.simplified.path.states[: len(opened.simplified.path.states) // 2]
     reasons = certify(replace(door, goals=np.empty((0, 8))), JointPath(half)).reasons
     assert reasons == ("does not end at a goal",)

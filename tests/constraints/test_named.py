@@ -30,7 +30,9 @@ def turned(xyz, rotvec):
 
 
 def test_the_short_upright_is_the_papers_constraint():
-    assert region({"upright": 0.1}) == region({"upright": {"tilt": 0.1, "axis": "x"}}) == upright(0.1)
+    assert (
+        region({"upright": 0.1}) == region({"upright": {"tilt": 0.1, "axis": "x"}}) == upright(0.1)
+    )
     assert region(to_plain(upright(0.2), Region)) == upright(0.2)
 
 
@@ -40,7 +42,9 @@ def test_upright_keeps_any_axis_of_the_hand_up_and_leaves_yaw_free(axis):
     direction = np.eye(3)["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
     for _ in range(50):
         up = Rotation.align_vectors([[0, 0, 1]], [direction])[0]
-        tilt = Rotation.from_rotvec(rng.uniform(0.0, 0.4) * np.append(*[np.eye(2)[rng.integers(2)], 0.0]))
+        tilt = Rotation.from_rotvec(
+            rng.uniform(0.0, 0.4) * np.append(*[np.eye(2)[rng.integers(2)], 0.0])
+        )
         rotation = tilt * Rotation.from_rotvec([0, 0, rng.uniform(-3, 3)]) * up
         T = pose(rng.uniform(-1, 1, 3))
         T[:3, :3] = rotation.as_matrix()
@@ -64,7 +68,9 @@ def test_a_fixed_orientation_leaves_the_position_free():
 def test_planes_and_lines_hold_the_position_and_leave_the_rotation_free():
     plane = {"plane": {"point": [0, 0, 0.5], "normal": [0, 3, 4], "tolerance": 0.01}}
     across = np.array([0.0, 0.6, 0.8])
-    assert inside(plane, turned(np.array([5.0, 0.0, 0.5]) + 2.0 * np.array([0, 0.8, -0.6]), [1, 2, 0]))
+    assert inside(
+        plane, turned(np.array([5.0, 0.0, 0.5]) + 2.0 * np.array([0, 0.8, -0.6]), [1, 2, 0])
+    )
     assert not inside(plane, turned(np.array([0.0, 0.0, 0.5]) + 0.02 * across, [0, 0, 0]))
     line = {"line": {"point": [0, 0, 0.5], "direction": [0, 3, 4], "tolerance": 0.01}}
     assert inside(line, turned(np.array([0.0, 0.0, 0.5]) - 7.0 * across, [1, 2, 0]))
@@ -82,7 +88,9 @@ def test_a_pose_may_leave_the_yaw_free():
     data = {"pose": {"at": {"xyz": [0.4, 0, 0.6], "rpy": [np.pi, 0, 0]}, "yaw": 3.15}}
     there = turned((0.4, 0.0, 0.6), [np.pi, 0, 0])
     assert inside(data, there)
-    assert inside(data, turned((0.4, 0, 0.6), [0, 0, 2.0]) @ np.linalg.inv(pose((0.4, 0, 0.6))) @ there)
+    assert inside(
+        data, turned((0.4, 0, 0.6), [0, 0, 2.0]) @ np.linalg.inv(pose((0.4, 0, 0.6))) @ there
+    )
     assert not inside(data, there @ turned((0, 0, 0), [0.1, 0, 0]))
     assert not inside(data, pose((0.0, 0.001, 0.0)) @ there)
     assert len(region({"pose": {"at": {"xyz": [0.4, 0, 0.6]}}}).bounded_rows) == 6
@@ -91,12 +99,21 @@ def test_a_pose_may_leave_the_yaw_free():
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ({"uprigth": 0.1}, "constraint.uprigth is unknown; did you mean 'upright'?; fields: T0_w, Tw_e, Bw,"),
+        (
+            {"uprigth": 0.1},
+            "constraint.uprigth is unknown; did you mean 'upright'?; fields: T0_w, Tw_e, Bw,",
+        ),
         ({"upright": "0.1"}, "constraint.upright.tilt is '0.1'; it must be a finite float"),
         ({"upright": -0.1}, "constraint.upright.tilt is -0.1; it must be from 0 to 2 pi"),
         ({"upright": {"axis": "w"}}, "unknown constraint.upright.axis 'w'; valid choices: x, -x"),
-        ({"upright": 0.1, "plane": {}}, "constraint has upright, plane; a region by name stands alone"),
-        ({"plane": {"point": [0, 0, 0], "normal": [0, 0, 0]}}, "constraint.plane: the direction is 0, 0, 0"),
+        (
+            {"upright": 0.1, "plane": {}},
+            "constraint has upright, plane; a region by name stands alone",
+        ),
+        (
+            {"plane": {"point": [0, 0, 0], "normal": [0, 0, 0]}},
+            "constraint.plane: the direction is 0, 0, 0",
+        ),
         ({"pose": {"at": 5}}, "constraint.pose.at has shape ()"),
     ],
 )

@@ -44,7 +44,8 @@ def at_limits(robot, samples, share):
 
 
 @pytest.mark.parametrize(
-    ("tilt", "share", "least"), [(0.1, 1e-9, 0.999), (0.0, 1e-9, 0.99), (0.1, 0.67, 0.98), (0.1, 1.0, 0.95)]
+    ("tilt", "share", "least"),
+    [(0.1, 1e-9, 0.999), (0.0, 1e-9, 0.99), (0.1, 0.67, 0.98), (0.1, 1.0, 0.95)],
 )
 def test_the_upright_manifold_is_reached_inside_the_limits_from_anywhere(panda, tilt, share, least):
     samples = at_limits(panda, panda.random_configurations(np.random.default_rng(0), 5000), share)
@@ -58,7 +59,9 @@ def test_the_upright_manifold_is_reached_inside_the_limits_from_anywhere(panda, 
 
 @pytest.mark.parametrize("held", [1, 3, 5])
 def test_what_a_held_joint_cannot_do_the_others_share(panda, held):
-    """Joints 1, 3 and 5 turn about parallel axes: the shortest way back from a tilt is a third each, or a half."""
+    """Joints 1, 3 and 5 turn about parallel axes:
+    the shortest way back from a tilt is a third each, or a half.
+    """
     manifold = RegionConstraint(panda, (upright(0.0),))
     tilted = manifold.project(np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.0, 0.8]))
     tilted[5] += 0.3

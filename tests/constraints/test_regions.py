@@ -52,7 +52,9 @@ def test_log_of_random_rotations_is_scipy_s():
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_log_at_special_angles(angle):
-    """The angle lies in [0, pi] and the rotation comes back; at pi itself either sign of the axis is right."""
+    """The angle lies in [0, pi] and the rotation comes back;
+    at pi itself either sign of the axis is right.
+    """
     for axis in random_axes(50):
         R = Rotation.from_rotvec(angle * axis).as_matrix()
         e = log(R)
@@ -66,4 +68,6 @@ def test_log_at_special_angles(angle):
 def test_inverse_left_jacobian_inverts_the_series(angle):
     for axis in random_axes(20, seed=2):
         e = angle * axis
-        np.testing.assert_allclose(inverse_left_jacobian(e) @ left_jacobian(e), np.eye(3), atol=1e-11)
+        np.testing.assert_allclose(
+            inverse_left_jacobian(e) @ left_jacobian(e), np.eye(3), atol=1e-11
+        )

@@ -1,4 +1,6 @@
-"""Task-space regions and chains of them: residual, Jacobian, sampling, json, against pinocchio and scipy."""
+"""Task-space regions and chains of them:
+residual, Jacobian, sampling, json, against pinocchio and scipy.
+"""
 
 import json
 
@@ -28,7 +30,9 @@ ROBOTS = ("panda", "slider_arm", DOOR, "indigo_drawer_top")
 
 @pytest.fixture
 def robot_and_bases(request):
-    """A robot, and the frames that regions hang on; of an arm with a door or drawer, its parts and a link."""
+    """A robot, and the frames that regions hang on;
+    of an arm with a door or drawer, its parts and a link.
+    """
     if request.param in ROBOTS[:2]:
         return request.getfixturevalue(request.param), [None]
     item = to_plain(take_out(kitchen(), request.param).articulated)
@@ -88,7 +92,10 @@ def random_cases(robot, bases, count):
     """(region, q) with the rotation away from angle pi."""
     rng = np.random.default_rng(5)
     while count:
-        region, q = random_region(rng, bases[count % len(bases)]), robot.random_configurations(rng, 1)[0]
+        region, q = (
+            random_region(rng, bases[count % len(bases)]),
+            robot.random_configurations(rng, 1)[0],
+        )
         if np.linalg.norm(of_hand(robot, region, q)[3:]) < np.pi - KINK:
             count -= 1
             yield region, q
@@ -106,7 +113,9 @@ def test_residual_is_the_signed_distance_outside(robot_and_bases):
 
 @pytest.mark.parametrize("robot_and_bases", ROBOTS, indirect=True)
 def test_jacobian_is_the_residual_s_derivative(robot_and_bases):
-    """Both forms, against finite differences of an independent residual; rows on a kink are skipped."""
+    """Both forms, against finite differences of an independent residual;
+    rows on a kink are skipped.
+    """
     compared, robot, columns = 0, robot_and_bases[0], 0.0
     for region, q in random_cases(*robot_and_bases, 200):
         constraint, rows = RegionConstraint(robot, (region,)), region.bounded_rows
@@ -114,21 +123,27 @@ def test_jacobian_is_the_residual_s_derivative(robot_and_bases):
         x = of_hand(robot, region, q)[rows]
         smooth = np.minimum(abs(x - lower), abs(x - upper)) > KINK
         expected = differences(lambda q, r=region: of_hand(robot, r, q)[r.bounded_rows], q)
-        np.testing.assert_allclose(constraint.residual_and_jacobian(q, full=True)[1], expected, atol=2e-6)
+        np.testing.assert_allclose(
+            constraint.residual_and_jacobian(q, full=True)[1], expected, atol=2e-6
+        )
         columns = np.maximum(columns, np.abs(expected).max(axis=0, initial=0.0))
         active = (x < lower) | (x > upper)
         expected = np.where(active[:, None], expected, 0.0)
         found = constraint.residual_and_jacobian(q)[1]
         np.testing.assert_allclose(found[smooth], expected[smooth], atol=2e-6)
         compared += smooth.sum()
-    assert compared > 800 and columns.min() > 0.1, "every joint moves the hand, or the frame of the region"
+    assert compared > 800 and columns.min() > 0.1, (
+        "every joint moves the hand, or the frame of the region"
+    )
 
 
 def test_batches_and_intersections_stack_what_each_member_says_of_each_configuration(panda):
     rng = np.random.default_rng(6)
     members = random_region(rng), upright()
     batch = panda.random_configurations(rng, 20)
-    both, *each = (RegionConstraint(panda, regions) for regions in (members, members[:1], members[1:]))
+    both, *each = (
+        RegionConstraint(panda, regions) for regions in (members, members[:1], members[1:])
+    )
     for full in (False, True):
         together = both.residual_and_jacobian(batch, full)
         alone = [[one.residual_and_jacobian(q, full) for one in each] for q in batch]
@@ -159,7 +174,9 @@ def test_upright_allows_yaw_and_a_little_tilt():
     for axis, expected in (((0, 1, 0), (-0.05, 0)), ((1, 0, 0), (0, 0.05))):
         tilted = hand.copy()
         tilted[:3, :3] = Rotation.from_rotvec(0.15 * np.array(axis)).as_matrix() @ hand[:3, :3]
-        np.testing.assert_allclose(outside(region, displacement(region, tilted)), expected, atol=1e-12)
+        np.testing.assert_allclose(
+            outside(region, displacement(region, tilted)), expected, atol=1e-12
+        )
     assert np.abs(upright(0.2).Bw[4:]).max() == 0.2
 
 
@@ -204,10 +221,22 @@ ROWS = "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [ra
         ([[0, 1, 2]] * 6, f"region.Bw has shape (6, 3); it must be {ROWS}"),
         ([["a", 1]] * 6, f"region.Bw is {[['a', 1]] * 6}; it must be {ROWS}"),
         (5, f"region.Bw has shape (); it must be {ROWS}"),
-        ([[np.nan, 1]] * 6, f"region.Bw[0], x [m], is [nan, 1.0]; lower <= upper is needed in {ROWS}"),
-        ([[0, 1]] * 3 + [[0.2, 0.1]] * 3, "region.Bw[3], turn about x [rad], is [0.2, 0.1]; lower <= upper"),
-        ([[0, 1]] * 2 + [[np.inf, np.inf]] * 4, "region.Bw[2], z [m], is [inf, inf]; lower <= upper"),
-        ([[-np.inf, -np.inf]] + [[0, 1]] * 5, "region.Bw[0], x [m], is [-inf, -inf]; lower <= upper"),
+        (
+            [[np.nan, 1]] * 6,
+            f"region.Bw[0], x [m], is [nan, 1.0]; lower <= upper is needed in {ROWS}",
+        ),
+        (
+            [[0, 1]] * 3 + [[0.2, 0.1]] * 3,
+            "region.Bw[3], turn about x [rad], is [0.2, 0.1]; lower <= upper",
+        ),
+        (
+            [[0, 1]] * 2 + [[np.inf, np.inf]] * 4,
+            "region.Bw[2], z [m], is [inf, inf]; lower <= upper",
+        ),
+        (
+            [[-np.inf, -np.inf]] + [[0, 1]] * 5,
+            "region.Bw[0], x [m], is [-inf, -inf]; lower <= upper",
+        ),
     ],
 )
 def test_malformed_bounds_are_named_with_the_order_and_units_of_their_rows(value, message):
@@ -222,7 +251,9 @@ def test_missing_fields_and_frames_that_are_not_rigid_are_named(field):
     with pytest.raises(InvalidInputError, match=f"region.{field} is missing"):
         from_plain(Region, {key: value for key, value in data.items() if key != field}, "region")
     if field != "Bw":
-        with pytest.raises(InvalidInputError, match=f"region.{field} is no rigid pose: .* mirrored"):
+        with pytest.raises(
+            InvalidInputError, match=f"region.{field} is no rigid pose: .* mirrored"
+        ):
             from_plain(Region, data | {field: np.diag([1.0, 1.0, -1.0, 1.0])}, "region")
 
 

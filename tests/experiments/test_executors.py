@@ -1,4 +1,6 @@
-"""Executors: results and errors arrive where the call was made, and a lost process costs its own task only."""
+"""Executors:
+results and errors arrive where the call was made, and a lost process costs its own task only.
+"""
 
 import os
 import signal
@@ -42,7 +44,10 @@ def test_what_dies_hangs_or_eats_memory_costs_its_own_task_only(tmp_path, monkey
     assert sorted(task for task, _ in found) == sorted(tasks)
     lost = {task: result for task, result in found if isinstance(result, Lost)}
     assert lost == {
-        "dies": (FailReason.WORKER_DIED, "its process was ended by SIGKILL; perhaps memory ran out, twice"),
+        "dies": (
+            FailReason.WORKER_DIED,
+            "its process was ended by SIGKILL; perhaps memory ran out, twice",
+        ),
         "hangs": (FailReason.WORKER_HUNG, "no answer in 1 s; its process was ended"),
         "too much memory": (FailReason.OUT_OF_MEMORY, "Unable to allocate"),
     }
@@ -71,7 +76,9 @@ def test_leaving_ends_all_processes_at_once():
     with local_processes(2) as executor:
         calls = [executor.submit(time.sleep, 600) for _ in range(5)]
         time.sleep(0.2)
-    assert time.monotonic() - began < 20 and not any(call.done() and not call.exception() for call in calls)
+    assert time.monotonic() - began < 20 and not any(
+        call.done() and not call.exception() for call in calls
+    )
 
 
 def rows_of(out, executor, on_progress=lambda *_: None):
@@ -82,7 +89,9 @@ def test_a_cluster_makes_the_rows_of_one_process_though_a_worker_is_killed(tmp_p
     distributed = pytest.importorskip("distributed")
     killed = []
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as machines,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as machines,
         executor_for(FOUR, 1, machines.scheduler_address) as executor,
     ):
         assert executor.size == 2
@@ -95,7 +104,9 @@ def test_a_cluster_makes_the_rows_of_one_process_though_a_worker_is_killed(tmp_p
 
         there = rows_of(tmp_path / "there", executor, kill_one)
         monkeypatch.setattr(runner, "weights_of", lambda *_: {"vq_mpt": "f" * 64})
-        with pytest.raises(InvalidInputError, match="has other weights; install the same cvqmpt-lab there"):
+        with pytest.raises(
+            InvalidInputError, match="has other weights; install the same cvqmpt-lab there"
+        ):
             executor_for(FOUR, 1, machines.scheduler_address).__enter__()
     monkeypatch.undo()
     with executor_for(FOUR, 2) as executor:
@@ -111,5 +122,7 @@ def test_what_is_no_cluster_is_refused_in_one_line(monkeypatch):
     with pytest.raises(InvalidInputError, match=told):
         dask_cluster("tcp://127.0.0.1:9", lambda task: 1.0, dict).__enter__()
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(InvalidInputError, match=r"not installed: .venv/bin/pip install -c .*'\.\[dask\]'"):
+    with pytest.raises(
+        InvalidInputError, match=r"not installed: .venv/bin/pip install -c .*'\.\[dask\]'"
+    ):
         dask_cluster("tcp://127.0.0.1:9", lambda task: 1.0, dict).__enter__()

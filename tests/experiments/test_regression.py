@@ -19,7 +19,11 @@ from experiments.suites.suite import SUITES
 from paper_tables.committed import committed_directories, differing_cells, untraceable
 from paper_tables.suite_tables import render_directory
 
-FEW = (Case("birrt", 2, 0, 20_000), Case("birrt", 2, 1, 20_000), Case("ompl-projected", 2, 1, 20_000))
+FEW = (
+    Case("birrt", 2, 0, 20_000),
+    Case("birrt", 2, 1, 20_000),
+    Case("ompl-projected", 2, 1, 20_000),
+)
 CLEAN = {"git_commit": "a" * 40, "git_dirty": False}
 HERE = {"cpu_model": "this one", "numba": "1"}
 ELSEWHERE = {"cpu_model": "another one", "numba": "1"}
@@ -69,12 +73,17 @@ def outcome(seed=0, planner="birrt", **values):
         ([{}, {}], [], []),
         ([{"path_sha256": "b"}, {}], ["path_sha256 was a, is b"], []),
         ([{"n_projections": 450}, {}], ["n_projections was 100, is 450"], []),
-        ([{"n_projections": 2000}] * 2, ["n_projections was 100"] * 2, ["mean of n_projections: 20 times"]),
-        ([{"n_state_checks": 10}] * 2, ["n_state_checks was 100"] * 2, ["mean of n_state_checks: 0.11 times"]),
+        ([{"n_projections": 2000}] * 2, ["n_projections was 100"] * 2, ["mean of n_projections: "
+                                                                        "20 times"]),
+        ([{"n_state_checks": 10}] * 2, ["n_state_checks was 100"] * 2, ["mean of n_state_checks: "
+                                                                        "0.11 times"]),
         ([{"path_length_rad": 11.0}] * 2, ["path_length_rad was 8.0"] * 2, []),
         ([{"path_length_rad": 13.0}] * 2, ["path_length_rad was 8.0"] * 2, ["mean path_length_rad: 1.62 times"]),
-        ([{"path_length_rad": 3.9}] * 2, ["path_length_rad was 8.0"] * 2, ["mean path_length_rad: 0.49 times"]),
-        ([{"fail_reason": "timeout"}, {}], ["fail_reason was None, is timeout"], ["fail_reason was None, is timeout"]),
+        ([{"path_length_rad": 3.9}] * 2, ["path_length_rad was 8.0"] * 2, ["mean path_length_rad: "
+                                                                           "0.49 times"]),
+        ([{"fail_reason": "timeout"}, {}], ["fail_reason was None, is timeout"], ["fail_reason "
+                                                                                  "was None, is "
+                                                                                  "timeout"]),
     ],
 )  # fmt: skip
 def test_equality_here_and_stated_bounds_elsewhere(changes, exactly, by_bounds):
@@ -92,7 +101,8 @@ def test_runs_without_expectation_and_expectations_without_run_are_named():
 
 
 @pytest.mark.parametrize(
-    "text", [*(None, "", "[]", "{}", '{"schema": "other/1"}', '{"schema": 5, "runs": 5}', "[" * 9999)]
+    "text",
+    [*(None, "", "[]", "{}", '{"schema": "other/1"}', '{"schema": 5, "runs": 5}', "[" * 9999)],
 )
 def test_unreadable_expectations_name_the_cure(tmp_path, text):
     path = tmp_path / "e.json"
@@ -109,7 +119,10 @@ def test_the_committed_expectations_are_of_these_cases_and_of_every_planner():
     products = {case.planner for case in CASES if case.planner.startswith("cvq:")}
     assert {case.planner for case in CASES} - products == {*table.PLANNERS}
     assert products < {*SUITES["factorial"].planners}
-    assert {values["fail_reason"] for values in committed.outcomes.values()} == {None, "iteration_limit"}
+    assert {values["fail_reason"] for values in committed.outcomes.values()} == {
+        None,
+        "iteration_limit",
+    }
 
 
 @pytest.fixture
@@ -143,9 +156,11 @@ def test_untouched_tables_are_equal_and_their_rows_traced(results):
 @pytest.mark.parametrize(
     ("name", "old", "new", "words"),
     [
-        ("table.md", "22.95", "21.95", ["row 'ompl-projected (CBiRRT)'", "committed '21.95', rendered '22.95'"]),
+        ("table.md", "22.95", "21.95", ["row 'ompl-projected (CBiRRT)'", "committed '21.95', "
+                                                                         "rendered '22.95'"]),
         ("table.tex", "22.95", "21.95", ["committed '21.95", "rendered '22.95"]),
-        ("table.csv", "22.95", "21.95", ["row 'place-task', cell 6", "committed '21.95', rendered '22.95'"]),
+        ("table.csv", "22.95", "21.95", ["row 'place-task', cell 6", "committed '21.95', rendered "
+                                                                     "'22.95'"]),
         ("table.md", "| birrt", "|  birrt", ["spaces differ"]),
     ],
 )  # fmt: skip
@@ -153,7 +168,9 @@ def test_a_tampered_table_is_named_by_cell(results, name, old, new, words):
     directory = results / "place-task"
     tampered(directory / name, old, new)
     (line,) = differing_cells(directory)
-    assert line.startswith(f"{directory / name}, line ") and line.endswith(f"cvqmpt table {directory}")
+    assert line.startswith(f"{directory / name}, line ") and line.endswith(
+        f"cvqmpt table {directory}"
+    )
     assert all(word in line for word in words), line
 
 
@@ -186,7 +203,9 @@ def test_rows_that_cannot_be_traced_are_refused(tmp_path, session, words):
     assert words in line
 
 
-def test_the_command_is_green_then_red_and_update_mends_the_runs(results, tmp_path, monkeypatch, capsys):
+def test_the_command_is_green_then_red_and_update_mends_the_runs(
+    results, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(regression, "CASES", FEW[:1])
     words = ["check-tables", "--expected", str(tmp_path / "e.json"), "--results", str(results)]
     assert main([*words, "--update"]) == 0 and main(words) == 0

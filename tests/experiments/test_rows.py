@@ -42,7 +42,9 @@ def test_every_part_is_in_its_column_and_the_total_is_their_sum(problem):
     assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (0.07, 0.11, 0.13)
     assert row.t_plan_s == solution.plan.search_seconds < solution.plan.seconds - 0.309
     assert row.t_total_s == pytest.approx(sum(getattr(row, part) for part in PARTS))
-    assert row.t_total_s == pytest.approx(0.25 + solution.plan.seconds + solution.simplified.seconds)
+    assert row.t_total_s == pytest.approx(
+        0.25 + solution.plan.seconds + solution.simplified.seconds
+    )
 
 
 def test_parts_that_a_planner_does_not_have_stay_empty(problem):
@@ -50,11 +52,15 @@ def test_parts_that_a_planner_does_not_have_stay_empty(problem):
     assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (None, 0.02, None)
     failed, solution = row_of(problem, Timings(encode=0.03), budget=1)
     assert not failed.solved and failed.t_simplify_s is None
-    assert failed.t_total_s == pytest.approx(0.25 + solution.plan.seconds) and failed.t_total_s > 0.28
+    assert (
+        failed.t_total_s == pytest.approx(0.25 + solution.plan.seconds) and failed.t_total_s > 0.28
+    )
 
 
 def test_g_is_that_of_what_is_sampled(problem):
-    """F(q)^T F(q): none on the manifold, that of any configuration without a model, unsaid without samples."""
+    """F(q)^T F(q):
+    none on the manifold, that of any configuration without a model, unsaid without samples.
+    """
 
     def g_of(covariance):
         uniform = Uniform(problem.robot.lower, problem.robot.upper)
@@ -77,7 +83,9 @@ def test_timings_are_seconds(value):
 
 
 def test_every_way_to_fail_has_its_reason():
-    """A new status of planners or fault of certificates without a reason would fail a run after its work."""
+    """A new status of planners or fault of certificates without a reason would fail a run after its
+    work.
+    """
     statuses = {FailReason(status) for status in PlanStatus if status is not PlanStatus.SOLVED}
     of_trajectories = {FaultKind.VELOCITY, FaultKind.ACCELERATION, FaultKind.CURRENT}
     faults = {FailReason(f"uncertified_{kind}") for kind in set(FaultKind) - of_trajectories}
@@ -87,7 +95,10 @@ def test_every_way_to_fail_has_its_reason():
 
 
 def test_a_path_that_is_refused_keeps_the_first_fault_as_reason_and_all_in_words(solution):
-    faults = (Fault(FaultKind.STEP, "a step of 1 rad"), Fault(FaultKind.COLLISION, "in collision: a and b"))
+    faults = (
+        Fault(FaultKind.STEP, "a step of 1 rad"),
+        Fault(FaultKind.COLLISION, "in collision: a and b"),
+    )
     refused = replace(solution, certificate=replace(solution.certificate, faults=faults))
     row = result_row(RUN, refused, goal_seconds=0.0)
     assert (row.solved, row.certified, row.fail_reason) == (False, False, "uncertified_step")
@@ -96,9 +107,13 @@ def test_a_path_that_is_refused_keeps_the_first_fault_as_reason_and_all_in_words
 
 
 def test_a_fallback_has_its_column_and_counts_as_solved(solution):
-    fallen_back = replace(solution, plan=replace(solution.plan, fallback="no path after 3 searches: birrt"))
+    fallen_back = replace(
+        solution, plan=replace(solution.plan, fallback="no path after 3 searches: birrt")
+    )
     row = result_row(RUN, fallen_back, goal_seconds=0.0)
-    assert row.solved and row.fallback == "no path after 3 searches: birrt" and row.fail_reason is None
+    assert (
+        row.solved and row.fallback == "no path after 3 searches: birrt" and row.fail_reason is None
+    )
     assert result_row(RUN, solution, goal_seconds=0.0).fallback is None
 
 
@@ -114,21 +129,28 @@ def test_a_task_that_failed_as_a_whole_still_has_all_its_rows():
 
 
 def test_committed_rows_load_and_add_up(part):
-    files = [folder / "runs.csv" for folder in committed_directories() if (folder / "runs.csv").is_file()]
+    files = [
+        folder / "runs.csv" for folder in committed_directories() if (folder / "runs.csv").is_file()
+    ]
     assert len(files) >= 5
     for path in part(files, 6):
         for row in read_rows(path):
-            assert (row.t_total_s or 0.0) == pytest.approx(sum(getattr(row, part) or 0.0 for part in PARTS))
+            assert (row.t_total_s or 0.0) == pytest.approx(
+                sum(getattr(row, part) or 0.0 for part in PARTS)
+            )
 
 
 @pytest.mark.parametrize("suite", ["family-shelves", "place-task"])
 def test_every_run_is_charged_for_the_field_of_its_scene(monkeypatch, suite):
     clouds, fill = [], edge_model.fill_distances
-    monkeypatch.setattr(edge_model, "fill_distances", lambda *given: clouds.append(given) or fill(*given))
+    monkeypatch.setattr(
+        edge_model, "fill_distances", lambda *given: clouds.append(given) or fill(*given)
+    )
     item, found = with_sampled_goals(suite_named(suite).solvable(0))[0], []
     for name in ("cvq:graph+decoded", "graph-cvq", "cvq:graph+wide"):
         before = len(clouds)
         (row,) = outcome_of(Run(suite, 0, name, 0, Budget(iterations=1)), item, 0.0).rows
-        assert row.scene_new and row.n_clearances > 40_000  # along all edges of the dictionary's roadmap
+        # along all edges of the dictionary's roadmap
+        assert row.scene_new and row.n_clearances > 40_000
         found.append(len(clouds) - before)
     assert found[1:] == [1, 1]

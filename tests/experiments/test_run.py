@@ -76,7 +76,11 @@ def test_an_interrupted_run_keeps_its_rows_and_continues_without_duplicates(four
 def test_a_larger_experiment_adds_to_the_rows_and_another_budget_is_refused(tmp_path):
     first = run(ONE, tmp_path)
     both = run(replace(ONE, seeds=(0, 1)), tmp_path)
-    assert len(first) == 1 and both[0] == first[0] and keys(both) == [("2", "birrt", 0), ("2", "birrt", 1)]
+    assert (
+        len(first) == 1
+        and both[0] == first[0]
+        and keys(both) == [("2", "birrt", 0), ("2", "birrt", 1)]
+    )
     with pytest.raises(RunStoreError, match=r"iterations was 20000, now 7.*another --out"):
         run(replace(ONE, budget=Budget(iterations=7)), tmp_path)
     assert read_rows(tmp_path / RUNS_FILE) == both
@@ -125,12 +129,17 @@ def test_bad_experiments_are_refused_by_name(values, error, words):
 
 @pytest.mark.slow
 def test_an_interrupt_leaves_no_worker_and_a_run_that_the_same_command_continues(tmp_path):
-    words = "reproduce place-task --problems 4 --planners birrt --seeds 30 --iterations 20000 --jobs 2"
+    words = (
+        "reproduce place-task --problems 4 --planners birrt --seeds 30 --iterations 20000 --jobs 2"
+    )
 
     def hear_ctrl_c():  # which a shell in the background makes its children deaf to
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    started, partial = start((*words.split(), "--out", tmp_path), hear_ctrl_c), tmp_path / PARTIAL_FILE
+    started, partial = (
+        start((*words.split(), "--out", tmp_path), hear_ctrl_c),
+        tmp_path / PARTIAL_FILE,
+    )
     while not partial.is_file() or partial.read_bytes().count(b"\n\n") < 2:
         assert started.poll() is None, "the run ended before it could be interrupted"
         time.sleep(0.02)
@@ -154,6 +163,8 @@ def test_a_run_is_not_continued_with_other_weights(tmp_path, monkeypatch):
     recorded = ProvenanceFile(tmp_path).read()["weights"]
     assert recorded == weights_of(few.planners)
     monkeypatch.setattr(runner, "weights_of", lambda planners, model: {"vq_mpt": "f" * 64})
-    with pytest.raises(RunStoreError, match=f'weights.vq_mpt was "{recorded["vq_mpt"]}", now "{"f" * 64}"'):
+    with pytest.raises(
+        RunStoreError, match=f'weights.vq_mpt was "{recorded["vq_mpt"]}", now "{"f" * 64}"'
+    ):
         run(few, tmp_path)
     assert read_rows(tmp_path / RUNS_FILE) == rows

@@ -113,8 +113,13 @@ def solved_by(name, seconds=20.0, seed=0):
 
 
 def test_a_path_of_others_is_certified_as_it_is_and_its_work_is_not_counted(theirs):
-    theirs_, ours = solved_by("good"), solve(single_goal_problem(5), "birrt", Budget(seconds=20.0), 0)
-    assert theirs_.solved and np.array_equal(theirs_.simplified.path.states, ours.simplified.path.states)
+    theirs_, ours = (
+        solved_by("good"),
+        solve(single_goal_problem(5), "birrt", Budget(seconds=20.0), 0),
+    )
+    assert theirs_.solved and np.array_equal(
+        theirs_.simplified.path.states, ours.simplified.path.states
+    )
     assert theirs_.plan.sampler == "their-planners 1.2" and theirs_.plan.as_is
 
 
@@ -123,13 +128,19 @@ def test_straight_segments_are_divided_and_not_moved(theirs):
     states, problem = found_.simplified.path.states, single_goal_problem(5)
     corners = np.array([problem.start, problem.robot.upper, problem.goals[0]])
     assert np.linalg.norm(np.diff(states, axis=0), axis=1).max() <= 0.1 + 1e-12
-    assert found_.simplified.path.length == pytest.approx(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
+    assert found_.simplified.path.length == pytest.approx(
+        np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
+    )
     assert not found_.solved and found_.certificate.reasons
 
 
 def test_our_search_goes_on_from_a_proposal(theirs):
     solution = solved_by("proposal")
-    assert solution.solved and solution.plan.sampler == "theirs" and solution.plan.counters.projections > 0
+    assert (
+        solution.solved
+        and solution.plan.sampler == "theirs"
+        and solution.plan.counters.projections > 0
+    )
 
 
 @pytest.mark.parametrize(
@@ -154,7 +165,10 @@ def test_what_is_no_path_has_a_reason(theirs, name, status, word):
 def test_one_that_is_late_or_hangs_is_over_time(theirs):
     hanging = solved_by("hanging", seconds=0.2).plan
     assert 0.9 < hanging.seconds < 3.0
-    assert hanging.status is PlanStatus.OVERTIME and "where 0.2 s were given; interrupted" in hanging.detail
+    assert (
+        hanging.status is PlanStatus.OVERTIME
+        and "where 0.2 s were given; interrupted" in hanging.detail
+    )
     late = solved_by("late", seconds=0.6).plan
     assert late.status is PlanStatus.OVERTIME and late.path is None
 
@@ -186,11 +200,18 @@ def test_rows_say_what_happened_and_who_made_the_planner(theirs, tmp_path):
         rows = run_experiment(experiment, tmp_path / "out", executor, ["test"], lambda *_: None)
     by_name = {row.planner.partition(":")[2]: row for row in rows}
     reasons = {name: row.fail_reason for name, row in by_name.items()}
-    assert reasons == {"good": None, "printing": None, "raising": "planner_error", "nan": "malformed_path"}
+    assert reasons == {
+        "good": None,
+        "printing": None,
+        "raising": "planner_error",
+        "nan": "malformed_path",
+    }
     good = by_name["good"]
     assert good.certified and good.n_projections is None and good.vertices is None
     assert good.t_wall_s >= good.t_plan_s > 0.0 and good.sampler_used == "their-planners 1.2"
-    assert ProvenanceFile(tmp_path / "out").read()["planners"] == dict.fromkeys(names, "their-planners 1.2")
+    assert ProvenanceFile(tmp_path / "out").read()["planners"] == dict.fromkeys(
+        names, "their-planners 1.2"
+    )
 
 
 def test_an_entry_point_is_a_name_and_ours_are_refused(theirs):
@@ -200,7 +221,9 @@ def test_an_entry_point_is_a_name_and_ours_are_refused(theirs):
     assert planner_named("lucky").external == "their-planners 1.2"
     solution = solve(single_goal_problem(5), "lucky", Budget(seconds=20.0), 0)
     assert solution.solved, solution
-    with pytest.raises(InvalidInputError, match=r"'tb-rrt' of their-planners 1.2 has the name of one of ours"):
+    with pytest.raises(
+        InvalidInputError, match=r"'tb-rrt' of their-planners 1.2 has the name of one of ours"
+    ):
         planner_named("tb-rrt")
 
 

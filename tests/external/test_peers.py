@@ -1,4 +1,6 @@
-"""The adapters of other planners; each is skipped where its packages are not installed (extra `peers`)."""
+"""The adapters of other planners;
+each is skipped where its packages are not installed (extra `peers`).
+"""
 
 import importlib.util
 from dataclasses import replace
@@ -25,7 +27,11 @@ def problem():
 
 
 def missing(name):
-    return [need for module, need in PEERS[name].needs.items() if importlib.util.find_spec(module) is None]
+    return [
+        need
+        for module, need in PEERS[name].needs.items()
+        if importlib.util.find_spec(module) is None
+    ]
 
 
 @pytest.mark.parametrize("name", PEERS)
@@ -33,7 +39,10 @@ def test_an_adapter_plans_a_certified_path(problem, name):
     if missing(name):
         pytest.skip(f"not installed: {', '.join(missing(name))}; extra peers")
     solution = solve(problem, name, Budget(seconds=60.0), seed=0)
-    assert solution.solved, (solution.plan.detail, solution.certificate and solution.certificate.reasons)
+    assert solution.solved, (
+        solution.plan.detail,
+        solution.certificate and solution.certificate.reasons,
+    )
 
 
 @pytest.mark.parametrize("name", PEERS)
@@ -54,17 +63,24 @@ def test_the_urdf_has_the_kinematics_and_collisions_of_the_problem(problem, tmp_
     data, results = model.createData(), pin.GeometryData(bodies)
     checker, tool = problem.collision_checker(), model.getFrameId("tool")
     for q in problem.robot.random_configurations(np.random.default_rng(0), 200):
-        assert pin.computeCollisions(model, data, bodies, results, q, True) == checker.in_collision(q)
+        assert pin.computeCollisions(model, data, bodies, results, q, True) == checker.in_collision(
+            q
+        )
         pin.framesForwardKinematics(model, data, q)
         assert np.allclose(data.oMf[tool].homogeneous, problem.robot.pose(q), atol=1e-9)
-    assert len(list(unchecked_pairs(problem))) == 17 * 16 / 2 - len(problem.robot.self_collision_pairs)
+    assert len(list(unchecked_pairs(problem))) == 17 * 16 / 2 - len(
+        problem.robot.self_collision_pairs
+    )
 
 
 def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_twelfth_left(problem):
     region = upright_region(problem)
     rng, box = np.random.default_rng(0), rpy_box(region)
     tilts = rng.choice((-1.0, 1.0), (4000, 2)) * box[4:, 1]
-    turns = [pin.rpy.rpyToMatrix(roll, *tilt) for roll, tilt in zip(np.linspace(-3.14, 3.14, 4000), tilts, strict=True)]
+    turns = [
+        pin.rpy.rpyToMatrix(roll, *tilt)
+        for roll, tilt in zip(np.linspace(-3.14, 3.14, 4000), tilts, strict=True)
+    ]
     vectors = np.abs([pin.log3(turn)[1:] for turn in turns])
     assert 0.09 < vectors.max() < 0.092
 

@@ -1,4 +1,6 @@
-"""Reads hostile files in a process of its own, with bounded memory and time; notes what reaches beyond its folder."""
+"""Reads hostile files in a process of its own, with bounded memory and time;
+notes what reaches beyond its folder.
+"""
 
 import multiprocessing
 import os
@@ -16,8 +18,17 @@ from cvqmpt_lab.errors import LONGEST_LINE, CvqmptError
 
 MEMORY = 2**30  # [bytes] more than the process had at first
 HANG = 20.0  # [s] of wall time after which a file is given up
-FORBIDDEN = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "socket.connect", "socket.bind")
-CHANGING = tuple(f"os.{call}" for call in ("remove", "rename", "rmdir", "mkdir", "link", "symlink", "chmod"))
+FORBIDDEN = (
+    "subprocess.Popen",
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+    "socket.connect",
+    "socket.bind",
+)
+CHANGING = tuple(
+    f"os.{call}" for call in ("remove", "rename", "rmdir", "mkdir", "link", "symlink", "chmod")
+)
 
 # of the process that reads:
 reader, folder = None, Path()

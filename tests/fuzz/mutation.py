@@ -1,4 +1,6 @@
-"""Hypothesis strategies of hostile files: damaged bytes, and json and xml that are well formed and hostile."""
+"""Hypothesis strategies of hostile files:
+damaged bytes, and json and xml that are well formed and hostile.
+"""
 
 import copy
 import json
@@ -13,12 +15,20 @@ NASTY = (
     *"../../etc/passwd /etc/passwd /dev/zero ~ =1+1 $(id) file:///etc/passwd 1e3".split(),  # noqa: SIM905
     *(0, -1, 1, 2, 255, 2**31, 2**63, 2**64, 10**400, -(10**18)),
     *(0.0, -0.0, 5e-324, 1e-300, 1e-9, 2e-4, 0.5, 1.0000001, 7.0, 100.0, 1e4, 1e9, 1e300, 1.7e308),
-    *([[]], [None], [0.0] * 3, [float("nan")] * 6, [[1.0, -1.0]] * 6, [0.0] * 2000, [[0.0] * 3] * 400),
+    *(
+        [[]],
+        [None],
+        [0.0] * 3,
+        [float("nan")] * 6,
+        [[1.0, -1.0]] * 6,
+        [0.0] * 2000,
+        [[0.0] * 3] * 400,
+    ),
     *({"type": "box"}, {"type": []}, {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, {"_comment": {}}),
 )
 SCALES = tuple(sign * 10.0**power for power in range(-12, 13) for sign in (1.0, -1.0))
 WORDS = (
-    *"0 -1 nan inf 1e308 5e-324 1e-9 100 x base tool é revolute prismatic continuous fixed floating planar".split(),  # noqa: SIM905
+    *["0", "-1", "nan", "inf", "1e308", "5e-324", "1e-9", "100", "x", "base", "tool", "é", "revolute", "prismatic", "continuous", "fixed", "floating", "planar"],
     *"../../etc/passwd /etc/passwd file:///etc/passwd package://x/y.stl".split(),  # noqa: SIM905
     *("", "0 0 0", "1 0 0", "0 0 1e300", "1 2", "a b", "x" * 5000),
 )
@@ -33,7 +43,9 @@ ENTITIES = tuple(
     )
 )
 
-json_values = st.one_of(st.sampled_from(NASTY), st.sampled_from(NASTY), st.floats(), st.integers(), st.text())
+json_values = st.one_of(
+    st.sampled_from(NASTY), st.sampled_from(NASTY), st.floats(), st.integers(), st.text()
+)
 
 
 def rarely(draw, one_in):
@@ -42,7 +54,9 @@ def rarely(draw, one_in):
 
 @st.composite
 def damaged(draw, content):
-    """The bytes with some changed, cut out, doubled, a number replaced, or a piece of another format put in."""
+    """The bytes with some changed, cut out, doubled, a number replaced, or a piece of another
+    format put in.
+    """
     data = bytearray(content)
     for _ in range(draw(st.sampled_from((1, 1, 1, 2, 5)))):
         at, length = draw(st.integers(0, len(data))), draw(st.integers(1, 40))
@@ -68,7 +82,9 @@ def damaged(draw, content):
 
 @st.composite
 def hostile_json(draw, content):
-    """Json with a few parts replaced, scaled, left out, repeated or exchanged, and sometimes damaged bytes."""
+    """Json with a few parts replaced, scaled, left out, repeated or exchanged, and sometimes
+    damaged bytes.
+    """
     tree = json.loads(content)
     for _ in range(draw(st.integers(1, 3))):
         if not tree:
@@ -98,7 +114,9 @@ def hostile_json(draw, content):
 
 @st.composite
 def places(draw, tree):
-    """A container in the tree and one of its keys: the last step, or one before, of a random walk from the top."""
+    """A container in the tree and one of its keys:
+    the last step, or one before, of a random walk from the top.
+    """
     walk, node = [], tree
     while isinstance(node, dict | list) and node:
         key = draw(st.sampled_from(list(node if isinstance(node, dict) else range(len(node)))))
@@ -109,7 +127,9 @@ def places(draw, tree):
 
 @st.composite
 def hostile_xml(draw, content):
-    """Xml with attributes changed and elements repeated, left out or moved; entities; sometimes damaged bytes."""
+    """Xml with attributes changed and elements repeated, left out or moved; entities;
+    sometimes damaged bytes.
+    """
     root = ElementTree.fromstring(content)
     for _ in range(draw(st.integers(1, 3))):
         elements = list(root.iter())

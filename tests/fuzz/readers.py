@@ -1,4 +1,6 @@
-"""Every reader of files that others hand in, a good file for it, how that is made hostile, and how it is used."""
+"""Every reader of files that others hand in, a good file for it, how that is made hostile, and how
+it is used.
+"""
 
 import hashlib
 import io
@@ -70,9 +72,19 @@ class Reader(NamedTuple):
 def problem():
     """A problem with every kind of shape, something carried, and regions of both forms."""
     cloud = PointCloud(np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3)), 0.01)
-    shapes = (Box((0.1, 0.2, 0.3)), Cylinder(0.1, 0.2), Sphere(0.1), ConvexMesh(0.1 * np.eye(4, 3)), cloud)
-    objects = tuple(SceneObject(f"s{k}", shape, pose((2.0, k, 0.5))) for k, shape in enumerate(shapes))
-    plain = json.loads((DATA / "problem-1.json").read_text()) | {"scene": to_plain(Scene("room", objects))}
+    shapes = (
+        Box((0.1, 0.2, 0.3)),
+        Cylinder(0.1, 0.2),
+        Sphere(0.1),
+        ConvexMesh(0.1 * np.eye(4, 3)),
+        cloud,
+    )
+    objects = tuple(
+        SceneObject(f"s{k}", shape, pose((2.0, k, 0.5))) for k, shape in enumerate(shapes)
+    )
+    plain = json.loads((DATA / "problem-1.json").read_text()) | {
+        "scene": to_plain(Scene("room", objects))
+    }
     plain["constraint"].insert(0, {"upright": 0.1})
     return json.dumps(plain).encode()
 
@@ -145,7 +157,12 @@ def capture(path):
 
 def intrinsics(path):
     found = read_intrinsics(path)
-    assert 0 <= found.cx < found.width and 0 <= found.cy < found.height and found.fx > 0.0 and found.fy > 0.0
+    assert (
+        0 <= found.cx < found.width
+        and 0 <= found.cy < found.height
+        and found.fx > 0.0
+        and found.fy > 0.0
+    )
 
 
 def extrinsics(path):
@@ -159,11 +176,18 @@ image_height: 480
 camera_matrix: {rows: 3, cols: 3, data: [525, 0.0, 319.5, 0.0, 5.26e2, 239.5, 0, 0, 1.]}
 distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
 """
-POSE = {"translation": {"x": 0.1, "y": -0.5, "z": 1.2}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8}}
+POSE = {
+    "translation": {"x": 0.1, "y": -0.5, "z": 1.2},
+    "rotation": {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8},
+}
 
 
 def rows():
-    made = [a_row(str(k), name, t_total_s=0.1, vertices=7) for k in range(3) for name in ("birrt", "cvq-mpt")]
+    made = [
+        a_row(str(k), name, t_total_s=0.1, vertices=7)
+        for k in range(3)
+        for name in ("birrt", "cvq-mpt")
+    ]
     return csv_text(made).encode()
 
 
@@ -191,7 +215,9 @@ def network():
 
 
 def weights(path):
-    """Read weights, one of whose files is hostile; the description states the sha256 of the tensors there are."""
+    """Read weights, one of whose files is hostile;
+    the description states the sha256 of the tensors there are.
+    """
     beside, content = "mpnet.safetensors", network()[1]
     if path.name == beside:
         stated = json.loads(network()[0])
@@ -214,7 +240,9 @@ class Runs:
 def checkpoint():
     """As torch writes it."""
     state = {f"layer.{k}": torch.arange(12.0).reshape(3, 4) for k in range(4)}
-    return saved("a.pkl", partial(torch.save, {"encoder_state": state, "epoch": 3, "optimizer": {"lr": 0.1}}))
+    return saved(
+        "a.pkl", partial(torch.save, {"encoder_state": state, "epoch": 3, "optimizer": {"lr": 0.1}})
+    )
 
 
 def damaged_or_running(content):
@@ -225,7 +253,9 @@ def damaged_or_running(content):
         Runs(open, "/tmp/owned", "w"),
         Runs(bytearray, 2**40),
     )
-    running = st.sampled_from([pickle.dumps({"state": call}, protocol=p) for call in calls for p in (2, 4)])
+    running = st.sampled_from(
+        [pickle.dumps({"state": call}, protocol=p) for call in calls for p in (2, 4)]
+    )
     return st.one_of(*[damaged(content)] * 9, running)
 
 
@@ -239,15 +269,21 @@ def dataset():
 
 
 def training_data(path):
-    """Open a dataset, one of whose files is hostile; the index states the sha256 of a hostile shard."""
+    """Open a dataset, one of whose files is hostile;
+    the index states the sha256 of a hostile shard.
+    """
     folder = path.parent.parent if path.suffix == ".npz" else path.parent
     for name, content in dataset().items():
         if folder / name != path:
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_bytes(content)
     if path.suffix == ".npz":
-        stated, found = (hashlib.sha256(data).hexdigest() for data in (dataset()[SHARD], path.read_bytes()))
-        (folder / "shards.csv").write_bytes(dataset()["shards.csv"].replace(stated.encode(), found.encode()))
+        stated, found = (
+            hashlib.sha256(data).hexdigest() for data in (dataset()[SHARD], path.read_bytes())
+        )
+        (folder / "shards.csv").write_bytes(
+            dataset()["shards.csv"].replace(stated.encode(), found.encode())
+        )
     open_dataset(folder)
 
 

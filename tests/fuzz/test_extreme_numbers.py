@@ -60,7 +60,9 @@ def already_there(rng):
 
 
 def blocked(rng):
-    """A peg beside the shoulder, which the first joint alone moves: a quarter turn hits it, however others stand."""
+    """A peg beside the shoulder, which the first joint alone moves:
+    a quarter turn hits it, however others stand.
+    """
     peg = SceneObject("peg", Box((0.01, 0.01, 0.02)), pose((0.09, 0.0, 0.25)))
     problem = between(rng, Scene("blocked", (peg,)), spread=0.1)
     quarter = problem.robot.random_configurations(rng, 200)
@@ -78,7 +80,9 @@ def region(T, half_xy, half_z, half_angles):
 
 
 def narrow(rng, width=0.0):
-    """The hand keeps its height to within a width [m]; goals are drawn from a region of the same height."""
+    """The hand keeps its height to within a width [m];
+    goals are drawn from a region of the same height.
+    """
     problem = between(rng)
     T = problem.robot.pose(problem.start)
     level, goals = region(T, FREE, width / 2, FREE), region(T, 0.15, 0.0, 0.3)
@@ -118,7 +122,9 @@ EXTREME = "extreme numbers end in a certified path or in no path, within the bud
 def extreme(what, make, solved, planners=("birrt",), budget=None, ci=1, long=100):
     """solved: whether there is a path to be found, or None where either may be."""
     mark = pytest.mark.promise(EXTREME, "plans", ci=ci, long=long)
-    return pytest.param(make, solved, planners, budget or Budget(iterations=3000), marks=mark, id=what)
+    return pytest.param(
+        make, solved, planners, budget or Budget(iterations=3000), marks=mark, id=what
+    )
 
 
 @pytest.mark.parametrize(
@@ -128,7 +134,15 @@ def extreme(what, make, solved, planners=("birrt",), budget=None, ci=1, long=100
         extreme("joints at their limits", at_limits, True, ci=4, long=200),
         extreme("the start is a goal", already_there, True, ANY, ci=5, long=200),
         extreme("nothing in the scene", between, True, ANY, ci=5, long=200),
-        extreme("no way out", blocked, False, ("birrt", "roadmap-cvq"), Budget(seconds=0.5), ci=2, long=20),
+        extreme(
+            "no way out",
+            blocked,
+            False,
+            ("birrt", "roadmap-cvq"),
+            Budget(seconds=0.5),
+            ci=2,
+            long=20,
+        ),
         extreme("regions of no width", narrow, True, ci=2),
         extreme("regions of 0.2 mm", lambda rng: narrow(rng, 2e-4), True, ci=2),
         extreme("10 000 obstacles", lambda rng: crowded(rng, 10_000, 0.02, 0.9), None, long=5),
@@ -148,4 +162,8 @@ def test_plans(make, solved, planners, budget, trials):
             assert not solved and plan.status in ENDED, (seed, planner)
             assert plan.seconds < (budget.seconds or np.inf) + 1.0, (seed, planner)
         else:
-            assert solution.certificate.valid and solved is not False, (seed, planner, solution.certificate)
+            assert solution.certificate.valid and solved is not False, (
+                seed,
+                planner,
+                solution.certificate,
+            )

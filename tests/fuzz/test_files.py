@@ -1,4 +1,6 @@
-"""Hostile files end within a second in a result or one line, start nothing and write nothing elsewhere."""
+"""Hostile files end within a second in a result or one line, start nothing and write nothing
+elsewhere.
+"""
 
 import shutil
 

@@ -20,7 +20,9 @@ from cvqmpt_lab.search.anytime import NearShortestSettings
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.vqmpt.link_positions import LinkPositions
 
-TINY = PathRecipe(6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32))
+TINY = PathRecipe(
+    6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32)
+)
 
 
 def make(out, recipe=TINY):
@@ -53,7 +55,9 @@ def test_paths_are_free_and_join_their_ends_among_the_shapes_of_their_scene(tiny
     robot, dataset = panda(), open_dataset(tiny)
     assert len(dataset.paths) >= 8
     for scene in range(len(dataset.scenes)):
-        made = family_scene(dataset.families[dataset.scenes.family[scene]], int(dataset.scenes.seed[scene]))
+        made = family_scene(
+            dataset.families[dataset.scenes.family[scene]], int(dataset.scenes.seed[scene])
+        )
         poses = [item.T_world_object[:3] for item in made.obstacles]
         np.testing.assert_allclose(dataset.scenes.shapes(scene).pose, poses, atol=1e-6)
         checker = CollisionChecker(robot, made)

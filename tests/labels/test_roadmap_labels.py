@@ -43,7 +43,9 @@ def shard(tiny):
 
 
 def scene_of(shard, scene):
-    return family_scene(TINY.families[shard.arrays["family"][scene]], int(shard.arrays["scene_seed"][scene]))
+    return family_scene(
+        TINY.families[shard.arrays["family"][scene]], int(shard.arrays["scene_seed"][scene])
+    )
 
 
 @pytest.mark.parametrize("scene", [0, 1])
@@ -51,7 +53,8 @@ def test_nodes_and_edges_called_free_are_free_by_the_exact_checker(shard, scene)
     checker, graph = CollisionChecker(panda(), scene_of(shard, scene)), shard.graph
     free = shard.node_free(scene)
     assert not checker.in_collision_batch(graph.nodes[free]).any()
-    assert checker.in_collision_batch(graph.nodes[~free]).mean() > 0.8  # others are at least very near
+    # others are at least very near
+    assert checker.in_collision_batch(graph.nodes[~free]).mean() > 0.8
     edges = graph.edges[np.flatnonzero(shard.edge_free(scene))[::37]]
     marks = np.linspace(0.0, 1.0, 40)[:, None, None]
     states = (1.0 - marks) * graph.nodes[edges[:, 0]] + marks * graph.nodes[edges[:, 1]]
@@ -65,7 +68,9 @@ def test_paths_walk_free_edges_and_cost_what_they_say(shard, scene):
     rows = np.flatnonzero((arrays["path_scene"] == scene) & np.isfinite(arrays["cost"]))
     assert len(rows) >= 2
     for row in rows:
-        codes = arrays["codes"][arrays["code_start"][row] : arrays["code_start"][row + 1]].astype(int)
+        codes = arrays["codes"][arrays["code_start"][row] : arrays["code_start"][row + 1]].astype(
+            int
+        )
         assert len(codes) > 0
         assert all((min(a, b), max(a, b)) in free for a, b in pairwise(codes))
         start, goal = robot.lower + arrays["ends"][row] / FULL_SCALE * (robot.upper - robot.lower)
@@ -76,7 +81,11 @@ def test_paths_walk_free_edges_and_cost_what_they_say(shard, scene):
 
 @pytest.mark.parametrize("scene", [0, 1])
 def test_motions_called_free_are_free_by_the_exact_checker(shard, scene):
-    checker, arrays, robot = CollisionChecker(panda(), scene_of(shard, scene)), shard.arrays, panda()
+    checker, arrays, robot = (
+        CollisionChecker(panda(), scene_of(shard, scene)),
+        shard.arrays,
+        panda(),
+    )
     rows = slice(arrays["link_start"][scene], arrays["link_start"][scene + 1])
     free = arrays["link_free"][rows]
     assert 0.02 < free.mean() < 0.98
@@ -87,7 +96,9 @@ def test_motions_called_free_are_free_by_the_exact_checker(shard, scene):
     assert (near <= farthest + 1e-3).all()  # as far as ends are rounded
     marks = np.linspace(0.0, 1.0, 40)[:, None]
     states = (1.0 - marks) * ends[:, None, None] + marks * nodes[:, :, None]
-    collides = checker.in_collision_batch(states.reshape(-1, 7)).reshape(*free.shape, -1).any(axis=2)
+    collides = (
+        checker.in_collision_batch(states.reshape(-1, 7)).reshape(*free.shape, -1).any(axis=2)
+    )
     assert not collides[free].any()
     assert collides[~free].mean() > 0.9  # others are at least very near
 
@@ -140,9 +151,12 @@ def without(arrays):
 
 
 @pytest.mark.parametrize(
-    ("damage", "message"), [(cut, "does not fit"), (beyond, "does not fit"), (without, "array 'link_start' is missing")]
+    ("damage", "message"),
+    [(cut, "does not fit"), (beyond, "does not fit"), (without, "array 'link_start' is missing")],
 )
-def test_labels_of_motions_that_are_missing_or_contradict_the_roadmap_are_refused(tiny, tmp_path, damage, message):
+def test_labels_of_motions_that_are_missing_or_contradict_the_roadmap_are_refused(
+    tiny, tmp_path, damage, message
+):
     folder = tmp_path / "bad"
     shutil.copytree(tiny, folder)
     rewritten(folder, 0, damage)
@@ -153,7 +167,11 @@ def test_labels_of_motions_that_are_missing_or_contradict_the_roadmap_are_refuse
 def test_paths_opened_for_training_pass_their_codes_and_are_as_long_as_labelled(tiny):
     dataset, robot = open_dataset(tiny), panda()
     shards = read_roadmap_shards(tiny)
-    labels = [(shard, row) for shard in shards for row in np.flatnonzero(np.isfinite(shard.arrays["cost"])).tolist()]
+    labels = [
+        (shard, row)
+        for shard in shards
+        for row in np.flatnonzero(np.isfinite(shard.arrays["cost"])).tolist()
+    ]
     assert len(dataset.paths) == len(labels) > 4
     assert len(dataset.scenes) == sum(len(shard.arrays["family"]) for shard in shards) == 4
     for path, (shard, row) in enumerate(labels):
@@ -161,7 +179,9 @@ def test_paths_opened_for_training_pass_their_codes_and_are_as_long_as_labelled(
         q = robot.lower + dataset.paths.joints(path) * (robot.upper - robot.lower)
         steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
         assert steps.max() < 0.135 and steps.sum() == pytest.approx(arrays["cost"][row], rel=2e-3)
-        codes = arrays["codes"][arrays["code_start"][row] : arrays["code_start"][row + 1]].astype(int)
+        codes = arrays["codes"][arrays["code_start"][row] : arrays["code_start"][row + 1]].astype(
+            int
+        )
         nearest = np.linalg.norm(q[:, None] - shard.graph.nodes[codes], axis=2).argmin(0)
         assert (np.diff(nearest) > 0).all()
         assert np.abs(q[nearest] - shard.graph.nodes[codes]).max() < 1e-3

@@ -57,7 +57,11 @@ def test_a_claim_holds_against_all_planners_that_the_paper_names(tmp_path, ompl,
     found = by_title(results)["twice as fast"]
     assert found.ruling is expected
     assert "birrt" not in {verdict.effect.baseline for verdict in found.verdicts}
-    decided = {3.0: "ompl-projected", 1.0: "mpnet", None: "mpnet"}[mpnet] if ompl == 3.0 else "ompl-projected"
+    decided = (
+        {3.0: "ompl-projected", 1.0: "mpnet", None: "mpnet"}[mpnet]
+        if ompl == 3.0
+        else "ompl-projected"
+    )
     assert found.deciding.effect.baseline == decided
 
 
@@ -89,7 +93,9 @@ def test_a_small_profile_is_named(tmp_path):
         path.write_text(json.dumps({**record, "command": command}))
         found = evidence_below(results)
         assert ("--profile small" in page_text(found, judged_claims(found), results)) is warned
-        assert by_title(results)["twice as fast"].ruling is (Ruling.TOO_FEW if warned else Ruling.HOLDS)
+        assert by_title(results)["twice as fast"].ruling is (
+            Ruling.TOO_FEW if warned else Ruling.HOLDS
+        )
         assert ("--profile small" in report_html(evidence_of(results))) is warned
 
 

@@ -11,7 +11,14 @@ from paper_tables.compare_runs import clear, compared
 def run(time, solved=range(20), planner="birrt", **values):
     """Rows of 20 problems with two seeds."""
     return [
-        a_row(f"p{k}", planner, seed=seed, t_total_s=time * (1 + 0.01 * k), path_length_rad=5.0, **values)
+        a_row(
+            f"p{k}",
+            planner,
+            seed=seed,
+            t_total_s=time * (1 + 0.01 * k),
+            path_length_rad=5.0,
+            **values,
+        )
         if k in solved
         else a_failure(f"p{k}", planner, seed=seed, t_total_s=9.0)
         for k in range(20)
@@ -59,7 +66,10 @@ def test_the_command_compares_two_directories(capsys, tmp_path):
     for name, time in (("a", 1.0), ("b", 0.5)):
         (tmp_path / name).mkdir()
         a_results_folder(tmp_path / name, birrt=time)
-    assert main(["compare", str(tmp_path / "a" / "place-task"), str(tmp_path / "b" / "place-task")]) == 0
+    assert (
+        main(["compare", str(tmp_path / "a" / "place-task"), str(tmp_path / "b" / "place-task")])
+        == 0
+    )
     out = capsys.readouterr().out
     assert "birrt: less time, −50.0" in out and "birrt: less work" in out
     assert main(["compare", str(tmp_path), str(tmp_path / "b" / "place-task")]) == 2

@@ -1,4 +1,6 @@
-"""The factorial table: contrasts pair products that differ in one choice, and a problem counts once."""
+"""The factorial table:
+contrasts pair products that differ in one choice, and a problem counts once.
+"""
 
 import csv
 import io
@@ -12,18 +14,31 @@ from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 from experiments.suites.factorial import PLANNERS
 from paper_tables.factorial_table import CONTRASTS, factorial_table
 
-FACTOR = {"transformer": 0.5, "random": 1.0, "algorithm-2": 0.25, "projected": 0.125, "other-cloud": 3.0}
+FACTOR = {
+    "transformer": 0.5,
+    "random": 1.0,
+    "algorithm-2": 0.25,
+    "projected": 0.125,
+    "other-cloud": 3.0,
+}
 
 
 def rows_of(planners, make=a_row, problems=5):
-    """Work is 1000 times the product of FACTOR over a planner's words, and of a factor of each problem and seed."""
+    """Work is 1000 times the product of FACTOR over a planner's words, and of a factor of each
+    problem and seed.
+    """
     for planner, problem, seed in product(planners, range(problems), (0, 1)):
         words = planner.removeprefix("cvq:").split("+")
         work = round(1000 * (problem + 1) * (seed + 2))
         for word in words:
             work *= FACTOR.get(word, 1.0)
         parts = asdict(SamplerChoice.of("+".join(words))) if planner != "birrt" else {}
-        values = {"n_projections": int(work), "n_state_checks": 0, "t_total_s": 0.1, "g_sampled": 2.0}
+        values = {
+            "n_projections": int(work),
+            "n_state_checks": 0,
+            "t_total_s": 0.1,
+            "g_sampled": 2.0,
+        }
         yield make(str(problem), planner, suite="factorial", seed=seed, **values, **parts)
 
 
@@ -39,7 +54,9 @@ def test_contrasts_are_of_one_choice_all_else_equal():
     assert max(map(len, told.brief)) <= 100 and len(told.sections["Products"]) == len(PLANNERS) + 1
     ours = {(x["metric"], x["planner"]): x["value"] for x in csv.DictReader(io.StringIO(told.csv))}
     assert float(ours["G_ratio", "cvq:graph+wide+none"]) == 1.0
-    assert float(ours["work_contrast", "all beams / likeliest, transformer wide"]) == pytest.approx(1.0)
+    assert float(ours["work_contrast", "all beams / likeliest, transformer wide"]) == pytest.approx(
+        1.0
+    )
 
 
 def test_contrasts_without_a_side_are_left_out_and_failures_are_no_pair():
@@ -47,4 +64,6 @@ def test_contrasts_without_a_side_are_left_out_and_failures_are_no_pair():
     rows = [*rows_of(some[:2]), *rows_of(some[2:], problems=3)]
     rows += [row for row in rows_of(some[2:], a_failure) if row.problem in "34"]
     told = factorial_table(rows, ())
-    assert [line[:2] for line in told.sections["Contrasts"][1:]] == [["projected / none, all decoded", "3"]]
+    assert [line[:2] for line in told.sections["Contrasts"][1:]] == [
+        ["projected / none, all decoded", "3"]
+    ]

@@ -66,7 +66,9 @@ def test_two_problems_are_too_few_and_so_is_a_wide_spread():
 
 
 def test_where_the_statistics_disagree_it_says_what_decides():
-    """Nine problems take a third, one that is a thousand times as long takes as long: so does the mean."""
+    """Nine problems take a third, one that is a thousand times as long takes as long:
+    so does the mean.
+    """
     others = [1.0] * 9 + [1000.0]
     found = [
         Pair(str(k), other * 0.3 * s, other, 0.3 * s)
@@ -81,7 +83,9 @@ def test_where_the_statistics_disagree_it_says_what_decides():
 
 
 def test_holm_compares_sorted_p_with_growing_levels_and_stops_at_the_first_above():
-    """0.01 <= 0.05 / 3 and 0.02 <= 0.05 / 2, but 0.06 > 0.05; without the first, 0.03 > 0.05 / 2 stops all."""
+    """0.01 <= 0.05 / 3 and 0.02 <= 0.05 / 2, but 0.06 > 0.05;
+    without the first, 0.03 > 0.05 / 2 stops all.
+    """
     assert rulings([with_p(0.06), with_p(0.01), with_p(0.02, above=False)]) == [
         Ruling.TOO_FEW,
         Ruling.HOLDS,
@@ -90,7 +94,10 @@ def test_holm_compares_sorted_p_with_growing_levels_and_stops_at_the_first_above
     assert rulings([with_p(0.03), with_p(0.04)]) == [Ruling.TOO_FEW] * 2
     assert rulings([with_p(0.05)]) == [Ruling.HOLDS], "the level itself is significant"
     other = Statement("vertices", 0.0, ("x",), incomparable="counted otherwise")
-    assert rulings([with_p(None, statement=other), with_p(0.04)]) == [Ruling.INCOMPARABLE, Ruling.HOLDS]
+    assert rulings([with_p(None, statement=other), with_p(0.04)]) == [
+        Ruling.INCOMPARABLE,
+        Ruling.HOLDS,
+    ]
 
 
 def test_a_claim_holds_where_all_hold_and_does_not_where_one_does_not():
@@ -100,7 +107,9 @@ def test_a_claim_holds_where_all_hold_and_does_not_where_one_does_not():
 
 
 def test_tests_against_values_by_hand():
-    """Student: mean 2, sd 1, n 3, t = 2 sqrt(3) with 2 degrees: p = 0.0742. Score: 60 of 100 against 1/2, z = 2."""
+    """Student: mean 2, sd 1, n 3, t = 2 sqrt(3) with 2 degrees: p = 0.0742. Score:
+    60 of 100 against 1/2, z = 2.
+    """
     assert t_test([1.0, 2.0, 3.0]) == pytest.approx(0.0742, abs=1e-4)
     assert (t_test([2.0, 2.0]), t_test([0.0, 0.0]), t_test([5.0])) == (0.0, 1.0, 1.0)
     assert score_test(Interval(0.6, None, None, 100), 0.5) == pytest.approx(0.0455, abs=1e-4)
@@ -109,7 +118,10 @@ def test_tests_against_values_by_hand():
 def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
     assert ratio_of_means_interval([(1.0, 1.0), (3.0, 1.0)])[:1] == (2.0,)
     assert ratio_of_means_interval([(1.0, 2.0)] * 5)[:3] == (0.5, 0.5, 0.5)
-    assert ratio_of_means_interval([]).n == 0 and ratio_of_means_interval([(1.0, 4.0)])[:2] == (0.25, None)
+    assert ratio_of_means_interval([]).n == 0 and ratio_of_means_interval([(1.0, 4.0)])[:2] == (
+        0.25,
+        None,
+    )
     assert pair_of("p", [(1.0, 1.0), (4.0, 1.0)]) == Pair("p", 2.5, 1.0, pytest.approx(2.0))
     made = [
         (planner, seed, value)
@@ -117,7 +129,11 @@ def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
         for seed, value in enumerate(values)
     ]
     rows = {
-        name: [a_row("p", name, seed=s, n_projections=v, n_state_checks=0) for p, s, v in made if p == name]
+        name: [
+            a_row("p", name, seed=s, n_projections=v, n_state_checks=0)
+            for p, s, v in made
+            if p == name
+        ]
         for name in "ab"
     }
     failed = a_failure("q", "b", n_projections=1, n_state_checks=1)
@@ -140,7 +156,9 @@ def test_the_cutoff_is_the_time_within_which_the_papers_cbirrt_has_solved_as_muc
 
 
 def test_a_baseline_without_rows_and_runs_that_one_alone_failed_are_told():
-    """Ten problems of two seeds; the one fails the second seed of three, the other that of two others."""
+    """Ten problems of two seeds;
+    the one fails the second seed of three, the other that of two others.
+    """
     failing = {("a", 0), ("a", 1), ("a", 2), ("b", 3), ("b", 4)}
     rows = [
         at(name, k, None if seed and (name, k) in failing else 0.1, seed=seed)
@@ -154,17 +172,25 @@ def test_a_baseline_without_rows_and_runs_that_one_alone_failed_are_told():
     assert missing.p is None and rulings([missing]) == [Ruling.TOO_FEW]
 
 
-@pytest.mark.parametrize(("solved", "expected"), [(200, Ruling.HOLDS), (194, Ruling.TOO_FEW), (180, Ruling.FAILS)])
+@pytest.mark.parametrize(
+    ("solved", "expected"), [(200, Ruling.HOLDS), (194, Ruling.TOO_FEW), (180, Ruling.FAILS)]
+)
 def test_what_is_solved_in_time_is_more_than_the_papers_cbirrt_solves(solved, expected):
-    """98.42 % where CBiRRT solved 93.65 %: tested at 97.9 %; all of 200 is more, 90 % less, 97 % neither."""
+    """98.42 % where CBiRRT solved 93.65 %: tested at 97.9 %;
+    all of 200 is more, 90 % less, 97 % neither.
+    """
     rows = [at("ompl-projected", k, 0.1) for k in range(200)]
     rows += [at("opt-cvq-mpt", k, 0.1 if k < solved else None) for k in range(200)]
-    published = [PublishedValue("I", "place", "ompl-projected", "CBiRRT", "accuracy", "93.65", "%", "")]
+    published = [
+        PublishedValue("I", "place", "ompl-projected", "CBiRRT", "accuracy", "93.65", "%", "")
+    ]
     (effect,) = effects_of(Statement("solved_in_time", 0.9842), rows, published)
     assert rulings([effect]) == [expected]
 
 
-@pytest.mark.parametrize(("solved", "expected"), [(100, Ruling.HOLDS), (88, Ruling.TOO_FEW), (60, Ruling.FAILS)])
+@pytest.mark.parametrize(
+    ("solved", "expected"), [(100, Ruling.HOLDS), (88, Ruling.TOO_FEW), (60, Ruling.FAILS)]
+)
 def test_an_at_least_test_of_a_share(solved, expected):
     """98.42 % is tested at 88.6 %: 100 of 100 is more, 60 less, 88 neither."""
     rows = [at("opt-cvq-mpt", k, 0.1 if k < solved else None) for k in range(100)]
@@ -174,9 +200,16 @@ def test_an_at_least_test_of_a_share(solved, expected):
 
 
 def test_statements_name_planners_that_ran_and_reductions_are_signed_changes():
-    rows = [at(name, k, t) for k in range(8) for name, t in (("opt-cvq-mpt", 0.1), ("ompl-projected", 0.4))]
+    rows = [
+        at(name, k, t)
+        for k in range(8)
+        for name, t in (("opt-cvq-mpt", 0.1), ("ompl-projected", 0.4))
+    ]
     found = effects_of(Statement("time", 0.5, ("ompl-projected", "mpnet")), rows, ())
-    assert [(effect.baseline, effect.paired.n) for effect in found] == [("ompl-projected", 8), ("mpnet", 0)]
+    assert [(effect.baseline, effect.paired.n) for effect in found] == [
+        ("ompl-projected", 8),
+        ("mpnet", 0),
+    ]
     assert percent(found[0], found[0].paired) == "−75 [−75, −75]"
     assert effects_of(Statement("time", 0.5, ("mpnet",), "cvq-mpt"), rows, ()) == []
 

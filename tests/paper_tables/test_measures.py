@@ -1,4 +1,6 @@
-"""Values, statistics, ratios and the split into easy and hard problems, against numbers worked out by hand."""
+"""Values, statistics, ratios and the split into easy and hard problems, against numbers worked out
+by hand.
+"""
 
 import math
 
@@ -38,7 +40,13 @@ def test_failures_are_infinite(rows, values):
 
 
 def test_ratios_are_geometric_means_over_problems_that_both_solved():
-    rows = [run("x", 0, 2), run("x", 1, 8), run("x", 2, 1000), run("x", 3, 5, solved=False), run("x", 4)]
+    rows = [
+        run("x", 0, 2),
+        run("x", 1, 8),
+        run("x", 2, 1000),
+        run("x", 3, 5, solved=False),
+        run("x", 4),
+    ]
     base = [run("b", i, 1) for i in (0, 1, 3, 4)] + [run("b", 2, 1, solved=False)]
     ratio = paired_ratio(rows, base, work)
     assert ratio.estimate == pytest.approx(4.0) and ratio.n == 2  # sqrt(2 * 8)
@@ -57,7 +65,8 @@ def test_hard_is_the_top_third_and_ties_are_easy():
     split = split_by_work([run("birrt", i, 10 * i) for i in range(9)])
     assert names(split.hard) == {"6", "7", "8"} and names(split.easy) == set("012345")
     assert split.parts["all"] == split.easy | split.hard and len(split.parts["all"]) == 9
-    ties = split_by_work([run("birrt", i, 5) for i in range(6)] + [run("birrt", 6)])  # the last says no work
+    # the last says no work
+    ties = split_by_work([run("birrt", i, 5) for i in range(6)] + [run("birrt", 6)])
     assert ties.hard == frozenset() and len(ties.easy) == 6
     assert split_by_work([]).parts["all"] == frozenset()
 
@@ -67,6 +76,7 @@ def test_hard_goes_by_medians_over_the_other_seeds_and_failures_are_hardest():
     rows += [run("birrt", 1, w, seed=s) for s, w in enumerate((9, 10, 11))]
     rows += [run("birrt", 2, 3, seed=s) for s in range(3)]
     hard = {(problem, seed) for _, problem, seed in split_by_work(rows).hard}
-    assert hard == {("0", 0), ("1", 1), ("0", 2)}  # in seed 1 problem 0 took long: by the others it is easy
+    # in seed 1 problem 0 took long: by the others it is easy
+    assert hard == {("0", 0), ("1", 1), ("0", 2)}
     failing = [run("birrt", 2, 3, seed=s, solved=s == 0) for s in range(3)]
     assert names(split_by_work([*rows[:6], *failing]).hard) == {"2"}

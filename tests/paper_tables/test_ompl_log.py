@@ -13,7 +13,9 @@ from cvqmpt_lab.results.store import RunStore
 
 SCRIPT = Path(sys.executable).parent / "ompl_benchmark_statistics"
 ROWS = (
-    a_row(t_total_s=2.5, t_simplify_s=0.5, path_length_raw_rad=9.0, path_length_rad=8.0, vertices=40),
+    a_row(
+        t_total_s=2.5, t_simplify_s=0.5, path_length_raw_rad=9.0, path_length_rad=8.0, vertices=40
+    ),
     a_row(problem="a; b", t_total_s=1.0, n_projections=7, n_state_checks=9, min_clearance_m=-0.001),
     a_failure(planner="mpnet", t_total_s=10.0),
     a_failure(planner="mpnet", problem="p2", fail_reason="uncertified_collision"),
@@ -23,12 +25,18 @@ ROWS = (
 @pytest.fixture
 def database(tmp_path):
     """What the script makes of ROWS."""
-    session = {"platform": "Linux-6 of a lab", "date_utc": "2026-01-02T03:04:05+00:00", "versions": {}}
+    session = {
+        "platform": "Linux-6 of a lab",
+        "date_utc": "2026-01-02T03:04:05+00:00",
+        "versions": {},
+    }
     configuration = {"suite": "place", "cutoff_s": 10.0, "iterations": None}
     with RunStore.open(tmp_path / "run", configuration, session) as store:
         store.append(ROWS)
     assert main(["table", str(tmp_path / "run"), "--ompl-log", str(tmp_path / "run.log")]) == 0
-    subprocess.run([SCRIPT, "-d", tmp_path / "run.db", tmp_path / "run.log"], check=True, capture_output=True)
+    subprocess.run(
+        [SCRIPT, "-d", tmp_path / "run.db", tmp_path / "run.log"], check=True, capture_output=True
+    )
     with sqlite3.connect(tmp_path / "run.db") as connection:
         yield connection
 
@@ -42,6 +50,21 @@ def test_every_row_is_a_run_of_its_planner(database):
     assert found == [
         ("birrt", "a, b", 0, 1, 6, None, 1.0, None, None, None, None, 7, 9, -0.001),
         ("birrt", "place_0", 0, 1, 6, None, 2.0, 0.5, 9.0, 8.0, 40, None, None, None),
-        ("mpnet", "p2", 0, 0, 0, "uncertified_collision", None, None, None, None, None, None, None, None),
+        (
+            "mpnet",
+            "p2",
+            0,
+            0,
+            0,
+            "uncertified_collision",
+            None,
+            None,
+            None,
+            None,
+            None,
+            None,
+            None,
+            None,
+        ),
         ("mpnet", "place_0", 0, 0, 4, "timeout", 10.0, None, None, None, None, None, None, None),
     ]

@@ -32,7 +32,9 @@ def test_a_directory_is_rendered_beside_its_runs(tmp_path):
     assert title == f"# {TABLES['place-task'].title}"
     assert written.brief[0] == f"{TABLES['place-task'].title}: 10 problems, cutoff 10 s"
     machine = "machine Fast CPU, 2 cores"
-    assert head.startswith(f"cutoff 10 s · commit {'a' * 12} · weights mpnet {'f' * 12} · {machine}")
+    assert head.startswith(
+        f"cutoff 10 s · commit {'a' * 12} · weights mpnet {'f' * 12} · {machine}"
+    )
     assert head.endswith("20 rows")
     assert [path.read_bytes() for path in render_directory(tmp_path).paths] == texts
     store(tmp_path, rows(count=11)[10:11], git_commit="b" * 40, git_dirty=True)

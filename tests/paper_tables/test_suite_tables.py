@@ -1,4 +1,6 @@
-"""Tables of the other suites: tasks by phase, kinds of constraints, scanned scenes; against numbers by hand."""
+"""Tables of the other suites: tasks by phase, kinds of constraints, scanned scenes;
+against numbers by hand.
+"""
 
 import csv
 import io
@@ -26,7 +28,9 @@ def phases(planner, task, planning, execution, solved=True, **values):
         shared = {"suite": "multi-sequence", "t_total_s": planning, **values}
         reason = "timeout" if k == 1 else "not_reached"
         own = {"execution_time_s": execution} if solved else {"fail_reason": reason}
-        rows.append((a_row if solved else a_failure)(f"{task}/{k}-{name}", planner, **shared, **own))
+        rows.append(
+            (a_row if solved else a_failure)(f"{task}/{k}-{name}", planner, **shared, **own)
+        )
     return rows
 
 
@@ -41,8 +45,14 @@ def test_times_of_tasks_sum_the_papers_phases():
     assert ours["total_time_of_all_phases_mean", "opt-cvq-mpt"] == pytest.approx(5 * 9.5)
     assert ours["solved", "ompl-projected"] == pytest.approx(600 / 7)
     assert ours["solved_in_carry", "ompl-projected"] == 100.0, "of the six that reached it"
-    assert table.sections["Failures"][1:] == [["ompl-projected", "reach-handle: timeout", "–", "1 of 7"]]
-    assert "| 19.71" in table.markdown and r"\toprule" in table.latex and max(map(len, table.brief)) <= 100
+    assert table.sections["Failures"][1:] == [
+        ["ompl-projected", "reach-handle: timeout", "–", "1 of 7"]
+    ]
+    assert (
+        "| 19.71" in table.markdown
+        and r"\toprule" in table.latex
+        and max(map(len, table.brief)) <= 100
+    )
 
 
 def varied(scene, planner, setting, solved=True, **values):
@@ -61,7 +71,9 @@ def some_rows():
                 rows.append(varied(scene, planner, setting, true_free=not hit))
             noisy, few = "noise=2 padding=0 pixels=all", "noise=1 padding=0 pixels=900"
             rows.append(varied(scene, planner, few, true_free=True))
-            rows.append(varied(scene, planner, noisy, solved=scene > 0, true_free=True if scene else None))
+            rows.append(
+                varied(scene, planner, noisy, solved=scene > 0, true_free=True if scene else None)
+            )
     return rows
 
 

@@ -23,10 +23,16 @@ def random_urdf(seed):
     parts = ['<robot name="random">', link("base", rng)]
     for k in range(joints):
         parent = "base" if k == 0 else f"link{k}"
-        parts += [link(f"link{k + 1}", rng), moving_joint(f"joint{k + 1}", parent, f"link{k + 1}", rng)]
+        parts += [
+            link(f"link{k + 1}", rng),
+            moving_joint(f"joint{k + 1}", parent, f"link{k + 1}", rng),
+        ]
         if rng.random() < 0.15:  # a branch, which planning holds still
             parts += [link(f"side{k}", rng), moving_joint(f"turn{k}", parent, f"side{k}", rng)]
-    parts += ['<link name="tool"/>', joint("mount", "fixed", f"link{joints}", "tool", origin(rng, 0.1))]
+    parts += [
+        '<link name="tool"/>',
+        joint("mount", "fixed", f"link{joints}", "tool", origin(rng, 0.1)),
+    ]
     parts += ["</robot>"]
     return "\n".join(parts).encode()
 
@@ -35,7 +41,11 @@ def link(name, rng):
     if rng.random() < 0.3:
         return f'<link name="{name}"/>'
     a, b, c = rng.uniform(0.02, 0.08, 3)
-    solids = f'<box size="{a} {b} {c}"/>', f'<sphere radius="{a}"/>', f'<cylinder radius="{a}" length="{b}"/>'
+    solids = (
+        f'<box size="{a} {b} {c}"/>',
+        f'<sphere radius="{a}"/>',
+        f'<cylinder radius="{a}" length="{b}"/>',
+    )
     geometry = f"<geometry>{rng.choice(solids)}</geometry>"
     return f'<link name="{name}"><collision>{origin(rng, 0.05)}{geometry}</collision></link>'
 
@@ -43,7 +53,10 @@ def link(name, rng):
 def moving_joint(name, parent, child, rng):
     slides = rng.random() < 0.3
     kind = "prismatic" if slides else rng.choice(["revolute", "revolute", "continuous"])
-    low, high = np.sort(rng.uniform(-0.6, 0.6, 2) if slides else rng.uniform(-3.1, 3.1, 2)) + [-0.05, 0.05]
+    low, high = np.sort(rng.uniform(-0.6, 0.6, 2) if slides else rng.uniform(-3.1, 3.1, 2)) + [
+        -0.05,
+        0.05,
+    ]
     axis = f'<axis xyz="{" ".join(map(str, direction(rng)))}"/>'
     limit = f'<limit lower="{low}" upper="{high}" effort="1" velocity="1"/>'
     return joint(name, kind, parent, child, origin(rng, 0.35) + axis + limit)
@@ -74,9 +87,14 @@ def arm(number):
 
 
 def problem_around(seed):
-    """A random arm in a random scene, in a region around its start, with a goal in that region; None if blocked."""
+    """A random arm in a random scene, in a region around its start, with a goal in that region;
+    None if blocked.
+    """
     rng = np.random.default_rng(seed)
-    robot, scene = arm(seed % ARMS), random_scene(seed % 1000, n_cubes=int(rng.integers(4)), n_spheres=2)
+    robot, scene = (
+        arm(seed % ARMS),
+        random_scene(seed % 1000, n_cubes=int(rng.integers(4)), n_spheres=2),
+    )
     start = robot.random_configurations(rng, 1)[0]
     halves = rng.choice(WIDTHS[2:], 6)
     region = TaskSpaceRegion(robot.pose(start), np.eye(4), np.stack([-halves, halves], axis=1))

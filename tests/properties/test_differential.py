@@ -1,4 +1,6 @@
-"""Two independent ways to the same answer: what one calls free, projected, certified or timed, the other does too."""
+"""Two independent ways to the same answer:
+what one calls free, projected, certified or timed, the other does too.
+"""
 
 import numpy as np
 import pytest
@@ -42,7 +44,9 @@ def simplified(problem, seed=0):
 
 
 def near_contact(problem, space, rng, count):
-    """States (count, n) that the kernels call free, next to one on the way to a state that they do not."""
+    """States (count, n) that the kernels call free, next to one on the way to a state that they do
+    not.
+    """
     q = problem.robot.random_configurations(rng, 10 * count)
     valid = space.valid_batch(q)
     free, colliding = q[valid][:count], q[~valid][:count]
@@ -78,7 +82,9 @@ class Manifold(ob.Constraint):
         out[:] = self.manifold.residual_and_jacobian(np.array(x))[1]
 
 
-@pytest.mark.promise("we project what OMPL projects, onto the same manifold", "states", ci=300, long=100_000)
+@pytest.mark.promise(
+    "we project what OMPL projects, onto the same manifold", "states", ci=300, long=100_000
+)
 def test_projection(trials):
     for problem, count, seed in tuning_problems(trials, STATES):
         by_ompl, robot = Manifold(problem), problem.robot
@@ -91,23 +97,35 @@ def test_projection(trials):
                 assert by_ompl.isSatisfied(ours) and inside, q.tolist()
 
 
-@pytest.mark.promise("no tampered path is certified that brute force at 0.001 rad refuses", "paths", ci=15, long=1000)
+@pytest.mark.promise(
+    "no tampered path is certified that brute force at 0.001 rad refuses", "paths", ci=15, long=1000
+)
 def test_certificate(trials):
     """A state of a certified path is moved by 0.1 mrad to 0.5 rad, its neighbours by less."""
     for problem, count, seed in tuning_problems(trials, PATHS):
-        states, rng, checker = simplified(problem), np.random.default_rng(seed), problem.collision_checker()
+        states, rng, checker = (
+            simplified(problem),
+            np.random.default_rng(seed),
+            problem.collision_checker(),
+        )
         bend = 1.0 - np.abs(np.arange(-AROUND, AROUND + 1)) / AROUND
         for _ in range(count):
             middle = rng.integers(AROUND, len(states) - AROUND)
             piece = states[middle - AROUND : middle + AROUND + 1].copy()
-            piece += 10.0 ** rng.uniform(-4.0, -0.3) * bend[:, None] * rng.standard_normal(problem.robot.dof)
+            piece += (
+                10.0 ** rng.uniform(-4.0, -0.3)
+                * bend[:, None]
+                * rng.standard_normal(problem.robot.dof)
+            )
             judged = certify(problem, JointPath(piece), checker, clearance=False)
             kinds = {str(fault.kind) for fault in judged.faults}
             fine = evenly_spaced(piece, FINE)
             excess = [use.excess for use in bound_usage(problem.robot, problem.constraint, fine)]
             free = not checker.in_collision_batch(fine).any()
             assert kinds & {"collision", "not_proven"} or free, piece.tolist()
-            assert kinds & {"manifold", "not_proven"} or max(excess, default=0.0) <= TOLERANCE, piece.tolist()
+            assert kinds & {"manifold", "not_proven"} or max(excess, default=0.0) <= TOLERANCE, (
+                piece.tolist()
+            )
 
 
 @pytest.mark.promise("motions are as fast as toppra's, to 1 %", "paths", ci=2, long=1000)
@@ -122,7 +140,9 @@ def test_timing(trials):
             assert ours == pytest.approx(theirs, rel=0.01), seed + k
 
 
-@pytest.mark.promise("what the networks compute in numpy, torch computes too", "states", ci=2000, long=100_000)
+@pytest.mark.promise(
+    "what the networks compute in numpy, torch computes too", "states", ci=2000, long=100_000
+)
 @torch.inference_mode()
 def test_networks(trials):
     stored = load_vq_mpt(panda())
@@ -135,7 +155,8 @@ def test_networks(trials):
         z = quantizer.project(dictionary.encoder(torch.from_numpy(of)[None]))[0]
         cosines = (z @ quantizer.embedding.weight.T).numpy()
         chosen = cosines[np.arange(count), waypoint_codes(stored, of)]
-        assert (chosen > cosines.max(axis=1) - FAR).all()  # rounding may choose only between equal cosines
+        # rounding may choose only between equal cosines
+        assert (chosen > cosines.max(axis=1) - FAR).all()
         z = rng.standard_normal((count, stored.config.dictionary.code_dim)).astype(np.float32)
         z /= np.linalg.norm(z, axis=1, keepdims=True)
         theirs, ours = dictionary.decode(torch.from_numpy(z)), CodeDecoder(stored).decode(z)

@@ -1,6 +1,8 @@
-"""Commands that write a folder step by step, broken off at any moment: the same command completes it, the same.
+"""Commands that write a folder step by step, broken off at any moment: the same command completes
+it, the same.
 
-A round meets a full disk, kill -9 and another run in its folder, one after the other; then the command is run again.
+A round meets a full disk, kill -9 and another run in its folder, one after the other; then the
+command is run again.
 """
 
 import contextlib
@@ -41,7 +43,9 @@ class Command(NamedTuple):
 
 
 def shards(out):
-    return [path.read_bytes() for path in (*sorted((out / SHARDS_FOLDER).iterdir()), out / INDEX_FILE)]
+    return [
+        path.read_bytes() for path in (*sorted((out / SHARDS_FOLDER).iterdir()), out / INDEX_FILE)
+    ]
 
 
 def kept_shards(out):
@@ -68,7 +72,9 @@ def untimed_rows(out):
 
 def reproduce(folder):
     options = "--problems 3 --planners birrt --iterations 300 --jobs 2"
-    return Command(("reproduce", "place-task", *options.split()), untimed_rows, lambda out: set(), run_here)
+    return Command(
+        ("reproduce", "place-task", *options.split()), untimed_rows, lambda out: set(), run_here
+    )
 
 
 def generate(folder):
@@ -81,7 +87,9 @@ def train(folder):
     from cvqmpt_lab.training.profiles import profile_named  # imports torch
 
     smoke, data, config = profile_named("smoke"), folder / "data", folder / "profile.json"
-    stage1 = replace(smoke.stage1, epochs=12, batches_per_epoch=5, restart_every=7, restart_epochs=9)
+    stage1 = replace(
+        smoke.stage1, epochs=12, batches_per_epoch=5, restart_every=7, restart_epochs=9
+    )
     run((*generate(folder).words, "--out", data))
     config.write_text(json.dumps(to_plain(replace(smoke, stage1=stage1), complete=True)))
     words = ("train", "stage1", "--config", config, "--data", data, "--device", "cpu")
@@ -90,7 +98,9 @@ def train(folder):
 
 def broken_off(what, command, ci, long):
     promise = f"{what} survives a full disk, kill -9 and a second run in its folder"
-    return pytest.param(command, marks=pytest.mark.promise(promise, "rounds", ci=ci, long=long), id=what)
+    return pytest.param(
+        command, marks=pytest.mark.promise(promise, "rounds", ci=ci, long=long), id=what
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""What holds for any input, tried on inputs that hypothesis draws, and makes small when they break it."""
+"""What holds for any input, tried on inputs that hypothesis draws, and makes small when they break
+it.
+"""
 
 import json
 from functools import cache
@@ -39,13 +41,18 @@ seeds = st.integers(0, 2**32 - 1)
 arms = st.integers(0, ARMS - 1).map(arm)
 metres = st.floats(-2.0, 2.0)
 angles = st.floats(-np.pi, np.pi)
-placements = st.builds(Placement, st.tuples(metres, metres, metres), st.tuples(angles, angles, angles))
+placements = st.builds(
+    Placement, st.tuples(metres, metres, metres), st.tuples(angles, angles, angles)
+)
 half_widths = st.tuples(*[st.sampled_from(WIDTHS)] * 6).map(np.array)
 bounds = half_widths.map(lambda halves: np.stack([-halves, halves], axis=1))
 frames = placements.map(lambda placement: placement.matrix)
-regions = st.builds(TaskSpaceRegion, frames, frames, bounds)  # wide, narrow, a single value or no bound
+# wide, narrow, a single value or no bound
+regions = st.builds(TaskSpaceRegion, frames, frames, bounds)
 shorts = st.sampled_from([1e-4, 1e-3, 0.01, 0.1])
-latents = arrays(float, st.integers(1, 4).map(lambda count: (count, 8)), elements=st.floats(-1e3, 1e3))
+latents = arrays(
+    float, st.integers(1, 4).map(lambda count: (count, 8)), elements=st.floats(-1e3, 1e3)
+)
 
 
 @pytest.mark.promise("poses compose and invert", "cases")
@@ -56,7 +63,9 @@ def test_poses(one, other, robot, seed):
     inverse = np.eye(4)
     inverse[:3, :3], inverse[:3, 3] = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
     np.testing.assert_allclose(T @ inverse, np.eye(4), atol=1e-11)
-    np.testing.assert_allclose(np.linalg.inv(other.matrix) @ np.linalg.inv(one.matrix), inverse, atol=1e-11)
+    np.testing.assert_allclose(
+        np.linalg.inv(other.matrix) @ np.linalg.inv(one.matrix), inverse, atol=1e-11
+    )
     q = robot.random_configurations(np.random.default_rng(seed), 1)[0]
     hand = TaskSpaceRegion(robot.pose(q) @ np.linalg.inv(one.matrix), one.matrix, np.zeros((6, 2)))
     assert np.abs(RegionConstraint(robot, (hand,)).residual(q)).max() < 1e-9
@@ -79,7 +88,9 @@ def slopes_agree(manifold, q, direction):
     ahead, behind = (manifold.residual(q + side * STEP * direction) for side in (1.0, -1.0))
     slopes = (ahead - residual) / STEP, (residual - behind) / STEP
     smooth = np.abs(slopes[0] - slopes[1]) < 1e-3 * (1.0 + np.abs(slopes[0]))
-    np.testing.assert_allclose((jacobian @ direction)[smooth], slopes[0][smooth], rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(
+        (jacobian @ direction)[smooth], slopes[0][smooth], rtol=1e-3, atol=1e-3
+    )
     assert 2 * smooth.sum() >= len(smooth) and np.isfinite(jacobian).all()
 
 
@@ -94,16 +105,22 @@ def test_jacobian(robot, region, seed):
 @pytest.mark.promise("the same near half a turn, and in chains", "cases")
 @given(robot=arms, short=shorts, in_chain=st.booleans(), seed=seeds)
 def test_jacobian_near_half_a_turn(robot, short, in_chain, seed):
-    """`short` [rad] of a rotation by pi between frame and hand, in the world and on the first link of the arm."""
+    """`short` [rad] of a rotation by pi between frame and hand, in the world and on the first link
+    of the arm.
+    """
     rng = np.random.default_rng(seed)
     q, direction = robot.random_configurations(rng, 1)[0], rng.standard_normal(robot.dof)
     axis = rng.standard_normal(3)
     turned = robot.pose(q)
-    turned[:3, :3] @= Rotation.from_rotvec((np.pi - short) * axis / np.linalg.norm(axis)).as_matrix().T
+    turned[:3, :3] @= (
+        Rotation.from_rotvec((np.pi - short) * axis / np.linalg.norm(axis)).as_matrix().T
+    )
     Bw = np.array([[-FREE, FREE]] * 3 + [[-0.1, 0.1]] * 3)
     region = TaskSpaceRegion(turned, np.eye(4), Bw)
     if in_chain:
-        region = TaskSpaceRegionChain(np.linalg.inv(robot.pose(q, "link1")) @ turned, np.eye(4), Bw, "link1")
+        region = TaskSpaceRegionChain(
+            np.linalg.inv(robot.pose(q, "link1")) @ turned, np.eye(4), Bw, "link1"
+        )
     slopes_agree(RegionConstraint(robot, (region,)), q, direction / np.linalg.norm(direction))
 
 
@@ -118,16 +135,22 @@ def decoder():
 def test_decoder(z):
     width, decode = decoder()
     gaussians = decode.decode(np.resize(z, (len(z), width)))
-    assert np.isfinite(gaussians.mean).all() and ((gaussians.mean >= 0.0) & (gaussians.mean <= 1.0)).all()
+    assert (
+        np.isfinite(gaussians.mean).all()
+        and ((gaussians.mean >= 0.0) & (gaussians.mean <= 1.0)).all()
+    )
     assert (np.linalg.eigvalsh(gaussians.covariance)[:, 0] > 0.0).all()
 
 
 @pytest.mark.promise("mixtures draw what they say", "cases")
 @given(seed=seeds, k=st.integers(1, 3), n=st.integers(1, 3), share=st.sampled_from([0.0, 0.2, 1.0]))
 def test_mixture(seed, k, n, share):
-    """Draws have the mixture's mass: each of its Gaussians' share, mean and spread, and the uniform share."""
+    """Draws have the mixture's mass:
+    each of its Gaussians' share, mean and spread, and the uniform share.
+    """
     rng = np.random.default_rng(seed)
-    means = 100.0 * np.arange(k)[:, None] + rng.uniform(-1.0, 1.0, (k, n))  # draws tell whose they are
+    # draws tell whose they are
+    means = 100.0 * np.arange(k)[:, None] + rng.uniform(-1.0, 1.0, (k, n))
     roots = np.tril(rng.normal(size=(k, n, n)), -1) + rng.uniform(0.3, 2.0, (k, 1, n)) * np.eye(n)
     covariances, weights = roots @ roots.swapaxes(1, 2), rng.dirichlet(np.ones(k))
     uniform = Uniform(np.full(n, -2000.0), np.full(n, -1000.0))
@@ -148,22 +171,37 @@ def test_mixture(seed, k, n, share):
 @pytest.mark.promise("json round trips", "cases")
 @given(seed=seeds, region=regions, placement=placements)
 def test_json(seed, region, placement):
-    """Every value that is json, or stands in it: what is read is what was written, and is written the same again."""
+    """Every value that is json, or stands in it:
+    what is read is what was written, and is written the same again.
+    """
     scene, robot = random_scene(seed % 1000, n_cubes=2, n_spheres=2), panda()
-    for value in (region, placement, scene, *scene.objects, *(item.shape for item in scene.objects)):
+    for value in (
+        region,
+        placement,
+        scene,
+        *scene.objects,
+        *(item.shape for item in scene.objects),
+    ):
         read = from_plain(type(value), json.loads(json.dumps(to_plain(value), allow_nan=False)))
         assert read == value
         text = json.dumps(to_plain(read))  # of a value as read, in which -0.0 is 0.0
         assert json.dumps(to_plain(from_plain(type(value), json.loads(text)))) == text
     start = robot.random_configurations(np.random.default_rng(seed), 1)[0]
-    problem = PlanningProblem("drawn", robot, scene, start, constraint=(region,), goal_region=region)
-    assert PlanningProblem.from_dict(json.loads(json.dumps(problem.to_dict()))).to_dict() == problem.to_dict()
+    problem = PlanningProblem(
+        "drawn", robot, scene, start, constraint=(region,), goal_region=region
+    )
+    assert (
+        PlanningProblem.from_dict(json.loads(json.dumps(problem.to_dict()))).to_dict()
+        == problem.to_dict()
+    )
 
 
 @pytest.mark.promise("trees are acyclic, of free nodes on the manifold", "cases")
 @given(seed=seeds)
 def test_trees(seed):
-    """Parents come before children; nodes are free and on the manifold, edges no longer than a step may be."""
+    """Parents come before children;
+    nodes are free and on the manifold, edges no longer than a step may be.
+    """
     problem = problem_around(seed)
     if problem is None:
         return
@@ -175,9 +213,13 @@ def test_trees(seed):
         assert (tree.parent[children] < children).all() and (tree.parent >= -1).all()
         steps = np.linalg.norm(tree.nodes[children] - tree.nodes[tree.parent[children]], axis=1)
         kept = np.abs(tree.nodes).max(axis=1) < 1e5  # removed ones are put far away
-        assert (steps[kept[children] & kept[tree.parent[children]]] <= 2.0 * search.step + 1e-9).all()
+        assert (
+            steps[kept[children] & kept[tree.parent[children]]] <= 2.0 * search.step + 1e-9
+        ).all()
         assert not checker.in_collision_batch(tree.nodes[kept]).any()
-        assert (np.linalg.norm(problem.manifold.residual(tree.nodes[kept]), axis=1) <= TOLERANCE).all()
+        assert (
+            np.linalg.norm(problem.manifold.residual(tree.nodes[kept]), axis=1) <= TOLERANCE
+        ).all()
 
 
 @pytest.mark.promise("paths begin and end where they should, certified", "cases")

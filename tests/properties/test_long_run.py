@@ -1,4 +1,6 @@
-"""Thousands of plans in one process, by every planner: memory stays flat, nothing slows down, nothing is said."""
+"""Thousands of plans in one process, by every planner:
+memory stays flat, nothing slows down, nothing is said.
+"""
 
 import gc
 import json
@@ -18,10 +20,16 @@ SLOWER = 1.3  # ratio of processor time a plan, last quarter to the one after wa
 TESTS = Path(__file__).resolve().parents[1]
 
 
-@pytest.mark.promise("memory is flat (50 MB), no slow-down: all planners in one process", "plans", ci=0, long=10_000)
+@pytest.mark.promise(
+    "memory is flat (50 MB), no slow-down: all planners in one process", "plans", ci=0, long=10_000
+)
 def test_memory_and_time_of_a_long_run(trials):
     code = f"from properties.test_long_run import live; live({trials})"
-    words = [sys.executable, "-c", f"import sys; sys.path[:0] = {[*map(str, (TESTS, TESTS.parent))]}; {code}"]
+    words = [
+        sys.executable,
+        "-c",
+        f"import sys; sys.path[:0] = {[*map(str, (TESTS, TESTS.parent))]}; {code}",
+    ]
     done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 0 and done.stderr == "", done.stderr[-400:]
     growth, objects, slowdown = json.loads(done.stdout)
@@ -29,7 +37,9 @@ def test_memory_and_time_of_a_long_run(trials):
 
 
 def live(plans):
-    """Plan so often, with all planners in turn; print growth [bytes], more objects and the slow-down since warm-up."""
+    """Plan so often, with all planners in turn;
+    print growth [bytes], more objects and the slow-down since warm-up.
+    """
     from process_memory import resident
     from properties.test_differential import tuning_problems
 
@@ -37,7 +47,9 @@ def live(plans):
     from cvqmpt_lab.planners import PLANNERS
     from cvqmpt_lab.search.result import Budget
 
-    problems = [with_sampled_goals(problem)[0] for problem, _, _ in islice(tuning_problems(3, 1), 3)]
+    problems = [
+        with_sampled_goals(problem)[0] for problem, _, _ in islice(tuning_problems(3, 1), 3)
+    ]
     work = [(planner, problem) for problem in problems for planner in PLANNERS]
     warm, seconds = max(int(WARM * plans), 2 * len(PLANNERS)), np.empty(plans)
     for k in range(plans):

@@ -1,4 +1,6 @@
-"""Obstacles put where the robot passes: whatever their size, and wherever their frame lies, every checker sees them."""
+"""Obstacles put where the robot passes:
+whatever their size, and wherever their frame lies, every checker sees them.
+"""
 
 from dataclasses import replace
 
@@ -16,7 +18,8 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 
 CAN = Attachment("can", Cylinder(0.02, 0.1), pose((0.0, 0.0, 0.17)))
 CORNERS = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, 8).T
-DEEP = 0.03  # share by which a point lies further inside a link than a mean of some of its corners does
+# share by which a point lies further inside a link than a mean of some of its corners does
+DEEP = 0.03
 
 
 def solid(rng):
@@ -31,7 +34,9 @@ def solid(rng):
 
 
 def cloud(rng):
-    """A cloud of up to 3000 points within 10 km of each other, up to 860 km from its origin, and one of the points."""
+    """A cloud of up to 3000 points within 10 km of each other, up to 860 km from its origin, and
+    one of the points.
+    """
     shift = np.clip(rng.standard_normal(3) * 10.0 ** rng.uniform(-1.0, 6.0), -5e5, 5e5)
     wide = 10.0 ** rng.uniform(-1.0, 4.0)
     points = rng.uniform(-wide, wide, (rng.choice([1, 10, 1000, 1001, 3000]), 3)) + shift
@@ -71,7 +76,9 @@ def test_obstacles_on_a_path(trials):
             T = np.eye(4)
             T[:3, :3] = Rotation.random(random_state=rng).as_matrix()
             T[:3, 3] = point_inside(problem.robot, q, rng) - T[:3, :3] @ point
-            hit = replace(problem, scene=Scene("hit", (SceneObject("hit", shape, T),)), attachments=(CAN,))
+            hit = replace(
+                problem, scene=Scene("hit", (SceneObject("hit", shape, T),)), attachments=(CAN,)
+            )
             faults = certify(hit, JointPath(states[k : k + 2]), clearance=False).faults
             seen = {
                 "kernels": not ConstrainedSpace(hit).valid(q),

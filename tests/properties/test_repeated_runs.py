@@ -1,4 +1,6 @@
-"""The same command gives the same rows, times aside, whatever workers, threads, hash seed and system clock."""
+"""The same command gives the same rows, times aside, whatever workers, threads, hash seed and
+system clock.
+"""
 
 import subprocess
 import time
@@ -33,16 +35,22 @@ def rows_of(out, suite, problems, planners, iterations, run=run, jobs=1, **envir
 
 def repeated(what, suite, planners, iterations, ci, long):
     mark = pytest.mark.promise(
-        "rows repeat: in two workers, three threads, with another hash seed", "problems", ci=ci, long=long
+        "rows repeat: in two workers, three threads, with another hash seed",
+        "problems",
+        ci=ci,
+        long=long,
     )
     return pytest.param(suite, planners, iterations, marks=mark, id=what)
 
 
-@pytest.mark.parametrize(  # here, and in a process of two workers, more threads and another hash seed
+# here, and in a process of two workers, more threads and another hash seed
+@pytest.mark.parametrize(
     ("suite", "planners", "iterations"),
     [
         repeated("four planners", "place-task", SOME, 300, ci=1, long=12),
-        repeated("all planners and controls", "place-task", (*PLANNERS, *CONTROLS), 3000, ci=0, long=8),
+        repeated(
+            "all planners and controls", "place-task", (*PLANNERS, *CONTROLS), 3000, ci=0, long=8
+        ),
         repeated("tasks of several phases", "multi-sequence", tuple(PLANNERS), 3000, ci=0, long=1),
     ],
 )
@@ -54,7 +62,9 @@ def test_rows_repeat(suite, planners, iterations, tmp_path, trials):
     assert len(one) >= trials * len(planners) and differences(one, several) == []
 
 
-@pytest.mark.promise("a system clock that jumps by an hour changes no row", "problems", ci=0, long=8)
+@pytest.mark.promise(
+    "a system clock that jumps by an hour changes no row", "problems", ci=0, long=8
+)
 def test_jumping_clock(tmp_path, trials):
     source, library = tmp_path / "jumping.c", tmp_path / "jumping.so"
     source.write_text(JUMPING)

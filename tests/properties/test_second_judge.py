@@ -1,4 +1,6 @@
-"""Motions that the certificate calls valid are judged again, by triangles of the files (`second_judge`)."""
+"""Motions that the certificate calls valid are judged again, by triangles of the files
+(`second_judge`).
+"""
 
 import json
 import logging
@@ -55,14 +57,20 @@ def given_arm(name, folder):
     if name in ARMS:
         named, robots = ARMS[name], example_robots()
         srdf = named.srdf and str(robots / named.srdf)
-        source = {"urdf": str(robots / named.urdf), "end_effector": named.end_effector, "srdf": srdf}
+        source = {
+            "urdf": str(robots / named.urdf),
+            "end_effector": named.end_effector,
+            "srdf": srdf,
+        }
         source["locked"] = dict(named.locked)
     else:
         source["urdf"] = str(folder / source["urdf"])
         (folder / source["urdf"]).write_bytes(random_urdf(name))
     robot = robot_from_source(source)
     left_out = robot.left_out_pairs
-    always = tuple((pair.first, pair.second) for pair in left_out if pair.reason.startswith(OVERLAP))
+    always = tuple(
+        (pair.first, pair.second) for pair in left_out if pair.reason.startswith(OVERLAP)
+    )
     unseen = {frozenset((pair.first, pair.second)) for pair in left_out}
     checker = CollisionChecker(robot, Scene("empty", ()))
     return Given(source, robot, checker, Arm(source, folder), always, unseen)
@@ -74,7 +82,9 @@ def arm_of(name, number, folder):
 
 
 def shape(rng, folder, carried=False):
-    """One in json: solids, sheets, needles, clouds; to be carried, or maps and meshes that are not convex too."""
+    """One in json: solids, sheets, needles, clouds;
+    to be carried, or maps and meshes that are not convex too.
+    """
     kinds = ("box", "bar", "cylinder", "sphere", "convex_mesh", "point_cloud")
     kind = rng.choice(kinds if carried else (*kinds, "point_cloud", "occupancy_map", "mesh_file"))
     a, b, c = size = 10.0 ** rng.uniform(-2.0, -0.5, 3)
@@ -103,7 +113,9 @@ def concave(rng, folder):
     a, b, c = rng.uniform(0.05, 0.3, 3)
     if rng.random() < 0.7:
         outline = np.array([(0.0, 0.0), (a, 0.0), (a, 0.02), (0.02, 0.02), (0.02, b), (0.0, b)])
-        mesh = trimesh.creation.extrude_triangulation(outline, [(0, k, k + 1) for k in range(1, 5)], c)
+        mesh = trimesh.creation.extrude_triangulation(
+            outline, [(0, k, k + 1) for k in range(1, 5)], c
+        )
     path = folder / f"{rng.integers(1 << 30)}.stl"
     mesh.export(path)
     return path
@@ -121,7 +133,9 @@ def free(given, rng):
 
 
 def near_each_other(given, rng):
-    """A configuration with two links as near to, or as deep in each other as the checker calls free."""
+    """A configuration with two links as near to, or as deep in each other as the checker calls
+    free.
+    """
     robot, states = given.robot, given.robot.random_configurations(rng, DRAWN)
     poses, pairs = given.arm.poses(states), given.arm.pairs(given.always)
     pairs = [pair for pair in pairs if (gaps(*pair, poses, 1) < 0.0).any()]
@@ -132,8 +146,12 @@ def near_each_other(given, rng):
     pair = pairs[rng.integers(len(pairs))]
     for spread in SPREADS:
         order = gaps(*pair, given.arm.poses(states), 40).argsort()[:40]
-        nearest = next((q for q in states[order] if not given.checker.in_collision(q)), states[order[0]])
-        states = np.clip(nearest + spread * rng.standard_normal(states.shape), robot.lower, robot.upper)
+        nearest = next(
+            (q for q in states[order] if not given.checker.in_collision(q)), states[order[0]]
+        )
+        states = np.clip(
+            nearest + spread * rng.standard_normal(states.shape), robot.lower, robot.upper
+        )
         states[0] = nearest
     return nearest
 
@@ -159,7 +177,9 @@ def short_motion(given, held, rng):
     speeds = given.arm.speeds([*given.arm.bodies, *held], drawn[None])
     change *= rng.uniform(*WAY) / max(speeds @ np.abs(change), LEAST)
     share = rng.random()
-    ends = np.clip([drawn - share * change, drawn + (1.0 - share) * change], robot.lower, robot.upper)
+    ends = np.clip(
+        [drawn - share * change, drawn + (1.0 - share) * change], robot.lower, robot.upper
+    )
     return np.linspace(*ends, 2 + int(np.linalg.norm(ends[1] - ends[0]) / 0.1)), drawn
 
 
@@ -167,7 +187,9 @@ def attachment(rng, folder):
     """A thing in the hand or before it."""
     made, T = shape(rng, folder, carried=True), np.eye(4)
     T[:3, :3] = Rotation.random(random_state=rng).as_matrix()
-    lowest = furthest(body_of({"name": "", "shape": made}, WORLD, T, folder), np.array([0.0, 0.0, -1.0]))
+    lowest = furthest(
+        body_of({"name": "", "shape": made}, WORLD, T, folder), np.array([0.0, 0.0, -1.0])
+    )
     T[:3, 3] = (0.0, 0.0, rng.uniform(-0.02, 0.15)) - lowest
     return {"name": "carried", "shape": made, "T_hand_object": T.tolist()}
 
@@ -190,14 +212,24 @@ def obstacle(given, held, q, rng, folder):
     T[:3, :3] = (Rotation.from_rotvec(rng.uniform(-np.pi, np.pi) * direction) * turn).as_matrix()
     gap = rng.choice([-1.0, 1.0, 1.0]) * 10.0 ** rng.uniform(-4.0, -2.0)
     T[:3, 3] = contact + gap * direction - T[:3, :3] @ point
-    return {"name": f"obstacle_{rng.integers(1 << 30)}", "shape": made, "T_world_object": T.tolist()}
+    return {
+        "name": f"obstacle_{rng.integers(1 << 30)}",
+        "shape": made,
+        "T_world_object": T.tolist(),
+    }
 
 
 def problem_of(path, given, objects, attachments, states):
     """The problem of a motion, written to a file and read from it."""
     scene = {"name": "made", "objects": objects}
     ends = {"start": states[0].tolist(), "goals": [states[-1].tolist()]}
-    data = {"schema": PlanningProblem.SCHEMA, "name": "made", "robot": given.source, "scene": scene, **ends}
+    data = {
+        "schema": PlanningProblem.SCHEMA,
+        "name": "made",
+        "robot": given.source,
+        "scene": scene,
+        **ends,
+    }
     path.write_text(json.dumps({**data, "attachments": attachments}))
     return PlanningProblem.load(path)
 
@@ -207,7 +239,9 @@ def certified(problem, states):
 
 
 def planned(problem, states, rng):
-    """A stretch of a certified path from the states to another free configuration; the states, if none is found."""
+    """A stretch of a certified path from the states to another free configuration;
+    the states, if none is found.
+    """
     checker = problem.collision_checker()
     goals = [q for q in problem.robot.random_configurations(rng, 40) if not checker.in_collision(q)]
     if not goals:
@@ -221,12 +255,16 @@ def planned(problem, states, rng):
 def judged(name, number, folder):
     """The judge's verdict of a case by its number; None if no motion is certified.
 
-    Obstacles are added one after the other; those with which the motion is not certified are left out again.
+    Obstacles are added one after the other; those with which the motion is not certified are left
+    out again.
     """
     rng = np.random.default_rng([number, *name.encode()])
     given, path = arm_of(name, number, folder), folder / "problem.json"
     for _ in range(MOTIONS):
-        attachments, (hand, T) = [attachment(rng, folder)] if rng.random() < 0.4 else [], given.arm.hand
+        attachments, (hand, T) = (
+            [attachment(rng, folder)] if rng.random() < 0.4 else [],
+            given.arm.hand,
+        )
         held = [body_of(x, hand, T @ np.array(x["T_hand_object"]), folder) for x in attachments]
         states, drawn = short_motion(given, held, rng)
         problem, objects = problem_of(path, given, [], attachments, states), []
@@ -236,7 +274,8 @@ def judged(name, number, folder):
         return None
     for _ in range(OBSTACLES):
         made = obstacle(given, held, drawn, rng, folder)
-        more = problem_of(path, given, [made], attachments, states).scene.objects  # each is read but once
+        # each is read but once
+        more = problem_of(path, given, [made], attachments, states).scene.objects
         fuller = replace(problem, scene=problem.scene.with_objects(*more))
         if certified(fuller, states):
             problem, objects = fuller, [*objects, made]
@@ -246,11 +285,18 @@ def judged(name, number, folder):
 
 
 @pytest.mark.parametrize("name", ["panda", "ur5", "xarm7", "tiago", "random"])
-@pytest.mark.promise("what is certified overlaps by 0.1 mm at most, by the files' triangles", "cases", ci=6, long=2000)
+@pytest.mark.promise(
+    "what is certified overlaps by 0.1 mm at most, by the files' triangles",
+    "cases",
+    ci=6,
+    long=2000,
+)
 def test_certified_motions(name, trials, tmp_path):
     verdicts = {number: judged(name, number, tmp_path) for number in range(trials)}
     found = {number: verdict for number, verdict in verdicts.items() if verdict is not None}
-    excused = {pair for number in range(RANDOM_ARMS) for pair in arm_of(name, number, tmp_path).always}
+    excused = {
+        pair for number in range(RANDOM_ARMS) for pair in arm_of(name, number, tmp_path).always
+    }
     counts = name, len(found), trials, sorted(excused)
     log.info("%s: %d of %d cases certified, links not compared: %s", *counts)
     assert {number: verdict for number, verdict in found.items() if verdict.depth > ALLOWED} == {}
@@ -263,9 +309,17 @@ def test_certified_motions(name, trials, tmp_path):
         {"type": "box", "size": [0.02, 0.03, 0.04]},
         {"type": "cylinder", "radius": 0.01, "height": 0.02},
         {"type": "sphere", "radius": 3.0},  # around the whole arm
-        {"type": "convex_mesh", "vertices": (0.02 * (np.indices((2, 2, 2)).reshape(3, 8).T - 0.5)).tolist()},
+        {
+            "type": "convex_mesh",
+            "vertices": (0.02 * (np.indices((2, 2, 2)).reshape(3, 8).T - 0.5)).tolist(),
+        },
         {"type": "point_cloud", "points": [[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], "radius": 0.01},
-        {"type": "occupancy_map", "cells": [[0, 0, 0], [-1, -1, -1]], "resolution": 0.01, "padding": 0.01},
+        {
+            "type": "occupancy_map",
+            "cells": [[0, 0, 0], [-1, -1, -1]],
+            "resolution": 0.01,
+            "padding": 0.01,
+        },
     ],
     ids=lambda size: size["type"],
 )

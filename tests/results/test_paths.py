@@ -31,7 +31,9 @@ def test_what_was_hashed_comes_back_bit_for_bit(store):
     assert set(kept) == {row.path_sha256 for row in read_rows(store / RUNS_FILE)} and len(kept) == 3
     for seed in (1, 2, 3):
         assert kept[states_hash(path(seed))].tobytes() == path(seed).tobytes()
-    assert np.load(store / PATHS_FILE)[states_hash(path(2))].shape == (40, 7), "no reader of ours is needed"
+    assert np.load(store / PATHS_FILE)[states_hash(path(2))].shape == (40, 7), (
+        "no reader of ours is needed"
+    )
 
 
 @pytest.mark.parametrize("cut", [1, 8, 60, 130, 1000])

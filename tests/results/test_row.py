@@ -15,7 +15,9 @@ def test_files_from_before_the_last_columns_are_read(tmp_path):
             assert read_rows(path) == [row]
             write_rows(path, [row])
     assert read_rows(path) == [row]
-    path.write_text("".join(line.rpartition(",")[0] + "\n" for line in path.read_text().splitlines()))
+    path.write_text(
+        "".join(line.rpartition(",")[0] + "\n" for line in path.read_text().splitlines())
+    )
     with pytest.raises(RunStoreError, match="column 31: expected path_sha256, found nothing"):
         read_rows(path)
 
@@ -31,7 +33,10 @@ def test_files_from_before_the_last_columns_are_read(tmp_path):
         ({"detail": "two\nlines"}, "detail"),
         ({"suite": "=1+1"}, "suite is '=1[+]1'.*formula"),
         ({"planner": "@x"}, "planner"),
-        ({"solved": False, "fail_reason": "bored"}, "'bored'; valid choices: timeout, iteration_limit"),
+        (
+            {"solved": False, "fail_reason": "bored"},
+            "'bored'; valid choices: timeout, iteration_limit",
+        ),
         ({"solved": False}, "solved is False but fail_reason is None"),
         ({"fail_reason": "timeout"}, "solved is True but fail_reason is timeout"),
         ({"seed": None}, "seed"),
@@ -47,7 +52,13 @@ def test_bad_values_are_refused_by_name(values, word):
 
 @pytest.mark.parametrize(
     ("text", "cell"),
-    [("two\n lines\x1b", "two lines"), ("=1+1", "'=1+1"), ("-3 off", "'-3 off"), (" \t", None), ("ok", "ok")],
+    [
+        ("two\n lines\x1b", "two lines"),
+        ("=1+1", "'=1+1"),
+        ("-3 off", "'-3 off"),
+        (" \t", None),
+        ("ok", "ok"),
+    ],
 )
 def test_any_text_becomes_a_cell_that_no_spreadsheet_runs(text, cell):
     assert one_line(text) == cell

@@ -36,10 +36,19 @@ def bounds(interval):
 def test_wilson_matches_tabulated_values(successes, n, low, high):
     interval = wilson_interval(successes, n)
     assert interval.estimate == successes / n and interval.n == n
-    assert interval.low == pytest.approx(low, abs=5e-5) and interval.high == pytest.approx(high, abs=5e-5)
+    assert interval.low == pytest.approx(low, abs=5e-5) and interval.high == pytest.approx(
+        high, abs=5e-5
+    )
 
 
-RANKS = {1: (1, 0.0), 5: (1, 0.9375), 6: (1, 0.96875), 10: (2, 0.97852), 20: (6, 0.95861), 100: (40, 0.96480)}
+RANKS = {
+    1: (1, 0.0),
+    5: (1, 0.9375),
+    6: (1, 0.96875),
+    10: (2, 0.97852),
+    20: (6, 0.95861),
+    100: (40, 0.96480),
+}
 
 
 @pytest.mark.parametrize("n", RANKS)

@@ -30,7 +30,8 @@ def test_the_rows_of_one_run_are_kept_together_or_not_at_all(tmp_path):
     data = (tmp_path / PARTIAL_FILE).read_bytes()
     store.finish()
     (tmp_path / RUNS_FILE).unlink()
-    (tmp_path / PARTIAL_FILE).write_bytes(data[: data.index(b"\n") + 1])  # cut behind the first phase
+    # cut behind the first phase
+    (tmp_path / PARTIAL_FILE).write_bytes(data[: data.index(b"\n") + 1])
     with RunStore.open(tmp_path, CONFIGURATION) as again:
         assert again.rows() == [] and again.done() == frozenset()
 
@@ -76,7 +77,8 @@ def test_another_configuration_is_refused_by_setting(tmp_path, change, words):
     with pytest.raises(RunStoreError, match=words) as caught:
         RunStore.open(tmp_path, {**CONFIGURATION, **change})
     assert "--out" in str(caught.value) and "suite" not in str(caught.value)
-    RunStore.open(tmp_path, {**CONFIGURATION, "cutoff_s": 10}).finish()  # equal by value, and not left locked
+    # equal by value, and not left locked
+    RunStore.open(tmp_path, {**CONFIGURATION, "cutoff_s": 10}).finish()
 
 
 def test_runs_without_provenance_or_with_foreign_columns_are_refused(tmp_path):

@@ -1,4 +1,6 @@
-"""Loading robots: what is moved and what is held, where meshes lie, and what is refused with one line."""
+"""Loading robots:
+what is moved and what is held, where meshes lie, and what is refused with one line.
+"""
 
 import os
 import pickle
@@ -54,7 +56,9 @@ def test_unusable_options_are_named(slider_arm_urdf, refused, source, pattern):
 
 def test_files_without_a_robot_are_named(edited, refused, tmp_path, panda):
     refused(InvalidInputError, "no frame 'gripper'", panda.pose, HOME, "gripper")
-    refused(InvalidInputError, r"none\.urdf.*No such file", load_robot, tmp_path / "none.urdf", "tool")
+    refused(
+        InvalidInputError, r"none\.urdf.*No such file", load_robot, tmp_path / "none.urdf", "tool"
+    )
     refused(InvalidInputError, f"{tmp_path.name}.*directory", load_robot, tmp_path, "tool")
     texts = {"empty.stl": "", "solid.stl": "solid empty\nendsolid empty\n", "flat.obj": FLAT_MESH}
     for name, text in texts.items():
@@ -74,11 +78,19 @@ def test_the_unit_of_a_collada_mesh_counts_before_the_scale_in_the_urdf(edited, 
     assert any(np.allclose(size, (0.1, 0.15, 0.4)) for size in sizes)
     for unit in ("0", "inch"):
         urdf = edited((SPHERE, f'<mesh filename="{unit}.dae"/>'))
-        refused(InvalidInputError, f"mesh '{unit}.dae': its unit is '{unit}' m", load_robot, urdf, "tool")
+        refused(
+            InvalidInputError,
+            f"mesh '{unit}.dae': its unit is '{unit}' m",
+            load_robot,
+            urdf,
+            "tool",
+        )
 
 
 def test_joints_off_the_chain_are_held_and_followers_follow(edited):
-    """Fingers are no part of the plan: the first is held inside its limits, the second where it mimics that."""
+    """Fingers are no part of the plan:
+    the first is held inside its limits, the second where it mimics that.
+    """
     robot = load_robot(edited((END, FINGERS)), "tool")
     assert robot.joint_names == ("rail", "lift", "bend", "twist")
     held = {joint.name: (joint.value, joint.reason) for joint in robot.held_joints}
@@ -97,13 +109,19 @@ def test_a_continuous_joint_turns_once_either_way(edited):
     for urdf in (edited(continuous), edited(continuous, (limit, ""))):
         robot = load_robot(urdf, "tool")
         assert (robot.lower[3], robot.upper[3]) == (-2.0 * np.pi, 2.0 * np.pi)
-        assert load_robot(urdf, "tool", locked={"twist": 1.0}).joint_names == ("rail", "lift", "bend")
+        assert load_robot(urdf, "tool", locked={"twist": 1.0}).joint_names == (
+            "rail",
+            "lift",
+            "bend",
+        )
         q = np.array([0.1, 0.2, -0.3, 4.0])
         turned = load_robot(urdf, "tool", locked={"twist": 4.0})
         np.testing.assert_allclose(turned.pose(q[:3]), robot.pose(q), atol=1e-12)
 
 
-def test_all_joints_that_cannot_be_planned_for_are_named_with_the_options_that_hold_them(edited, refused):
+def test_all_joints_that_cannot_be_planned_for_are_named_with_the_options_that_hold_them(
+    edited, refused
+):
     urdf = edited(
         ('name="lift" type="revolute"', 'name="lift" type="floating"'),
         ('name="bend" type="revolute"', 'name="bend" type="planar"'),
@@ -111,14 +129,22 @@ def test_all_joints_that_cannot_be_planned_for_are_named_with_the_options_that_h
         MIMIC,
     )
     pattern = (
-        r"'rail' has limits \[0.7, 0.7\], 'lift' is floating, 'bend' is planar, 'twist' mimics bend; "
+        r"'rail' has limits \[0.7, 0.7\], 'lift' is floating, 'bend' is planar, 'twist' mimics "
+        r"bend; "
         r"hold them: --lock rail=0.7 --lock lift=0 --lock bend=0 --lock twist=0, or place the base"
     )
     refused(InvalidInputError, pattern, load_robot, urdf, "tool")
     locked = {"rail": 0.7, "lift": 0.0, "bend": 0.0}
     refused(InvalidInputError, "'twist' mimics bend", load_robot, urdf, "tool", locked=locked)
     locked["twist"] = 0.0
-    refused(InvalidInputError, "no joint of arm.urdf moves 'tool'", load_robot, urdf, "tool", locked=locked)
+    refused(
+        InvalidInputError,
+        "no joint of arm.urdf moves 'tool'",
+        load_robot,
+        urdf,
+        "tool",
+        locked=locked,
+    )
 
 
 def test_a_floating_base_is_fixed_at_a_pose(edited, refused):
@@ -126,7 +152,11 @@ def test_a_floating_base_is_fixed_at_a_pose(edited, refused):
         '<link name="earth"/><joint name="float" type="floating">'
         '<parent link="earth"/><child link="base"/></joint></robot>'
     )
-    urdf, plain, place = edited((END, float_on)), edited(name="plain.urdf"), pose((1.0, 2.0, 0.5), 0.7)
+    urdf, plain, place = (
+        edited((END, float_on)),
+        edited(name="plain.urdf"),
+        pose((1.0, 2.0, 0.5), 0.7),
+    )
     refused(InvalidInputError, "'float' is floating.*--lock float=0", load_robot, urdf, "tool")
     robot, there = (load_robot(file, "tool", base=place) for file in (urdf, plain))
     q = np.array([0.1, 0.2, -0.3, 0.4])
@@ -138,7 +168,9 @@ def test_a_floating_base_is_fixed_at_a_pose(edited, refused):
 
 
 def test_a_robot_whose_files_changed_is_built_anew_and_its_pickles_are_refused(edited, tmp_path):
-    """Its URDF, its mesh and its SRDF; a file that is only touched, or written again, changes nothing."""
+    """Its URDF, its mesh and its SRDF;
+    a file that is only touched, or written again, changes nothing.
+    """
     urdf = edited((BOX, '<geometry><mesh filename="part.obj"/></geometry>'))
     mesh, srdf = tmp_path / "part.obj", tmp_path / "arm.srdf"
     trimesh.creation.box((0.1, 0.1, 0.1)).export(mesh)
@@ -181,7 +213,11 @@ CYLINDER = '<cylinder radius="0.04" length="0.3"/>'
         ('name="twist" type', 'name="bend" type', "more than one joint called 'bend'"),
         ('<link name="wrist">', '<link name="elbow">', "more than one link called 'elbow'"),
         ('<parent link="carriage"/>', '<parent link="tool"/>', "'shoulder', .* hang on no link"),
-        (END, '<link name="alone"/></robot>', "one link that no joint moves; it has 'base', 'alone'"),
+        (
+            END,
+            '<link name="alone"/></robot>',
+            "one link that no joint moves; it has 'base', 'alone'",
+        ),
         ('upper="0.7"', 'upper="wide"', "joint 'rail'.*upper is 'wide', no number"),
         ('upper="0.7"', 'upper="70"', "joint 'rail' slides to 70 m: at most 10 m"),
         ('upper="0.7"', 'upper="1e308"', "joint 'rail' slides to 1e.308 m"),
@@ -189,21 +225,35 @@ CYLINDER = '<cylinder radius="0.04" length="0.3"/>'
         ('xyz="0 0 0.15" rpy="0 0.4 0"', 'xyz="0 0 150"', "reaches 1.* m.*links or base"),
         ('size="0.2 0.2 0.1"', 'size="1e308 1e308 1e308"', "base.* beyond 10000: give metres"),
         # bodies that the parser of URDF files would leave out
-        (CYLINDER, CYLINDER.replace("0.04", "wide"), "link 'shoulder'.*radius of its cylinder is 'wide'"),
+        (
+            CYLINDER,
+            CYLINDER.replace("0.04", "wide"),
+            "link 'shoulder'.*radius of its cylinder is 'wide'",
+        ),
         (CYLINDER, '<cylinder length="0.3"/>', "link 'shoulder'.*radius"),
         (CYLINDER, '<cylinder radius="-0.04" length="0.3"/>', "radius.*-0.04.*more than 0"),
         (CYLINDER, '<capsule radius="0.04" length="0.3"/>', "unknown shape 'capsule'"),
-        (BOX, '<geometry><box size="0.1 0.12"/></geometry>', "link 'carriage'.*'0.1 0.12'.*3 finite"),
+        (
+            BOX,
+            '<geometry><box size="0.1 0.12"/></geometry>',
+            "link 'carriage'.*'0.1 0.12'.*3 finite",
+        ),
         (BOX, '<geometry><box size="0.1 nan 0.08"/></geometry>', "3 finite"),
         (BOX, "<geometry/>", "0 shapes"),
         (BOX, "", "0 shapes"),
         (BOX, BOX.replace("</", '<sphere radius="1"/></'), "2 shapes"),
-        ('<origin xyz="0 0 0.05"/>', '<origin xyz="0 0 x"/>', "link 'base'.*xyz of its origin is '0 0 x'"),
+        (
+            '<origin xyz="0 0 0.05"/>',
+            '<origin xyz="0 0 x"/>',
+            "link 'base'.*xyz of its origin is '0 0 x'",
+        ),
         (AXIS, '<axis xyz="0 nan 0"/>', "joint 'rail'.*axis is '0 nan 0'"),
         (AXIS, '<axis xyz="0 0 0"/>', "joint 'rail'.*give a direction"),
     ],
 )
-def test_a_file_that_is_no_robot_is_refused_with_one_line(edited, refused, capfd, was, now, pattern):
+def test_a_file_that_is_no_robot_is_refused_with_one_line(
+    edited, refused, capfd, was, now, pattern
+):
     refused(CvqmptError, pattern, load_robot, edited((was, now)), "tool")
     assert capfd.readouterr() == ("", ""), "the parser of URDF files, which prints, was not asked"
 
@@ -218,7 +268,9 @@ def fan(last):
 
 def cone():
     """300 sides: the hull library stores at most 255 neighbours of its tip."""
-    rim = np.array([(np.cos(angle), np.sin(angle), 0.0) for angle in np.linspace(0.0, 2.0 * np.pi, 301)])
+    rim = np.array(
+        [(np.cos(angle), np.sin(angle), 0.0) for angle in np.linspace(0.0, 2.0 * np.pi, 301)]
+    )
     return [(rim[k], rim[k + 1], (0.0, 0.0, 1.0)) for k in range(300)]
 
 
@@ -232,7 +284,9 @@ def cone():
         (cone(), "has no convex hull"),
     ],
 )
-def test_a_mesh_without_a_hull_ends_in_one_line_not_in_the_process(edited, tmp_path, triangles, pattern):
+def test_a_mesh_without_a_hull_ends_in_one_line_not_in_the_process(
+    edited, tmp_path, triangles, pattern
+):
     """In a process of its own: the hull of a flat mesh used to end it."""
     (tmp_path / "m.stl").write_bytes(binary_stl(*triangles))
     urdf = edited((SPHERE, '<mesh filename="m.stl"/>'))
@@ -258,7 +312,10 @@ def packaged(edited, tmp_path):
 def test_a_mesh_is_found_in_package_folders_and_in_ros_s(packaged, refused, monkeypatch):
     urdf, package = packaged
     monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
-    pattern = r"shapes/ball.stl is in none.*--package-dir \(not given\), ROS_PACKAGE_PATH \(not set\), the folders"
+    pattern = (
+        r"shapes/ball.stl is in none.*--package-dir \(not given\), ROS_PACKAGE_PATH \(not "
+        r"set\), the folders"
+    )
     refused(InvalidInputError, pattern, load_robot, urdf, "tool")
     for folder in (package.parent, package):
         assert load_robot(urdf, "tool", package_dirs=(folder,)).dof == 4

@@ -1,4 +1,6 @@
-"""A door or drawer as a joint of the robot: poses, collisions in both checkers, casing, files, errors."""
+"""A door or drawer as a joint of the robot:
+poses, collisions in both checkers, casing, files, errors.
+"""
 
 from dataclasses import replace
 
@@ -103,7 +105,9 @@ def space_of(robot, scene, backend="compiled"):
 
 
 def test_only_the_named_contact_is_allowed(panda, grasp):
-    """Closed fingers touch the bar: a collision, unless pads and bar are named; other pieces stay checked."""
+    """Closed fingers touch the bar: a collision, unless pads and bar are named;
+    other pieces stay checked.
+    """
     source = {"name": "panda", "finger_opening": GRIP}
     scene, item = take_out(kitchen(), DOOR)
     strict = with_articulated_object(robot_from_source(source), item)
@@ -112,9 +116,13 @@ def test_only_the_named_contact_is_allowed(panda, grasp):
     _, robot = door_world()
     allowed = set(map(tuple, robot.source["articulated"]["may_touch"]))
     gone = set(strict.self_collision_pairs) - set(robot.self_collision_pairs)
-    assert {(strict.links[i].name, strict.links[k].name) for i, k in gone} == allowed and len(gone) == 2
+    assert {(strict.links[i].name, strict.links[k].name) for i, k in gone} == allowed and len(
+        gone
+    ) == 2
     scene, wide = door_world(0.04)
-    assert CollisionChecker(wide, scene).clearance(grasp) > 5e-4, "open fingers are clear of the bar"
+    assert CollisionChecker(wide, scene).clearance(grasp) > 5e-4, (
+        "open fingers are clear of the bar"
+    )
 
 
 def test_a_load_is_checked_against_door_and_casing(world, grasp):
@@ -123,8 +131,12 @@ def test_a_load_is_checked_against_door_and_casing(world, grasp):
     _, robot = world
     rod = Attachment("rod", Box((0.02, 0.02, 0.6)), pose((0.0, 0.0, 0.4)))
     checker = CollisionChecker(robot, Scene("nothing", ()), (rod,))
-    assert checker.colliding_pair(grasp).first.startswith((DOOR, "dagger")) and checker.in_collision(grasp)
-    problem = PlanningProblem("rod", robot, Scene("nothing", ()), grasp, grasp[None], attachments=(rod,))
+    assert checker.colliding_pair(grasp).first.startswith(
+        (DOOR, "dagger")
+    ) and checker.in_collision(grasp)
+    problem = PlanningProblem(
+        "rod", robot, Scene("nothing", ()), grasp, grasp[None], attachments=(rod,)
+    )
     assert not ConstrainedSpace(problem).valid(grasp)
 
 
@@ -132,8 +144,12 @@ def test_a_door_of_measured_points_is_refused():
     scene = kitchen()
     part = scene.articulation(DOOR).moves[0]
     measured = replace(scene[part], shape=PointCloud(np.zeros((3, 3)), 0.01))
-    spoilt = replace(scene, objects=tuple(measured if item.name == part else item for item in scene.objects))
-    with pytest.raises(InvalidInputError, match=f"'{part}', a part of '{DOOR}', is measured points"):
+    spoilt = replace(
+        scene, objects=tuple(measured if item.name == part else item for item in scene.objects)
+    )
+    with pytest.raises(
+        InvalidInputError, match=f"'{part}', a part of '{DOOR}', is measured points"
+    ):
         take_out(spoilt, DOOR)
 
 
@@ -141,7 +157,9 @@ def test_what_is_no_door_or_an_angle_outside_its_range_is_refused(grasp):
     with pytest.raises(UnknownChoiceError, match=r"'fridge'.*dagger_door_left"):
         take_out(kitchen(), "fridge")
     for angle in (-1.6, 0.1):
-        with pytest.raises(InvalidInputError, match=rf"value {angle} of hinge '{DOOR}'.*\[-1.57, 0.0\] rad"):
+        with pytest.raises(
+            InvalidInputError, match=rf"value {angle} of hinge '{DOOR}'.*\[-1.57, 0.0\] rad"
+        ):
             bar_pose(angle)
         with pytest.raises(InvalidInputError, match=f"start is outside the limits: {DOOR} by"):
             replace(door_problem(0), start=np.append(grasp[:7], angle))
@@ -170,7 +188,10 @@ def test_bad_objects_are_refused(panda, world):
         ({"may_touch": ["x"]}, "may_touch.*must be a list"),
         ({"casing": data["parts"]}, "occurs twice"),
         ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": [[0, 0, 0]]}]}, "m thick"),
-        ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": flat}], "may_touch": []}, "0 m thick"),
+        (
+            {"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": flat}], "may_touch": []},
+            "0 m thick",
+        ),
         ([1], "must be an object"),
         ({"name": "door", "kind": None}, "kind"),
     ]:

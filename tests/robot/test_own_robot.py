@@ -37,7 +37,9 @@ def slider_problem(slider_arm):
     start, goal = (middle_of_it.project(q) for q in rough)
     middle = slider_arm.pose(0.5 * (start + goal))[:3, 3]
     ball = SceneObject("ball", Sphere(0.06), pose(middle))
-    return PlanningProblem("slide", slider_arm, Scene("ball", (ball,)), start, goal[None], (region,))
+    return PlanningProblem(
+        "slide", slider_arm, Scene("ball", (ball,)), start, goal[None], (region,)
+    )
 
 
 @pytest.mark.parametrize("name", ["birrt", "guided-birrt", "ompl-projected"])
@@ -57,8 +59,12 @@ ONE_JOINT = """<robot name="one"><link name="base"/><link name="arm"><collision>
 
 
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
-@pytest.mark.parametrize("carried", [(), (Attachment("can", Box((0.05, 0.05, 0.1)), pose((0.6, 0.0, 0.3))),)])
-@pytest.mark.parametrize(("kind", "wall"), [("revolute", (0.0, 0.5, 0.3)), ("prismatic", (0.4, 0.0, 1.0))])
+@pytest.mark.parametrize(
+    "carried", [(), (Attachment("can", Box((0.05, 0.05, 0.1)), pose((0.6, 0.0, 0.3))),)]
+)
+@pytest.mark.parametrize(
+    ("kind", "wall"), [("revolute", (0.0, 0.5, 0.3)), ("prismatic", (0.4, 0.0, 1.0))]
+)
 def test_robots_of_one_joint_are_planned_for(tmp_path, kind, wall, carried, backend):
     (tmp_path / "one.urdf").write_text(ONE_JOINT.format(kind=kind))
     robot = load_robot(tmp_path / "one.urdf", "arm", acceleration_limits=[1.0])
@@ -67,7 +73,9 @@ def test_robots_of_one_joint_are_planned_for(tmp_path, kind, wall, carried, back
     for region in ((), (TaskSpaceRegion(np.eye(4), np.eye(4), np.array([(-2.0, 2.0)] * 6)),)):
         problem = PlanningProblem("one", robot, scene, start, goal, region, attachments=carried)
         solution = solve(problem, planner_named("birrt"), ENOUGH, seed=0, backend=backend)
-        assert solution.certificate.reasons == () and 0.0 < solution.certificate.min_clearance_m < 0.5
+        assert (
+            solution.certificate.reasons == () and 0.0 < solution.certificate.min_clearance_m < 0.5
+        )
         assert time_path(solution.simplified.path.states, robot.joint_limits).duration > 0.0
     with pytest.raises(InvalidInputError, match="1 joints and 6 entries"):
         solve(problem, planner_named("atlas-rrt"), ENOUGH, seed=0)

@@ -1,4 +1,6 @@
-"""Robots as data: limits, kinematics and bounds of motion against pinocchio, sines against numpy, pickling."""
+"""Robots as data:
+limits, kinematics and bounds of motion against pinocchio, sines against numpy, pickling.
+"""
 
 import numpy as np
 import pinocchio as pin
@@ -34,7 +36,9 @@ def test_kernel_poses_equal_pinocchio_s(name, request):
         pin.updateGeometryPlacements(robot.model, data, robot.collision_model, geometry_data, q)
         for piece, placement in zip(robot.links, geometry_data.oMg, strict=True):
             T_world_piece = T[piece.link] @ piece.T_link_geometry
-            np.testing.assert_allclose(T_world_piece, placement.homogeneous, atol=1e-12, err_msg=piece.name)
+            np.testing.assert_allclose(
+                T_world_piece, placement.homogeneous, atol=1e-12, err_msg=piece.name
+            )
 
 
 def test_four_threads_get_the_poses_of_one(panda, four_threads):
@@ -53,9 +57,19 @@ def test_finger_opening_moves_the_fingers_within_its_range(refused):
 
 
 def test_the_kinematics_digest_names_what_moves_how(panda, slider_arm, slider_arm_urdf, edited):
-    """The hand does not matter, a limit, an axis and a placement do, and no process sees another digest."""
-    assert panda.kinematics_digest == load_panda(0.01).kinematics_digest != slider_arm.kinematics_digest
-    changes = ('upper="0.7"', 'upper="0.8"'), ("0.6 0 0.8", "0.8 0 0.6"), ("0 0.02 0.35", "0 0.02 0.36")
+    """The hand does not matter, a limit, an axis and a placement do, and no process sees another
+    digest.
+    """
+    assert (
+        panda.kinematics_digest
+        == load_panda(0.01).kinematics_digest
+        != slider_arm.kinematics_digest
+    )
+    changes = (
+        ('upper="0.7"', 'upper="0.8"'),
+        ("0.6 0 0.8", "0.8 0 0.6"),
+        ("0 0.02 0.35", "0 0.02 0.36"),
+    )
     for change in changes:
         assert load_robot(edited(change), "tool").kinematics_digest != slider_arm.kinematics_digest
     assert slider_arm.kinematics_digest == "ccce46299e68f03c312831aa827b204d"
@@ -78,8 +92,16 @@ def of(angles):
 def test_sine_and_cosine_are_numpys():
     """Also at multiples of pi / 4 and the doubles next to them, where the quadrant changes."""
     exact, rng = np.arange(-12_000, 12_001) * (np.pi / 4.0), np.random.default_rng(0)
-    spread = [rng.uniform(-largest, largest, 100_000) for largest in (1e-8, 1.0, np.pi, 100.0, 1e4, 1e5)]
-    for angles in (*spread, exact, np.nextafter(exact, np.inf), np.nextafter(exact, -np.inf), np.zeros(1)):
+    spread = [
+        rng.uniform(-largest, largest, 100_000) for largest in (1e-8, 1.0, np.pi, 100.0, 1e4, 1e5)
+    ]
+    for angles in (
+        *spread,
+        exact,
+        np.nextafter(exact, np.inf),
+        np.nextafter(exact, -np.inf),
+        np.zeros(1),
+    ):
         for value, expected in zip(of(angles), (np.sin(angles), np.cos(angles)), strict=True):
             worst = np.argmax(np.abs(value - expected))
             assert np.abs(value - expected)[worst] <= 1e-15, angles[worst]
@@ -105,7 +127,10 @@ def test_no_point_moves_further_than_the_bound(request, name):
     for size in 10.0 ** rng.uniform(-3.0, -0.7, 40):
         q = robot.random_configurations(rng, 1)[0]
         hull = q + size * rng.standard_normal((3, robot.dof))
-        (bounds,), (between,) = sweep.in_world(q[None], hull[None]), sweep.between(q[None], hull[None])
+        (bounds,), (between,) = (
+            sweep.in_world(q[None], hull[None]),
+            sweep.between(q[None], hull[None]),
+        )
         before = placed(robot, geometry, q)
         for weights in rng.dirichlet(np.ones(4), 10):
             after = placed(robot, geometry, weights @ np.vstack([hull, q]))

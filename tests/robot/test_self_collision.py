@@ -1,4 +1,6 @@
-"""The pairs of links that are left out without an SRDF: why, and the cache of them, which is checked."""
+"""The pairs of links that are left out without an SRDF:
+why, and the cache of them, which is checked.
+"""
 
 import re
 import tempfile
@@ -13,7 +15,15 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.loading import load_robot, robot_from_source
 from cvqmpt_lab.robot.proven_apart import distance_levers
 from cvqmpt_lab.robot.robot import LeftOut
-from cvqmpt_lab.robot.self_collision import ADJACENT, APART, FIXED, FROM_SRDF, GAP, OVERLAP, srdf_text
+from cvqmpt_lab.robot.self_collision import (
+    ADJACENT,
+    APART,
+    FIXED,
+    FROM_SRDF,
+    GAP,
+    OVERLAP,
+    srdf_text,
+)
 from cvqmpt_lab.robot.source import ARMS
 from experiments.suites.door_task import door_world
 
@@ -29,7 +39,9 @@ def cache(tmp_path, monkeypatch):
 
 
 def least_distances(robot, left_out, samples, steps):
-    """The least distances [m] found of all pieces of left-out links: in random states, then by a descent for each."""
+    """The least distances [m] found of all pieces of left-out links:
+    in random states, then by a descent for each.
+    """
     geometry, rng = robot.collision_model.copy(), np.random.default_rng(5)
     names = [robot.model.frames[item.parentFrame].name for item in geometry.geometryObjects]
     geometry.removeAllCollisionPairs()
@@ -46,7 +58,9 @@ def least_distances(robot, left_out, samples, steps):
         best = np.minimum(best, distance)
     for n in range(len(best)):
         for scale in np.geomspace(1.0, 0.01, steps):
-            q = np.clip(states[n] + scale * rng.standard_normal(robot.dof), robot.lower, robot.upper)
+            q = np.clip(
+                states[n] + scale * rng.standard_normal(robot.dof), robot.lower, robot.upper
+            )
             pin.updateGeometryPlacements(robot.model, data, geometry, found, q)
             if (distance := pin.computeDistance(geometry, found, n).min_distance) < best[n]:
                 best[n], states[n] = distance, q
@@ -55,19 +69,29 @@ def least_distances(robot, left_out, samples, steps):
 
 @pytest.mark.slow
 def test_pairs_that_are_not_checked_stay_apart(request):
-    """All but neighbours and those that an SRDF or nearly all random states name; sampling alone left out -99 mm."""
+    """All but neighbours and those that an SRDF or nearly all random states name;
+    sampling alone left out -99 mm.
+    """
     words = (FIXED, ADJACENT, FROM_SRDF, OVERLAP)
     for name in ARMS if request.config.getoption("--long") else ("tiago-no-hand", "z1"):
         robot = robot_from_source({"name": name})
-        left_out = {(p.first, p.second) for p in robot.left_out_pairs if not p.reason.startswith(words)}
+        left_out = {
+            (p.first, p.second) for p in robot.left_out_pairs if not p.reason.startswith(words)
+        }
         assert least_distances(robot, left_out, 500, 100).min(initial=np.inf) > GAP, name
 
 
 @pytest.mark.slow
 def test_mirrored_arms_leave_out_the_same_overlaps():
-    """Of a wrist 1.3 mm deep in the last but one link, coal saw 99.95 % on the left and 0.1 % on the right."""
+    """Of a wrist 1.3 mm deep in the last but one link, coal saw 99.95 % on the left and 0.1 % on
+    the right.
+    """
     left, right = (
-        {(p.first, p.second) for p in robot_from_source({"name": name}).left_out_pairs if OVERLAP in p.reason}
+        {
+            (p.first, p.second)
+            for p in robot_from_source({"name": name}).left_out_pairs
+            if OVERLAP in p.reason
+        }
         for name in ("tiago-dual-left", "tiago-dual-right")
     )
     assert ("arm_right_6_link", "wrist_right_ft_link") in right
@@ -98,13 +122,17 @@ def test_levers_bound_how_fast_distances_change(which, slider_arm):
 
 
 def sheared(by):
-    return np.array([(x + by * z, y, z) for x, y, z in product((-0.1, 0.1), (-0.05, 0.05), (-0.1, 0.1))])
+    return np.array(
+        [(x + by * z, y, z) for x, y, z in product((-0.1, 0.1), (-0.05, 0.05), (-0.1, 0.1))]
+    )
 
 
 AXIS, OTHER_AXIS = '<axis xyz="0.6 0 0.8"/>', '<axis xyz="0.8 0 0.6"/>'
 
 
-@pytest.mark.parametrize(("before", "after"), [(AXIS, OTHER_AXIS), ("a.obj", "b.obj"), ('upper="1.5"', 'upper="1.4"')])
+@pytest.mark.parametrize(
+    ("before", "after"), [(AXIS, OTHER_AXIS), ("a.obj", "b.obj"), ('upper="1.5"', 'upper="1.4"')]
+)
 def test_another_robot_has_pairs_of_its_own(slider_arm_urdf, tmp_path, cache, before, after):
     """Another axis of a joint whose link has no body, a mirrored mesh, other limits."""
     for name, by in (("a.obj", 0.5), ("b.obj", -0.5)):
@@ -139,7 +167,11 @@ def test_a_spoilt_or_foreign_file_is_made_anew(slider_arm_urdf, edited, cache, s
     assert load_robot(slider_arm_urdf, "tool").left_out_pairs == pairs and kept.read_text() == whole
 
 
-@pytest.mark.parametrize(("text", "pattern"), [("<robot", "cannot read SRDF"), ("<a/>", "root <a>")])
+@pytest.mark.parametrize(
+    ("text", "pattern"), [("<robot", "cannot read SRDF"), ("<a/>", "root <a>")]
+)
 def test_a_file_that_is_no_srdf_is_named(slider_arm_urdf, tmp_path, refused, text, pattern):
     (tmp_path / "bad.srdf").write_text(text)
-    refused(InvalidInputError, pattern, load_robot, slider_arm_urdf, "tool", srdf=tmp_path / "bad.srdf")
+    refused(
+        InvalidInputError, pattern, load_robot, slider_arm_urdf, "tool", srdf=tmp_path / "bad.srdf"
+    )

@@ -6,7 +6,15 @@ from scipy.spatial import cKDTree
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.cells import CELL, MOST_CELLS_ACROSS, blocks_of, cells_with, distinct, map_of_points, merged
+from cvqmpt_lab.scene.cells import (
+    CELL,
+    MOST_CELLS_ACROSS,
+    blocks_of,
+    cells_with,
+    distinct,
+    map_of_points,
+    merged,
+)
 from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud
 
 
@@ -18,7 +26,9 @@ def filled(boxes):
 
 
 def test_cells_finer_than_a_millimetre_are_refused_before_any_are_made():
-    with pytest.raises(InvalidInputError, match=r"OccupancyMap\.resolution is 1e-09 m; give 0\.001 m or more"):
+    with pytest.raises(
+        InvalidInputError, match=r"OccupancyMap\.resolution is 1e-09 m; give 0\.001 m or more"
+    ):
         map_of_points(np.array([[0.0, 0.0, 0.0], [1e3, 1e3, 1e3]]), 1e-9)
 
 
@@ -41,7 +51,9 @@ def test_boxes_hold_the_balls_of_a_cloud_and_little_more(shift, radius):
     points = rng.uniform(-1.0, 1.0, (3000, 3)) + (shift, 0.0, 0.0)
     blocks = blocks_of(PointCloud(points, radius), pose((-shift, 0.0, 0.0)))
     assert blocks.padding == radius and len(blocks.low) <= len(points)
-    inside = (points[:, None] >= blocks.low).all(axis=2) & (points[:, None] <= blocks.high).all(axis=2)
+    inside = (points[:, None] >= blocks.low).all(axis=2) & (points[:, None] <= blocks.high).all(
+        axis=2
+    )
     assert inside.any(axis=1).all()
     probes = blocks.low + rng.random(blocks.low.shape) * (blocks.high - blocks.low)
     edge = max(CELL * radius, 2.0 / MOST_CELLS_ACROSS)
@@ -52,7 +64,9 @@ def test_boxes_of_a_map_are_its_cells_in_reach():
     cells = np.array([[0, 0, 0], [9, 0, 0], [10, 0, 0], [10, 0, 0], [-50, 3, 2]], dtype=float)
     low, high, padding = blocks_of(OccupancyMap(cells, 0.1, 0.05), pose((0.0, 0.0, 0.5)), reach=1.0)
     assert padding == 0.05
-    np.testing.assert_allclose([low, high], [[[0, 0, 0], [0.9, 0, 0]], [[0.1, 0.1, 0.1], [1.0, 0.1, 0.1]]])
+    np.testing.assert_allclose(
+        [low, high], [[[0, 0, 0], [0.9, 0, 0]], [[0.1, 0.1, 0.1], [1.0, 0.1, 0.1]]]
+    )
     assert len(blocks_of(OccupancyMap(cells, 0.1), pose((0.0, 0.0, 9.0)), reach=0.9).low) == 0
 
 

@@ -31,7 +31,9 @@ def test_points_that_are_not_finite_are_counted(write, tmp_path):
 
 def test_a_scale_brings_a_cloud_to_metres(tmp_path):
     (tmp_path / "mm.npy").write_bytes(npy(1000.0 * POINTS))
-    with pytest.raises(InvalidInputError, match=r"half of it is more than .* m off .*millimetres: 0\.001"):
+    with pytest.raises(
+        InvalidInputError, match=r"half of it is more than .* m off .*millimetres: 0\.001"
+    ):
         read_cloud(tmp_path / "mm.npy")
     np.testing.assert_allclose(read_cloud(tmp_path / "mm.npy", 0.001).points, POINTS)
     (tmp_path / "km.npy").write_bytes(npy(0.0005 * POINTS))
@@ -43,7 +45,8 @@ FAR = POINTS.copy()
 FAR[5, 2] = -1e300
 MANY = 10**9
 BAD = {
-    "many.pcd": (pcd(POINTS[:0], "binary", WIDTH=MANY, POINTS=MANY), "1000000000 points, the file holds 0"),
+    "many.pcd": (pcd(POINTS[:0], "binary", WIDTH=MANY, POINTS=MANY), "1000000000 points, the file "
+                                                                     "holds 0"),
     "many_text.pcd": (pcd(POINTS[:0], "ascii", WIDTH=MANY, POINTS=MANY), "1000000000 points"),
     "many_packed.pcd": (pcd(POINTS, "binary_compressed", WIDTH=MANY, POINTS=MANY), "1000000000 points of 16 bytes"),
     "cut.pcd": (pcd(POINTS)[:-600], "40 points, the file holds 2: cut short"),
@@ -61,7 +64,8 @@ BAD = {
     "form.pcd": (pcd(POINTS, "zip"), "DATA is 'zip'"),
     "no_points.pcd": (pcd(POINTS, POINTS=None), "no POINTS"),
     "nothing.pcd": (pcd(POINTS[:0]), "none of its 0 points"),
-    "many.ply": (ply(POINTS, head="element vertex 1000000000"), "1000000000 points, the file holds 40"),
+    "many.ply": (ply(POINTS, head="element vertex 1000000000"), "1000000000 points, the file "
+                                                                "holds 40"),
     "many_text.ply": (ply(POINTS, "ascii", head="element vertex 1000000000"), "1000000000 points"),
     "cut.ply": (ply(POINTS)[:-20], "40 points, the file holds 38"),
     "list.ply": (ply(POINTS, kind="list uchar float"), "is no plain number"),
@@ -90,7 +94,9 @@ def test_bad_files_are_refused_by_name_in_one_line(name, tmp_path):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(InvalidInputError, match=message) as caught:
         read_cloud(tmp_path / name)
-    assert "\n" not in str(caught.value) and name in str(caught.value) and len(str(caught.value)) < 400
+    assert (
+        "\n" not in str(caught.value) and name in str(caught.value) and len(str(caught.value)) < 400
+    )
 
 
 def test_what_is_no_cloud_file_is_refused(tmp_path):

@@ -28,7 +28,9 @@ def drawn_by_hand(seed, n_cubes, n_spheres):
     return [pose(xyz, yaw) for xyz, yaw in zip(cubes, yaws, strict=True)], centres(n_spheres, 0.33)
 
 
-@pytest.mark.parametrize(("seed", "n_cubes", "n_spheres"), [(0, 8, 8), (2000, 8, 8), (7, 6, 3), (1, 0, 2)])
+@pytest.mark.parametrize(
+    ("seed", "n_cubes", "n_spheres"), [(0, 8, 8), (2000, 8, 8), (7, 6, 3), (1, 0, 2)]
+)
 def test_objects_follow_the_documented_draws(seed, n_cubes, n_spheres):
     scene = random_scene(seed, n_cubes, n_spheres)
     cube_poses, sphere_centres = drawn_by_hand(seed, n_cubes, n_spheres)
@@ -41,7 +43,9 @@ def test_objects_follow_the_documented_draws(seed, n_cubes, n_spheres):
         assert scene[f"sphere_{i}"].shape == Sphere(0.15)
 
 
-@pytest.mark.parametrize("bad", [{"seed": -1}, {"seed": 0.5}, {"seed": 0, "n_cubes": -1}, {"seed": True}])
+@pytest.mark.parametrize(
+    "bad", [{"seed": -1}, {"seed": 0.5}, {"seed": 0, "n_cubes": -1}, {"seed": True}]
+)
 def test_numbers_that_are_no_counts_are_refused(bad):
     with pytest.raises(InvalidInputError, match="give a whole number from 0 to 4294967295"):
         random_scene(**bad)

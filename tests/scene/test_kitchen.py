@@ -55,7 +55,9 @@ def bounds(item):
         half = np.abs(R) @ np.array(item.shape.size) / 2
     else:
         along = np.abs(R[:, 2])
-        half = along * item.shape.height / 2 + item.shape.radius * np.sqrt(1.0 - np.minimum(along, 1.0) ** 2)
+        half = along * item.shape.height / 2 + item.shape.radius * np.sqrt(
+            1.0 - np.minimum(along, 1.0) ** 2
+        )
     return centre - half, centre + half
 
 
@@ -85,8 +87,13 @@ def test_hinges_have_the_measured_axes_and_ranges():
         np.testing.assert_array_equal(joint.T_world_joint[:3, 2], (0.0, 0.0, 1.0))
         assert (joint.lower, joint.upper, joint.value) == (lower, upper, 0.0)
         assert set(joint.moves) == {item.name for item in scene if item.name.startswith(f"{name}/")}
-        before, after = scene[f"{name}/panel"], scene.with_joint(name, lower + upper)[f"{name}/panel"]
-        assert after.T_world_object[0, 3] < before.T_world_object[0, 3] - 0.15, "it opens towards the room"
+        before, after = (
+            scene[f"{name}/panel"],
+            scene.with_joint(name, lower + upper)[f"{name}/panel"],
+        )
+        assert after.T_world_object[0, 3] < before.T_world_object[0, 3] - 0.15, (
+            "it opens towards the room"
+        )
 
 
 @pytest.mark.parametrize("name", DRAWERS)
@@ -102,12 +109,18 @@ def test_drawers_slide_out_of_their_cabinet(name):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: kitchen(door_angles={"fridge": 0.1}), r"'fridge'; valid choices: .*dagger_door_left"),
+        (
+            lambda: kitchen(door_angles={"fridge": 0.1}),
+            r"'fridge'; valid choices: .*dagger_door_left",
+        ),
         (lambda: kitchen(door_angles={"dagger_door_left": 0.1}), r"\[-1\.57, 0\.0\] rad"),
         (lambda: KitchenParameters(cabinet_width=-0.3), r"KitchenParameters\.cabinet_width.*-0\.3"),
         (lambda: KitchenParameters(range_y=math.nan), r"KitchenParameters\.range_y.*nan"),
         (lambda: KitchenParameters(drawer_length=0.6), "drawer_length reaches through the back"),
-        (lambda: KitchenParameters(wall_cabinet_height=0.2), "wall_cabinet_height is below the handle"),
+        (
+            lambda: KitchenParameters(wall_cabinet_height=0.2),
+            "wall_cabinet_height is below the handle",
+        ),
     ],
 )
 def test_unusable_angles_and_parameters_are_refused(make, message):

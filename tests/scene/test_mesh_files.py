@@ -6,7 +6,13 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.scene.convex import MOST_PIECES, MOST_VERTICES, convex_pieces, of_few_vertices, spread_points
+from cvqmpt_lab.scene.convex import (
+    MOST_PIECES,
+    MOST_VERTICES,
+    convex_pieces,
+    of_few_vertices,
+    spread_points,
+)
 from cvqmpt_lab.scene.mesh_files import read_mesh
 from cvqmpt_lab.scene.shapes import ConvexMesh
 
@@ -26,16 +32,24 @@ MESHES = {
     "table": (table(), 20, 1.5),
     "ring": (trimesh.creation.annulus(0.04, 0.045, 0.1), 40, 1.3),
     "plate": (trimesh.creation.annulus(0.2, 0.5, 0.01), MOST_PIECES, 1.15),
-    "torus": (trimesh.creation.torus(0.3, 0.05, major_sections=24, minor_sections=12), MOST_PIECES, 1.3),
+    "torus": (
+        trimesh.creation.torus(0.3, 0.05, major_sections=24, minor_sections=12),
+        MOST_PIECES,
+        1.3,
+    ),
 }
 
 
 @pytest.mark.parametrize("name", MESHES)
 def test_pieces_hold_the_mesh_and_little_more(name):
     mesh, most, ratio = MESHES[name]
-    hulls = [ConvexHull(ConvexMesh(piece).vertices) for piece in convex_pieces(np.array(mesh.triangles))]
+    hulls = [
+        ConvexHull(ConvexMesh(piece).vertices) for piece in convex_pieces(np.array(mesh.triangles))
+    ]
     probes = np.random.default_rng(0).uniform(*mesh.bounds, (3000, 3))
-    inside = np.array([probe for probe in probes if winding(np.array(mesh.triangles) - probe) > 0.5])
+    inside = np.array(
+        [probe for probe in probes if winding(np.array(mesh.triangles) - probe) > 0.5]
+    )
     surface = np.concatenate([mesh.vertices, spread_points(np.array(mesh.triangles), 4000)])
     assert len(inside) > 100 and farthest_outside(np.concatenate([inside, surface]), hulls) < 1e-7
     assert len(hulls) <= most
@@ -47,7 +61,12 @@ def winding(triangles):
     a, b, c = np.moveaxis(triangles, 1, 0)
     la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
     volume = (a * np.cross(b, c)).sum(axis=1)
-    rest = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
+    rest = (
+        la * lb * lc
+        + (a * b).sum(axis=1) * lc
+        + (b * c).sum(axis=1) * la
+        + (c * a).sum(axis=1) * lb
+    )
     return abs(np.arctan2(volume, rest).sum()) / (2.0 * np.pi)
 
 
@@ -58,7 +77,10 @@ def test_large_meshes_are_covered_by_few_pieces(share):
     triangles[:, :, 0] *= 1.0 + 0.5 * np.cos(9.0 * triangles[:, :, 1])
     pieces = convex_pieces(triangles)
     assert len(pieces) > 20
-    assert farthest_outside(spread_points(triangles, 4000), [ConvexHull(piece) for piece in pieces]) < 1e-7
+    assert (
+        farthest_outside(spread_points(triangles, 4000), [ConvexHull(piece) for piece in pieces])
+        < 1e-7
+    )
 
 
 def test_a_bracket_is_cut_although_a_cut_can_leave_nothing_on_one_side():
@@ -73,7 +95,9 @@ def test_a_bracket_is_cut_although_a_cut_can_leave_nothing_on_one_side():
     assert farthest_outside(spread_points(triangles, 2000), hulls) < 1e-7
 
 
-@pytest.mark.parametrize("corners", [(0, 0, 0), (0, 1, 1), (0, 1, 2)], ids=["point", "edge", "line"])
+@pytest.mark.parametrize(
+    "corners", [(0, 0, 0), (0, 1, 1), (0, 1, 2)], ids=["point", "edge", "line"]
+)
 @pytest.mark.parametrize("mesh", [box((0.2, 0.3, 0.4)), table()], ids=["box", "table"])
 def test_triangles_without_area_change_nothing(mesh, corners):
     rng, triangles = np.random.default_rng(1), np.array(mesh.triangles)
@@ -87,7 +111,9 @@ def test_triangles_without_area_change_nothing(mesh, corners):
 
 def farthest_outside(points, hulls):
     """How far any of some points is from all hulls [m]."""
-    depths = [(points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in hulls]
+    depths = [
+        (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in hulls
+    ]
     return np.min(depths, axis=0).max()
 
 
@@ -114,7 +140,9 @@ def test_a_file_is_read_in_its_unit(suffix, tmp_path):
 
 def test_collada_says_its_unit(tmp_path):
     data = box((20.0, 30.0, 40.0)).export(file_type="dae")
-    (tmp_path / "a.dae").write_bytes(data.replace(b"<up_axis>", b'<unit name="cm" meter="0.01"/><up_axis>'))
+    (tmp_path / "a.dae").write_bytes(
+        data.replace(b"<up_axis>", b'<unit name="cm" meter="0.01"/><up_axis>')
+    )
     (piece,) = read_mesh(tmp_path / "a.dae")
     np.testing.assert_allclose(np.ptp(piece, axis=0), (0.2, 0.3, 0.4))
     (tmp_path / "b.dae").write_bytes(data.replace(b"<up_axis>", b'<unit meter="-1"/><up_axis>'))
@@ -125,7 +153,10 @@ def test_collada_says_its_unit(tmp_path):
 FLAT = b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nv .03 .03 1e-9\nf 1 2 3\nf 1 2 4\n"
 BAD = {
     "flat.obj": (FLAT, "must span a volume"),
-    "far.obj": (b"v 0 0 0\nv 1e300 0 0\nv 0 1e300 0\nv 0 0 1e300\nf 1 2 3\nf 1 2 4\n", "m off the origin"),
+    "far.obj": (
+        b"v 0 0 0\nv 1e300 0 0\nv 0 1e300 0\nv 0 0 1e300\nf 1 2 3\nf 1 2 4\n",
+        "m off the origin",
+    ),
     "nan.obj": (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "finite|parse|could not"),
     "index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "obj"),
     "points.obj": (b"v 0 0 0\nv 1 0 0\n", "obj"),

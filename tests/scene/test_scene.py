@@ -47,12 +47,18 @@ def not_rigid(T):
         (lambda: Cylinder(-0.1, 0.2), r"Cylinder\.radius"),
         (lambda: Cylinder(0.1, math.inf), r"Cylinder\.height"),
         (lambda: Sphere("big"), "'big'"),  # type: ignore[arg-type]
-        (lambda: ConvexMesh(np.where(TETRAHEDRON == 3.0, math.nan, TETRAHEDRON)), r"vertices\[3, 2\]"),
+        (
+            lambda: ConvexMesh(np.where(TETRAHEDRON == 3.0, math.nan, TETRAHEDRON)),
+            r"vertices\[3, 2\]",
+        ),
         (lambda: PointCloud(np.zeros((0, 3)), 0.1), r"PointCloud\.points is empty"),
         (lambda: PointCloud(np.zeros((4, 2)), 0.1), r"\(4, 2\)"),
         (lambda: PointCloud(np.zeros((4, 3)), 0.0), r"PointCloud\.radius"),
         (lambda: shape_vertices(Sphere(1.0)), "Sphere"),  # type: ignore[arg-type]
-        *((not_rigid(T), "'cup': T_world_object") for T in (np.eye(3), 2.0 * np.eye(4), "upright", MIRROR)),
+        *(
+            (not_rigid(T), "'cup': T_world_object")
+            for T in (np.eye(3), 2.0 * np.eye(4), "upright", MIRROR)
+        ),
     ],
 )
 def test_unusable_shapes_are_refused_and_named(make, named):
@@ -79,7 +85,9 @@ def test_hinges_and_sliders_move_their_parts_and_nothing_else():
     assert opened.articulation("door").value == 1.2
     assert all(opened[name] == closed[name] for name in ("wall", "drawer/tray", "floor"))
     pulled = closed.with_joint("drawer", 0.4)
-    np.testing.assert_allclose(pulled["drawer/tray"].T_world_object, pose((0.9, 0.8, 0.0)), atol=1e-12)
+    np.testing.assert_allclose(
+        pulled["drawer/tray"].T_world_object, pose((0.9, 0.8, 0.0)), atol=1e-12
+    )
 
 
 def door_as(**change):
@@ -132,8 +140,14 @@ def test_lookup_adding_and_removing():
     [
         (lambda data: data.pop("objects"), "scene.objects is missing"),
         (lambda data: data["objects"][2]["shape"].update(colour=1), "shape.colour is unknown"),
-        (lambda data: data["articulations"][0].update(value=9.0), "articulations[0]: value 9.0 of hinge"),
-        (lambda data: data["articulations"][0].update(moves=["lid"]), "articulation 'door' moves 'lid'"),
+        (
+            lambda data: data["articulations"][0].update(value=9.0),
+            "articulations[0]: value 9.0 of hinge",
+        ),
+        (
+            lambda data: data["articulations"][0].update(moves=["lid"]),
+            "articulation 'door' moves 'lid'",
+        ),
     ],
 )
 def test_damaged_fields_are_named(damage, named):

@@ -18,7 +18,9 @@ FAR = np.array([[1.0, 0, 0, 0.5], [0, 1, 0, 0.9], [0, 0, 1, 0.2], [0, 0, 0, 1]])
 
 @pytest.fixture
 def data(problem, tmp_path):
-    """Json of a problem with a cloud and a ring of several pieces; the files lie in a folder beside."""
+    """Json of a problem with a cloud and a ring of several pieces;
+    the files lie in a folder beside.
+    """
     (tmp_path / "parts").mkdir()
     np.save(tmp_path / "parts" / "scan.npy", POINTS)
     trimesh.creation.annulus(40.0, 45.0, 100.0, sections=8).export(tmp_path / "parts" / "ring.stl")
@@ -49,7 +51,10 @@ def test_files_become_objects(data, tmp_path):
     scene = PlanningProblem.load(saved(data, tmp_path)).scene
     assert scene["scan"].shape == PointCloud(POINTS, 0.01)
     room = scene["room"].shape
-    assert np.array_equal(room.cells, np.unique(np.floor(POINTS / 0.02), axis=0)) and room.padding == 0.01
+    assert (
+        np.array_equal(room.cells, np.unique(np.floor(POINTS / 0.02), axis=0))
+        and room.padding == 0.01
+    )
     assert isinstance(scene["crate"].shape, ConvexMesh)
     ring = [item for item in scene if item.name.startswith("ring/")]
     assert len(ring) > 4 and all(isinstance(item.shape, ConvexMesh) for item in ring)
@@ -65,7 +70,14 @@ def test_a_saved_problem_needs_the_files_no_more(data, tmp_path):
 
 
 def test_what_moves_an_object_moves_its_pieces(data, tmp_path):
-    joint = {"name": "lift", "kind": "slider", "T_world_joint": FAR, "lower": 0, "upper": 1, "value": 0}
+    joint = {
+        "name": "lift",
+        "kind": "slider",
+        "T_world_joint": FAR,
+        "lower": 0,
+        "upper": 1,
+        "value": 0,
+    }
     data["scene"]["articulations"] = [{**joint, "moves": ["ring", "crate"]}]
     scene = PlanningProblem.load(saved(data, tmp_path)).scene
     pieces = tuple(name for name in scene.names if name.startswith("ring/"))
@@ -80,7 +92,9 @@ def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp
     (tmp_path / "parts" / "scene.json").write_text(json.dumps(data["scene"]))
     path = saved(data | {"scene": "parts/scene.json"}, tmp_path)
     assert PlanningProblem.load(path).scene == whole.scene
-    with pytest.raises(InvalidInputError, match=r"scene is 'parts/scene.json', a file: load what names it"):
+    with pytest.raises(
+        InvalidInputError, match=r"scene is 'parts/scene.json', a file: load what names it"
+    ):
         PlanningProblem.from_dict(data | {"scene": "parts/scene.json"})
     (tmp_path / "parts" / "scene.json").write_text("{}")
     with pytest.raises(InvalidInputError, match=r"parts/scene.json: name is missing"):
@@ -90,7 +104,10 @@ def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp
 @pytest.mark.parametrize(
     ("shape", "message"),
     [
-        ({"type": "cloud_file", "path": "gone.pcd", "radius": 0.01}, "cannot read cloud .*gone.pcd"),
+        (
+            {"type": "cloud_file", "path": "gone.pcd", "radius": 0.01},
+            "cannot read cloud .*gone.pcd",
+        ),
         ({"type": "cloud_file", "path": "parts/scan.npy"}, "radius is missing"),
         ({"type": "cloud_file", "path": "parts/scan.npy", "raduis": 1}, "did you mean 'radius'"),
         ({"type": "mesh_file", "path": "parts/scan.npy"}, r"'\.npy'; valid choices: \.stl"),
@@ -100,11 +117,16 @@ def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp
 )
 def test_errors_name_the_problem_the_object_and_the_cure(data, tmp_path, shape, message):
     data["scene"]["objects"].append(item_of("bad", **shape))
-    with pytest.raises(InvalidInputError, match=rf"problem\.json: scene\.objects\[4\]\.shape: .*{message}"):
+    with pytest.raises(
+        InvalidInputError, match=rf"problem\.json: scene\.objects\[4\]\.shape: .*{message}"
+    ):
         PlanningProblem.load(saved(data, tmp_path))
 
 
 def test_a_scene_without_a_file_around_it_cannot_name_one():
-    plain = {"name": "s", "objects": [item_of("scan", type="cloud_file", path="a.npy", radius=0.01)]}
+    plain = {
+        "name": "s",
+        "objects": [item_of("scan", type="cloud_file", path="a.npy", radius=0.01)],
+    }
     with pytest.raises(InvalidInputError, match="'cloud_file' names a file"):
         from_plain(Scene, plain)

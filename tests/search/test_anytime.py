@@ -31,4 +31,6 @@ def test_a_goal_where_the_start_is_leaves_a_ball():
     here = np.ones(7)
     ways = ShortWays(here, here[None], np.array([0.5]), LOWER, UPPER)
     samples = ways.sample(np.random.default_rng(0), 100)
-    assert np.isfinite(samples).all() and np.linalg.norm(samples - here, axis=1).max() <= 0.25 + 1e-9
+    assert (
+        np.isfinite(samples).all() and np.linalg.norm(samples - here, axis=1).max() <= 0.25 + 1e-9
+    )

@@ -26,7 +26,11 @@ def test_goals_are_as_many_and_as_diverse_as_those_of_unhurried_inverse_kinemati
     fast = sample_goals(problem, np.random.default_rng(3), 20)
     assert len(fast.configurations) == len(slow.configurations) == 20
     assert apart(fast.configurations) > 0.7 * apart(slow.configurations)
-    assert not problem.collision_checker(0.99 * SAMPLE_MARGIN).in_collision_batch(fast.configurations).any()
+    assert (
+        not problem.collision_checker(0.99 * SAMPLE_MARGIN)
+        .in_collision_batch(fast.configurations)
+        .any()
+    )
     assert_inside(problem, fast.configurations)
 
 
@@ -38,7 +42,9 @@ def assert_inside(problem, goals):
 
 def test_a_single_pose_is_reached_in_many_postures(problem):
     there = TaskSpaceRegion(problem.robot.pose(problem.start), np.eye(4), np.zeros((6, 2)))
-    goals = sample_goals(replace(problem, goal_region=there), np.random.default_rng(0), 20).configurations
+    goals = sample_goals(
+        replace(problem, goal_region=there), np.random.default_rng(0), 20
+    ).configurations
     assert len(goals) == 20
     assert len(np.unique(goals.round(2), axis=0)) >= 15
 
@@ -54,7 +60,9 @@ def test_what_cannot_be_had_is_counted(problem):
     far, base = np.eye(4), np.eye(4)
     far[:3, 3], base[:3, 3] = (5.0, 0.0, 0.0), (0.0, 0.0, 0.3)
     bounds = np.array([(-0.01, 0.01)] * 3 + [(-0.1, 0.1)] * 3)
-    beyond = replace(problem, goals=np.empty((0, 7)), goal_region=TaskSpaceRegion(far, np.eye(4), bounds))
+    beyond = replace(
+        problem, goals=np.empty((0, 7)), goal_region=TaskSpaceRegion(far, np.eye(4), bounds)
+    )
     sample = sample_goals(beyond, np.random.default_rng(0), 5, max_poses=30)
     assert (len(sample.configurations), sample.poses_tried, sample.unreachable) == (0, 30, 30)
     inside = replace(beyond, goal_region=TaskSpaceRegion(base, np.eye(4), bounds))

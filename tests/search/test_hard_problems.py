@@ -1,4 +1,6 @@
-"""Problems at the edge of what makes sense: closed in, without a free goal, with goals by the thousand."""
+"""Problems at the edge of what makes sense:
+closed in, without a free goal, with goals by the thousand.
+"""
 
 from dataclasses import replace
 
@@ -23,7 +25,9 @@ def closed_in(problem):
         for side in (-1.0, 1.0):
             size, offset = np.full(3, 2.0 * HALF), np.zeros(3)
             size[axis], offset[axis] = 0.02, side * HALF
-            plates.append(SceneObject(f"plate {axis} {side:g}", Box(tuple(size)), pose(centre + offset)))
+            plates.append(
+                SceneObject(f"plate {axis} {side:g}", Box(tuple(size)), pose(centre + offset))
+            )
     return replace(problem, scene=Scene("closed box", tuple(plates)))
 
 

@@ -1,4 +1,6 @@
-"""Small roadmaps of what a shorter path can pass through: which draws are kept, and what paths are given."""
+"""Small roadmaps of what a shorter path can pass through:
+which draws are kept, and what paths are given.
+"""
 
 import numpy as np
 import pytest
@@ -24,7 +26,9 @@ def first(problem):
 
 def test_draws_kept_are_free_on_the_manifold_and_on_short_ways(problem, first):
     space, length = ConstrainedSpace(problem), 1.2 * first.length
-    draws = first.spaced(0.02) + np.random.default_rng(0).normal(scale=0.3, size=first.spaced(0.02).shape)
+    draws = first.spaced(0.02) + np.random.default_rng(0).normal(
+        scale=0.3, size=first.spaced(0.02).shape
+    )
     draws = np.clip(draws, problem.robot.lower, problem.robot.upper)
     expected = []
     for q in draws.copy():
@@ -55,7 +59,9 @@ def test_paths_that_cost_more_than_asked_are_not_looked_for(problem):
     assert length_within(100.0) == length_within(np.inf) is not None
 
 
-def test_informed_roadmaps_find_shorter_paths_that_repeat_and_a_straight_path_ends_the_search(problem, first):
+def test_informed_roadmaps_find_shorter_paths_that_repeat_and_a_straight_path_ends_the_search(
+    problem, first
+):
     def better():
         return improve(
             ConstrainedSpace(problem),

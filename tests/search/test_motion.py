@@ -1,4 +1,6 @@
-"""Straight motions: how far they move the robot, and that they are called free only where coal agrees."""
+"""Straight motions:
+how far they move the robot, and that they are called free only where coal agrees.
+"""
 
 import numpy as np
 import pytest
@@ -17,7 +19,11 @@ from experiments.bench.state_checks import near_contact
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 HAMMER = (
     Attachment("handle", Box((0.03, 0.04, 0.5)), pose((0.02, -0.01, 0.3), 0.4)),
-    Attachment("head", ConvexMesh(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 3))), pose((0.0, 0.2, 0.5))),
+    Attachment(
+        "head",
+        ConvexMesh(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 3))),
+        pose((0.0, 0.2, 0.5)),
+    ),
 )
 FINE = 0.002  # [rad]
 
@@ -29,14 +35,16 @@ def placed_points(robot, attachments, configurations):
     solids = [(piece.link, piece.T_link_geometry, piece.vertices) for piece in robot.links]
     solids += [(hand, T_link_hand @ a.T_hand_object, shape_vertices(a.shape)) for a in attachments]
     points = [
-        (vertices @ T[:3, :3].T + T[:3, 3]) @ rotations[:, link].transpose(0, 2, 1) + translations[:, link, None]
+        (vertices @ T[:3, :3].T + T[:3, 3]) @ rotations[:, link].transpose(0, 2, 1)
+        + translations[:, link, None]
         for link, T, vertices in solids
     ]
     return np.concatenate(points, axis=1)
 
 
 @pytest.mark.parametrize(
-    ("name", "attachments"), [("panda", ()), ("panda", HAMMER), ("slider_arm", ()), ("slider_arm", HAMMER)]
+    ("name", "attachments"),
+    [("panda", ()), ("panda", HAMMER), ("slider_arm", ()), ("slider_arm", HAMMER)],
 )
 def test_no_point_moves_further_than_its_swing(request, name, attachments):
     robot = request.getfixturevalue(name)
@@ -44,13 +52,16 @@ def test_no_point_moves_further_than_its_swing(request, name, attachments):
     rng = np.random.default_rng(0)
     before = robot.random_configurations(rng, 1000)
     change = 10.0 ** rng.uniform(-4.0, 0.3, (1000, 1)) * rng.standard_normal(before.shape)
-    change[:300] *= np.eye(robot.dof)[rng.integers(robot.dof, size=300)]  # one joint at a time comes closest
+    # one joint at a time comes closest
+    change[:300] *= np.eye(robot.dof)[rng.integers(robot.dof, size=300)]
     after = np.clip(before + change, robot.lower, robot.upper)
     moved = placed_points(robot, attachments, after) - placed_points(robot, attachments, before)
     furthest = np.linalg.norm(moved, axis=2).max(axis=1)
     allowed = np.abs(after - before) @ bound
     assert (furthest <= allowed + 1e-12).all()
-    assert (furthest / allowed).max() > 0.8, "a bound this loose would make every motion slow to check"
+    assert (furthest / allowed).max() > 0.8, (
+        "a bound this loose would make every motion slow to check"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +75,9 @@ def motions(kitchen_space):
     rng, robot = np.random.default_rng(0), kitchen_space.robot
     contacts = np.repeat(near_contact(kitchen_space.problem, kitchen_space, rng, 1000), 30, axis=0)
     away = rng.standard_normal((2, *contacts.shape))
-    away *= rng.uniform(0.0, 0.15, (2, len(contacts), 1)) / np.linalg.norm(away, axis=2, keepdims=True)
+    away *= rng.uniform(0.0, 0.15, (2, len(contacts), 1)) / np.linalg.norm(
+        away, axis=2, keepdims=True
+    )
     a, b = np.clip(contacts + away, robot.lower, robot.upper)
     free = all_free(kitchen_space, np.stack([a, b], axis=1))
     return a[free], b[free]
@@ -73,7 +86,9 @@ def motions(kitchen_space):
 @pytest.fixture(scope="module")
 def answers(kitchen_space, motions):
     """What motion_free says of each of the motions, (k,)."""
-    return np.array([motion_free(kitchen_space.arrays, a, b) for a, b in zip(*motions, strict=True)])
+    return np.array(
+        [motion_free(kitchen_space.arrays, a, b) for a, b in zip(*motions, strict=True)]
+    )
 
 
 def all_free(space, states):
@@ -100,7 +115,9 @@ def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
     assert [k for k, states in motions.items() if checker.in_collision_batch(states).any()] == []
 
 
-def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(kitchen_space, motions, answers):
+def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(
+    kitchen_space, motions, answers
+):
     sampled = all_free(kitchen_space, along(motions, kitchen_space.settings.resolution))
     assert (~sampled).sum() >= 30 and answers[~sampled].mean() <= 0.1
     assert (answers != sampled).mean() < 0.02
@@ -114,7 +131,9 @@ def test_both_backends_judge_motions_alike(kitchen_space, motions, answers):
 
 
 def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
-    """One finger sweeps past a small ball at its tip; with the ball below the tip, the motion is free."""
+    """One finger sweeps past a small ball at its tip;
+    with the ball below the tip, the motion is free.
+    """
     a, b = HOME - 0.1 * np.eye(7)[0], HOME + 0.1 * np.eye(7)[0]
 
     def answer(depth):

@@ -1,4 +1,6 @@
-"""The index of growing trees: always the node that a plain search finds, the first one among equals."""
+"""The index of growing trees:
+always the node that a plain search finds, the first one among equals.
+"""
 
 import numpy as np
 import pytest
@@ -29,7 +31,8 @@ def queries(rng, nodes, count):
     """Near the nodes, between them, and far away."""
     picks = nodes[rng.integers(len(nodes), size=(count, 2))]
     spread = 10.0 ** rng.uniform(-4.0, 0.7, (count, 1))
-    share = rng.uniform(size=(count, 1))  # never half way, where two nodes are equally far but for rounding
+    # never half way, where two nodes are equally far but for rounding
+    share = rng.uniform(size=(count, 1))
     between = picks[:, 0] + share * (picks[:, 1] - picks[:, 0])
     return np.concatenate([picks[:, 0] + spread * rng.standard_normal(between.shape), between])
 

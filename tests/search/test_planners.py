@@ -59,9 +59,11 @@ def test_every_planner_solves_a_place_problem(problem, name):
         assert result.status is LENIENT[name]
         assert solution.simplified is None and solution.certificate is None and not solution.solved
         return
-    assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)[:-1]) > 0  # no clearances are read
+    # no clearances are read
+    assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)[:-1]) > 0
     assert solution.certificate.reasons == () and solution.solved
-    assert name in LENIENT or certify(problem, result.path, clearance=False).reasons == ()  # not simplified
+    # not simplified
+    assert name in LENIENT or certify(problem, result.path, clearance=False).reasons == ()
     np.testing.assert_array_equal(result.path.states[0], problem.start)
     assert (problem.goals == result.path.states[-1]).all(axis=1).any()
 
@@ -81,7 +83,8 @@ def test_another_process_finds_the_same_paths(problem, tmp_path):
         "import sys; sys.path.append('..')\n"  # where process_memory is
         "from test_planners import *\n"
         "problem = PlanningProblem.load(sys.argv[1])\n"
-        "print(*(states_hash(plan(problem, name, ENOUGH, seed=3).path.states) for name in sys.argv[2:]))\n"
+        "print(*(states_hash(plan(problem, name, ENOUGH, seed=3).path.states) for name in "
+        "sys.argv[2:]))\n"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "problem.json"), *names]
     there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True)
@@ -92,9 +95,13 @@ def test_another_process_finds_the_same_paths(problem, tmp_path):
 def test_backends_find_the_same_path(problem):
     """Where coal and the kernels agree on every state asked, the planner cannot tell them apart.
 
-    Only the number of checks differs: with distances at hand, stretches of a motion are cleared at once.
+    Only the number of checks differs: with distances at hand, stretches of a motion are cleared at
+    once.
     """
-    compiled, exact = plan(problem, "birrt", ENOUGH), plan(problem, "birrt", ENOUGH, backend="exact")
+    compiled, exact = (
+        plan(problem, "birrt", ENOUGH),
+        plan(problem, "birrt", ENOUGH, backend="exact"),
+    )
     assert states_hash(compiled.path.states) == states_hash(exact.path.states)
     assert compiled.counters.projections == exact.counters.projections
     assert compiled.counters.state_checks < exact.counters.state_checks
@@ -121,7 +128,9 @@ def test_spent_budgets_are_named_and_give_no_path(problem, name, budget, status)
 def test_unknown_names_are_listed(problem):
     with pytest.raises(UnknownChoiceError, match=r"planner 'rrt'; valid choices: birrt.*tb-rrt"):
         planner_named("rrt")
-    with pytest.raises(UnknownChoiceError, match="backend 'bullet'; valid choices: compiled, exact"):
+    with pytest.raises(
+        UnknownChoiceError, match="backend 'bullet'; valid choices: compiled, exact"
+    ):
         ConstrainedSpace(problem, "bullet")
 
 
@@ -164,7 +173,9 @@ def test_any_distribution_is_sampled_and_named(problem, solution):
     means = solution.simplified.path.states[::20]
     k = len(means)
     uniform = Uniform(problem.robot.lower, problem.robot.upper)
-    guide = GaussianMixture(means, np.tile(0.05 * np.eye(7), (k, 1, 1)), np.full(k, 1 / k), uniform, 0.1)
+    guide = GaussianMixture(
+        means, np.tile(0.05 * np.eye(7), (k, 1, 1)), np.full(k, 1 / k), uniform, 0.1
+    )
     result = plan(problem, sampling(guide), ENOUGH)
     assert result.status is PlanStatus.SOLVED and result.sampler == "gaussian-mixture"
     assert plan(problem, "birrt", Budget(iterations=1)).sampler == "uniform"
@@ -182,13 +193,17 @@ def test_without_a_constraint(problem):
     for name in ("ompl-projected", "atlas-rrt", "tb-rrt"):
         solutions = [solve(free, name, ENOUGH, seed=0) for _ in range(2)]
         assert all(found.solved and found.plan.sampler == "uniform" for found in solutions)
-        assert np.array_equal(*(found.plan.path.states for found in solutions)), "the same seed, the same path"
+        assert np.array_equal(*(found.plan.path.states for found in solutions)), (
+            "the same seed, the same path"
+        )
 
 
 @pytest.mark.parametrize("name", PLANNERS)
 def test_a_start_that_is_a_goal_is_solved(problem, name):
     there = replace(problem, goals=problem.start[None], goal_region=None)
-    solution = solve(there, planner_named(name), Budget(seconds=10.0), seed=0, optimize=Budget(seconds=0.02))
+    solution = solve(
+        there, planner_named(name), Budget(seconds=10.0), seed=0, optimize=Budget(seconds=0.02)
+    )
     assert solution.solved and solution.simplified.path.length < 0.5
     assert 0.0 <= solution.improvement.gained <= 1.0
 
@@ -222,10 +237,18 @@ def test_exceptions_in_state_checks_come_out(problem, name):
 
 @pytest.mark.parametrize("manifold", STATE_SPACES)
 def test_ompl_keeps_nothing_of_a_run(problem, manifold):
-    """Python's collector does not see what OMPL's objects hold: a circle through them would last for ever."""
+    """Python's collector does not see what OMPL's objects hold:
+    a circle through them would last for ever.
+    """
     space = ConstrainedSpace(problem)
     uniform = Uniform(problem.robot.lower, problem.robot.upper)
-    arguments = problem.start, problem.goals, uniform, Budget(iterations=3), np.random.default_rng(0)
+    arguments = (
+        problem.start,
+        problem.goals,
+        uniform,
+        Budget(iterations=3),
+        np.random.default_rng(0),
+    )
     OmplSearch(manifold).search(space, *arguments)
     kept = weakref.ref(space)
     del space

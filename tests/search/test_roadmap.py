@@ -1,4 +1,6 @@
-"""Roadmaps over a roadmap, on the real kitchen; nodes are random configurations, so no weights are needed."""
+"""Roadmaps over a roadmap, on the real kitchen;
+nodes are random configurations, so no weights are needed.
+"""
 
 from dataclasses import replace
 
@@ -15,7 +17,13 @@ from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE, nearest_nodes
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.query import Deadline, GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.roadmap import Roadmap, RoadmapPath, RoadmapQuery, RoadmapSearchSettings, scene_costs
+from cvqmpt_lab.search.roadmap import (
+    Roadmap,
+    RoadmapPath,
+    RoadmapQuery,
+    RoadmapSearchSettings,
+    scene_costs,
+)
 from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.suites.place_task import place_problem, single_goal_problem
 
@@ -69,7 +77,8 @@ def test_a_roadmap_path_is_certified_and_repeats(problem, roadmap):
     assert result.status is PlanStatus.SOLVED
     assert certify(problem, result.path).valid
     np.testing.assert_array_equal(result.path.states[0], problem.start)
-    again = plan(problem, RoadmapPath(roadmap, "roadmap"), seed=3)  # nothing in it is random unless birrt must help
+    # nothing in it is random unless birrt must help
+    again = plan(problem, RoadmapPath(roadmap, "roadmap"), seed=3)
     if not result.fallback:
         np.testing.assert_array_equal(result.path.states, again.path.states)
 
@@ -124,7 +133,9 @@ def test_edges_read_to_their_end_cost_what_the_whole_motion_does(problem, roadma
             continue  # an end has moved since
         a, b = graph.nodes[row], graph.nodes[there]
         nll = nll_of(space, costs, a, b)
-        believed = np.logaddexp(0.0, -costs.slope * max(graph.lowest[row, slot], NEAREST) - costs.bias)
+        believed = np.logaddexp(
+            0.0, -costs.slope * max(graph.lowest[row, slot], NEAREST) - costs.bias
+        )
         if read >= readings.py_func(costs, np.linalg.norm(b - a)):
             whole += 1
             assert believed == pytest.approx(nll, abs=1e-6)

@@ -30,7 +30,9 @@ def fresh(robot, attachments=(), **options):
 
 
 def chain(kinds, reach):
-    """A URDF of joints one after the other, each with a box of its own; reach: of a joint [m or rad]."""
+    """A URDF of joints one after the other, each with a box of its own; reach:
+    of a joint [m or rad].
+    """
     text = '<robot name="chain"><link name="l0"/>'
     for j, kind in enumerate(kinds, start=1):
         axis = " ".join("1" if a == j % 3 else "0" for a in range(3))
@@ -71,7 +73,8 @@ def test_joints_that_turn_twice_get_nodes_near_the_turn_of_the_start():
     start = np.full(6, 4.0)
     near = fresh(robot).near(start, robot).nodes
     assert (near >= robot.lower).all() and (near <= robot.upper).all()
-    assert np.abs(near - start).mean() < 2.0  # a quarter turn on average; more where limits cut a turn off
+    # a quarter turn on average; more where limits cut a turn off
+    assert np.abs(near - start).mean() < 2.0
     panda = robot_from_source({"name": "panda"})
     roadmap = fresh(panda)
     assert roadmap.near(np.zeros(7), panda) is roadmap
@@ -99,7 +102,9 @@ def test_a_spoilt_or_foreign_file_of_the_cache_is_made_anew(cache, slider_arm, s
     np.testing.assert_array_equal(again.neighbours, made.neighbours)
 
 
-def test_without_a_place_for_the_cache_a_roadmap_is_made_all_the_same(slider_arm, tmp_path, monkeypatch):
+def test_without_a_place_for_the_cache_a_roadmap_is_made_all_the_same(
+    slider_arm, tmp_path, monkeypatch
+):
     made = fresh(slider_arm)
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
@@ -109,7 +114,9 @@ def test_without_a_place_for_the_cache_a_roadmap_is_made_all_the_same(slider_arm
 
 
 @pytest.mark.parametrize("fault", [(28, "No space left on device"), (30, "Read-only file system")])
-def test_a_full_or_read_only_cache_keeps_nothing_and_a_roadmap_is_made(cache, slider_arm, monkeypatch, fault):
+def test_a_full_or_read_only_cache_keeps_nothing_and_a_roadmap_is_made(
+    cache, slider_arm, monkeypatch, fault
+):
     def refused(*arguments):
         raise OSError(*fault)
 
@@ -121,7 +128,9 @@ def test_a_full_or_read_only_cache_keeps_nothing_and_a_roadmap_is_made(cache, sl
     assert len(list(cache.iterdir())) == 1
 
 
-@pytest.mark.parametrize("kinds", [("revolute",), ("prismatic",), ("prismatic",) * 3, ("revolute",) * 12], ids=len)
+@pytest.mark.parametrize(
+    "kinds", [("revolute",), ("prismatic",), ("prismatic",) * 3, ("revolute",) * 12], ids=len
+)
 def test_robots_of_one_slider_or_twelve_joints_have_a_roadmap(tmp_path, kinds):
     (tmp_path / "chain.urdf").write_text(chain(kinds, reach=1.0 if len(kinds) == 1 else 0.4))
     robot = load_robot(tmp_path / "chain.urdf", f"l{len(kinds)}")
@@ -136,19 +145,30 @@ def test_a_load_larger_than_the_robot_leaves_no_nodes_and_birrt_plans(slider_arm
     assert len(none.nodes) == 0
     start, goal = fresh(slider_arm).nodes[:2]
     problem = PlanningProblem("few", slider_arm, EMPTY, start, goal[None])
-    solution = solve(problem, Method.simple("few", predict=RoadmapPath(none, "few")), Budget(seconds=2.0), 0)
+    solution = solve(
+        problem, Method.simple("few", predict=RoadmapPath(none, "few")), Budget(seconds=2.0), 0
+    )
     assert solution.solved and solution.plan.fallback == "birrt: 0 nodes are no roadmap"
 
 
 def test_where_every_edge_is_blocked_birrt_searches_within_the_budget(problem):
     """Five hundred balls in the arm's reach, none where it stands at the start or at a goal."""
-    rng, problem = np.random.default_rng(0), replace(problem, constraint=(), goals=problem.goals[:1])
+    rng, problem = (
+        np.random.default_rng(0),
+        replace(problem, constraint=(), goals=problem.goals[:1]),
+    )
     ends = np.concatenate([problem.start[None], problem.goals])
     centres = rng.uniform((-0.7, -0.7, 0.0), (0.7, 0.7, 1.2), (500, 3))
     alone = [replace(problem, scene=Scene("ball", (ball(centre),))) for centre in centres]
-    kept = [c for c, one in zip(centres, alone, strict=True) if ConstrainedSpace(one).valid_batch(ends).all()]
+    kept = [
+        c
+        for c, one in zip(centres, alone, strict=True)
+        if ConstrainedSpace(one).valid_batch(ends).all()
+    ]
     scene = Scene("balls", tuple(ball(centre, str(i)) for i, centre in enumerate(kept)))
-    plan = solve(replace(problem, scene=scene), "roadmap", Budget(seconds=0.5), 0, clearance=False).plan
+    plan = solve(
+        replace(problem, scene=scene), "roadmap", Budget(seconds=0.5), 0, clearance=False
+    ).plan
     assert plan.status is PlanStatus.TIMEOUT and plan.fallback.startswith("birrt around ")
     assert plan.seconds < 1.0
 

@@ -25,7 +25,9 @@ def simplified(space, path, settings, seed=0):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_shorter_certified_and_between_the_same_ends_of_a_path_that_stays_as_it_was(problem, solution, space, seed):
+def test_shorter_certified_and_between_the_same_ends_of_a_path_that_stays_as_it_was(
+    problem, solution, space, seed
+):
     raw, before = solution.plan.path, states_hash(solution.plan.path.states)
     result = simplified(space, raw, LONG, seed)
     assert states_hash(raw.states) == before
@@ -45,7 +47,9 @@ def test_every_round_is_at_most_as_long(solution, space):
 def test_one_seed_gives_one_path_with_either_backend(problem, solution):
     how = ("compiled", 7), ("compiled", 7), ("exact", 7), ("compiled", 8)
     spaces = ((ConstrainedSpace(problem, backend), seed) for backend, seed in how)
-    one, *same, other = (simplified(space, solution.plan.path, LONG, seed).path for space, seed in spaces)
+    one, *same, other = (
+        simplified(space, solution.plan.path, LONG, seed).path for space, seed in spaces
+    )
     assert [states_hash(path.states) for path in same] == 2 * [states_hash(one.states)]
     assert states_hash(other.states) != states_hash(one.states)
 
@@ -59,7 +63,10 @@ def test_no_attempts_change_nothing(solution, space, settings):
 
 def test_attempts_seconds_and_patience_bound_the_work(solution, space):
     path = solution.plan.path
-    work = [simplified(space, path, replace(LONG, attempts=n)).counters.projections for n in (1, 20, 200)]
+    work = [
+        simplified(space, path, replace(LONG, attempts=n)).counters.projections
+        for n in (1, 20, 200)
+    ]
     assert work[0] < work[1] < work[2]
     settings = SimplifySettings(attempts=10**6, seconds=0.05, patience=10**6)
     assert simplified(space, path, settings).seconds < 1.0
@@ -70,7 +77,9 @@ def test_attempts_seconds_and_patience_bound_the_work(solution, space):
 
 def test_tiny_paths_pass_through(problem, space):
     for states in (problem.start[None], np.array([problem.start, problem.start])):
-        np.testing.assert_array_equal(simplified(space, JointPath(states), LONG).path.states, states)
+        np.testing.assert_array_equal(
+            simplified(space, JointPath(states), LONG).path.states, states
+        )
 
 
 def test_a_detour_is_cut(problem, space):
@@ -82,7 +91,11 @@ def test_a_detour_is_cut(problem, space):
     assert simplified(space, JointPath(states), LONG).path.length < 0.1
 
 
-@pytest.mark.parametrize("bad", [{"attempts": -1}, {"seconds": 0.0}, {"seconds": np.nan}, {"patience": 0}])
+@pytest.mark.parametrize(
+    "bad", [{"attempts": -1}, {"seconds": 0.0}, {"seconds": np.nan}, {"patience": 0}]
+)
 def test_unusable_bounds_are_refused(bad):
-    with pytest.raises(InvalidInputError, match=f"positive.*{next(iter(bad))}={next(iter(bad.values()))}"):
+    with pytest.raises(
+        InvalidInputError, match=f"positive.*{next(iter(bad))}={next(iter(bad.values()))}"
+    ):
         SimplifySettings(**bad)

@@ -45,7 +45,9 @@ def tight(problem):
 
 def test_nothing_is_doubtful_in_ordinary_problems(problem):
     assert ConstrainedSpace(problem).doubtful == ()
-    roomy = with_block(problem, problem.start, touching_distance(problem, problem.start) + 5.0 * MARGIN)
+    roomy = with_block(
+        problem, problem.start, touching_distance(problem, problem.start) + 5.0 * MARGIN
+    )
     assert ConstrainedSpace(roomy).doubtful == ()
 
 
@@ -57,7 +59,9 @@ def test_a_start_closer_than_the_margin_is_doubtful_and_allowed(tight):
 
 
 def test_exact_checks_answer_near_it_only(tight):
-    """A goal in the same place is doubtful by its own name; the start's neighbours are judged by coal."""
+    """A goal in the same place is doubtful by its own name;
+    the start's neighbours are judged by coal.
+    """
     space, exact = ConstrainedSpace(tight), tight.collision_checker()
     cautious = tight.collision_checker(MARGIN)
     rng = np.random.default_rng(0)
@@ -92,12 +96,20 @@ def test_what_touches_is_not_doubtful_but_refused(problem):
     [
         (Cylinder(3e5, 0.1), 0.0, r"attachment 'can' reaches 3e\+05 m, more than 20"),
         (Box((0.1,) * 3), 50.0, r"attachment 'can' reaches 50\.1 m, more than 20"),
-        (Cylinder(5.0, 5.0), 0.0, r"attachment 'can' is .* 5 m large, too large to plan with: give sizes in"),
+        (
+            Cylinder(5.0, 5.0),
+            0.0,
+            r"attachment 'can' is .* 5 m large, too large to plan with: give sizes in",
+        ),
         (Box((15.0, 15.0, 0.01)), 0.0, r"attachment 'can' is 15 x 15 x .* m large"),
     ],
 )
-def test_what_is_too_large_to_carry_is_named_before_it_is_cut(problem, monkeypatch, shape, x, message):
-    monkeypatch.setattr(collision_arrays, "stored_robot_geometry", lambda *given: pytest.fail("it was cut"))
+def test_what_is_too_large_to_carry_is_named_before_it_is_cut(
+    problem, monkeypatch, shape, x, message
+):
+    monkeypatch.setattr(
+        collision_arrays, "stored_robot_geometry", lambda *given: pytest.fail("it was cut")
+    )
     carried = (Attachment("can", shape, pose((x, 0.0, 0.0))),)
     with pytest.raises(InvalidInputError, match=message):
         collision_arrays.robot_arrays(problem.robot, carried)

@@ -16,7 +16,9 @@ from cvqmpt_lab.sensing.virtual import arm_objects, solids_of
 
 ARM_AT = np.array([0.0, -0.6, 0.0, -2.4, 0.0, 1.9, 0.8])
 TABLE = SceneObject("table", Box((0.7, 1.2, 0.04)), pose((0.65, 0.0, -0.02)))
-SCENE = Scene("bench", (TABLE, SceneObject("crate", Box((0.12, 0.12, 0.2)), pose((0.6, 0.3, 0.1), 0.4))))
+SCENE = Scene(
+    "bench", (TABLE, SceneObject("crate", Box((0.12, 0.12, 0.2)), pose((0.6, 0.3, 0.1), 0.4)))
+)
 LENS = Intrinsics.from_fov(width=200, height=160, vertical_fov=55.0, near=0.2)
 CAMERA = Camera(LENS, look_at((-0.5, -0.6, 1.1), (0.6, 0.0, 0.1)))
 

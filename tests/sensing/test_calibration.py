@@ -1,4 +1,6 @@
-"""A camera's pose is found from the arm that it sees, or doubted: `cvqmpt bench calibration` counts over many scans."""
+"""A camera's pose is found from the arm that it sees, or doubted:
+`cvqmpt bench calibration` counts over many scans.
+"""
 
 import json
 
@@ -46,7 +48,11 @@ def test_a_pose_that_is_trusted_is_right(scan):
 def test_a_wrong_configuration_is_refused(scan, joint):
     rng = np.random.default_rng(0)
     robot = scan.arm.robot
-    q = robot.random_configurations(rng, 1)[0] if joint is None else scan.arm.q + 0.3 * np.eye(7)[joint]
+    q = (
+        robot.random_configurations(rng, 1)[0]
+        if joint is None
+        else scan.arm.q + 0.3 * np.eye(7)[joint]
+    )
     assert calibrate(scan.points, scan.T_world_guess, Arm(robot, q), rng).doubts
 
 
@@ -56,7 +62,9 @@ def test_an_arm_that_is_not_in_the_picture_is_refused(scan):
     beside = turned @ away[:3, :3]
     gone = near_robot(turned + scan.T_world_camera[:3, 3], *scan.arm, margin=0.05)
     found = calibrate(beside[~gone], away, scan.arm, np.random.default_rng(0))
-    assert any("too little of the arm" in doubt or "configuration" in doubt for doubt in found.doubts)
+    assert any(
+        "too little of the arm" in doubt or "configuration" in doubt for doubt in found.doubts
+    )
 
 
 def test_a_camera_that_saw_nothing_is_an_error(scan):
@@ -66,9 +74,13 @@ def test_a_camera_that_saw_nothing_is_an_error(scan):
 
 def test_the_command_writes_a_pose_only_if_it_is_trusted(scan, tmp_path, capsys):
     np.save(tmp_path / "scan.npy", scan.points)
-    (tmp_path / "rough.json").write_text(json.dumps({"T_world_camera": scan.T_world_guess.tolist()}))
+    (tmp_path / "rough.json").write_text(
+        json.dumps({"T_world_camera": scan.T_world_guess.tolist()})
+    )
     for q, code in ((scan.arm.q, 0), (scan.arm.q + 0.3 * np.eye(7)[1], 1)):
         out = tmp_path / f"cam{code}.json"
         words = ["calibrate", str(tmp_path / "scan.npy"), "--guess", str(tmp_path / "rough.json")]
         assert main([*words, "--arm-at=" + ",".join(map(str, q)), "--out", str(out)]) == code
-        assert out.exists() == (code == 0) and ("not trusted" in capsys.readouterr().out) == (code == 1)
+        assert out.exists() == (code == 0) and ("not trusted" in capsys.readouterr().out) == (
+            code == 1
+        )

@@ -66,7 +66,8 @@ EXTRINSICS = {
     "rounded.json": json.dumps(T.round(4).tolist()),
     "quaternion.json": json.dumps({"xyz": [0.1, -0.5, 0.9], "quaternion": XYZW}),
     "angles.yaml": "xyz: [0.1, -0.5, 9e-1]\nrpy: [-2.0, 0.1, 0.3]\n",
-    "ros.yaml": f"translation: {{x: 0.1, y: -0.5, z: 0.9}}\nrotation: {dict(zip('xyzw', XYZW, strict=True))}\n",
+    "ros.yaml": f"translation: {{x: 0.1, y: -0.5, z: 0.9}}\nrotation: "
+    f"{dict(zip('xyzw', XYZW, strict=True))}\n",
     "lists.json": json.dumps({"translation": [0.1, -0.5, 0.9], "rotation": XYZW}),
 }
 
@@ -84,7 +85,10 @@ BAD_EXTRINSICS = {
     "scaled": ((np.diag([1.1, 1.1, 1.1, 1.0]) @ T).tolist(), "not orthonormal"),
     "mirrored": ((T * [1, 1, -1, 1]).tolist(), "mirrored"),
     "three rows": (T[:3].tolist(), r"shape \(3, 4\)"),
-    "long quaternion": ({"xyz": [0, 0, 0], "quaternion": [1, 1, 0, 0]}, "length 1.414; it must be 1"),
+    "long quaternion": (
+        {"xyz": [0, 0, 0], "quaternion": [1, 1, 0, 0]},
+        "length 1.414; it must be 1",
+    ),
     "no w": ({"translation": [0, 0, 0], "rotation": {"x": 0, "y": 0, "z": 1}}, "quaternion"),
     "words": ({"xyz": "here"}, "xyz"),
     "number": (3, "T_world_camera"),
@@ -103,19 +107,31 @@ BAD_YAML = {
 
 
 BAD = [
-    *((read_intrinsics, "bad.json", json.dumps(data), message) for data, message in BAD_INTRINSICS.values()),
-    *((read_extrinsics, "bad.json", json.dumps(data), message) for data, message in BAD_EXTRINSICS.values()),
+    *(
+        (read_intrinsics, "bad.json", json.dumps(data), message)
+        for data, message in BAD_INTRINSICS.values()
+    ),
+    *(
+        (read_extrinsics, "bad.json", json.dumps(data), message)
+        for data, message in BAD_EXTRINSICS.values()
+    ),
     *((read_extrinsics, "bad.yaml", text, message) for text, message in BAD_YAML.values()),
 ]
 
 
-@pytest.mark.parametrize(("read", "name", "text", "message"), BAD, ids=[*BAD_INTRINSICS, *BAD_EXTRINSICS, *BAD_YAML])
+@pytest.mark.parametrize(
+    ("read", "name", "text", "message"), BAD, ids=[*BAD_INTRINSICS, *BAD_EXTRINSICS, *BAD_YAML]
+)
 def test_bad_files_are_refused_by_field_in_one_line(read, name, text, message, tmp_path):
     path = tmp_path / name
     path.write_text(text)
     with pytest.raises(CvqmptError, match=message) as caught:
         read(path)
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 400
+    assert (
+        str(path) in str(caught.value)
+        and "\n" not in str(caught.value)
+        and len(str(caught.value)) < 400
+    )
 
 
 def test_another_suffix_is_refused(tmp_path):

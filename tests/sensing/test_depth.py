@@ -1,4 +1,6 @@
-"""Depth images and clouds become points where they were seen; what contradicts itself is refused by name."""
+"""Depth images and clouds become points where they were seen;
+what contradicts itself is refused by name.
+"""
 
 import struct
 import zlib
@@ -51,7 +53,9 @@ def lying_png(path):
     """A header of a billion pixels before a few bytes."""
     body = struct.pack(">IIBBBBB", 32000, 32000, 16, 0, 0, 0, 0)
     chunks = [(b"IHDR", body), (b"IDAT", zlib.compress(bytes(100))), (b"IEND", b"")]
-    parts = [struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in chunks]
+    parts = [
+        struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in chunks
+    ]
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
 
 

@@ -20,7 +20,9 @@ def test_points_near_the_robot_are_found_as_coal_measures_them(name):
     near = near_robot(points, robot, q, MARGIN)
     distances = np.array([distance_to(robot, q, point) for point in points])
     assert near[distances < MARGIN - 1e-4].all() and (distances < MARGIN).sum() > 20
-    assert not near[distances > np.sqrt(3) * MARGIN].any(), "corners reach no farther than those of a cube"
+    assert not near[distances > np.sqrt(3) * MARGIN].any(), (
+        "corners reach no farther than those of a cube"
+    )
     assert near.sum() < 1.5 * (distances < MARGIN).sum()
 
 
@@ -34,7 +36,9 @@ def distance_to(robot, q, point):
     distances = []
     for item, T in zip(geometry.geometryObjects, placed.oMg, strict=True):
         there, result = coal.Transform3s(T.rotation, T.translation), coal.DistanceResult()
-        distances.append(coal.distance(item.geometry, there, coal.Sphere(1e-9), here, request, result))
+        distances.append(
+            coal.distance(item.geometry, there, coal.Sphere(1e-9), here, request, result)
+        )
     return min(distances)
 
 
@@ -54,6 +58,8 @@ def test_voxels_keep_means_and_cells(voxel):
     cells = {}
     for point in points:
         cells.setdefault(tuple(np.floor((point - low) / voxel).astype(int)), []).append(point)
-    np.testing.assert_allclose(means, [np.mean(cells[key], axis=0) for key in sorted(cells)], atol=1e-12)
+    np.testing.assert_allclose(
+        means, [np.mean(cells[key], axis=0) for key in sorted(cells)], atol=1e-12
+    )
     with pytest.raises(InvalidInputError, match="voxel of 1e-07 m is too small"):
         voxel_means(900.0 * points, 1e-7)

@@ -97,7 +97,9 @@ def test_errors_depend_on_the_seed_alone_and_offsets_are_the_images():
     np.testing.assert_array_equal(one, same)
     assert (one != other).any()
     offset = DepthNoise(**{item.name: 0.0 for item in fields(DepthNoise)} | {"offset": 0.0037})
-    means = [np.mean(np.subtract(*seen(plate(1.5), of_one(0.8), offset, seed))) for seed in range(25)]
+    means = [
+        np.mean(np.subtract(*seen(plate(1.5), of_one(0.8), offset, seed))) for seed in range(25)
+    ]
     assert np.std(means) == pytest.approx(0.0037, rel=0.4)
 
 

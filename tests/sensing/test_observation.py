@@ -1,4 +1,6 @@
-"""What networks are shown: the scene's own cloud, the cameras' view of shapes, or a cloud that was given."""
+"""What networks are shown:
+the scene's own cloud, the cameras' view of shapes, or a cloud that was given.
+"""
 
 import numpy as np
 import pytest
@@ -73,7 +75,9 @@ def test_a_rendered_cloud_is_kept_on_disk_and_the_same_from_there(tmp_path, monk
     assert len(Observer()(changed)) and len(Observer(seed=1)(problem.scene)) and len(rendered) == 3
 
 
-def test_of_cached_arrays_the_oldest_are_deleted_and_without_a_cache_they_are_made(tmp_path, monkeypatch):
+def test_of_cached_arrays_the_oldest_are_deleted_and_without_a_cache_they_are_made(
+    tmp_path, monkeypatch
+):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(kept, "MOST", 2)
     for key in (b"a", b"b", b"c"):

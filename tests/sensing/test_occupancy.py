@@ -1,4 +1,6 @@
-"""Maps hold what was seen, unknown space is what no ray crossed, and the truth may differ from both."""
+"""Maps hold what was seen, unknown space is what no ray crossed, and the truth may differ from
+both.
+"""
 
 from dataclasses import replace
 
@@ -33,7 +35,9 @@ def grid(spacing, x, half=0.5, height=0.8):
 def occupied(scanned, places):
     """Whether each place (k, 3) [m] is in an occupied cell."""
     taken = {tuple(cell) for cell in scanned.cells.astype(int)}
-    return [tuple(cell) in taken for cell in np.floor(np.array(places) / scanned.resolution).astype(int)]
+    return [
+        tuple(cell) in taken for cell in np.floor(np.array(places) / scanned.resolution).astype(int)
+    ]
 
 
 def sight(origin, points):
@@ -42,7 +46,9 @@ def sight(origin, points):
 
 
 def test_unknown_is_what_lies_behind(panda):
-    """A plate at x = 0.2, seen from x = -1: free before it, unknown behind it, known beside its shadow."""
+    """A plate at x = 0.2, seen from x = -1:
+    free before it, unknown behind it, known beside its shadow.
+    """
     plate, back = grid(0.01, 0.2, half=0.15, height=0.3), grid(0.01, 1.5, half=2.0, height=2.0)
     way = (back - EYE) * ((0.2 - EYE[0]) / (1.5 - EYE[0]))
     hidden = (np.abs(EYE[1] + way[:, 1]) < 0.16) & (EYE[2] + way[:, 2] < 0.31)
@@ -64,7 +70,9 @@ def test_rays_cross_what_fine_samples_of_them_are_in():
     scanned = occupancy_map(np.empty((0, 3)), ROOM, [sight(origin, ends)])
     to_cells = (np.floor(ends / 0.02) + 0.5) * 0.02
     walked = origin + np.linspace(0.0, 1.0, 4000)[:, None, None] * (to_cells - origin)
-    inside = ((walked > np.array(ROOM.lower) + 1e-6) & (walked < np.array(ROOM.upper) - 1e-6)).all(axis=-1)
+    inside = ((walked > np.array(ROOM.lower) + 1e-6) & (walked < np.array(ROOM.upper) - 1e-6)).all(
+        axis=-1
+    )
     assert inside.sum() > 1000 and not any(occupied(scanned, walked[inside]))
     box = np.prod(np.round(np.subtract(ROOM.upper, ROOM.lower) / 0.02))
     few = len(np.unique(np.floor(walked[inside] / 0.02), axis=0))
@@ -76,7 +84,10 @@ def test_rays_cross_what_fine_samples_of_them_are_in():
     [
         (MapSettings(), "no point is left"),
         (ROOM, "captures with their cameras"),
-        (MapSettings(unknown="occupied", resolution=1e-3, upper=(50.0, 50.0, 50.0)), "smaller box or larger"),
+        (
+            MapSettings(unknown="occupied", resolution=1e-3, upper=(50.0, 50.0, 50.0)),
+            "smaller box or larger",
+        ),
     ],
 )
 def test_maps_that_cannot_be_are_refused(settings, message):

@@ -18,15 +18,25 @@ FRONT = (0.4, 0.1, -0.05)
 
 
 def table(rng, count=6000):
-    """A table of 0.8 x 1 m whose near edge is at the origin, things on it, a wall behind, noise: points (m, 3)."""
-    top = np.c_[rng.uniform(0, 0.8, count), rng.uniform(-0.5, 0.5, count), 0.002 * rng.standard_normal(count)]
+    """A table of 0.8 x 1 m whose near edge is at the origin, things on it, a wall behind, noise:
+    points (m, 3).
+    """
+    top = np.c_[
+        rng.uniform(0, 0.8, count),
+        rng.uniform(-0.5, 0.5, count),
+        0.002 * rng.standard_normal(count),
+    ]
     boxes = rng.uniform((0.3, -0.1, 0.0), (0.5, 0.2, 0.15), (count // 4, 3))
-    wall = np.c_[np.full(count // 2, 1.6), rng.uniform(-1, 1, count // 2), rng.uniform(-0.5, 1, count // 2)]
+    wall = np.c_[
+        np.full(count // 2, 1.6), rng.uniform(-1, 1, count // 2), rng.uniform(-0.5, 1, count // 2)
+    ]
     return np.concatenate([top, boxes, wall])
 
 
 def camera_pose(pitch, roll=0.0):
-    """T_world_camera of an optical frame that looks along x, `pitch` [deg] down, from before the table."""
+    """T_world_camera of an optical frame that looks along x, `pitch` [deg] down, from before the
+    table.
+    """
     T = np.eye(4)
     ahead_right = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])  # columns: right, down, ahead
     T[:3, :3] = Rotation.from_euler("y", pitch, degrees=True).as_matrix() @ ahead_right

@@ -1,4 +1,6 @@
-"""Views of virtual cameras: rays against a search along them, what is culled, what faces whom, points of images."""
+"""Views of virtual cameras:
+rays against a search along them, what is culled, what faces whom, points of images.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +25,9 @@ def tilted(xyz, yaw, roll):
 
 @pytest.fixture(scope="module")
 def mixed():
-    """Every kind of shape, turned, one behind the other, one half outside the picture, one far too close."""
+    """Every kind of shape, turned, one behind the other, one half outside the picture, one far too
+    close.
+    """
     shapes = {
         "box": (Box((0.3, 0.5, 0.2)), tilted((0.1, 0.2, 0.1), 0.4, 0.7)),
         "cylinder": (Cylinder(0.15, 0.5), tilted((-0.2, -0.1, 0.3), 1.0, 1.1)),
@@ -48,7 +52,9 @@ def holds(item, points):
         case Sphere(radius):
             return np.linalg.norm(local, axis=1) <= radius
         case Cylinder(radius, height):
-            return (np.linalg.norm(local[:, :2], axis=1) <= radius) & (np.abs(local[:, 2]) <= height / 2)
+            return (np.linalg.norm(local[:, :2], axis=1) <= radius) & (
+                np.abs(local[:, 2]) <= height / 2
+            )
     return np.abs(local).sum(1) <= 0.2  # the octahedron
 
 
@@ -61,7 +67,9 @@ def depth_image(scene, camera):
 
 
 def marched(scene, eye, lens, row, column, step=0.0005):
-    """Depth at one pixel of a camera at eye that looks at the origin, 45 deg high, by walking along its ray."""
+    """Depth at one pixel of a camera at eye that looks at the origin, 45 deg high, by walking along
+    its ray.
+    """
     tall = np.tan(np.radians(22.5))
     x = ((column + 0.5) / lens.width * 2 - 1) * tall * lens.width / lens.height
     y = (1 - (row + 0.5) / lens.height * 2) * tall

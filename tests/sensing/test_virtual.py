@@ -55,7 +55,10 @@ CLOUD = Scene("s", (SceneObject("scan", PointCloud(np.eye(3), 0.01), np.eye(4)),
         (lambda: CameraSettings(points=0), "cloud of 0 points"),
         (lambda: Observer(scenes=0), "of 1 or more"),
         (lambda: CameraSettings(noise=-0.1), "noise of -0.1 m"),
-        (lambda: camera_cloud(CLOUD, CameraSettings(), np.random.default_rng(0)), "'scan', a PointCloud"),
+        (
+            lambda: camera_cloud(CLOUD, CameraSettings(), np.random.default_rng(0)),
+            "'scan', a PointCloud",
+        ),
     ],
 )
 def test_settings_and_scenes_are_checked(make, message):
@@ -64,10 +67,13 @@ def test_settings_and_scenes_are_checked(make, message):
 
 
 def test_the_arm_is_seen_where_it_stands():
-    """Every point of a view of the arm alone lies on a hull that the exact checker measures to be there."""
+    """Every point of a view of the arm alone lies on a hull that the exact checker measures to be
+    there.
+    """
     robot, scene = panda(), Scene("empty", ())
     q = np.array([0.3, -0.5, 0.2, -1.9, 0.1, 1.7, 0.4])
-    moving = [piece.link > 0 for piece in robot.links]  # the checker never pairs the base with obstacles
+    # the checker never pairs the base with obstacles
+    moving = [piece.link > 0 for piece in robot.links]
     objects = tuple(compress(arm_objects(robot, q), moving))
     camera = cameras_on_sphere(KINECT, (30.0,), (25.0,), centre=(0.0, 0.0, 0.4))
     settings = CameraSettings(cameras=camera, crop=BallCrop(radius=9.0), voxel=None)
@@ -76,6 +82,8 @@ def test_the_arm_is_seen_where_it_stands():
     towards = camera[0].eye - cloud[:40]
     out = 0.01 * towards / np.linalg.norm(towards, axis=1)[:, None]
     for points, touching in ((cloud[:40], 1.0), (cloud[:40] + out, 0.0)):
-        dots = [scene.with_objects(SceneObject("dot", Sphere(0.001), pose(point))) for point in points]
+        dots = [
+            scene.with_objects(SceneObject("dot", Sphere(0.001), pose(point))) for point in points
+        ]
         hit = np.mean([CollisionChecker(robot, dot).in_collision(q) for dot in dots])
         assert hit == touching

@@ -1,4 +1,6 @@
-"""What problems, robots, scenes and solutions show of themselves, and what a script finds in the package."""
+"""What problems, robots, scenes and solutions show of themselves, and what a script finds in the
+package.
+"""
 
 import inspect
 import io
@@ -27,10 +29,16 @@ def test_all_show_themselves_in_five_lines_and_as_a_picture(problem, solution, u
 
 
 def test_draw_takes_all_of_them_and_writes(solution, task_solution, tmp_path):
-    assert draw(solution, tmp_path / "a.png", (90, 60)).size == Image.open(tmp_path / "a.png").size == (90, 60)
+    assert (
+        draw(solution, tmp_path / "a.png", (90, 60)).size
+        == Image.open(tmp_path / "a.png").size
+        == (90, 60)
+    )
     assert draw(solution.problem, size=(90, 60)).size == (90, 60)
     assert draw(task_solution, size=(90, 60)).width > 90
-    with pytest.raises(UnknownChoiceError, match="'int'; valid choices: Robot, Scene, PlanningProblem"):
+    with pytest.raises(
+        UnknownChoiceError, match="'int'; valid choices: Robot, Scene, PlanningProblem"
+    ):
         draw(3)
 
 
@@ -39,6 +47,9 @@ def test_the_package_has_what_a_script_needs_and_help_is_readable():
     for kind in (cvqmpt_lab.PlanningProblem, cvqmpt_lab.Scene, cvqmpt_lab.Box):
         assert not re.search("Annotated| at 0x|<class", str(inspect.signature(kind)))
     text = pydoc.plain(pydoc.render_doc(cvqmpt_lab.PlanningProblem))
-    assert "start: ndarray = <factory>, goals: ndarray = <factory>, constraint: tuple[TaskSpaceRegion, ...]" in text
+    assert (
+        "start: ndarray = <factory>, goals: ndarray = <factory>, constraint: "
+        "tuple[TaskSpaceRegion, ...]" in text
+    )
     with pytest.raises(UnknownChoiceError, match="plain"):
         region("plain")

@@ -23,7 +23,9 @@ def test_the_robot_moves_from_start_to_goal(solution, tmp_path, monkeypatch):
         shown.seek(0)
         first = np.array(shown.convert("RGB"), dtype=int)
         shown.seek(shown.n_frames - 1)
-        assert (np.abs(np.array(shown.convert("RGB"), dtype=int) - first).max(axis=2) > 60).sum() > 50
+        assert (
+            np.abs(np.array(shown.convert("RGB"), dtype=int) - first).max(axis=2) > 60
+        ).sum() > 50
 
 
 def test_mp4_is_written_through_ffmpeg(tmp_path, monkeypatch):

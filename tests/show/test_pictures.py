@@ -55,7 +55,9 @@ def test_fine_hulls_are_drawn_by_few_corners_close_to_the_whole():
     mesh = hull_mesh(plate)
     assert mesh is hull_mesh(plate.copy()) and len(mesh.corners) < 2 * MOST_CORNERS
     directions = rng.normal(size=(200, 3))
-    drawn, whole = (np.max(corners @ directions.T, axis=0) for corners in (mesh.corners.reshape(-1, 3), plate))
+    drawn, whole = (
+        np.max(corners @ directions.T, axis=0) for corners in (mesh.corners.reshape(-1, 3), plate)
+    )
     assert (drawn <= whole + 1e-12).all() and (drawn > 0.98 * whole).all()
 
 
@@ -120,7 +122,10 @@ def test_pictures_and_recording(task_solution, tmp_path, monkeypatch):
             moments[chunk.entity_path] = moments.get(chunk.entity_path, 0) + chunk.num_rows
     assert moments.pop("/phase") == len(task_solution.task.phases)
     assert f"/world/moving/{CAN_NAME}" in moments and f"/world/moving/{DOOR}/handle_bar" in moments
-    assert "/world/robot/panda_leftfinger_0" in moments and "/world/moving/mustard_bottle" not in moments
+    assert (
+        "/world/robot/panda_leftfinger_0" in moments
+        and "/world/moving/mustard_bottle" not in moments
+    )
     duration = sum(outcome.trajectory.duration for outcome in task_solution.outcomes)
     assert set(moments.values()) == {len(list(task_frames.frames(task_solution)))}
     assert min(moments.values()) > duration / task_frames.PERIOD

@@ -1,4 +1,6 @@
-"""Recordings hold what they should, plots say what the certificate says, the viewer stays on loopback."""
+"""Recordings hold what they should, plots say what the certificate says, the viewer stays on
+loopback.
+"""
 
 import stat
 import time
@@ -36,22 +38,32 @@ def test_solved_recording_holds_everything(solution, tmp_path):
     rows = recorded(tmp_path / "run.rrd")
     states = len(solution.simplified.path.states)
     assert {f"/world/scene/{name}" for name in solution.problem.scene.names} <= rows.keys()
-    assert {"/world/path/raw", "/world/path/simplified", "/world/start/7/panda_hand_0"} <= rows.keys()
+    assert {
+        "/world/path/raw",
+        "/world/path/simplified",
+        "/world/start/7/panda_hand_0",
+    } <= rows.keys()
     assert {"/world/goals/0/0/panda_link0_0", "/world/robot/7/carried_can"} <= rows.keys()
     moving = {f"/world/robot/{link}" for link in range(8)}
     moving |= {f"/plots/joints/{name}" for name in solution.problem.robot.joint_names}
     moving |= {"/plots/clearance/clearance", "/plots/clearance/contact"}
     for row in ("rotation_about_y", "rotation_about_z"):
-        moving |= {f"/plots/bounds/0_{row}/{curve}" for curve in (row, "lower_bound", "upper_bound")}
+        moving |= {
+            f"/plots/bounds/0_{row}/{curve}" for curve in (row, "lower_bound", "upper_bound")
+        }
     assert {entity for entity, count in rows.items() if count} == moving
     assert {rows[entity] for entity in moving} == {states}
     assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
 
 
 def test_every_shape_and_attachment_is_shown(unsolved, every_shape, tmp_path):
-    items = [SceneObject(type(shape).__name__, shape, pose((0.5, 0.0, 0.5))) for shape in every_shape]
+    items = [
+        SceneObject(type(shape).__name__, shape, pose((0.5, 0.0, 0.5))) for shape in every_shape
+    ]
     problem = unsolved.problem
-    crowded = replace(problem, scene=problem.scene.with_objects(*items), attachments=(carried_can(),))
+    crowded = replace(
+        problem, scene=problem.scene.with_objects(*items), attachments=(carried_can(),)
+    )
     solution = replace(unsolved, problem=crowded)
     log_solution(solution, save=tmp_path / "run.rrd")
     shown = recorded(tmp_path / "run.rrd").keys()
@@ -91,7 +103,9 @@ def test_without_a_display_it_is_refused_before_anything_is_logged(unsolved, mon
     monkeypatch.setattr(viewer.sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(InvalidInputError, match=r"no display.*open it elsewhere with: rerun RUN\.rrd"):
+    with pytest.raises(
+        InvalidInputError, match=r"no display.*open it elsewhere with: rerun RUN\.rrd"
+    ):
         log_solution(unsolved, view=True)
 
 
@@ -106,7 +120,9 @@ def test_the_viewer_is_bound_to_the_loopback_address(stand_in, tmp_path, monkeyp
 
 def test_a_viewer_that_gives_up_is_an_error(stand_in, tmp_path):
     stand_in("echo 'no graphics device' >&2; exit 3")
-    with pytest.raises(InvalidInputError, match=r"cannot open the rerun viewer \(no graphics device\)"):
+    with pytest.raises(
+        InvalidInputError, match=r"cannot open the rerun viewer \(no graphics device\)"
+    ):
         open_viewer(tmp_path / "run.rrd")
 
 

@@ -91,7 +91,9 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
     phases = tuple(replace(p, goal=far) if p.name == "carry" else p for p in task.phases)
     solution = solve_task(replace(task, phases=phases), "birrt", BUDGET, seed=0)
     assert not solution.solved
-    assert solution.failure.startswith("phase 'carry': no goal: of 100 poses, 100 without inverse kinematics")
+    assert solution.failure.startswith(
+        "phase 'carry': no goal: of 100 poses, 100 without inverse kinematics"
+    )
     rows = phase_rows(RUN, solution)
     assert [row.solved for row in rows] == [True] * 4 + [False]
     assert rows[-1].fail_reason == "no_goal" and "inverse kinematics" in rows[-1].detail
@@ -100,7 +102,10 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
 def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
     problems = {outcome.phase.name: outcome.solution.problem for outcome in task_solution.outcomes}
     for name in ("mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"):
-        why = {n: PLANNERS[name].incompatibility(problems[n]) for n in ("carry", "open-door", "reach-can")}
+        why = {
+            n: PLANNERS[name].incompatibility(problems[n])
+            for n in ("carry", "open-door", "reach-can")
+        }
         assert "weights are for" in why.pop("open-door") and set(why.values()) == {""}
     for name in ("birrt", "ompl-projected", "atlas-rrt", "tb-rrt"):
         assert all(PLANNERS[name].incompatibility(problem) == "" for problem in problems.values())

@@ -20,7 +20,9 @@ from experiments.suites.place_task import carried_can
 def changed(task, which, **fields):
     """The task with fields of one phase changed."""
     assert which in [phase.name for phase in task.phases]
-    return replace(task, phases=tuple(replace(p, **fields) if p.name == which else p for p in task.phases))
+    return replace(
+        task, phases=tuple(replace(p, **fields) if p.name == which else p for p in task.phases)
+    )
 
 
 def without(task, name):
@@ -69,14 +71,32 @@ def test_a_wrong_field_is_named(task, tmp_path, path, value, message):
     ("spoil", "message"),
     [
         (lambda task: without(task, "let-go"), "'reach-can': the hand holds 'dagger_door_left'"),
-        (lambda task: without(task, "hold-handle"), "'open-door': the hand holds no door or drawer"),
-        (lambda task: without(task, "grasp-can"), "'put-down': the gripper holds nothing to release"),
-        (lambda task: changed(task, "grasp-can", object="cup"), "'grasp-can': unknown object .*'cup'"),
+        (
+            lambda task: without(task, "hold-handle"),
+            "'open-door': the hand holds no door or drawer",
+        ),
+        (
+            lambda task: without(task, "grasp-can"),
+            "'put-down': the gripper holds nothing to release",
+        ),
+        (
+            lambda task: changed(task, "grasp-can", object="cup"),
+            "'grasp-can': unknown object .*'cup'",
+        ),
         (lambda task: grasping(task, Sphere(1e-3)), "'grasp-can': type .* is 'Sphere'.*'Cylinder'"),
-        (lambda task: grasping(task, Cylinder(0.0373, 0.237)), "height .* is 0.237, that of 'can' .* 0.242"),
-        (grasping_a_map, "'grasp-can': attachment 'map' is an occupancy map; what is carried is a solid"),
+        (
+            lambda task: grasping(task, Cylinder(0.0373, 0.237)),
+            "height .* is 0.237, that of 'can' .* 0.242",
+        ),
+        (
+            grasping_a_map,
+            "'grasp-can': attachment 'map' is an occupancy map; what is carried is a solid",
+        ),
         (lambda task: changed(task, "hold-handle", articulation="lid"), "unknown articulation"),
-        (lambda task: changed(task, "open-door", value=-2.0), "'open-door': value -2.0 of hinge .* outside"),
+        (
+            lambda task: changed(task, "open-door", value=-2.0),
+            "'open-door': value -2.0 of hinge .* outside",
+        ),
         (lambda task: changed(task, "put-down", name="carry"), "'carry' occurs twice"),
         (lambda task: replace(task, phases=(Release("r", {}),)), "plans nothing"),
         (grasping_twice, "'again': the gripper already holds 'can'"),
@@ -89,7 +109,9 @@ def test_phases_that_cannot_follow_are_refused(task, spoil, message):
 
 def test_a_hand_that_closes_where_nothing_is(task):
     start = World.before(task)
-    with pytest.raises(InvalidInputError, match=r"'grasp-can': 'can' is more than 0.02 m from the arm"):
+    with pytest.raises(
+        InvalidInputError, match=r"'grasp-can': 'can' is more than 0.02 m from the arm"
+    ):
         start.after(next(phase for phase in task.phases if isinstance(phase, Grasp)))
 
 
@@ -105,11 +127,15 @@ QUARTER_ABOUT_X = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0,
         (QUARTER_ABOUT_X, "'can' is 0.000 m and 1.57 rad"),
     ],
 )
-def test_what_is_carried_is_the_object_of_the_scene_wherever_it_was_expected(task_solution, T_written, refused):
+def test_what_is_carried_is_the_object_of_the_scene_wherever_it_was_expected(
+    task_solution, T_written, refused
+):
     carrying = task_solution.outcomes[-1].world
     can, item = carrying.held.attachment, carrying.held.item
     before = replace(carrying, held=None, scene=carrying.scene.with_objects(item))
-    phase = Grasp("grasp-can", CAN_NAME, {}, replace(can, T_hand_object=can.T_hand_object @ T_written))
+    phase = Grasp(
+        "grasp-can", CAN_NAME, {}, replace(can, T_hand_object=can.T_hand_object @ T_written)
+    )
     if refused:
         with pytest.raises(InvalidInputError, match=refused):
             before.after(phase)
@@ -123,7 +149,11 @@ def test_what_is_carried_is_the_object_of_the_scene_wherever_it_was_expected(tas
 def test_a_carried_can_hits_a_board_that_one_5_mm_shorter_does_not(task_solution):
     solution, item = task_solution.outcomes[-1].solution, task_solution.outcomes[-1].world.held.item
     top = item.T_world_object[2, 3] - item.shape.height / 2 + 0.0025
-    board = SceneObject("board", Box((0.05, 0.05, 0.1)), pose((*item.T_world_object[:2, 3], top - 0.05)))
+    board = SceneObject(
+        "board", Box((0.05, 0.05, 0.1)), pose((*item.T_world_object[:2, 3], top - 0.05))
+    )
     problem = replace(solution.problem, scene=solution.problem.scene.with_objects(board))
     faults = certify(problem, solution.simplified.path).faults
-    assert [fault.kind for fault in faults] == [FaultKind.COLLISION] and "can and board" in faults[0].text
+    assert [fault.kind for fault in faults] == [FaultKind.COLLISION] and "can and board" in faults[
+        0
+    ].text

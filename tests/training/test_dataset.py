@@ -102,7 +102,10 @@ def in_index(change):
         (*in_index(lambda text: text + "../000001,abc,3,21\n"), "line 4 is damaged"),
         (*in_index(lambda text: text + text.splitlines()[1] + "\n"), "lists a shard twice"),
         (*in_index(lambda text: text.splitlines()[0] + "\n"), "lists no shard"),
-        (*in_index(lambda text: "shard,paths\n0,1\n"), "the first line must be shard,sha256,scenes,paths"),
+        (
+            *in_index(lambda text: "shard,paths\n0,1\n"),
+            "the first line must be shard,sha256,scenes,paths",
+        ),
         (*in_index(lambda text: ""), "the first line must be"),
         ("shards/000001.npz", lambda data: data[:-100] + bytes(100), r"is damaged \(sha256\)"),
         ("shards/000001.npz", None, "cannot read"),
@@ -138,7 +141,11 @@ def test_damaged_and_missing_files_are_named(folder, tmp_path, file, change, mes
         ("shape_kind", lambda a: a + 3, "shape_kind"),
         ("shape_pose", lambda a: a * np.nan, "shape_pose"),
         ("trivial", lambda a: a[1:], "trivial"),
-        ("family", lambda a: np.array([{"a": 1}], dtype=object), "is not a readable archive.*pickle"),
+        (
+            "family",
+            lambda a: np.array([{"a": 1}], dtype=object),
+            "is not a readable archive.*pickle",
+        ),
     ],
 )
 def test_arrays_that_contradict_each_other_are_named(tmp_path, name, change, message):

@@ -22,11 +22,17 @@ ROBOTS = ["--family kitchen-like", "--robot tiago-no-hand --base 0,0,-0.6 --fami
 def test_from_scenes_to_a_prediction(tmp_path, robot_options):
     """For the Panda and an arm of eight joints whose first one slides."""
     data, stage1, stage2 = tmp_path / "data", tmp_path / "stage1", tmp_path / "stage2"
-    few = ["--scenes", "4", "--paths-per-scene", "4", "--seed", "9"]  # the first of each family validates
-    assert main(["data", "generate", *few, "--jobs", "2", "--out", str(data), *robot_options.split()]) == 0
+    # the first of each family validates
+    few = ["--scenes", "4", "--paths-per-scene", "4", "--seed", "9"]
+    assert (
+        main(["data", "generate", *few, "--jobs", "2", "--out", str(data), *robot_options.split()])
+        == 0
+    )
     common = ["--profile", "smoke", "--data", str(data), "--device", "cpu", "--epochs", "1"]
     assert main(["train", "stage1", *common, "--out", str(stage1)]) == 0
-    assert main(["train", "stage2", *common, "--dictionary", str(stage1), "--out", str(stage2)]) == 0
+    assert (
+        main(["train", "stage2", *common, "--dictionary", str(stage1), "--out", str(stage2)]) == 0
+    )
 
     robot = robot_from_source(json.loads((data / "dataset.json").read_text())["recipe"]["robot"])
     checkpoint = load_checkpoint(stage2 / "model", robot_signature(robot))
@@ -49,10 +55,22 @@ def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_pat
     profile["published"] |= {"batches_per_epoch": 2, "validation_scenes": 2}
     profile["published_model"]["dense"] = True
     config.write_text(json.dumps(profile))
-    train = ["train", "published", "--config", str(config), "--data", str(labels), "--out", str(out)]
+    train = [
+        "train",
+        "published",
+        "--config",
+        str(config),
+        "--data",
+        str(labels),
+        "--out",
+        str(out),
+    ]
     assert main([*train, "--epochs", "1", "--device", "cpu"]) == 0
     said = capsys.readouterr().out
-    assert "validation_no_cloud_cross_entropy_ways" in said and "validation_edge_area_under_curve" in said
+    assert (
+        "validation_no_cloud_cross_entropy_ways" in said
+        and "validation_edge_area_under_curve" in said
+    )
     assert "validation_constant_features" in said
     assert main(["plan", "place-task", "--planner", "cvq-published", "--model", str(out)]) == 0
     assert "solved" in capsys.readouterr().out
@@ -60,7 +78,9 @@ def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_pat
 
 @pytest.mark.slow
 def test_a_scene_transformer_for_another_arm(tmp_path, request):
-    """For a UR5, from nothing: dictionary, labels on its roadmap, transformer, sequences; a minute and a half."""
+    """For a UR5, from nothing: dictionary, labels on its roadmap, transformer, sequences;
+    a minute and a half.
+    """
     if not request.config.getoption("--long"):
         pytest.skip("needs --long")
     data, words, labels, out = (tmp_path / name for name in ("data", "words", "labels", "out"))
@@ -100,7 +120,10 @@ def test_a_scene_transformer_for_another_arm(tmp_path, request):
     ):
         assert main(command) == 0
     robot = robot_from_source({"name": "ur5-limited"})
-    predictor, rng = SceneTransformerPredictor(load_vq_mpt(robot, out), robot), np.random.default_rng(0)
+    predictor, rng = (
+        SceneTransformerPredictor(load_vq_mpt(robot, out), robot),
+        np.random.default_rng(0),
+    )
     scene = predictor.encode(rng.uniform(-0.8, 0.8, (400, 3)))
     start, *goals = robot.random_configurations(rng, 4)
     found = predictor.sequences(scene, start, np.array(goals))
@@ -110,7 +133,12 @@ def test_a_scene_transformer_for_another_arm(tmp_path, request):
 def test_hints_for_another_arm_lead_to_a_transformer(tmp_path, capsys):
     """Each refusal names the command before it in the chain, with the options that are missing."""
     ur5 = ["--robot", "ur5", "--scenes", "4"]
-    assert main(["data", "generate", *ur5, "--dictionary", "d", "--out", str(tmp_path / "paths")]) == 2
+    assert (
+        main(["data", "generate", *ur5, "--dictionary", "d", "--out", str(tmp_path / "paths")]) == 2
+    )
     assert "--dictionary is for --labels roadmap" in capsys.readouterr().err
     assert main(["plan", "robots", "--problem", "20", "--planner", "cvq-mpt"]) == 2
-    assert "cvqmpt data generate --robot ur5 --out DATA, then cvqmpt train stage1" in capsys.readouterr().err
+    assert (
+        "cvqmpt data generate --robot ur5 --out DATA, then cvqmpt train stage1"
+        in capsys.readouterr().err
+    )

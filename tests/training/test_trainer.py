@@ -44,13 +44,25 @@ def changed(profile, changes):
 
 
 SIZES = {"n_layers": 2, "n_heads": 2, "d_k": 8, "d_v": 8, "d_model": 16, "d_inner": 24}
-STAGE1 = {"epochs": 2, "batch": 4, "row": 16, "batches_per_epoch": 6, "restart_every": 4, "restart_epochs": 1}
+STAGE1 = {
+    "epochs": 2,
+    "batch": 4,
+    "row": 16,
+    "batches_per_epoch": 6,
+    "restart_every": 4,
+    "restart_epochs": 1,
+}
 FEW = {"scenes": 2, "paths_per_scene": 3, "batches_per_epoch": None, "validation_paths": 8}
 FEW |= {"cloud": {"points": 48}}
 MPNET = {
     "mpnet": {"epochs": 2},
     "mpnet.batches": {**to_plain(SMOKE.mpnet.batches, complete=True), **FEW},
-    "mpnet_model": {"n_points": 48, "code_dim": 28, "encoder_widths": [16], "planner_widths": [32, 16]},
+    "mpnet_model": {
+        "n_points": 48,
+        "code_dim": 28,
+        "encoder_widths": [16],
+        "planner_widths": [32, 16],
+    },
 }
 WORDS = {"model.dictionary.transformer": SIZES, "model.dictionary.n_codes": 16}
 TINY = changed(PROFILES["compact"], {"name": "tiny", "stage1": STAGE1, **WORDS, **MPNET})
@@ -115,7 +127,12 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
     assert metadata["data_sha256"] == open_dataset(data).sha256 and metadata["seed"] == 0
     assert metadata["kinematics"]["points"] == kinematics()["points"]
     assert losses["validation_nll"] == float(rows[losses["epoch"] - 1]["validation_nll"])
-    assert {p.name for p in dictionary.iterdir()} == {"training.json", "state.pt", "curves.csv", "model"}
+    assert {p.name for p in dictionary.iterdir()} == {
+        "training.json",
+        "state.pt",
+        "curves.csv",
+        "model",
+    }
 
 
 @pytest.mark.parametrize("precision", ["float32", "bf16"])
@@ -127,15 +144,23 @@ def test_stage_2_leaves_a_model_that_predicts(tmp_path, data, published_dictiona
         assert float(row[f"validation_{name}"]) != float(row[f"validation_wrong_cloud_{name}"])
     checkpoint = load_checkpoint(tmp_path / "s2" / "model")
     model, words = checkpoint.sequence_model, checkpoint.dictionary
-    for name, tensor in load_checkpoint(published_dictionary / "model").dictionary.state_dict().items():
+    for name, tensor in (
+        load_checkpoint(published_dictionary / "model").dictionary.state_dict().items()
+    ):
         assert torch.equal(words.state_dict()[name], tensor)
     scene = model.encode_scene(torch.rand(1, 48, 3))
     assert len(beam_search(model.decoder(words, scene, torch.rand(1, 7), torch.rand(1, 7)))) == 1
 
 
-@pytest.mark.parametrize(("stage", "at"), [("stage1", 1), ("stage1", 6), ("stage2", 6), ("mpnet", 1)])
-def test_a_stopped_training_continues_on_the_same_curve(tmp_path, data, published_dictionary, stage, at):
-    options = {"dictionary": published_dictionary, "profile": PUBLISHED} if stage == "stage2" else {}
+@pytest.mark.parametrize(
+    ("stage", "at"), [("stage1", 1), ("stage1", 6), ("stage2", 6), ("mpnet", 1)]
+)
+def test_a_stopped_training_continues_on_the_same_curve(
+    tmp_path, data, published_dictionary, stage, at
+):
+    options = (
+        {"dictionary": published_dictionary, "profile": PUBLISHED} if stage == "stage2" else {}
+    )
     whole = go(stage, data, tmp_path / "whole", **options)
     at = min(at, whole.step // 2)  # within the first epoch, or at its end
 
@@ -152,7 +177,8 @@ def test_a_stopped_training_continues_on_the_same_curve(tmp_path, data, publishe
 
 
 def test_a_seed_repeats_and_another_differs(tmp_path, data, dictionary):
-    go("stage1", data, tmp_path / "same", workers=1)  # processes that prepare batches change nothing
+    # processes that prepare batches change nothing
+    go("stage1", data, tmp_path / "same", workers=1)
     assert curves(tmp_path / "same") == curves(dictionary)
     go("stage1", data, tmp_path / "other", seed=1)
     assert curves(tmp_path / "other") != curves(dictionary)
@@ -164,8 +190,14 @@ def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path,
     profile = changed(TINY, {**changes, "mpnet_model.dropout": 0})
     config, out = tmp_path / "tiny.json", tmp_path / "out"
     config.write_text(json.dumps(to_plain(profile, complete=True)))
-    torchrun = "-m torch.distributed.run --nproc-per-node 2 --rdzv-endpoint localhost:0 --rdzv-backend c10d"
-    words = f"{torchrun} -m cli.main train mpnet --config {config} --device cpu --data {data} --out {out}"
+    torchrun = (
+        "-m torch.distributed.run --nproc-per-node 2 --rdzv-endpoint localhost:0 "
+        "--rdzv-backend c10d"
+    )
+    words = (
+        f"{torchrun} -m cli.main train mpnet --config {config} --device cpu --data {data} "
+        f"--out {out}"
+    )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     words = [sys.executable, *words.split(), "--epochs", "1"]
     done = subprocess.run(words, capture_output=True, text=True, env=environment)
@@ -185,17 +217,31 @@ def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path,
         np.testing.assert_allclose(found[name], tensor.numpy(), atol=1e-6, err_msg=name)
 
 
-def test_what_does_not_fit_is_refused_before_anything_is_written(tmp_path, data, dictionary, published_dictionary):
+def test_what_does_not_fit_is_refused_before_anything_is_written(
+    tmp_path, data, dictionary, published_dictionary
+):
     words = load_checkpoint(published_dictionary / "model")
     iiwa = RobotSignature("iiwa", words.robot.lower, words.robot.upper)
     save_checkpoint(tmp_path / "iiwa", dataclasses.replace(words, robot=iiwa))
     bare = write_dataset(tmp_path / "bare", kinematics=None)
     for message, stage, source, profile, words in (
-        (r"'tiny' has no stage2; profiles with one: smoke, published", "stage2", data, TINY, dictionary),
+        (
+            r"'tiny' has no stage2; profiles with one: smoke, published",
+            "stage2",
+            data,
+            TINY,
+            dictionary,
+        ),
         ("stage2 needs the dictionary", "stage2", data, PUBLISHED, None),
         ("cannot read weights", "stage2", data, PUBLISHED, tmp_path / "nowhere"),
         ("weights are for robot 'iiwa', not 'panda'", "stage2", data, PUBLISHED, tmp_path / "iiwa"),
-        ("kind 'compact', the configuration of kind 'published'", "stage2", data, PUBLISHED, dictionary),
+        (
+            "kind 'compact', the configuration of kind 'published'",
+            "stage2",
+            data,
+            PUBLISHED,
+            dictionary,
+        ),
         ("stage1 takes no dictionary", "stage1", data, TINY, dictionary),
         ("unknown stage 'stage3'", "stage3", data, TINY, None),
         ("takes link positions", "stage1", bare, TINY, None),
@@ -233,7 +279,9 @@ def test_damaged_states_and_losses_that_are_not_finite_are_named(tmp_path, data)
     with pytest.raises(InvalidInputError, match=r"state.pt is damaged"):
         go("stage1", data, tmp_path / "s1")
     wild = {"rate": 1e30, "warmup": 0, "schedule": "constant"}
-    with pytest.raises(InvalidInputError, match=r"loss is .* in epoch 1, batch .*lower optimizer.rate"):
+    with pytest.raises(
+        InvalidInputError, match=r"loss is .* in epoch 1, batch .*lower optimizer.rate"
+    ):
         go("mpnet", data, tmp_path / "a", changed(TINY, {"mpnet.optimizer": wild}))
 
 
@@ -283,7 +331,9 @@ def test_rates():
     for step, factor in ((600, 600 * 2400**-1.5), (2400, 2400**-0.5), (9600, 9600**-0.5)):
         assert published.rate_at(step, 1) == pytest.approx(0.15 * 512**-0.5 * factor)
     cosine = OptimizerSettings(rate=1.0, warmup=10, schedule="cosine", final=0.1)
-    assert [cosine.rate_at(s, 110) for s in (5, 10, 60, 110)] == pytest.approx([0.5, 1.0, 0.55, 0.1])
+    assert [cosine.rate_at(s, 110) for s in (5, 10, 60, 110)] == pytest.approx(
+        [0.5, 1.0, 0.55, 0.1]
+    )
 
 
 def test_the_command_line(tmp_path, capsys, data):
@@ -292,7 +342,9 @@ def test_the_command_line(tmp_path, capsys, data):
     common = ["train", "stage1", "--config", str(config), "--data", str(data), "--device", "cpu"]
     assert main([*common, "--out", str(tmp_path / "s1"), "--epochs", "1"]) == 0
     captured = capsys.readouterr()
-    assert "validation_nll" in captured.out and f"model in {tmp_path / 's1' / 'model'}" in captured.out
+    assert (
+        "validation_nll" in captured.out and f"model in {tmp_path / 's1' / 'model'}" in captured.out
+    )
     assert "stage1 6/6, 0 s left  epoch 1, loss " in captured.err
     assert main(["train", "stage1", "--profile", "smoke", "--print-config"]) == 0
     assert from_plain(Profile, json.loads(capsys.readouterr().out)) == SMOKE

@@ -16,14 +16,27 @@ from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.filters import BallCrop
 from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
-from cvqmpt_lab.training.batches import BaseTurn, SceneBatches, SceneBatchSettings, grouped_by_scene, turned
+from cvqmpt_lab.training.batches import (
+    BaseTurn,
+    SceneBatches,
+    SceneBatchSettings,
+    grouped_by_scene,
+    turned,
+)
 from cvqmpt_lab.training.dataset import Shapes, open_dataset
 from cvqmpt_lab.training.stage2 import code_sequences
-from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings, measured_points, sample_cloud
+from cvqmpt_lab.training.training_clouds import (
+    CloudSettings,
+    CropSettings,
+    measured_points,
+    sample_cloud,
+)
 from cvqmpt_lab.vqmpt.config import SerialChain
 from cvqmpt_lab.vqmpt.link_positions import LinkPositions
 
-PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0))
+PLAIN = CloudSettings(
+    points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0)
+)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +64,9 @@ def positions_one_by_one(data, q):
 
 
 @pytest.mark.parametrize(
-    "other", [{}, {"points": [6, 0, 3, 0], "offsets": np.eye(4, 3).tolist()}], ids=["in order", "any link"]
+    "other",
+    [{}, {"points": [6, 0, 3, 0], "offsets": np.eye(4, 3).tolist()}],
+    ids=["in order", "any link"],
 )
 def test_link_positions_equal_a_loop(other):
     data = kinematics() | other
@@ -66,19 +81,32 @@ def test_link_positions_equal_a_loop(other):
 
 @pytest.mark.parametrize(
     "change",
-    [{"points": [7, 0, 0, 0]}, {"points": []}, {"offsets": [[0.0]]}, {"rotation": "x"}, {"sliders": [7]}],
+    [
+        {"points": [7, 0, 0, 0]},
+        {"points": []},
+        {"offsets": [[0.0]]},
+        {"rotation": "x"},
+        {"sliders": [7]},
+    ],
 )
 def test_kinematics_that_do_not_fit_are_named(change):
-    with pytest.raises(InvalidInputError, match=r"kinematics(: |\.).*(points|offsets|rotation|sliders)"):
+    with pytest.raises(
+        InvalidInputError, match=r"kinematics(: |\.).*(points|offsets|rotation|sliders)"
+    ):
         from_plain(SerialChain, kinematics() | change, "kinematics")
 
 
 def distances(points, shapes):
-    """Signed distance (or, inside boxes and cylinders, a lower bound of the depth) to each shape (p, m)."""
+    """Signed distance (or, inside boxes and cylinders, a lower bound of the depth) to each shape
+    (p, m).
+    """
     kind, size, pose = shapes.kind, shapes.size, shapes.pose
     local = np.einsum("mij,pmi->pmj", pose[:, :, :3], points[:, None] - pose[:, :, 3])
     box = (np.abs(local) - 0.5 * size).max(2)
-    cylinder = np.maximum(np.hypot(local[..., 0], local[..., 1]) - size[:, 0], np.abs(local[..., 2]) - 0.5 * size[:, 2])
+    cylinder = np.maximum(
+        np.hypot(local[..., 0], local[..., 1]) - size[:, 0],
+        np.abs(local[..., 2]) - 0.5 * size[:, 2],
+    )
     sphere = np.linalg.norm(local, axis=2) - size[:, 0]
     return np.select([kind == 0, kind == 1, kind == 2], [box, cylinder, sphere])
 
@@ -109,10 +137,13 @@ def test_crops_noise_and_repetition(dataset):
     shapes, rng = dataset.scenes.shapes(0), np.random.default_rng
     ball, box = CropSettings(radius=0.5), CropSettings(kind="box", lower=(-0.3, -0.3, 0.0))
     inside, within = (
-        sample_cloud(shapes, CloudSettings(points=300, noise=0.0, crop=crop), rng(1)) for crop in (ball, box)
+        sample_cloud(shapes, CloudSettings(points=300, noise=0.0, crop=crop), rng(1))
+        for crop in (ball, box)
     )
     assert np.linalg.norm(inside - np.array(ball.centre), axis=1).max() <= 0.5 + 1e-5
-    assert (within >= np.subtract(box.lower, 1e-6)).all() and (within <= np.add(box.upper, 1e-6)).all()
+    assert (within >= np.subtract(box.lower, 1e-6)).all() and (
+        within <= np.add(box.upper, 1e-6)
+    ).all()
     noisy = CloudSettings(points=300, noise=0.01, occlusion=0.0, density=0.0, crop=PLAIN.crop)
     off = np.abs(distances(sample_cloud(shapes, noisy, rng(1)).astype(np.float64), shapes).min(1))
     assert 0.003 < off.mean() < 0.02
@@ -125,7 +156,9 @@ def test_crops_noise_and_repetition(dataset):
 def test_empty_and_unseen_scenes_still_give_points(count, measured):
     far = one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0))
     shapes = Shapes(far.kind[:count], far.size[:count], far.pose[:count])
-    cloud = sample_cloud(shapes, CloudSettings(points=50, measured=measured), np.random.default_rng(0))
+    cloud = sample_cloud(
+        shapes, CloudSettings(points=50, measured=measured), np.random.default_rng(0)
+    )
     assert cloud.shape == (50, 3) and np.isfinite(cloud).all() and cloud[:, 2].max() < -0.5
 
 
@@ -177,7 +210,10 @@ def test_groups_have_each_path_once_and_one_scene(dataset):
     rows = dataset.split("train")
     groups = grouped_by_scene(dataset, rows, 4, np.random.default_rng(0))
     assert sorted(groups[groups >= 0].tolist()) == rows.tolist()
-    assert all(len(set(dataset.paths.scene[g[g >= 0]])) == 1 for g in groups) and (groups[:, 0] >= 0).all()
+    assert (
+        all(len(set(dataset.paths.scene[g[g >= 0]])) == 1 for g in groups)
+        and (groups[:, 0] >= 0).all()
+    )
     key = np.linspace(1.0, 0.0, len(dataset.paths))
     by_key = grouped_by_scene(dataset, rows, 4, np.random.default_rng(0), key)
     assert sorted(by_key[by_key >= 0].tolist()) == rows.tolist()
@@ -185,9 +221,13 @@ def test_groups_have_each_path_once_and_one_scene(dataset):
 
 
 def test_batches_repeat_by_seed_differ_by_epoch_and_validate_on_held_out_paths(dataset):
-    settings = SceneBatchSettings(scenes=2, paths_per_scene=3, turn_base=True, cloud=CloudSettings(points=64))
+    settings = SceneBatchSettings(
+        scenes=2, paths_per_scene=3, turn_base=True, cloud=CloudSettings(points=64)
+    )
     turn = BaseTurn(dataset, True)
-    first, same, other = (SceneBatches.of_epoch(dataset, settings, turn, 5, epoch) for epoch in (0, 0, 1))
+    first, same, other = (
+        SceneBatches.of_epoch(dataset, settings, turn, 5, epoch) for epoch in (0, 0, 1)
+    )
     batch = first[1]
     assert batch["cloud"].shape == (2, 64, 3) and batch["u"].shape[0] == 6
     for name, array in same[1].items():
@@ -195,9 +235,14 @@ def test_batches_repeat_by_seed_differ_by_epoch_and_validate_on_held_out_paths(d
     assert not np.array_equal(batch["cloud"], other[1]["cloud"])
     batches, ends = SceneBatches.for_validation(dataset, settings, 0), set()
     for batch in (batches[index] for index in range(len(batches))):
-        ends |= {(*u[0], *u[count - 1]) for u, count in zip(batch["u"], batch["counts"], strict=True)}
+        ends |= {
+            (*u[0], *u[count - 1]) for u, count in zip(batch["u"], batch["counts"], strict=True)
+        }
     np.testing.assert_array_equal(batches[0]["cloud"], batches[0]["cloud"])
-    held_out = {tuple(dataset.paths.joints(p)[[0, -1]].ravel()) for p in dataset.split("validation").tolist()}
+    held_out = {
+        tuple(dataset.paths.joints(p)[[0, -1]].ravel())
+        for p in dataset.split("validation").tolist()
+    }
     assert ends <= held_out
 
 

@@ -31,7 +31,9 @@ def solutions():
     """Certified solutions of four tuning problems."""
     problems = (place_problem(e) for e in TUNING_ENVIRONMENTS)
     solvable = islice((p for p in problems if not isinstance(p, UnsolvableProblem)), 4)
-    found = [solve(p, "birrt", Budget(iterations=20_000), seed=0, clearance=False) for p in solvable]
+    found = [
+        solve(p, "birrt", Budget(iterations=20_000), seed=0, clearance=False) for p in solvable
+    ]
     assert all(s.solved for s in found)
     return found
 
@@ -74,13 +76,19 @@ def test_a_refused_curve_is_drawn_closer_to_the_path(paths, limits):
         return ("too far",) if seen[-1] > 2e-4 else ()
 
     motion = time_path(paths[0], limits, FULL, too_far)
-    assert len(seen) > 1 and seen[0] > 2e-4 and segment_distances(motion.positions, paths[0]).max() <= 2e-4
+    assert (
+        len(seen) > 1
+        and seen[0] > 2e-4
+        and segment_distances(motion.positions, paths[0]).max() <= 2e-4
+    )
     with pytest.raises(InvalidInputError, match=r"refused even .* rad from it: never"):
         time_path(paths[0], limits, FULL, lambda motion: ("never",))
 
 
 def test_the_motion_of_a_solution_is_certified_as_its_file_is(solutions):
-    """Its cubics, between all points; states that repeat are one, and a path that stands is refused."""
+    """Its cubics, between all points;
+    states that repeat are one, and a path that stands is refused.
+    """
     for found in solutions:
         path = JointPath(np.repeat(found.simplified.path.states, 2, axis=0))
         motion = certified_motion(found.problem, path, FULL)
@@ -97,14 +105,21 @@ def test_times_that_are_not_numbers_are_refused(motion):
             wrong(np.nan)
 
 
-def test_another_arm_has_the_velocities_of_its_urdf_and_must_be_given_accelerations(slider_arm_urdf):
+def test_another_arm_has_the_velocities_of_its_urdf_and_must_be_given_accelerations(
+    slider_arm_urdf,
+):
     with pytest.raises(InvalidInputError, match=r"no acceleration limits.*--acceleration"):
         _ = load_robot(slider_arm_urdf, "tool").joint_limits
     given = load_robot(slider_arm_urdf, "tool", acceleration_limits=[1.0, 2.0, 3.0, 4.0])
     assert given.joint_limits.velocity.tolist() == [1.0] * 4
-    for again in (robot_from_source(json.loads(json.dumps(given.source))), pickle.loads(pickle.dumps(given))):
+    for again in (
+        robot_from_source(json.loads(json.dumps(given.source))),
+        pickle.loads(pickle.dumps(given)),
+    ):
         assert again.joint_limits.acceleration.tolist() == [1.0, 2.0, 3.0, 4.0]
-    locked = load_robot(slider_arm_urdf, "tool", locked={"lift": 0.0}, acceleration_limits=[1.0, 3.0, 4.0])
+    locked = load_robot(
+        slider_arm_urdf, "tool", locked={"lift": 0.0}, acceleration_limits=[1.0, 3.0, 4.0]
+    )
     assert locked.joint_limits.joint_names == ("rail", "bend", "twist")
 
 
@@ -170,7 +185,9 @@ def test_what_cannot_be_timed_names_joint_and_place():
     path = np.array([[x, max(0.0, x - 1.3)] for x in np.linspace(0.0, 1.5, 16)])
     for kind in ("velocity", "acceleration"):
         slow = replace(TWO_JOINTS, **{kind: np.array([2.0, 1e-13])})
-        with pytest.raises(InvalidInputError, match=f"joint 'second', {kind} limit 1e-13") as caught:
+        with pytest.raises(
+            InvalidInputError, match=f"joint 'second', {kind} limit 1e-13"
+        ) as caught:
             time_path(path, slow, FULL)
         waypoint = int(str(caught.value).partition("(waypoint ")[2].partition(")")[0])
         assert waypoint >= 12, "where it moves"
@@ -196,12 +213,25 @@ def test_plan_writes_the_motion_of_a_certified_path(capsys, tmp_path):
 
 def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, slider_arm_urdf):
     file, out = tmp_path / "arm.json", tmp_path / "motion.csv"
-    PlanningProblem("reach", slider_arm, Scene("empty", ()), [0.0] * 4, [[0.3, 0.2, -0.4, 1.0]]).save(file)
-    words = ("--problem-file", file, "--urdf", slider_arm_urdf, "--end-effector", "tool", "--trajectory", out)
+    PlanningProblem(
+        "reach", slider_arm, Scene("empty", ()), [0.0] * 4, [[0.3, 0.2, -0.4, 1.0]]
+    ).save(file)
+    words = (
+        "--problem-file",
+        file,
+        "--urdf",
+        slider_arm_urdf,
+        "--end-effector",
+        "tool",
+        "--trajectory",
+        out,
+    )
     assert "--acceleration" in refused(capsys, "plan", *words) and not out.exists()
     text = planned(capsys, *words, "--acceleration", "1,2,2,3", "--speed", "1")
     assert out.read_text().startswith("time,rail_position,lift_position,")
-    assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0, "1 rad at 1 rad/s, from rest to rest"
+    assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0, (
+        "1 rad at 1 rad/s, from rest to rest"
+    )
 
 
 @pytest.mark.parametrize(

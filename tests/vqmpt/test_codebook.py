@@ -1,4 +1,6 @@
-"""The dictionary in numpy computes what the torch modules compute that were trained; what does not fit is refused."""
+"""The dictionary in numpy computes what the torch modules compute that were trained;
+what does not fit is refused.
+"""
 
 from dataclasses import replace
 
@@ -53,7 +55,10 @@ def changed_kinematics(**changes):
             changed_kinematics(translation=np.full((7, 3), 0.01).tolist()),
             "another translation of joint 'panda_joint5' .difference 0.374",
         ),
-        ({"robot": RobotSignature("ur5", tuple(LOWER), tuple(UPPER))}, "for robot 'ur5', not 'panda'"),
+        (
+            {"robot": RobotSignature("ur5", tuple(LOWER), tuple(UPPER))},
+            "for robot 'ur5', not 'panda'",
+        ),
     ],
 )
 def test_models_of_other_robots_are_refused(checkpoint, panda, change, message):

@@ -24,7 +24,9 @@ def clearances(cloud, q):
     geometry = robot_arrays(robot)
     rotation, translation = (poses[0] for poses in link_poses(robot.kinematics, q[None]))
     found = np.full(robot.dof, np.inf)
-    for row, first, end in zip(geometry.body_link, geometry.body_start, geometry.body_end, strict=True):
+    for row, first, end in zip(
+        geometry.body_link, geometry.body_start, geometry.body_end, strict=True
+    ):
         for ball in range(first, end):
             if row > 0 and geometry.leaf[ball] >= 0:
                 centre = rotation[row] @ geometry.sphere[ball, :3] + translation[row]

@@ -42,16 +42,21 @@ def without(state, name):
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        ("encoder_state", lambda s: without(s, "layer_norm.bias"), "encoder.layer_norm.bias is missing"),
-        ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"quantizer.ema \(3,\) is left over"),
-        ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(6)}, r"mu.0.bias is \(6,\), expected \(7,\)"),
+        ("encoder_state", lambda s: without(s, "layer_norm.bias"), "encoder.layer_norm.bias is "
+                                                                   "missing"),
+        ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"quantizer.ema \(3,\) is left "
+                                                                   r"over"),
+        ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(6)}, r"mu.0.bias is \(6,\), "
+                                                                       r"expected \(7,\)"),
         ("ar_model_state", lambda s: s | {"layer_norm.bias": torch.zeros(512).long()}, "bias is torch.int64"),
         ("context_state", lambda s: None, "context_state is missing.*the file has ar_model_state"),
         ("context_state", lambda s: {"a": 1}, "not made of tensors"),
         ("decoder_state", lambda s: s | {"mu.0.bias": 1e300 * torch.ones(7).double()}, "bias has NaN or inf"),
-        ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(7).to_sparse()}, "mu.0.bias is sparse"),
+        ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(7).to_sparse()}, "mu.0.bias is "
+                                                                                   "sparse"),
         ("decoder_state", lambda s: s | {"mu.0.bias": torch.zeros(7, device="meta")}, "mu.0.bias is .*without data"),
-        ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not that of this model"),
+        ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not that "
+                                                                           "of this model"),
         ("encoder_state", lambda s: s | {"position_enc.pos_table": torch.zeros(1, 40, 512)}, "pos_table is not that"),
         ("quantizer_state", lambda s: s | {"embedding.weight": 2 * s["embedding.weight"]}, "not of unit length"),
         ("quantizer_state", lambda s: s | {"batch_norm.running_var": -torch.ones(8)}, "negative variances"),
@@ -68,13 +73,17 @@ def test_tensors_that_do_not_fit_are_listed(published, published_states, name, c
         ({"model_params": without(STAGE1, "d_v")}, r"model_params.json: d_v is missing"),
         ({"cross_attn": CONTEXT | {"size": 1}}, r"cross_attn.json: size is unknown"),
         ({"ar_params": SEQUENCE | {"n_heads": "3"}}, r"ar_params.json: n_heads is '3'"),
-        ({"cross_attn": CONTEXT | {"d_context": 6}}, "d_context 6 is not the dictionary's c_space_dim 7"),
+        ({"cross_attn": CONTEXT | {"d_context": 6}}, "d_context 6 is not the dictionary's "
+                                                     "c_space_dim 7"),
         ({"ar_params": SEQUENCE | {"num_keys": 2}}, "num_keys 2 has no codes"),
-        ({"model_params": STAGE1 | {"n_position": 10**12}}, r"n_position is 1000000000000; give 1 to 65536"),
-        ({"model_params": STAGE1 | {"dropout": 1.5}}, "dropout is 1.5; give 0 or more, and less than 1"),
+        ({"model_params": STAGE1 | {"n_position": 10**12}}, r"n_position is 1000000000000; give 1 "
+                                                            r"to 65536"),
+        ({"model_params": STAGE1 | {"dropout": 1.5}}, "dropout is 1.5; give 0 or more, and less "
+                                                      "than 1"),
         ({"cross_attn": CONTEXT | {"n_layers": 10**6}}, r"n_layers is 1000000; give 1 to 64"),
         ({"ar_params": SEQUENCE | {"d_model": 256}}, "one latent width"),
-        ({"ar_params": SEQUENCE | {"num_keys": 1026}}, r"embedding.weight is \(2048, 8\), expected \(1024, 8\)"),
+        ({"ar_params": SEQUENCE | {"num_keys": 1026}}, r"embedding.weight is \(2048, 8\), "
+                                                       r"expected \(1024, 8\)"),
     ],
 )  # fmt: skip
 def test_json_files_are_checked(published, changes, message):
@@ -98,7 +107,9 @@ def legacy(content, path):
 def test_a_pickle_that_wants_to_run_code_is_refused(published, tmp_path, save):
     folders = published()
     save({"encoder_state": Malicious(tmp_path / "ran")}, folders[0] / "best_model.pkl")
-    with pytest.raises(InvalidInputError, match=r"is refused: it holds posix.mkdir, .* run code") as caught:
+    with pytest.raises(
+        InvalidInputError, match=r"is refused: it holds posix.mkdir, .* run code"
+    ) as caught:
         import_published(*folders, ROBOT)
     assert "\n" not in str(caught.value) and not (tmp_path / "ran").exists()
 
@@ -107,10 +118,19 @@ def test_a_pickle_that_wants_to_run_code_is_refused(published, tmp_path, save):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda path: path.write_bytes(b"PK\x03\x04 broken"), "is no torch checkpoint, or cut short"),
+        (
+            lambda path: path.write_bytes(b"PK\x03\x04 broken"),
+            "is no torch checkpoint, or cut short",
+        ),
         (lambda path: path.write_bytes(b""), "is empty"),
-        (lambda path: path.write_bytes(b"\n<!DOCTYPE html><html><title>Google Drive"), "is a web page"),
-        (lambda path: path.write_bytes(pickle.dumps({"a": Malicious("ran")})), "is no torch checkpoint"),
+        (
+            lambda path: path.write_bytes(b"\n<!DOCTYPE html><html><title>Google Drive"),
+            "is a web page",
+        ),
+        (
+            lambda path: path.write_bytes(pickle.dumps({"a": Malicious("ran")})),
+            "is no torch checkpoint",
+        ),
         (lambda path: path.write_bytes(b"hello"), "is no torch checkpoint"),
         (lambda path: torch.save([1], path), "holds a list"),
         (lambda path: None, ": No such file"),

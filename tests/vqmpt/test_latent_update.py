@@ -17,7 +17,9 @@ from cvqmpt_lab.vqmpt.latent_update import LatentObjective, LatentOptimizer, Lat
 
 @dataclass(frozen=True)
 class Plane:
-    """Joints on a plane in configuration space: a . q = b; nothing but what the update needs of a constraint."""
+    """Joints on a plane in configuration space: a . q = b;
+    nothing but what the update needs of a constraint.
+    """
 
     normal: tuple = (0.5, 0.5, -0.5, 0.0, 0.0, 0.3, 0.4)
     offset: float = 0.2
@@ -80,7 +82,9 @@ def test_values_are_those_of_torch(panda, checkpoint, codebook, exact, constrain
     for objective, tolerance in ((exact, 1e-9), (LatentObjective(codebook), 1e-5)):
         value, gradient = objective.value_and_gradient(z, constraint, noise)
         np.testing.assert_allclose(value, expected, rtol=tolerance, atol=tolerance)
-        np.testing.assert_allclose(gradient, slope, rtol=tolerance, atol=10 * tolerance * np.abs(slope).max())
+        np.testing.assert_allclose(
+            gradient, slope, rtol=tolerance, atol=10 * tolerance * np.abs(slope).max()
+        )
         np.testing.assert_allclose(objective.value(z, constraint, noise), value, rtol=tolerance)
 
 
@@ -104,8 +108,12 @@ def g_of(codebook, z, constraint, draws=2000):
 
 
 @pytest.mark.parametrize(("method", "eta"), [("adam", 0.05), ("gradient", 0.02)])
-def test_codes_move_towards_the_manifold_and_never_get_worse(codebook, predicted, constraint, method, eta):
-    result = optimized(codebook, predicted, constraint, method=method, eta=eta, steps=8, check_samples=64)
+def test_codes_move_towards_the_manifold_and_never_get_worse(
+    codebook, predicted, constraint, method, eta
+):
+    result = optimized(
+        codebook, predicted, constraint, method=method, eta=eta, steps=8, check_samples=64
+    )
     kept, moved = result.kept, ~result.kept
     np.testing.assert_allclose(np.linalg.norm(result.z, axis=1), 1.0, rtol=1e-6)
     assert result.z.dtype == predicted.dtype and result.seconds > 0.0
@@ -123,7 +131,9 @@ def test_codes_repeat_by_seed_and_move_alone_as_among_others(codebook, predicted
     np.testing.assert_array_equal(one.z, same.z)
     np.testing.assert_array_equal(one.g_after, same.g_after)
     assert (one.z != other.z).any()
-    np.testing.assert_allclose(optimized(codebook, predicted[:1], constraint, 1).z, one.z[:1], atol=2e-3)
+    np.testing.assert_allclose(
+        optimized(codebook, predicted[:1], constraint, 1).z, one.z[:1], atol=2e-3
+    )
 
 
 def test_short_steps_stop_a_code(codebook, predicted, constraint):
@@ -148,7 +158,8 @@ def test_codes_on_the_manifold_stay_and_none_are_no_trouble(codebook, predicted)
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"method": "newton"}, "unknown method of the latent optimizer 'newton'; valid choices: adam, gradient"),
+        ({"method": "newton"}, "unknown method of the latent optimizer 'newton'; valid choices: "
+                               "adam, gradient"),
         ({"steps": 0}, "steps of the latent optimizer is 0"),
         ({"eta": 0.0}, "eta of the latent optimizer is 0.0; give more than 0"),
         ({"delta": float("nan")}, "delta of the latent optimizer is nan"),

@@ -1,4 +1,6 @@
-"""Products of predictor, Gaussians and update: their words, their mixtures, what updates do to them."""
+"""Products of predictor, Gaussians and update:
+their words, their mixtures, what updates do to them.
+"""
 
 from dataclasses import replace
 
@@ -82,17 +84,23 @@ def test_other_words_are_refused(words, message):
 
 @pytest.mark.parametrize("predictor", ["transformer", "graph", "random", "oracle"])
 def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor):
-    """Equal weights; the decoder's own Gaussians, and around the goals a tenth of each joint's range."""
+    """Equal weights;
+    the decoder's own Gaussians, and around the goals a tenth of each joint's range.
+    """
     proposal = proposed(f"cvq:{predictor}")
     mixture, c = proposal.distribution, len(proposal.codes)
     codebook = codebook_of("vq_mpt", problem.robot)
     means, covariances = codebook.gaussians(codebook.vectors[proposal.codes])
-    assert c > 0 and mixture.uniform_share == 0.0 and len(mixture.weights) == c + len(proposal.goals)
+    assert (
+        c > 0 and mixture.uniform_share == 0.0 and len(mixture.weights) == c + len(proposal.goals)
+    )
     np.testing.assert_array_equal(mixture.means[:c], means)
     np.testing.assert_allclose(mixture.covariances[:c], covariances, atol=1e-8)
     np.testing.assert_array_equal(mixture.means[c:], proposal.goals)
     span = problem.robot.upper - problem.robot.lower
-    np.testing.assert_allclose(mixture.covariances[c:], [np.diag((GOAL_STD * span) ** 2)] * len(proposal.goals))
+    np.testing.assert_allclose(
+        mixture.covariances[c:], [np.diag((GOAL_STD * span) ** 2)] * len(proposal.goals)
+    )
     assert all((np.abs(problem.goals - goal).max(axis=1) < 1e-9).any() for goal in proposal.goals)
 
 
@@ -109,7 +117,9 @@ def test_updates_move_codes_towards_the_constraint(problem, proposed):
     off = {}
     for update in ("none", "algorithm-2", "projected"):
         proposal = proposed(f"cvq:graph+{update}")
-        means = proposal.distribution.means[: len(proposal.distribution.means) - len(proposal.goals)]
+        means = proposal.distribution.means[
+            : len(proposal.distribution.means) - len(proposal.goals)
+        ]
         off[update] = np.square(problem.manifold.residual(means)).sum(axis=1).mean()
     assert off["projected"] < 1e-5 < off["algorithm-2"] < off["none"]
 
@@ -120,4 +130,7 @@ def test_without_codes_samples_are_uniform_and_the_proposal_says_so(problem, que
     sampler = replace(stages.predict.__self__, predict=lambda query, observation: none)
     proposal = sampler.propose(query, Observation())
     assert isinstance(proposal, CodeProposal) and isinstance(proposal.distribution, Uniform)
-    assert proposal.fallback == "no code sequence reached a goal" and stages.update(query, proposal) is proposal
+    assert (
+        proposal.fallback == "no code sequence reached a goal"
+        and stages.update(query, proposal) is proposal
+    )

@@ -1,4 +1,6 @@
-"""The MPNet planner: networks as they are, and one that heads straight for the goal, on tuning environments."""
+"""The MPNet planner:
+networks as they are, and one that heads straight for the goal, on tuning environments.
+"""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -25,7 +27,9 @@ from cvqmpt_lab.vqmpt.mpnet_rollouts import LINE_STATES, MPNetNetwork, MPNetRoll
 from cvqmpt_lab.vqmpt.weights import RobotSignature, robot_signature
 from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
-CONFIG = MPNetConfig(n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2)
+CONFIG = MPNetConfig(
+    n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2
+)
 ENOUGH = Budget(iterations=20_000)
 COPIES = 10
 
@@ -71,7 +75,9 @@ def stuck_network(problem):
     network = heading_network()
     with torch.no_grad():
         network.out.weight.zero_()
-        network.out.bias[:] = torch.from_numpy(2.0 * (q - robot.lower) / (robot.upper - robot.lower) - 1.0)
+        network.out.bias[:] = torch.from_numpy(
+            2.0 * (q - robot.lower) / (robot.upper - robot.lower) - 1.0
+        )
     return network
 
 
@@ -188,7 +194,9 @@ class RecordedBiRRT(BiRRT):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What trees were grown for, and by whom: between states of rollouts, and by the search after them."""
+    """What trees were grown for, and by whom:
+    between states of rollouts, and by the search after them.
+    """
     monkeypatch.setattr(RecordedBiRRT, "asked", [])
     monkeypatch.setattr(mpnet_rollouts, "BiRRT", RecordedBiRRT)
     monkeypatch.setattr(pipeline, "BiRRT", RecordedBiRRT)
@@ -206,7 +214,9 @@ def test_sides_that_do_not_meet_are_bridged_or_given_up_without_a_tree(tuning, a
     assert bridged.path is not None and len(asked) >= 1 and "a bridge" in bridged.detail
 
 
-def test_trees_grow_between_neighbours_of_a_rollout_alone_and_within_their_share(tuning, asked, monkeypatch):
+def test_trees_grow_between_neighbours_of_a_rollout_alone_and_within_their_share(
+    tuning, asked, monkeypatch
+):
     rollouts, join = [], mpnet_rollouts._Run._path
     keep = lambda run, rollout: rollouts.append(rollout.states) or join(run, rollout)  # noqa: E731
     monkeypatch.setattr(mpnet_rollouts._Run, "_path", keep)
@@ -220,7 +230,9 @@ def test_trees_grow_between_neighbours_of_a_rollout_alone_and_within_their_share
             assert goals.shape == (1, 7) and (start.tobytes(), goals[0].tobytes()) in pairs
             assert distribution.name == "uniform" and budget.iterations <= 0.1 * ENOUGH.iterations
         if result.path is not None and len(rollouts) == 1:
-            trees = f"{BY_ROLLOUTS} and trees: {len(asked)} of {len(pairs)} pairs joined by tree growth"
+            trees = (
+                f"{BY_ROLLOUTS} and trees: {len(asked)} of {len(pairs)} pairs joined by tree growth"
+            )
             assert result.detail == (trees if asked else ROLLOUTS_ALONE)
         total += len(asked)
     assert total > 0

@@ -151,7 +151,9 @@ def test_decoder_covariance_is_l_d_l_transposed_in_row_major_order():
         torch.testing.assert_close(gaussians.mean[i], mean)
         u = torch.rand(7)
         reference = torch.distributions.MultivariateNormal(mean, sigma)
-        torch.testing.assert_close(gaussians.log_prob(u)[i], reference.log_prob(u), rtol=1e-4, atol=1e-4)
+        torch.testing.assert_close(
+            gaussians.log_prob(u)[i], reference.log_prob(u), rtol=1e-4, atol=1e-4
+        )
         torch.testing.assert_close(gaussians.entropy()[i], reference.entropy())
 
 
@@ -164,10 +166,15 @@ def test_stage1_loss_masks_padding():
     loss = stage1_loss(output, u, visible, commitment=0.25)
     log_prob, entropies = output.gaussians.log_prob(u), output.gaussians.entropy()
     seen = [(b, t) for b in range(2) for t in range(6) if visible[b, t]]
-    nll, entropy = -sum(float(log_prob[at]) for at in seen), sum(float(entropies[at]) for at in seen)
+    nll, entropy = (
+        -sum(float(log_prob[at]) for at in seen),
+        sum(float(entropies[at]) for at in seen),
+    )
     assert float(loss.reconstruction) == pytest.approx((nll - 0.1 * entropy) / 2, rel=1e-5)
     distance = (output.quantized.latent - output.quantized.quantized).square().sum(-1)
-    assert float(loss.quantization) == pytest.approx(1.25 * float(distance[visible].mean()), rel=1e-5)
+    assert float(loss.quantization) == pytest.approx(
+        1.25 * float(distance[visible].mean()), rel=1e-5
+    )
     expected = (nll - 0.1 * entropy) / 2 + float(loss.quantization)
     assert float(loss.total) == pytest.approx(expected, rel=1e-5)
 
@@ -224,7 +231,9 @@ def test_beam_search_scores_what_the_model_says(sequence_model):
         expected, path = 0.0, [*sequence.codes] + [SMALL.goal_class] * sequence.finished
         for i, code in enumerate(path):
             prefix = torch.tensor([path[:i]], dtype=torch.int64)
-            logits = sequence_model.prefix_logits(context[row : row + 1], prefix, dictionary.quantizer)
+            logits = sequence_model.prefix_logits(
+                context[row : row + 1], prefix, dictionary.quantizer
+            )
             odds = logits.softmax(1) if path[:i] else logits.log_softmax(1)
             expected += float(odds[0, code])
         assert sequence.score == pytest.approx(expected, abs=1e-4)
@@ -233,7 +242,12 @@ def test_beam_search_scores_what_the_model_says(sequence_model):
 def test_sequence_loss_is_summed_over_prefixes_per_trajectory():
     logits, targets = torch.randn(2, 3, 5), torch.tensor([[1, 2, 4], [0, 4, 0]])
     visible = torch.tensor([[True, True, True], [True, True, False]])
-    picked = [logits[b, p].log_softmax(0)[targets[b, p]] for b in range(2) for p in range(3) if visible[b, p]]
+    picked = [
+        logits[b, p].log_softmax(0)[targets[b, p]]
+        for b in range(2)
+        for p in range(3)
+        if visible[b, p]
+    ]
     loss = sequence_loss(logits[visible], targets[visible], 2)
     torch.testing.assert_close(loss, -torch.stack(picked).sum() / 2)
 

@@ -7,7 +7,12 @@ import torch
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt import point_encoder
 from cvqmpt_lab.vqmpt.config import SetAbstractionConfig
-from cvqmpt_lab.vqmpt.point_encoder import SetAbstraction, TokenLevel, ball_query, farthest_point_sampling
+from cvqmpt_lab.vqmpt.point_encoder import (
+    SetAbstraction,
+    TokenLevel,
+    ball_query,
+    farthest_point_sampling,
+)
 
 
 @pytest.fixture
@@ -40,7 +45,9 @@ def test_farthest_points(points):
 
 @pytest.mark.parametrize("pairs_at_once", [1, 500, 1 << 17])
 @pytest.mark.parametrize("most", [3, 64])
-def test_ball_query_takes_the_first_points_within_the_radius(points, most, pairs_at_once, monkeypatch):
+def test_ball_query_takes_the_first_points_within_the_radius(
+    points, most, pairs_at_once, monkeypatch
+):
     monkeypatch.setattr(point_encoder, "PAIRS_AT_ONCE", pairs_at_once)
     centres = points[:, 5:17]
     found = ball_query(points, centres, 0.4, most)
@@ -54,7 +61,9 @@ def test_ball_query_takes_the_first_points_within_the_radius(points, most, pairs
 
 
 def test_set_abstraction_is_the_maximum_over_a_perceptron_of_each_ball(points):
-    module = SetAbstraction(4, SetAbstractionConfig(ratio=0.75, radius=0.3, widths=(8, 12), max_neighbours=5))
+    module = SetAbstraction(
+        4, SetAbstractionConfig(ratio=0.75, radius=0.3, widths=(8, 12), max_neighbours=5)
+    )
     features = torch.rand(2, 60, 4)
     module(TokenLevel(features, points))  # moves the running statistics of the batch norms
     module.eval()

@@ -43,7 +43,9 @@ def test_codes_are_those_of_the_sequences_that_reach_a_goal(prediction):
 def test_goals_in_one_batch_are_predicted_as_alone(predictor, prediction, queries):
     cloud, start, goals = queries
     alone = [predictor.predict(cloud, start, goals[k : k + 1]) for k in range(len(goals))]
-    assert [one.sequences[0].codes for one in alone] == [found.codes for found in prediction.sequences]
+    assert [one.sequences[0].codes for one in alone] == [
+        found.codes for found in prediction.sequences
+    ]
 
 
 def test_goals_that_are_never_reached_are_named(panda, queries):
@@ -66,7 +68,8 @@ CLOUD = np.random.default_rng(0).uniform(-0.8, 0.8, (50, 3))
         ({"cloud": CLOUD[:, :2]}, r"shape \(50, 2\); it must be \(n, 3\)"),
         ({"cloud": CLOUD[None]}, r"shape \(1, 50, 3\)"),
         ({"cloud": "cloud.ply"}, "point cloud must be numbers"),
-        ({"start": HOME + [0, 0, 0, 3.0, 0, 0, 0]}, "start: joint 'panda_joint4' is 0.7138 outside"),
+        ({"start": HOME + [0, 0, 0, 3.0, 0, 0, 0]}, "start: joint 'panda_joint4' is 0.7138 "
+                                                    "outside"),
         ({"start": HOME[:6]}, r"start of shape \(6,\); the robot takes \(7,\)"),
         ({"goals": [HOME, HOME - 2.0]}, "goal 1: joint 'panda_joint4' is"),
         ({"goals": HOME}, r"goals of shape \(7,\)"),

@@ -1,4 +1,6 @@
-"""Sequences of codes on the dictionary's roadmap: edge costs, Dijkstra's algorithm, and what comes of them."""
+"""Sequences of codes on the dictionary's roadmap:
+edge costs, Dijkstra's algorithm, and what comes of them.
+"""
 
 import numpy as np
 import pytest

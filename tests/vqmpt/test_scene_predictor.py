@@ -1,4 +1,6 @@
-"""The scene transformer without torch against torch, on small random weights; the cloud and goals it refuses."""
+"""The scene transformer without torch against torch, on small random weights;
+the cloud and goals it refuses.
+"""
 
 import dataclasses
 
@@ -40,7 +42,9 @@ def robot(request):
 @pytest.fixture(scope="module")
 def checkpoint(robot):
     config = ModelConfig.compact(robot.dof, 0, n_codes=64)
-    config = dataclasses.replace(config, dictionary=dataclasses.replace(config.dictionary, transformer=SIZES))
+    config = dataclasses.replace(
+        config, dictionary=dataclasses.replace(config.dictionary, transformer=SIZES)
+    )
     words = random_checkpoint(robot, config, metadata={})
     means, covariances = dictionary_gaussians(stored(words), robot)
     nodes = drawn_nodes(means, covariances, robot, code_noise(*means.shape)).astype(np.float32)
@@ -50,14 +54,18 @@ def checkpoint(robot):
     joints, offsets = body_points(robot)
     chain = dataclasses.replace(serial_chain(robot), points=tuple(joints.tolist()), offsets=offsets)
     limits = {"lower": tuple(robot.lower.tolist()), "upper": tuple(robot.upper.tolist())}
-    sizes = SceneTransformerConfig(**limits, body=chain, n_nodes=64, n_edges=len(edges), sizes=SMALL)
+    sizes = SceneTransformerConfig(
+        **limits, body=chain, n_nodes=64, n_edges=len(edges), sizes=SMALL
+    )
     torch.manual_seed(0)
     module = SceneTransformer(sizes)
     module.set_roadmap(nodes, edges)
     with torch.no_grad():
         for parameter in module.parameters():
             parameter += 0.05 * torch.randn_like(parameter)
-    return dataclasses.replace(words, config=dataclasses.replace(config, transformer=sizes), transformer=module.eval())
+    return dataclasses.replace(
+        words, config=dataclasses.replace(config, transformer=sizes), transformer=module.eval()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +88,9 @@ def queries(robot):
 @pytest.fixture(scope="module")
 def by_torch(checkpoint):
     """The scene, and its parts without the dimension of scenes."""
-    groups = [torch.from_numpy(part)[None] for part in group_points(CLOUD, SMALL.groups, SMALL.group_size)]
+    groups = [
+        torch.from_numpy(part)[None] for part in group_points(CLOUD, SMALL.groups, SMALL.group_size)
+    ]
     with torch.no_grad():
         return checkpoint.transformer.encode(*groups)
 
@@ -89,10 +99,14 @@ def tensor(array):
     return torch.from_numpy(np.asarray(array, dtype=np.float32))[None]
 
 
-def test_embeddings_odds_and_costs_to_go_are_those_of_torch(checkpoint, predictor, by_torch, queries):
+def test_embeddings_odds_and_costs_to_go_are_those_of_torch(
+    checkpoint, predictor, by_torch, queries
+):
     scene, network = predictor.encode(CLOUD), checkpoint.transformer
     for name in ("codes", "keys", "parts", "node_odds", "edge_odds"):
-        np.testing.assert_allclose(getattr(scene, name), getattr(by_torch, name)[0], atol=1e-4, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(scene, name), getattr(by_torch, name)[0], atol=1e-4, err_msg=name
+        )
     start, goals = queries
     with torch.no_grad():
         first, ends = (network.ends(by_torch, tensor(q)) for q in (start[None], goals))
@@ -108,7 +122,9 @@ def test_embeddings_odds_and_costs_to_go_are_those_of_torch(checkpoint, predicto
     assert predictor.rank(scene, start, goals).tolist() == np.argsort(costs).tolist()
 
 
-def test_ways_after_every_prefix_are_as_likely_as_by_torch(checkpoint, predictor, by_torch, queries):
+def test_ways_after_every_prefix_are_as_likely_as_by_torch(
+    checkpoint, predictor, by_torch, queries
+):
     network, (start, goals), rng = checkpoint.transformer, queries, np.random.default_rng(0)
     decoder = SequenceDecoder(predictor._network, predictor.encode(CLOUD), start, goals)
     ways, log_p = decoder.start()
@@ -121,10 +137,15 @@ def test_ways_after_every_prefix_are_as_likely_as_by_torch(checkpoint, predictor
     codes = torch.from_numpy(np.stack(codes, axis=1))[None]
     with torch.no_grad():
         first, ends = (network.ends(by_torch, tensor(q)) for q in (start[None], goals))
-        V, first = network.cost_to_go(by_torch, ends), Ends(*(p.expand(-1, len(goals), -1) for p in first))
+        V, first = (
+            network.cost_to_go(by_torch, ends),
+            Ends(*(p.expand(-1, len(goals), -1) for p in first)),
+        )
         logits = network.logits(by_torch, first, ends, V, codes)[0]
         roadmap = network.nodes, network.edges, network.config.sizes.links
-        allowed = roadmap_ways(*roadmap, tensor(start).expand(1, len(goals), -1), tensor(goals), codes)[0]
+        allowed = roadmap_ways(
+            *roadmap, tensor(start).expand(1, len(goals), -1), tensor(goals), codes
+        )[0]
     expected = logits.masked_fill(~allowed, -torch.inf).log_softmax(-1).numpy()
     for step, (ways, log_p) in enumerate(steps):
         found = np.full((len(goals), 65), -np.inf)
@@ -138,7 +159,8 @@ GOAL = 64  # the class behind the codes
 
 
 def likeliest_by_hand(decoder, beams):
-    """Codes and score of the best hypothesis to a decoder's one goal, a finished one at the length limit.
+    """Codes and score of the best hypothesis to a decoder's one goal, a finished one at the length
+    limit.
 
     The best of all continuations are kept, finished ones included, until one of those ranks first.
     """
@@ -148,7 +170,9 @@ def likeliest_by_hand(decoder, beams):
     for _ in range(LONGEST):
         rows, latest = np.array([(row, codes[-1] % GOAL) for row, codes, _ in best]).T
         grown = []
-        for row, (ways, log_p, one) in enumerate(zip(*decoder.advance(rows, latest), best, strict=True)):
+        for row, (ways, log_p, one) in enumerate(
+            zip(*decoder.advance(rows, latest), best, strict=True)
+        ):
             _, codes, score = one
             further = zip(ways.tolist(), log_p.tolist(), strict=True)
             going = [(row, (*codes, way), score + p) for way, p in further]
@@ -248,14 +272,20 @@ def test_weights_that_do_not_fit_are_refused(model, robot):
     fewer = dataclasses.replace(config, transformer=dataclasses.replace(own, n_nodes=60))
     refused = {
         r"no transformer, only dictionary; train one: cvqmpt train transformer": without,
-        "transformer was trained on the codes of another dictionary": changed(model, nodes=nodes[::-1].copy()),
+        "transformer was trained on the codes of another dictionary": changed(
+            model, nodes=nodes[::-1].copy()
+        ),
         r"nodes is \(63, .\), expected": changed(model, nodes=nodes[1:]),
         r"edges is \(.*\) of float32, expected": changed(model, edges=edges.astype(np.float32)),
         "edges that do not join two of its 64 nodes": changed(model, edges=edges + 1),
         "is for 60 codes, the dictionary has 64": dataclasses.replace(model, config=fewer),
-        r"look.value.weight is \(16, 31\), expected": changed(model, look__value__weight=np.zeros((16, 31))),
+        r"look.value.weight is \(16, 31\), expected": changed(
+            model, look__value__weight=np.zeros((16, 31))
+        ),
         "place has NaN": changed(model, place=np.full((LONGEST + 2, 32), np.nan, dtype=np.float32)),
-        "describes none": dataclasses.replace(model, config=dataclasses.replace(config, transformer=None)),
+        "describes none": dataclasses.replace(
+            model, config=dataclasses.replace(config, transformer=None)
+        ),
     }
     for message, bad in refused.items():
         with pytest.raises(InvalidInputError, match=message) as caught:

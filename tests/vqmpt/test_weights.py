@@ -1,4 +1,6 @@
-"""Weights on disk: round trips, every kind of damage named, and the comparison with the robot at hand."""
+"""Weights on disk:
+round trips, every kind of damage named, and the comparison with the robot at hand.
+"""
 
 import json
 import os
@@ -23,7 +25,9 @@ CONFIG = ModelConfig(kind="compact", dictionary=WORDS, point_cloud=None, sequenc
 
 @pytest.fixture
 def folder(tmp_path):
-    save_checkpoint(tmp_path / "model", Checkpoint(CONFIG, ROBOT, Dictionary(CONFIG), metadata={"note": 1}))
+    save_checkpoint(
+        tmp_path / "model", Checkpoint(CONFIG, ROBOT, Dictionary(CONFIG), metadata={"note": 1})
+    )
     return tmp_path / "model"
 
 
@@ -73,17 +77,23 @@ def test_damage_is_named(folder):
     with pytest.raises(InvalidInputError, match=r"config\.json: No such file"):
         load_checkpoint(folder.parent)
     os.mkfifo(file)  # not waited for
-    with pytest.raises(InvalidInputError, match=r"dictionary\.safetensors: it is not a regular file"):
+    with pytest.raises(
+        InvalidInputError, match=r"dictionary\.safetensors: it is not a regular file"
+    ):
         load_checkpoint(folder)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d["model"]["dictionary"].update(n_codes=9), r"embedding.weight is \(6, 8\), expected \(9, 8\)"),
-        (lambda d: d["model"]["dictionary"].update(n_codes=60_000, code_dim=60_000), "60000"),  # not made: 14 GB
-        (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=2), "layer_stack.1.*is missing"),
-        (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=0), "n_layers is 0; give 1 to 64"),
+        (lambda d: d["model"]["dictionary"].update(n_codes=9), r"embedding.weight is \(6, 8\), "
+                                                               r"expected \(9, 8\)"),
+        # not made: 14 GB
+        (lambda d: d["model"]["dictionary"].update(n_codes=60_000, code_dim=60_000), "60000"),
+        (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=2), "layer_stack.1.*is "
+                                                                               "missing"),
+        (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=0), "n_layers is 0; "
+                                                                               "give 1 to 64"),
         (lambda d: d["model"]["dictionary"].update(encoder="mlp"), "and [0-9]+ more"),
         (lambda d: d.update(format="2"), "format is '2'"),
         (lambda d: d.pop("metadata"), "metadata is None"),
@@ -117,7 +127,8 @@ def test_the_same_robot_may_have_another_name_or_less_on_record():
         (ARM, replace(ARM, lower=(0.0,), upper=(1.0,), joints=()), "not this one: 2 joints, not 1"),
         (ARM, replace(ARM, joints=("shoulder", "wrist")), "joint 'elbow', not 'wrist'"),
         (ARM, replace(ARM, upper=(2.0, 2.5)), "upper limit of joint 1 2, not 2.5"),
-        (ARM, replace(ARM, kinematics="fedcba9876"), r"placed otherwise \(kinematics 01234567, not fedcba98\)"),
+        (ARM, replace(ARM, kinematics="fedcba9876"), r"placed otherwise \(kinematics 01234567, "
+                                                     r"not fedcba98\)"),
         (OLD, replace(ARM, name="leg"), "not 'leg': another name, and no digest to compare"),
     ],
 )  # fmt: skip

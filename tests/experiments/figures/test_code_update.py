@@ -46,7 +46,9 @@ def update(problem):
     return update_codes(problem, None, SETTINGS)
 
 
-@pytest.mark.parametrize(("given", "said"), [({"samples": 0}, "samples of the"), ({"seed": -1}, "seed of the")])
+@pytest.mark.parametrize(
+    ("given", "said"), [({"samples": 0}, "samples of the"), ({"seed": -1}, "seed of the")]
+)
 def test_bad_numbers_are_refused(given, said):
     with pytest.raises(InvalidInputError, match=said):
         UpdateSettings(**given)
@@ -54,13 +56,20 @@ def test_bad_numbers_are_refused(given, said):
 
 @pytest.mark.parametrize(("when", "planner"), [("before", "cvq-mpt"), ("after", "opt-cvq-mpt")])
 def test_the_mixtures_are_those_that_the_planners_sample(update, when, planner):
-    stages, rng = planner_named(planner).stages(update.problem), np.random.SeedSequence(0).spawn(1)[0]
-    query = Query.of(ConstrainedSpace(update.problem), Budget(seconds=60.0), np.random.default_rng(rng))
+    stages, rng = (
+        planner_named(planner).stages(update.problem),
+        np.random.SeedSequence(0).spawn(1)[0],
+    )
+    query = Query.of(
+        ConstrainedSpace(update.problem), Budget(seconds=60.0), np.random.default_rng(rng)
+    )
     proposal = stages.predict(query, Observation(update.cloud))
     if stages.update is not None:
         proposal = stages.update(query, proposal)
     np.testing.assert_array_equal(getattr(update, when).means, proposal.distribution.means)
-    np.testing.assert_array_equal(getattr(update, when).covariances, proposal.distribution.covariances)
+    np.testing.assert_array_equal(
+        getattr(update, when).covariances, proposal.distribution.covariances
+    )
     sampled = proposal.distribution.sample(np.random.default_rng(1), 20_000)
     drawn = np.concatenate([update.draws(when, i) for i in range(len(update.before.means))])
     g = [squared_residual(update.problem.manifold, q).mean() for q in (sampled, drawn)]
@@ -78,10 +87,16 @@ def test_codes_are_the_decoders_and_move_towards_the_constraint_goals_do_not(pro
 
 def test_rows_and_bins_count_every_draw(update):
     rows, bins = update.rows(), histogram_rows([update, update])
-    assert [row["code"] for row in rows] == [*update.codes, *["goal"] * (len(rows) - len(update.codes))]
+    assert [row["code"] for row in rows] == [
+        *update.codes,
+        *["goal"] * (len(rows) - len(update.codes)),
+    ]
     for what, gaussians in (("codes", len(update.codes)), ("all", len(rows))):
         for when in ("before", "after"):
-            assert sum(row[when] for row in bins if row["of"] == what) == 2 * gaussians * SETTINGS.samples
+            assert (
+                sum(row[when] for row in bins if row["of"] == what)
+                == 2 * gaussians * SETTINGS.samples
+            )
     near = [np.sqrt(update.g("after")) < row["to"] for row in bins[:1]]
     assert bins[len(bins) // 2]["after"] == 2 * near[0].sum()
 

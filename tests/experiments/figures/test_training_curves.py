@@ -16,7 +16,11 @@ def test_trainings_are_drawn_from_their_folders_and_from_the_table(tmp_path):
         draw_training(other, other)
     profile = {"published": {"scenes": 4, "paths": 96}}
     (run / "training.json").write_text(json.dumps({"stage": "published", "profile": profile}))
-    names = [f"validation_{p}cross_entropy_{w}" for p in ("", "wrong_cloud_", "no_cloud_") for w in ("all", "ways")]
+    names = [
+        f"validation_{p}cross_entropy_{w}"
+        for p in ("", "wrong_cloud_", "no_cloud_")
+        for w in ("all", "ways")
+    ]
     (run / "curves.csv").write_text(f"step,seconds,{','.join(names)}\n400,9.5,4,1,5,2,6,3\n")
     *_, table = draw_training(run.parent, run.parent)
     assert table.read_text().splitlines()[1] == "published-0,published,153600,9.5,1,4,2,5,3,6"

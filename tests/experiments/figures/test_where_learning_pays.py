@@ -1,4 +1,6 @@
-"""Figures of where learning pays: break-even prices, bins of hardness, best lengths by time, and bad input."""
+"""Figures of where learning pays:
+break-even prices, bins of hardness, best lengths by time, and bad input.
+"""
 
 import csv
 import math
@@ -14,7 +16,9 @@ TRACE = ((0.01, 8.0), (0.05, 6.0), (0.2, 5.0))
 
 
 def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
-    """100 checks and 1 ms more of networks against 1100 checks: even at 1 us more a check than ours."""
+    """100 checks and 1 ms more of networks against 1100 checks:
+    even at 1 us more a check than ours.
+    """
     shared = {"n_projections": 0, "t_goals_s": 0.0}
     rows = [
         row

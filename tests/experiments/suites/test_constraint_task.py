@@ -1,4 +1,6 @@
-"""Problems under every kind of constraint: what the hand keeps, from where to where, and what it carries."""
+"""Problems under every kind of constraint:
+what the hand keeps, from where to where, and what it carries.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""Problems in scenes of the training families: of the Panda, and of arms for which there are no weights."""
+"""Problems in scenes of the training families:
+of the Panda, and of arms for which there are no weights.
+"""
 
 from dataclasses import replace
 
@@ -11,12 +13,19 @@ from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from experiments.suites import family_task
-from experiments.suites.family_task import ROBOTS, family_problem, held_out_problem, other_robot_problem
+from experiments.suites.family_task import (
+    ROBOTS,
+    family_problem,
+    held_out_problem,
+    other_robot_problem,
+)
 from experiments.suites.place_task import UnsolvableProblem
 from experiments.suites.suite import suite_named
 
 
-@pytest.mark.parametrize(("robot", "joints", "sliders"), [("ur5", 6, 0), ("xarm7", 7, 0), ("tiago", 8, 1)])
+@pytest.mark.parametrize(
+    ("robot", "joints", "sliders"), [("ur5", 6, 0), ("xarm7", 7, 0), ("tiago", 8, 1)]
+)
 def test_an_arm_moves_upright_between_two_hand_poses(robot, joints, sliders):
     suite, index = suite_named("robots"), 20 * list(ROBOTS).index(robot) + 6
     problem, again = suite.solvable(index), suite.solvable(index)
@@ -37,13 +46,19 @@ def test_an_arm_moves_upright_between_two_hand_poses(robot, joints, sliders):
     ("robot", "index", "family", "number"),
     [("panda", 1, "table", 2001), ("z1", 5, "table", 2105), ("panda", 19, "kitchen-like", 2039)],
 )
-def test_a_robot_gets_the_first_scene_of_its_family_that_holds_a_problem(robot, index, family, number):
-    problem, expected = other_robot_problem(robot, index), family_problem(family, number, ROBOTS[robot])
+def test_a_robot_gets_the_first_scene_of_its_family_that_holds_a_problem(
+    robot, index, family, number
+):
+    problem, expected = (
+        other_robot_problem(robot, index),
+        family_problem(family, number, ROBOTS[robot]),
+    )
     assert problem.scene.name.endswith(f"_{number}")
     np.testing.assert_array_equal(problem.start, expected.start)
     np.testing.assert_array_equal(problem.goal_region.T0_w, problem.robot.pose(expected.goals[0]))
     assert all(
-        isinstance(family_problem(family, k, ROBOTS[robot]), UnsolvableProblem) for k in range(2000 + index, number, 20)
+        isinstance(family_problem(family, k, ROBOTS[robot]), UnsolvableProblem)
+        for k in range(2000 + index, number, 20)
     )
 
 
@@ -61,8 +76,13 @@ def test_a_robot_without_a_problem_in_all_scenes_is_reported_in_one_line(monkeyp
 
 
 @pytest.mark.parametrize(("index", "number"), [(0, 0), (1, 8001), (34, 8084)])
-def test_a_family_problem_is_of_its_own_scene_or_of_the_first_spare_one_that_holds_one(index, number):
-    found, expected = held_out_problem("kitchen-like", index), family_problem("kitchen-like", number)
+def test_a_family_problem_is_of_its_own_scene_or_of_the_first_spare_one_that_holds_one(
+    index, number
+):
+    found, expected = (
+        held_out_problem("kitchen-like", index),
+        family_problem("kitchen-like", number),
+    )
     assert found == replace(expected, name=str(index))
     earlier = [k for k in (index, *range(8000 + index, number, 50)) if k != number]
     assert all(isinstance(family_problem("kitchen-like", k), UnsolvableProblem) for k in earlier)

@@ -1,4 +1,6 @@
-"""The place task: where the can stands, how it is grasped, and that every environment has a problem."""
+"""The place task:
+where the can stands, how it is grasped, and that every environment has a problem.
+"""
 
 import numpy as np
 import pytest
@@ -30,11 +32,17 @@ def yaw_about_can(T_world_hand):
     return np.arctan2(T_world_hand[1, 2], T_world_hand[0, 2])
 
 
-@pytest.mark.parametrize(("environment", "u"), [(0, (0.5488135039, 0.7151893664)), (7, (0.0763082894, 0.7799187922))])
+@pytest.mark.parametrize(
+    ("environment", "u"), [(0, (0.5488135039, 0.7151893664)), (7, (0.0763082894, 0.7799187922))]
+)
 def test_can_position_formula(environment, u):
-    """First two uniforms of numpy's frozen legacy generator, as printed in numpy's own documentation of seed 0."""
+    """First two uniforms of numpy's frozen legacy generator, as printed in numpy's own
+    documentation of seed 0.
+    """
     link = (0.4 + 0.3 * u[0], -0.6 + 1.0 * u[1], 0.171)
-    np.testing.assert_allclose(can_com(environment), np.add(link, (-0.005, 0.010, 0.100)), atol=1e-9)
+    np.testing.assert_allclose(
+        can_com(environment), np.add(link, (-0.005, 0.010, 0.100)), atol=1e-9
+    )
 
 
 def test_the_carried_can_stands_upright_where_it_was_grasped():
@@ -61,19 +69,26 @@ def test_problems_are_sound(with_can):
         *((q, SHELF_COM) for q in problem.goals),
     ]:
         T = problem.robot.pose(q)
-        np.testing.assert_allclose(T[:3, 3] + 0.11 * T[:3, 2], np.add(com, (0.0, 0.0, 0.05)), atol=1e-5)
+        np.testing.assert_allclose(
+            T[:3, 3] + 0.11 * T[:3, 2], np.add(com, (0.0, 0.0, 0.05)), atol=1e-5
+        )
         assert abs(yaw_about_can(T)) <= np.pi / 2 + 1e-5 and not roomy.in_collision(q)
     tilt = Rotation.from_matrix(problem.robot.pose(problem.start)[:3, :3]).apply((1, 0, 0))
     np.testing.assert_allclose(tilt, (0.0, 0.0, 1.0), atol=1e-5)
 
 
 def test_the_mirrored_kitchen_is_the_same_modules_on_the_other_side():
-    """Left and right change places, walls keep their distance, and the can stands in the shelf's open cabinet."""
+    """Left and right change places, walls keep their distance, and the can stands in the shelf's
+    open cabinet.
+    """
     known, mirrored = (place_problem(7), mirrored_problem(7))
     old, new = ({item.name: item for item in p.scene.objects} for p in (known, mirrored))
     assert list(old) == list(new) and mirrored.scene.articulations == ()
-    assert new["range/block"].T_world_object[1, 3] == pytest.approx(-old["range/block"].T_world_object[1, 3])
-    panel = new["dagger_door_left/panel"].T_world_object  # open: parallel to the cabinet's sides, now left
+    assert new["range/block"].T_world_object[1, 3] == pytest.approx(
+        -old["range/block"].T_world_object[1, 3]
+    )
+    # open: parallel to the cabinet's sides, now left
+    panel = new["dagger_door_left/panel"].T_world_object
     assert panel[1, 3] > 0.0 > old["dagger_door_left/panel"].T_world_object[1, 3]
     assert np.linalg.det(panel) == pytest.approx(1.0)
     T = mirrored.robot.pose(mirrored.start)
@@ -88,7 +103,12 @@ def test_the_mirrored_kitchen_is_the_same_modules_on_the_other_side():
 @pytest.mark.parametrize("suite", SUITES)
 def test_suites_know_their_problems(suite):
     last = len(suite_named(suite).problems) - 1
-    sizes = {"place-task": 150, "place-task-with-can": 150, "place-task-single-goal": 30, "constraints": 160}
+    sizes = {
+        "place-task": 150,
+        "place-task-with-can": 150,
+        "place-task-single-goal": 30,
+        "constraints": 160,
+    }
     sizes |= {"factorial": 60, "factorial-constraints": 80}
     sizes |= dict.fromkeys(("multi-sequence", "open-door"), 10)
     sizes |= {"robots": 180, "place-task-mirrored": 60, "peers": 30}
@@ -96,20 +116,26 @@ def test_suites_know_their_problems(suite):
     assert last + 1 == sizes.get(suite, 50)
     assert suite_named(suite).item(last).name.partition("/")[0] == str(last)
     for index in (-1, last + 1, 1000):
-        with pytest.raises(InvalidInputError, match=f"problem {index} of suite {suite}.*0 to {last}"):
+        with pytest.raises(
+            InvalidInputError, match=f"problem {index} of suite {suite}.*0 to {last}"
+        ):
             suite_named(suite).item(index)
 
 
 def test_a_problem_without_a_start_is_refused():
     suite = Suite("hard", range(3), lambda index: UnsolvableProblem(str(index), "no start grasp"))
-    with pytest.raises(InvalidInputError, match="problem 2 of hard has no solution: no start grasp"):
+    with pytest.raises(
+        InvalidInputError, match="problem 2 of hard has no solution: no start grasp"
+    ):
         suite.solvable(2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suite", ["place-task", "place-task-with-can"])
 def test_every_environment_is_solved(suite, part):
-    """By birrt within 20 000 iterations; every path certified, every start and goal checked by `solve`."""
+    """By birrt within 20 000 iterations;
+    every path certified, every start and goal checked by `solve`.
+    """
     planner, budget = planner_named("birrt"), Budget(iterations=20_000)
     problems = [suite_named(suite).solvable(e) for e in part(ENVIRONMENTS, 30)]
     solutions = [solve(problem, planner, budget, seed=0, clearance=False) for problem in problems]

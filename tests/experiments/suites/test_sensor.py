@@ -1,4 +1,6 @@
-"""Scanned scenes: fair starts and goals, cameras in the open, maps that repeat, paths judged in map and truth."""
+"""Scanned scenes:
+fair starts and goals, cameras in the open, maps that repeat, paths judged in map and truth.
+"""
 
 from dataclasses import replace
 
@@ -13,7 +15,13 @@ from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.virtual import solids_of
 from experiments.rows import Run, outcome_of
 from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.sensor_task import ROOM, SensedProblem, Sensing, scanned_scene, sensor_problem
+from experiments.suites.sensor_task import (
+    ROOM,
+    SensedProblem,
+    Sensing,
+    scanned_scene,
+    sensor_problem,
+)
 from experiments.suites.suite import suite_named
 
 ENOUGH = Budget(iterations=20_000)
@@ -51,7 +59,9 @@ def test_a_path_is_judged_in_the_map_and_in_truth(sensed):
     path = suite_named("sensor").solvable(1)
     hand = path.robot.pose(path.goals[0])[:3, 3]
     ball = SceneObject("unseen", Sphere(0.05), pose(hand))
-    (row,) = outcome_of(run, replace(sensed, truth=Scene("t", (*sensed.truth.objects, ball))), 0.0).rows
+    (row,) = outcome_of(
+        run, replace(sensed, truth=Scene("t", (*sensed.truth.objects, ball))), 0.0
+    ).rows
     assert row.solved and row.true_free is False and row.true_clearance_m < 0.0
 
 
