@@ -22,7 +22,7 @@ help:
 	@echo "make docs        the site in build/site: README, docs, notebooks with their outputs, results, the API"
 	@echo "make trust       attack what docs/guarantees.md promises, for two hours, and write the figures there"
 	@echo "make lint        ruff, mypy, import-linter"
-	@echo "make bench       what kernels and planners cost here"
+	@echo "make bench       what the stages of planning cost here"
 	@echo "make clean       remove caches and builds; .venv and runs/ stay"
 
 venv: $(STAMP)
@@ -97,8 +97,7 @@ trust: venv-dev warmup
 	nice $(BIN)/pytest -n 2 --long --record docs/guarantees.md tests/fuzz tests/properties
 
 bench: warmup
-	$(BIN)/cvqmpt bench kernels
-	$(BIN)/cvqmpt bench planners
+	$(BIN)/cvqmpt bench stages
 
 clean:
 	rm -rf build ./*.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

@@ -9,7 +9,7 @@ from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.figures import run_figure
 from experiments.figures.code_update import UpdateSettings
-from experiments.figures.run_figure import FIGURES, NAME, ROW_FIGURES
+from experiments.figures.run_figure import FIGURES, ROW_FIGURES
 from paper_tables.committed import RESULTS
 
 EXAMPLES = (
@@ -17,14 +17,19 @@ EXAMPLES = (
     "cvqmpt figure concept --problem 7 --model runs/stage2/model --out runs/concept",
     "cvqmpt figure cost --rows runs/place-task --out runs/cost",
     "cvqmpt figure training --rows runs",
-    f"cvqmpt figure {NAME} --problems 30 --out runs/{NAME}",
 )
+
+REMOVED = {  # figures by name, and what is there instead of them
+    "equal-time": "cvqmpt plan --optimize improves a path until the time is up",
+    "difficulty": "cvqmpt report lists the rows of a run problem by problem",
+    "robustness": "cvqmpt reproduce sensor measures planning from noisy cameras",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which figure, of which problem, by which model."""
     add = parser.add_argument
-    add("figure", help=f"one of {', '.join((*FIGURES, NAME, *ROW_FIGURES))}")
+    add("figure", help=f"one of {', '.join((*FIGURES, *ROW_FIGURES))}")
     add(
         "--problem",
         type=int,
@@ -32,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="I",
         help="of concept: index of the place task's problem (0)",
     )
-    first = f"of histogram and {NAME}: the first N problems (30)"
+    first = "of histogram: the first N problems (30)"
     add("--problems", type=positive_int, default=30, metavar="N", help=first)
     add_model(parser)
     add("--seed", type=int, default=0, metavar="S", help="seed of all randomness (0)")
@@ -42,7 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the figure and say what it shows."""
-    known, command = (*FIGURES, NAME, *ROW_FIGURES), own_command()
+    known, command = (*FIGURES, *ROW_FIGURES), own_command()
+    if args.figure in REMOVED:
+        raise InvalidInputError(
+            f"figure {args.figure} was removed, its last numbers are in docs/training_log.md; "
+            f"{REMOVED[args.figure]}"
+        )
     if args.figure not in known:
         raise UnknownChoiceError("figure", args.figure, known)
     if args.figure in ROW_FIGURES:
@@ -62,14 +72,11 @@ def run(args: argparse.Namespace) -> int:
     else:
         out, settings = args.out or Path("runs") / args.figure, UpdateSettings(seed=args.seed)
         compile_kernels(log)
-        if args.figure == NAME:
-            written = run_figure.compare_at_equal_time(out, args.problems, command)
-        else:
-            problems = range(args.problems) if args.figure == "histogram" else (args.problem,)
-            updates, written = run_figure.reproduce_figure(
-                args.figure, out, command, problems, args.model, settings
-            )
-            print("\n".join(run_figure.summary(updates)))
+        problems = range(args.problems) if args.figure == "histogram" else (args.problem,)
+        updates, written = run_figure.reproduce_figure(
+            args.figure, out, command, problems, args.model, settings
+        )
+        print("\n".join(run_figure.summary(updates)))
     for path in written:
         print(f"written {path}")
     return 0

@@ -29,7 +29,7 @@ COMMANDS = {
     "data": "make training paths",
     "train": "train the dictionary, the sequence model or MPNet",
     "model": "show weights, convert published ones",
-    "bench": "measure kernels, collision checks, planners and free motions",
+    "bench": "measure the stages of planning, and a state check of the paper's simulator",
     "warmup": "compile all kernels ahead of time",
     "doctor": "tell what is installed here, what is missing and how to get it",
     "completion": "print what makes a shell complete commands, options and names",

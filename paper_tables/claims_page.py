@@ -74,8 +74,8 @@ TERMS = (
     "known: `paper_tables/statements.py`. One rule was made stricter later: *solves 98 % in time* "
     "was tested at 90 % "
     "of 98.4 %, which CBiRRT itself passes.",
-    "OMPL calls our compiled checks and projections through Python. At the prices of `cvqmpt "
-    "bench kernels` the "
+    "OMPL calls our compiled checks and projections through Python. At the prices in "
+    "docs/performance.md the "
     "counted work explains about half of the search time of `ompl-projected` and a thirtieth of "
     "that of `atlas-rrt` "
     "and `tb-rrt`, but all of that of `birrt`: compare their work, too.",

@@ -20,11 +20,9 @@ from experiments.figures.code_update import (
     write_tables,
 )
 from experiments.figures.drawing import save_figure
-from experiments.figures.equal_time import NAME, RESTARTED, SECONDS, draw_equal_time
-from experiments.figures.row_figures import draw_cost, draw_difficulty, draw_robustness
+from experiments.figures.row_figures import draw_cost
 from experiments.figures.scene_pictures import concept_figure, write_hands
 from experiments.figures.training_curves import draw_training
-from experiments.run import weights_of
 from experiments.suites.suite import suite_named
 
 SUITE = "place-task"
@@ -64,21 +62,6 @@ def reproduce_figure(
     return updates, [*FIGURES[figure](updates, out), record.path]
 
 
-def compare_at_equal_time(out: Path, problems: int, command: Sequence[str]) -> list[Path]:
-    """Run methods on the first problems of the place task until time is up; figure, table and
-    provenance in a folder.
-
-    RunStoreError: the folder holds other results.
-    """
-    configuration = {"figure": NAME, "suite": SUITE, "problems": problems, "seconds": SECONDS}
-    session = provenance(command, [0], weights_of(RESTARTED))
-    record = _record(out, configuration, session)
-    asked = [suite_named(SUITE).solvable(index) for index in range(problems)]
-    written = draw_equal_time([each for each in asked if isinstance(each, PlanningProblem)], out)
-    record.create(configuration, session)
-    return [*written, record.path]
-
-
 def _record(
     out: Path, configuration: Mapping[str, Any], session: Mapping[str, Any]
 ) -> ProvenanceFile:
@@ -112,9 +95,7 @@ FIGURES: Mapping[str, Callable[[Sequence[CodeUpdate], Path], list[Path]]] = {
     "concept": _concept,
 }
 ROW_FIGURES: Mapping[str, Callable[[Path, Path], list[Path]]] = {
-    "robustness": draw_robustness,
     "cost": draw_cost,
-    "difficulty": draw_difficulty,
     "training": draw_training,
 }
 

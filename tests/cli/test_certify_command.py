@@ -158,9 +158,10 @@ def until(state, direction, reached):
 def tilted(problem, states):
     """The hand of one state tilts by 0.101 rad; its neighbours are as they were."""
     region, bent = problem.constraint[0], states.copy()
-    tilt = lambda q: np.abs(
-        displacements(problem.robot, region, q[None])[0, region.bounded_rows]
-    ).max()
+
+    def tilt(q):
+        return np.abs(displacements(problem.robot, region, q[None])[0, region.bounded_rows]).max()
+
     bent[MIDDLE] = until(states[MIDDLE], np.eye(7)[6], lambda q: tilt(q) >= 0.101)
     assert tilt(bent[MIDDLE]) == pytest.approx(0.101, abs=1e-6)
     return bent

@@ -28,7 +28,26 @@ NASTY = (
 )
 SCALES = tuple(sign * 10.0**power for power in range(-12, 13) for sign in (1.0, -1.0))
 WORDS = (
-    *["0", "-1", "nan", "inf", "1e308", "5e-324", "1e-9", "100", "x", "base", "tool", "é", "revolute", "prismatic", "continuous", "fixed", "floating", "planar"],
+    *[
+        "0",
+        "-1",
+        "nan",
+        "inf",
+        "1e308",
+        "5e-324",
+        "1e-9",
+        "100",
+        "x",
+        "base",
+        "tool",
+        "é",
+        "revolute",
+        "prismatic",
+        "continuous",
+        "fixed",
+        "floating",
+        "planar",
+    ],
     *"../../etc/passwd /etc/passwd file:///etc/passwd package://x/y.stl".split(),  # noqa: SIM905
     *("", "0 0 0", "1 0 0", "0 0 1e300", "1 2", "a b", "x" * 5000),
 )

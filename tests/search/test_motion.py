@@ -14,7 +14,6 @@ from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere, shape_vertices
 from cvqmpt_lab.search.motion import motion_free, states_valid
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.bench.state_checks import near_contact
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 HAMMER = (
@@ -67,6 +66,26 @@ def test_no_point_moves_further_than_its_swing(request, name, attachments):
 @pytest.fixture(scope="module")
 def kitchen_space(panda, open_kitchen):
     return ConstrainedSpace(PlanningProblem("kitchen", panda, open_kitchen, HOME, HOME[None]))
+
+
+def near_contact(problem, space, rng, count):
+    """Configurations (count, n) within 0.05 rad of first contacts, by bisection [rad]."""
+    found, missing = [np.empty((0, problem.robot.dof))], count
+    while missing > 0:
+        states = problem.robot.random_configurations(rng, max(2 * missing, 64))
+        valid = space.valid_batch(states)
+        pairs = min(int(valid.sum()), int((~valid).sum()), missing)
+        free, colliding = states[valid][:pairs], states[~valid][:pairs]
+        for _ in range(16):
+            middle = 0.5 * (free + colliding)
+            valid = space.valid_batch(middle)[:, None]
+            free, colliding = np.where(valid, middle, free), np.where(valid, colliding, middle)
+        direction = rng.normal(size=free.shape)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        beside = free + direction * rng.uniform(0.0, 0.05, (pairs, 1))
+        found.append(np.clip(beside, problem.robot.lower, problem.robot.upper))
+        missing -= pairs
+    return np.concatenate(found)
 
 
 @pytest.fixture(scope="module")

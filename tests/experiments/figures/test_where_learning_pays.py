@@ -1,18 +1,12 @@
-"""Figures of where learning pays:
-break-even prices, bins of hardness, best lengths by time, and bad input.
-"""
+"""The figure of costs: break-even prices of state checks."""
 
 import csv
-import math
 
 import pytest
 from made_rows import a_row
 
 from cvqmpt_lab.results.row import RUNS_FILE, write_rows
-from experiments.figures.equal_time import best_by, time_to
-from experiments.figures.row_figures import OURS, bins_of, draw_cost
-
-TRACE = ((0.01, 8.0), (0.05, 6.0), (0.2, 5.0))
+from experiments.figures.row_figures import OURS, draw_cost
 
 
 def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
@@ -38,14 +32,3 @@ def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
     assert float(found["learned"]["time_at_ours"]) == pytest.approx(1.5)
     assert float(found["learned"]["work"]) == pytest.approx(1 / 11, rel=1e-5)
     assert found["dear"]["break_even_us"] == "" and float(found["dear"]["time_at_papers"]) > 1.0
-
-
-def test_problems_are_binned_from_easy_to_hard_and_unsolved_ones_are_hardest():
-    hard = {"p10": 5.0, "p2": math.inf, "p1": 5.0, "p3": 1.0}
-    assert bins_of(hard, 2) == [["p3", "p1"], ["p10", "p2"]]
-    assert bins_of({"p": 1.0}) == [["p"]]
-
-
-def test_the_best_length_by_a_time_and_the_time_to_a_length():
-    assert [best_by(TRACE, time) for time in (0.001, 0.05, 1.0)] == [math.inf, 6.0, 5.0]
-    assert [time_to(TRACE, length) for length in (8.0, 5.5, 4.0)] == [0.01, 0.2, math.inf]

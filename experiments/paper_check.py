@@ -1,9 +1,7 @@
-"""What a state check costs in the paper's simulator, PyBullet:
-the distances of all pairs of pieces.
-"""
+"""What a state check costs in the paper's simulator, PyBullet: distances of all pairs of links."""
 
 import importlib.util
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import combinations_with_replacement
 from typing import Any
 
@@ -16,14 +14,14 @@ from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
-from experiments.bench.measurement import CpuTimes, Measurement
+from experiments.stage_times import CpuClock, Measured
 
 STATES = 100
 Placement = tuple[list[float], list[float]]  # position [m] and quaternion (x, y, z, w)
 EVERYTHING = 10.0  # [m] no pair is further apart, so that getClosestPoints measures them all
 
 
-def bench_paper_check(problem: PlanningProblem) -> Iterator[Measurement]:
+def paper_check(problem: PlanningProblem) -> list[Measured]:
     """Processor time of all distances of a robot, to itself and to the kitchen, as the published
     code asks for them.
 
@@ -38,7 +36,7 @@ def bench_paper_check(problem: PlanningProblem) -> Iterator[Measurement]:
         )
     import pybullet as bullet
 
-    client, clock = bullet.connect(bullet.DIRECT), CpuTimes()
+    client, clock = bullet.connect(bullet.DIRECT), CpuClock()
     try:
         links = _links(problem.robot)
         bodies = [_hull(bullet, vertices) for _, vertices in links.values()]
@@ -66,7 +64,7 @@ def bench_paper_check(problem: PlanningProblem) -> Iterator[Measurement]:
                 check,
                 placed,
             )
-        yield from clock.measurements()
+        return clock.measured()
     finally:
         bullet.disconnect(client)
 

@@ -1,1 +1,0 @@
-"""What kernels and planners cost on this machine."""

@@ -1,0 +1,103 @@
+"""What starting, searching, shortening and certifying cost on this machine, and memory."""
+
+import resource
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.query import Uniform
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.shortcut import simplify
+from cvqmpt_lab.search.space import ConstrainedSpace
+from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
+
+Result = TypeVar("Result")
+
+
+class Measured(NamedTuple):
+    """Median of a quantity, and its 5th to 95th percentile."""
+
+    name: str
+    median: float
+    low: float
+    high: float
+    unit: str
+
+
+def measured(name: str, values: Sequence[float], unit: str) -> Measured:
+    """Summarise values; nan without any."""
+    shares = 0.05, 0.5, 0.95
+    found = np.quantile(values, shares, method="nearest") if len(values) else [np.nan] * 3
+    low, median, high = map(float, found)
+    return Measured(name, median, low, high, unit)
+
+
+class CpuClock:
+    """Processor time [ms] of calls, by name: other processes do not change it."""
+
+    def __init__(self) -> None:
+        self._found: dict[str, list[float]] = defaultdict(list)
+
+    def __call__(self, name: str, function: Callable[..., Result], *args: object) -> Result:
+        """Call a function and note what it took."""
+        began = time.process_time()
+        result = function(*args)
+        self._found[name].append(1e3 * (time.process_time() - began))
+        return result
+
+    def measured(self) -> list[Measured]:
+        """What was noted, name by name."""
+        return [measured(name, found, "ms") for name, found in self._found.items()]
+
+
+def tuning_problems(count: int) -> list[PlanningProblem]:
+    """Place-task problems that no table reports, without their goals."""
+    problems = (place_problem(environment) for environment in TUNING_ENVIRONMENTS[:count])
+    return [problem for problem in problems if isinstance(problem, PlanningProblem)]
+
+
+def stage_times(problems: int) -> list[Measured]:
+    """Every stage of planning with `birrt` on tuning problems, start of the program, memory."""
+    clock = CpuClock()
+    states: list[float] = []
+    for problem in tuning_problems(problems):
+        rng = np.random.default_rng(0)
+        uniform = Uniform(problem.robot.lower, problem.robot.upper)
+        posed, _ = clock("goals", with_sampled_goals, problem)
+        space = clock("space", ConstrainedSpace, posed)
+        budget = Budget(iterations=20_000)
+        search = BiRRT().search
+        plan = clock("search", search, space, posed.start, posed.goals, uniform, budget, rng)
+        if plan.path is not None:
+            shorter = clock("shortening", simplify, space, plan.path, rng)
+            certificate = clock("certificate", certify, posed, shorter.path)
+            states.append(certificate.states_checked)
+    # of this process, before other programs are started; Linux counts in KiB
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return [
+        _start("--help"),
+        _start("plan", "--help"),
+        *clock.measured(),
+        measured("states checked by the certificate", states, ""),
+        measured("memory", [memory], "MiB"),
+    ]
+
+
+def _start(*words: str) -> Measured:
+    """Wall time of a command that only starts, seven times after a first one."""
+    seconds = []
+    for _ in range(8):
+        began = time.perf_counter()
+        command = [sys.executable, "-m", "cli.main", *words]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        seconds.append(time.perf_counter() - began)
+    return measured(f"start: cvqmpt {' '.join(words)}", seconds[1:], "s")
