@@ -15,7 +15,7 @@ _HOME = {
     "Cylinder": "scene.shapes",
     "draw": "show.draw",
     "film_solution": "show.film",
-    "GaussianMixture": "search.query",
+    "GaussianMixture": "search.planner_interface",
     "JointPath": "search.result",
     "load_robot": "robot.loading",
     "Method": "planners",

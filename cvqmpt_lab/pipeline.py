@@ -19,7 +19,7 @@ from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.search.anytime import Improvement, Restarts, check_units, improve
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
-from cvqmpt_lab.search.query import Observation, Query, SamplingDistribution, search
+from cvqmpt_lab.search.planner_interface import Observation, Query, SamplingDistribution, search
 from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.shortcut import Simplified, SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -164,8 +164,8 @@ def solve(
     if optimize is None or plan.as_is:
         return found
     rng = problem.random_stream(seed, 1)
-    ways = stages.ways or Restarts(tree_search, proposal.distribution)
-    best, improvement = improve(space, ways, shorter.path, optimize, rng, simplification)
+    paths = stages.path_source or Restarts(tree_search, proposal.distribution)
+    best, improvement = improve(space, paths, shorter.path, optimize, rng, simplification)
     return _with_better(found, best, improvement, clearance)
 
 

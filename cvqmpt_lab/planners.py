@@ -1,7 +1,7 @@
 """The planners by name: columns of the paper's tables, ours, and controls that isolate one part
 each.
 
-A planner is four stages (see `search.query`): observe a scene, predict where to sample, update that
+A planner is four stages (see `search.planner_interface`): observe a scene, predict where to sample, update that
 towards the constraint, search. Its stages are made, and its weights loaded, when they are first
 asked for.
 """
@@ -17,10 +17,10 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.external.found import PEERS, external_names, find_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.anytime import InformedRoadmaps
+from cvqmpt_lab.search.controls import AroundPath, solved_paths, straight_line, unconstrained_guide
 from cvqmpt_lab.search.edge_costs import EdgeCosts
-from cvqmpt_lab.search.guides import AroundPath, solved_paths, straight_line, unconstrained_guide
-from cvqmpt_lab.search.informed_roadmap import InformedRoadmaps
-from cvqmpt_lab.search.query import Stages
+from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.roadmap import RoadmapPath, no_costs, other_costs, scene_costs
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.sensing.observation import Observer
@@ -139,7 +139,7 @@ def _roadmap(
             roadmap = free_dictionary(model, robot, load)
         return Stages(
             predict=RoadmapPath(roadmap, name, costs=costs, oracle=oracle),
-            ways=InformedRoadmaps(costs=costs),
+            path_source=InformedRoadmaps(costs=costs),
         )
 
     return Method(name, build, weights)

@@ -17,7 +17,7 @@ from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.birrt import BiRRT, plant, remove_child_of_segment
-from cvqmpt_lab.search.query import Observation, Proposal, Query, search
+from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query, search
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.shortcut import SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion

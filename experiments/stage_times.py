@@ -14,7 +14,7 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import Uniform
+from cvqmpt_lab.search.planner_interface import Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.search.query import GaussianMixture, Uniform
+from cvqmpt_lab.search.planner_interface import GaussianMixture, Uniform
 
 LOWER, UPPER = np.array([-1.0, 2.0]), np.array([1.0, 5.0])
 UNIFORM = Uniform(LOWER, UPPER)

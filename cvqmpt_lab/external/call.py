@@ -2,7 +2,7 @@
 is a result.
 
 Its answer is a path, an array (m, n) from the start to one of the goals [rad or m], straight
-between its rows; or None where it found none; or a `search.query.Proposal`, from which our search
+between its rows; or None where it found none; or a `search.planner_interface.Proposal`, from which our search
 goes on.
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from cvqmpt_lab.errors import shown
 from cvqmpt_lab.external.found import Found
-from cvqmpt_lab.search.query import Observation, Proposal, Query
+from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query
 from cvqmpt_lab.search.result import JointPath, PlanStatus
 
 LATE_SHARE, LATE_S = 0.1, 0.1  # of its seconds, and [s], by which a planner may be late

@@ -1,54 +1,65 @@
-"""Shorter paths: time left after a first path (`improve`), restarts for it, and near-shortest
-labels of training data.
+"""Shorter paths in time left over (`improve`), and near-shortest paths as labels of training data.
 
-Of length c, a path can only pass through configurations x with |x - start| + |x - goal| < c, a
-prolate hyperspheroid (Gammell, Srinivasa and Barfoot 2014); restarts sample there, and what they
-find is shortened. Planners with a roadmap look for other ways by small roadmaps instead
-(`informed_roadmap`).
+A path of length c from q_start to q_goal passes through configurations of the informed set
+(Gammell, Srinivasa and Barfoot 2014), a prolate hyperspheroid with both as foci:
+
+    { q : |q - q_start| + |q - q_goal| < c }
+
+`Restarts` searches again with samples from it. `InformedRoadmaps` searches small roadmaps of it.
+What they find is shortened.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import Deadline, SamplingDistribution, Search, Uniform, Ways
+from cvqmpt_lab.search.edge_costs import EdgeCosts
+from cvqmpt_lab.search.lazy_roadmap import FREE, keep_informed
+from cvqmpt_lab.search.planner_interface import (
+    Deadline,
+    PathSource,
+    SamplingDistribution,
+    Search,
+    Uniform,
+)
 from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.search.roadmap import (
+    FEWEST,
+    Roadmap,
+    RoadmapQuery,
+    RoadmapSearchSettings,
+    nearest_rows,
+    scene_costs,
+)
 from cvqmpt_lab.search.shortcut import SWEEP, SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-STRETCHES = (1.1, 1.3, 1.6, 2.0, 2.6, np.inf)
-"""Times the straight line's length, up to the best path's:
-short ways to each goal are looked for in this order.
-"""
-# iterations of a search among all that may be shorter, and of one for short ways
-AMONG, NARROW = 200, 60
-CROWD = 4  # samples drawn for one that is used
 LEAST = 1e-9  # [rad or m] between start and goal, so that there is a direction
-GAIN = 0.002  # of its length that shortening must take off a path to be tried again
 
 
 @dataclass(frozen=True, eq=False)
 class Improvement:
-    """What was made of time left after a first path."""
+    """The outcome of `improve`."""
 
-    budget: Budget  # seconds or iterations that there were
+    budget: Budget  # seconds or iterations that were allowed
     seconds: float  # used, wall time [s]
     iterations: int  # used
-    searches: int  # begun with other seeds
+    searches: int  # for other paths
+    # seconds since the first path and length [rad], of the first path and each better one
     lengths: tuple[tuple[float, float], ...]
-    """Seconds since the first path and length [rad], of that path and each better one."""
 
     @property
     def gained(self) -> float:
-        """Share of the first path's length that was taken off."""
+        """Relative reduction of the first path's length."""
         first = self.lengths[0][1]
         return 1.0 - self.lengths[-1][1] / first if first else 0.0
 
 
 def check_units(budget: Budget, optimize: Budget) -> None:
-    """Refuse a clock in a run that has none: InvalidInputError."""
+    """InvalidInputError for seconds to improve a path in a run that is counted in iterations."""
     if budget.seconds is None and optimize.seconds is not None:
         raise InvalidInputError(
             f"optimize: {optimize.seconds:g} s in a run of {budget.iterations} iterations, which "
@@ -59,28 +70,38 @@ def check_units(budget: Budget, optimize: Budget) -> None:
 
 def improve(
     space: ConstrainedSpace,
-    ways: Ways,
+    source: PathSource,
     first: JointPath,
     budget: Budget,
     rng: np.random.Generator,
     settings: SimplifySettings | None = None,
+    gain: float = 0.002,
 ) -> tuple[JointPath, Improvement]:
-    """The best path that other ways and shortening find within a budget, never longer than the
-    first; what it took.
+    """Find other paths and shorten them within a budget; the best is never longer than the first.
 
-    first: a path on the manifold, free and shortened.
+    Args:
+        space: the planning space.
+        source: of other paths.
+        first: a path on the manifold, free and shortened.
+        budget: seconds or iterations.
+        rng: random numbers.
+        settings: of the shortening.
+        gain: a path is shortened again while that takes off more than this share of its length.
+
+    Returns
+    -------
+        The best path, and what was done.
     """
     deadline = Deadline(budget, space)
-    nearest = max(
-        float(np.linalg.norm(space.problem.goals - space.problem.start, axis=1).min()), LEAST
-    )
-    best, lengths, searches, fresh = first, [(0.0, first.length)], 0, True
+    straight = np.linalg.norm(space.problem.goals - space.problem.start, axis=1)
+    nearest = max(float(straight.min()), LEAST)
+    best, lengths, searches, shortening = first, [(0.0, first.length)], 0, True
     while deadline.spent() is None:
         found: JointPath | None = best
-        if not fresh:
+        if not shortening:
             if nearest >= best.length:
                 break  # the path is straight
-            found = ways.next_path(space, best, deadline, rng, searches)
+            found = source.next_path(space, best, deadline, rng, searches)
             searches += 1
         deadline.count()  # so that a round without iterations ends, too
         if found is None:
@@ -89,7 +110,7 @@ def improve(
             settings or SimplifySettings(), attempts=SWEEP, seconds=deadline.rest().seconds
         )
         found = simplify(space, found, rng, sweep).path
-        fresh = found.length < (1.0 - GAIN) * best.length
+        shortening = found.length < (1.0 - gain) * best.length
         if found.length < best.length:
             best = found
             lengths.append((deadline.seconds, best.length))
@@ -100,12 +121,14 @@ def improve(
 
 @dataclass(frozen=True, eq=False)
 class Restarts:
-    """Other searches by the same method;
-    every other one looks for short ways near straight lines to the goals.
-    """
+    """Other searches by the same method; every other one near straight lines to the goals."""
 
     method: Search
     distribution: SamplingDistribution  # of the first search
+    # times the straight line's length, up to the best path's: upper bounds that are tried in turn
+    stretches: tuple[float, ...] = (1.1, 1.3, 1.6, 2.0, 2.6, np.inf)
+    most_anywhere: int = 200  # iterations of a search with the first search's samples
+    most_narrow: int = 60  # iterations of a search near straight lines
 
     def next_path(
         self,
@@ -115,58 +138,105 @@ class Restarts:
         rng: np.random.Generator,
         number: int,
     ) -> JointPath | None:
-        """Search with new samples; see `query.Ways`."""
+        """Search with new samples; see `PathSource`."""
         start, rest = space.problem.start, deadline.rest()
         if number % 2 == 0:
             goals = nearer_goals(space, best.length)
-            samples: SamplingDistribution = Detours(self.distribution, start, goals, best.length)
-            most = AMONG
+            samples: SamplingDistribution = InformedFirst(
+                self.distribution, start, goals, best.length
+            )
+            most = self.most_anywhere
         else:
-            stretch = STRETCHES[number // 2 % len(STRETCHES)]
-            goals, samples = short_ways(space, best.length, stretch)
-            most = NARROW
+            stretch = self.stretches[number // 2 % len(self.stretches)]
+            goals, samples = informed_samples(space, best.length, stretch)
+            most = self.most_narrow
         bounded = replace(rest, iterations=min(most, rest.iterations or most))
         return self.method.search(space, start, goals, samples, bounded, rng).path
 
 
+@dataclass(frozen=True, eq=False)
+class InformedRoadmaps:
+    """Small roadmaps of draws from the informed set, whose edges are checked lazily.
+
+    A raw path through random nodes is longer than the same path shortened: raw paths up to `slack`
+    times as long as the best one are accepted. Defaults were chosen on tuning problems.
+    """
+
+    draws: int = 100  # configurations a roadmap; half of them are free in the kitchen
+    neighbours: int = 20
+    slack: float = 2.0  # times the best length that a raw path may be long
+    weight: float = 1.0  # [rad] of -log P(free), see `EdgeCosts`
+    # times the straight line's length, up to the best path's: upper bounds that are tried in turn
+    stretches: tuple[float, ...] = (1.6, 2.0, 1.3, 2.6, np.inf)
+    settings: RoadmapSearchSettings = field(
+        default_factory=lambda: RoadmapSearchSettings(penalty=0.0, searches=20, greed=1.5)
+    )
+    costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
+
+    def next_path(
+        self,
+        space: ConstrainedSpace,
+        best: JointPath,
+        deadline: Deadline,
+        rng: np.random.Generator,
+        number: int,
+    ) -> JointPath | None:
+        """Search a new roadmap; see `PathSource`."""
+        start, stretch = space.problem.start, self.stretches[number % len(self.stretches)]
+        goals, samples = informed_samples(space, best.length, stretch)
+        draws = samples.sample(rng, self.draws)
+        nodes = draws[: keep_informed.unchecked(space.arrays, draws, start, goals, best.length)]
+        space.reraise()
+        if len(nodes) < FEWEST:
+            return None
+        near = nearest_rows(nodes, nodes, min(self.neighbours, len(nodes) - 1), apart=True)
+        costs, longest = self.costs(space), self.slack * best.length
+        if costs.weight > 0.0:
+            costs = costs._replace(weight=self.weight)
+        roadmap = Roadmap(nodes, near.astype(np.int32))
+        query = RoadmapQuery(space, roadmap, start, goals, self.settings, costs, longest, FREE)
+        found = query.next_path(deadline)
+        return found if found is not None and found.length < longest else None
+
+
 def nearer_goals(space: ConstrainedSpace, length: float) -> np.ndarray:
-    """Goals (k, n) that a path shorter than `length` [rad] may end at."""
+    """Goals (k, n) whose straight line from the start is shorter than `length` [rad]."""
     goals = space.problem.goals
     return goals[np.maximum(np.linalg.norm(goals - space.problem.start, axis=1), LEAST) < length]
 
 
-def short_ways(
+def informed_samples(
     space: ConstrainedSpace, length: float, stretch: float
-) -> tuple[np.ndarray, "ShortWays"]:
-    """Goals (k, n) for paths shorter than `length` [rad], and samples near the straight lines to
-    them.
+) -> tuple[np.ndarray, "InformedSamples"]:
+    """The informed sets of paths shorter than `length` [rad] to the goals, and these goals (k, n).
 
-    stretch: what such a path is longer than straight, at most; goals that this rules nothing out
-        for are left out.
+    stretch: upper bound on path length / straight length. Goals whose set it does not reduce are
+        left out, unless that leaves none.
     """
     start, goals = space.problem.start, nearer_goals(space, length)
     reach = np.minimum(stretch * np.maximum(np.linalg.norm(goals - start, axis=1), LEAST), length)
     short = reach < length
     if short.any():
         goals, reach = goals[short], reach[short]
-    return goals, ShortWays(start, goals, reach, space.robot.lower, space.robot.upper)
+    return goals, InformedSamples(start, goals, reach, space.robot.lower, space.robot.upper)
 
 
 @dataclass(frozen=True, eq=False)
-class ShortWays:
-    """Uniform over configurations on motions from start to a goal no longer than its reach, clipped
-    to the limits.
+class InformedSamples:
+    """Informed sampling: uniform in a prolate hyperspheroid, clipped to the limits.
 
-    Such configurations fill a prolate hyperspheroid with both as foci; each goal's is as likely as
-    the others'.
+    Foci are the start and a goal, drawn at random. With c_min their distance, c the reach and e the
+    unit vector between them, a point x of the unit ball becomes
+
+        q = (q_start + q_goal) / 2 + b x + (c / 2 - b) (x . e) e,   b = sqrt(c^2 - c_min^2) / 2.
     """
 
     start: np.ndarray  # (n,)
     goals: np.ndarray  # (k, n)
-    reach: np.ndarray  # (k,) [rad]
+    reach: np.ndarray  # (k,) c, the length of the longest path to each goal [rad]
     lower: np.ndarray  # (n,)
     upper: np.ndarray  # (n,)
-    name: str = "short-ways"
+    name: str = "informed"
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations (count, n)."""
@@ -184,13 +254,14 @@ class ShortWays:
 
 
 @dataclass(frozen=True, eq=False)
-class Detours:
-    """Samples of another distribution that may lie on a way shorter than `length` come first."""
+class InformedFirst:
+    """Samples of another distribution, those in the informed set first."""
 
     base: SamplingDistribution
     start: np.ndarray  # (n,) [rad or m]
     goals: np.ndarray  # (k, n) [rad or m]
     length: float  # of the best path known [rad]
+    crowd: int = 4  # samples drawn for one that is used
 
     @property
     def name(self) -> str:
@@ -199,7 +270,7 @@ class Detours:
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations (count, n)."""
-        drawn = self.base.sample(rng, CROWD * count)
+        drawn = self.base.sample(rng, self.crowd * count)
         to_goal = np.linalg.norm(drawn[:, None] - self.goals, axis=2).min(axis=1)
         too_long = np.linalg.norm(drawn - self.start, axis=1) + to_goal > self.length
         return drawn[np.argsort(too_long, kind="stable")[:count]]
@@ -233,7 +304,7 @@ def near_shortest(
         tries += 1
         sampler: SamplingDistribution = Uniform(lower, upper)
         if best is not None:
-            sampler = ShortWays(start, goal[None], np.array([best.length]), lower, upper)
+            sampler = InformedSamples(start, goal[None], np.array([best.length]), lower, upper)
         budget = Budget(iterations=settings.later if best else settings.first)
         path = trees.search(space, start, goal[None], sampler, budget, rng).path
         if path is not None:

@@ -35,7 +35,7 @@ from cvqmpt_lab.search.nearest import (
     nearest_index,
     nearest_node,
 )
-from cvqmpt_lab.search.query import SamplingDistribution
+from cvqmpt_lab.search.planner_interface import SamplingDistribution
 from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus, Tree
 from cvqmpt_lab.search.space import ConstrainedSpace
 

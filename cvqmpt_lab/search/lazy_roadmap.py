@@ -384,7 +384,7 @@ def search(
 
 
 @entry
-def keep_short_ways(
+def keep_informed(
     space: Space,
     draws: Annotated[np.ndarray, "count n"],
     start: Annotated[np.ndarray, "n"],

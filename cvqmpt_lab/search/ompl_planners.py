@@ -16,7 +16,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cvqmpt_lab.search.motion import ITERATIONS, NEWTON_ITERATIONS
-from cvqmpt_lab.search.query import SamplingDistribution
+from cvqmpt_lab.search.planner_interface import SamplingDistribution
 from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 

@@ -14,7 +14,13 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.search import lazy_roadmap as kernels
 from cvqmpt_lab.search.edge_costs import EdgeCosts
-from cvqmpt_lab.search.query import Deadline, GaussianMixture, Observation, Proposal, Query
+from cvqmpt_lab.search.planner_interface import (
+    Deadline,
+    GaussianMixture,
+    Observation,
+    Proposal,
+    Query,
+)
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 

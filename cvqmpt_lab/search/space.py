@@ -134,10 +134,6 @@ class ConstrainedSpace:
             *(now - then for now, then in zip(astuple(self.counters), astuple(before), strict=True))
         )
 
-    def count_iterations(self, count: int) -> None:
-        """Count iterations that no kernel counts."""
-        self.arrays.counters[kernels.ITERATIONS] += count
-
     def count_clearances(self, states: int) -> None:
         """Count states whose clearance was read by kernels that do not know this space."""
         self.arrays.counters[kernels.CLEARANCES] += states

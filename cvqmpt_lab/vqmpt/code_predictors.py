@@ -10,8 +10,8 @@ import numpy as np
 
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment
-from cvqmpt_lab.search.guides import unconstrained_path
-from cvqmpt_lab.search.query import Observation, Query
+from cvqmpt_lab.search.controls import unconstrained_path
+from cvqmpt_lab.search.planner_interface import Observation, Query
 from cvqmpt_lab.vqmpt.learned_sampler import PredictedCodes, union
 from cvqmpt_lab.vqmpt.predictor import Predictor
 from cvqmpt_lab.vqmpt.sampler import CodeRoadmap, CodeSequences

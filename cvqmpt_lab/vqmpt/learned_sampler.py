@@ -9,7 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.search.query import GaussianMixture, Observation, Proposal, Query, widened
+from cvqmpt_lab.search.planner_interface import (
+    GaussianMixture,
+    Observation,
+    Proposal,
+    Query,
+    widened,
+)
 from cvqmpt_lab.search.result import PlanStatus, Timings
 from cvqmpt_lab.vqmpt.codebook import Codebook, drawn_nodes
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer

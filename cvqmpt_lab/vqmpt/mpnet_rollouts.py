@@ -29,7 +29,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import Observation, Proposal, Query
+from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query
 from cvqmpt_lab.search.result import JointPath, PlanStatus, Timings
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 from cvqmpt_lab.vqmpt.config import MPNetConfig, checked_cloud

@@ -12,7 +12,7 @@ import numpy as np
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
-from cvqmpt_lab.search.query import Proposal, Query, Stages
+from cvqmpt_lab.search.planner_interface import Proposal, Query, Stages
 from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.search.roadmap_nodes import linked_roadmap
 from cvqmpt_lab.sensing.observation import Observer

@@ -23,7 +23,7 @@ from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.search.query import GaussianMixture, Observation, Query
+from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.learned_sampler import CodeProposal

@@ -25,7 +25,7 @@ from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import Observation, Query, search, uniform
+from cvqmpt_lab.search.planner_interface import Observation, Query, search, uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 from experiments.suites.door_task import GRIP, handle_region

@@ -12,7 +12,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import GaussianMixture
+from cvqmpt_lab.search.planner_interface import GaussianMixture
 from experiments import regression
 from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, measure
 from experiments.suites.suite import SUITES

@@ -12,7 +12,7 @@ from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.results.row import FailReason, read_rows
 from cvqmpt_lab.results.store import states_hash
-from cvqmpt_lab.search.query import GaussianMixture, Proposal, Uniform
+from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.vqmpt import edge_model
 from experiments.rows import Run, failed_rows, outcome_of, result_row

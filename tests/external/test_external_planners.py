@@ -26,7 +26,7 @@ PLANNERS = '''
 import os, time
 import numpy as np
 from cvqmpt_lab import Budget, solve
-from cvqmpt_lab.search.query import Proposal, Uniform
+from cvqmpt_lab.search.planner_interface import Proposal, Uniform
 
 def good(problem, budget, seed):
     path = solve(problem, "birrt", budget, seed).simplified

@@ -27,7 +27,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import GaussianMixture, Uniform
+from cvqmpt_lab.search.planner_interface import GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.codebook import CodeDecoder

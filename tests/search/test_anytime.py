@@ -1,8 +1,16 @@
-"""Where shorter paths are looked for."""
+"""Shorter paths: the informed set, the draws kept from it, and paths through roadmaps of them."""
 
 import numpy as np
+import pytest
 
-from cvqmpt_lab.search.anytime import ShortWays
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.search.anytime import InformedRoadmaps, InformedSamples, improve
+from cvqmpt_lab.search.lazy_roadmap import keep_informed
+from cvqmpt_lab.search.planner_interface import Deadline
+from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettings, scene_costs
+from cvqmpt_lab.search.space import ConstrainedSpace
 
 LOWER, UPPER = np.full(7, -9.0), np.full(7, 9.0)
 
@@ -10,16 +18,16 @@ LOWER, UPPER = np.full(7, -9.0), np.full(7, 9.0)
 def test_spheroid_keeps_detours_short():
     rng = np.random.default_rng(0)
     start, goal = np.zeros(7), np.array([1.0, 0.5, 0.0, 0.0, 0.0, -0.5, 0.2])
-    samples = ShortWays(start, goal[None], np.array([1.5]), LOWER, UPPER).sample(rng, 2000)
+    samples = InformedSamples(start, goal[None], np.array([1.5]), LOWER, UPPER).sample(rng, 2000)
     detour = np.linalg.norm(samples - start, axis=1) + np.linalg.norm(samples - goal, axis=1)
     assert detour.max() <= 1.5 + 1e-9
     assert detour.max() > 1.49 and np.abs(samples.mean(axis=0) - goal / 2).max() < 0.02
 
 
-def test_short_ways_are_shared_out_among_goals_and_never_longer_than_told():
+def test_informed_samples_are_shared_out_among_goals():
     rng, start = np.random.default_rng(0), np.zeros(7)
     goals, lengths = np.array([np.eye(7)[0], 3.0 * np.eye(7)[1]]), np.array([1.1, 3.3])
-    samples = ShortWays(start, goals, lengths, LOWER, UPPER).sample(rng, 1000)
+    samples = InformedSamples(start, goals, lengths, LOWER, UPPER).sample(rng, 1000)
     to_goals = np.linalg.norm(samples[:, None] - goals, axis=2)
     detours = np.linalg.norm(samples - start, axis=1)[:, None] + to_goals
     within = detours <= lengths + 1e-9
@@ -29,8 +37,82 @@ def test_short_ways_are_shared_out_among_goals_and_never_longer_than_told():
 
 def test_a_goal_where_the_start_is_leaves_a_ball():
     here = np.ones(7)
-    ways = ShortWays(here, here[None], np.array([0.5]), LOWER, UPPER)
-    samples = ways.sample(np.random.default_rng(0), 100)
+    samples = InformedSamples(here, here[None], np.array([0.5]), LOWER, UPPER)
+    samples = samples.sample(np.random.default_rng(0), 100)
     assert (
         np.isfinite(samples).all() and np.linalg.norm(samples - here, axis=1).max() <= 0.25 + 1e-9
     )
+
+
+ENOUGH = Budget(iterations=20_000)
+
+
+@pytest.fixture(scope="module")
+def first(problem):
+    """A path of `birrt`, shortened."""
+    return solve(problem, "birrt", ENOUGH, 0, clearance=False).simplified.path
+
+
+def test_draws_kept_are_free_on_the_manifold_and_in_the_informed_set(problem, first):
+    space, length = ConstrainedSpace(problem), 1.2 * first.length
+    draws = first.spaced(0.02) + np.random.default_rng(0).normal(
+        scale=0.3, size=first.spaced(0.02).shape
+    )
+    draws = np.clip(draws, problem.robot.lower, problem.robot.upper)
+    expected = []
+    for q in draws.copy():
+        on = space.project(q)
+        to_goal = np.linalg.norm(problem.goals - q, axis=1).min()
+        if on and np.linalg.norm(q - problem.start) + to_goal < length and space.valid(q):
+            expected.append(q)
+    kept = keep_informed(space.arrays, draws, problem.start, problem.goals, length)
+    assert 0 < kept < len(draws)
+    np.testing.assert_array_equal(draws[:kept], expected)
+    with pytest.raises(InvalidInputError, match="start"):
+        keep_informed(space.arrays, draws, problem.start[:3], problem.goals, length)
+
+
+def test_paths_that_cost_more_than_asked_are_not_looked_for(problem):
+    nodes = problem.robot.random_configurations(np.random.default_rng(5), 1500)
+    settings = RoadmapSearchSettings(greed=1.0, searches=2000)
+
+    def length_within(longest):
+        space = ConstrainedSpace(problem)
+        ends, costs = (problem.start, problem.goals), scene_costs(space)
+        query = RoadmapQuery(space, Roadmap.of(nodes), *ends, settings, costs, longest)
+        found = query.next_path(Deadline(ENOUGH, space))
+        return None if found is None else found.length
+
+    straight = np.linalg.norm(problem.goals - problem.start, axis=1).min()
+    assert length_within(0.99 * straight) is None
+    assert length_within(100.0) == length_within(np.inf) is not None
+
+
+def test_informed_roadmaps_find_shorter_paths_that_repeat_and_a_straight_path_ends_the_search(
+    problem, first
+):
+    def better():
+        return improve(
+            ConstrainedSpace(problem),
+            InformedRoadmaps(),
+            first,
+            Budget(iterations=400),
+            np.random.default_rng(0),
+        )
+
+    (path, made), (again, _) = better(), better()
+    np.testing.assert_array_equal(path.states, again.states)
+    assert path.length < first.length and made.searches > 3 and made.iterations >= 400
+    space = ConstrainedSpace(problem)
+    assert space.checked_path(path.states)[0] is not None
+    assert max(np.abs(space.residual_and_jacobian(q)[0]).max() for q in path.states) < 1e-3
+    nearest = problem.goals[np.linalg.norm(problem.goals - problem.start, axis=1).argmin()]
+    straight = JointPath(np.stack([problem.start, nearest]))
+    _, made = improve(
+        ConstrainedSpace(problem),
+        InformedRoadmaps(),
+        straight,
+        Budget(iterations=400),
+        np.random.default_rng(0),
+    )
+    assert made.searches == 0

@@ -21,7 +21,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.ompl_planners import STATE_SPACES, OmplSearch
-from cvqmpt_lab.search.query import GaussianMixture, Proposal, Uniform
+from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings, StateCheck
 

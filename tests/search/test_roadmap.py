@@ -15,7 +15,7 @@ from cvqmpt_lab.planners import Method
 from cvqmpt_lab.search.edge_costs import reading, readings
 from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE, nearest_nodes
 from cvqmpt_lab.search.motion import motion_free
-from cvqmpt_lab.search.query import Deadline, GaussianMixture, Uniform
+from cvqmpt_lab.search.planner_interface import Deadline, GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.roadmap import (
     Roadmap,

@@ -13,7 +13,7 @@ from cvqmpt_lab.planners import Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
-from cvqmpt_lab.search.query import Stages
+from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.sensing import observation
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import camera_cloud

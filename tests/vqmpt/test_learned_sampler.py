@@ -10,7 +10,7 @@ import pytest
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import planner_named
-from cvqmpt_lab.search.query import Observation, Query, Uniform
+from cvqmpt_lab.search.planner_interface import Observation, Query, Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.learned_sampler import GOAL_STD, CodeProposal, PredictedCodes

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.search.query import Query
+from cvqmpt_lab.search.planner_interface import Query
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.sampler import COLLISION_WEIGHT, ENTRIES, EXITS, SEQUENCES, CodeSequences

@@ -11,7 +11,7 @@ from small_models import random_checkpoint
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import planner_named
-from cvqmpt_lab.search.query import Observation, Query
+from cvqmpt_lab.search.planner_interface import Observation, Query
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint

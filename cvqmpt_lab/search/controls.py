@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.query import (
+from cvqmpt_lab.search.planner_interface import (
     GaussianMixture,
     Observation,
     Proposal,

@@ -1,5 +1,7 @@
-"""What a planner is asked and answers:
-budget, query, where to sample, stages, path and what it took.
+"""The planner interface: query, sampling distribution, proposal, stages, and the search for a path.
+
+A planner is up to four stages: `observe` a scene, `predict` where to sample, `update` that towards
+the constraint (paper, Algorithm 2), `search` (paper, Algorithm 3).
 """
 
 import math
@@ -12,11 +14,9 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.motion import ITERATIONS
 from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus, Timings
 from cvqmpt_lab.search.space import ConstrainedSpace
-
-LEAST_SECONDS = 1e-3
-NEAR_SHARE = 0.25  # of a budget that is spent on the nearest goals alone
 
 
 class SamplingDistribution(Protocol):
@@ -45,7 +45,10 @@ class Uniform:
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixture:
-    """Weighted Gaussians, optionally mixed with a uniform share (paper, eqn. sample_dist)."""
+    """Weighted Gaussians, optionally mixed with a uniform share u (paper, eqn. sample_dist):
+
+    p(q) = (1 - u) sum_i w_i N(q; mu_i, Sigma_i) + u U(q).
+    """
 
     means: np.ndarray  # (k, n) [rad or m]
     covariances: np.ndarray  # (k, n, n) [rad^2]
@@ -64,10 +67,14 @@ class GaussianMixture:
         uniform_share: float,
         name: str,
     ) -> "GaussianMixture | Uniform":
-        """Equally likely Gaussians (k, n), (k, n, n) and a uniform share; uniform alone when k is
-        0.
+        """Gaussians of equal weight and a uniform share; uniform alone when there are none.
 
-        A single covariance (n, n) serves all means.
+        Args:
+            means: (k, n) [rad or m].
+            covariances: (k, n, n), or one (n, n) for all means.
+            uniform: distribution mixed in.
+            uniform_share: its share in [0, 1].
+            name: for result rows.
         """
         k = len(means)
         if k == 0:
@@ -101,7 +108,10 @@ class GaussianMixture:
             )
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Draw configurations (count, n); Gaussian draws may leave the limits, planners clip them."""
+        """Draw configurations (count, n): q = mu_i + L_i eps with Sigma_i = L_i L_i^T.
+
+        Gaussian draws may leave the joint limits; planners clip them.
+        """
         component = rng.choice(len(self.weights), count, p=self.weights)
         noise = rng.standard_normal((count, self.means.shape[1]))
         factors = np.linalg.cholesky(self.covariances)
@@ -113,7 +123,7 @@ class GaussianMixture:
 
 
 def widened(covariances: np.ndarray, std: float) -> np.ndarray:
-    """Covariances (c, n, n) without a direction narrower than std."""
+    """Covariances (c, n, n) whose eigenvalues are raised to at least std^2."""
     values, vectors = np.linalg.eigh(covariances)
     narrow = values[:, 0] < std * std
     if not narrow.any():
@@ -125,7 +135,7 @@ def widened(covariances: np.ndarray, std: float) -> np.ndarray:
 
 
 class Deadline:
-    """A budget in use since this object was made; iterations are read from the space's counters."""
+    """A budget whose clock runs since this object was made; the space counts its iterations."""
 
     def __init__(self, budget: Budget, space: ConstrainedSpace) -> None:
         self.budget, self._space = budget, space
@@ -144,24 +154,23 @@ class Deadline:
 
     def count(self, iterations: int = 1) -> None:
         """Use iterations that no search counts."""
-        self._space.count_iterations(iterations)
+        self._space.arrays.counters[ITERATIONS] += iterations
 
     def spent(self) -> PlanStatus | None:
-        """How the run ends if nothing is left; None while something is."""
-        if self.budget.seconds is not None and self.seconds >= self.budget.seconds:
+        """The status of a run that has used up its budget; None while something is left."""
+        seconds, iterations = self.budget.seconds, self.budget.iterations
+        if seconds is not None and self.seconds >= seconds:
             return PlanStatus.TIMEOUT
-        if (
-            self.budget.iterations is not None
-            and self.counters.iterations >= self.budget.iterations
-        ):
+        if iterations is not None and self.counters.iterations >= iterations:
             return PlanStatus.ITERATION_LIMIT
         return None
 
     def rest(self, share: float = 1.0) -> Budget:
-        """A share of the whole budget, or what is left if that is less; ask `spent` first."""
+        """A share of the whole budget, or what is left if that is less; call `spent` first."""
         seconds, iterations = self.budget.seconds, self.budget.iterations
         if seconds is not None:
-            seconds = max(min(share * seconds, seconds - self.seconds), LEAST_SECONDS)
+            # a budget of zero seconds is none
+            seconds = max(min(share * seconds, seconds - self.seconds), 1e-3)
         if iterations is not None:
             left = iterations - self.counters.iterations
             iterations = max(min(math.ceil(share * iterations), left), 1)
@@ -170,7 +179,7 @@ class Deadline:
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """From where to where, in which space, within which budget and with which random numbers."""
+    """What is planned: start, goals, space, budget and random numbers."""
 
     space: ConstrainedSpace
     start: np.ndarray  # (n,) [rad or m]
@@ -183,7 +192,7 @@ class Query:
     def of(
         cls, space: ConstrainedSpace, budget: Budget, rng: np.random.Generator, seed: int = 0
     ) -> "Query":
-        """The question that a space's problem asks; the clock starts now."""
+        """The query of a space's problem; the clock starts now."""
         return cls(
             space, space.problem.start, space.problem.goals, Deadline(budget, space), rng, seed
         )
@@ -222,7 +231,7 @@ class Proposal:
     # on the manifold and free; the search then has nothing left to do
     path: JointPath | None = None
     failure: PlanStatus | None = None  # why searching is pointless, or None
-    as_is: bool = False  # of a planner of others, see `PlanResult.as_is`
+    as_is: bool = False  # of an external planner, see `PlanResult.as_is`
 
 
 def uniform(query: Query, observation: Observation) -> Proposal:
@@ -245,8 +254,8 @@ class Search(Protocol):
         """Search a path from start (n,) to any row of goals (k, n) [rad or m]."""
 
 
-class Ways(Protocol):
-    """Where other paths than the best one known come from, in time left for a shorter one."""
+class PathSource(Protocol):
+    """Finds paths that may be shorter than the best one known, in time left over."""
 
     def next_path(
         self,
@@ -258,14 +267,20 @@ class Ways(Protocol):
     ) -> JointPath | None:
         """A free path on the manifold that shortening may make shorter than the best, or None.
 
-        number: how often it was asked before in this run. It is asked while a goal is nearer than
-            the best is long.
+        Called while the straight line to a goal is shorter than the best path.
+
+        Args:
+            space: the planning space.
+            best: the shortest path known.
+            deadline: ends the run.
+            rng: random numbers.
+            number: of calls before this one in the run.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """What a planner does with one robot's problems, stage by stage."""
+    """The stages of a planner for one robot's problems."""
 
     predict: Callable[[Query, Observation], Proposal] = uniform
     search: Search | None = None  # None: `BiRRT`
@@ -273,14 +288,21 @@ class Stages:
     observe: Callable[[Scene], np.ndarray] | None = None
     # towards the constraint (paper, Algorithm 2)
     update: Callable[[Query, Proposal], Proposal] | None = None
-    ways: Ways | None = None  # to shorter paths once there is one; None: restarts of the search
+    # of shorter paths once there is one; None: restarts of the search
+    path_source: PathSource | None = None
 
 
-def search(method: Search, query: Query, proposal: Proposal, near: int = 0) -> PlanResult:
-    """Search where a proposal says, with what is left of the budget; time and work of both are
-    added up.
+def search(
+    method: Search, query: Query, proposal: Proposal, near: int = 0, near_share: float = 0.25
+) -> PlanResult:
+    """Search from a proposal with what is left of the budget; time and work of both are added up.
 
-    near: of so many nearest goals alone first, for NEAR_SHARE of the budget; 0 for all at once.
+    Args:
+        method: the search.
+        query: what is planned.
+        proposal: where to sample, or a path at once.
+        near: so many nearest goals are tried alone first; 0 for all goals at once.
+        near_share: of the budget, for the nearest goals.
     """
     deadline, sampler = query.deadline, proposal.distribution.name
     if proposal.path is not None:
@@ -288,7 +310,7 @@ def search(method: Search, query: Query, proposal: Proposal, near: int = 0) -> P
     elif (status := proposal.failure or deadline.spent()) is not None:
         result = PlanResult(status, None, 0.0, Counters(), 0, sampler)
     else:
-        vertices, shares = 0, ((near, NEAR_SHARE),) if 0 < near < len(query.goals) else ()
+        vertices, shares = 0, ((near, near_share),) if 0 < near < len(query.goals) else ()
         for count, share in (*shares, (len(query.goals), 1.0)):
             goals = query.goals if share == 1.0 else query.nearest_goals(count)
             result = method.search(
