@@ -2,17 +2,15 @@
 
 import argparse
 import json
-import math
 from pathlib import Path
 
 import numpy as np
 
-from cli.certificate_record import compared_lines, differences, record
 from cli.options import log, numbers, positive
 from cli.robot_options import add_problem, problem_asked, robot_source
-from cvqmpt_lab.certificate import TOLERANCE, FaultKind, Verdict
+from cvqmpt_lab.certificate_record import differences, record, report_lines
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.motion_check import DryRun, dry_run
+from cvqmpt_lab.motion_check import dry_run
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.trajectory.trajectory_files import read_motion
 
@@ -72,8 +70,7 @@ def run(args: argparse.Namespace) -> int:
     current = None if args.current is None else np.array(numbers("--current", args.current))
     found = dry_run(problem, motion, current, args.tolerance)
     contents = record(problem, motion, found)
-    lines = _report(found, problem.name)
-    lines += compared_lines(contents) if found.certificate.states_checked else []
+    lines = report_lines(found, contents)
     if args.against is not None:
         changed = differences(contents, args.against)
         contents["differences"] = changed
@@ -81,70 +78,6 @@ def run(args: argparse.Namespace) -> int:
         lines += [] if changed else [f"differs     in nothing from {args.against}"]
     print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
     return 0 if found.certificate.valid else 1
-
-
-def _where(found: DryRun, at: float) -> str:
-    """A place for people: state, and time or distance along."""
-    if found.times is not None:
-        return f"at {np.interp(at, np.arange(len(found.times)), found.times):.4f} s"
-    states, k = found.states[: int(at) + 2], int(at)
-    with np.errstate(all="ignore"):
-        steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
-        along = steps[:k].sum() + (at - k) * (steps[k] if k < len(steps) else 0.0)
-    return (
-        f"at state {at:.4g}, {along:.4f} rad along"
-        if math.isfinite(along)
-        else f"at state {at:.4g}"
-    )
-
-
-def _report(found: DryRun, problem: str) -> list[str]:
-    """The lines a person reads."""
-    certificate = found.certificate
-    what = "path"
-    if found.times is not None:
-        what = f"trajectory of {found.times[-1]:.3f} s, as {found.curve} pieces"
-    states = "x".join(map(str, np.shape(found.states)))
-    verdict = {Verdict.VALID: "yes", Verdict.REFUSED: "NO"}.get(certificate.verdict, "NOT PROVEN")
-    lines = [f"certified   {verdict}: {what}, {states} states, problem {problem}"]
-    for fault in certificate.faults:
-        where = "" if fault.at is None else f", {_where(found, fault.at)}"
-        lines.append(f"fault       {fault.text}{where}")
-    if certificate.states_checked == 0:
-        return lines
-    lines.append(
-        f"constraint  at most {certificate.max_violation_rad:.2g} rad, "
-        f"{certificate.max_violation_m:.2g} m outside; "
-        f"{TOLERANCE:g} is allowed"
-    )
-    lines.append(f"clearance   {_clearance(found)}")
-    return [*lines, f"resolution  {_resolution(found)}"]
-
-
-def _clearance(found: DryRun) -> str:
-    """The smallest distance found, between which pieces, and where."""
-    certificate = found.certificate
-    if certificate.min_clearance_at is None:
-        return "there is nothing to keep a distance from"
-    where = _where(found, certificate.min_clearance_at)
-    return (
-        f"{1e3 * certificate.min_clearance_m:.2f} mm, the smallest found, {where}: "
-        f"{certificate.min_clearance_pair}"
-    )
-
-
-def _resolution(found: DryRun) -> str:
-    """Whether every state is known to be free, and by how many looks."""
-    certificate = found.certificate
-    collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
-    proven = f"no gaps: every state{' before that collision' if collides else ''} is proven"
-    curve = (
-        f"; straight pieces within {1e3 * found.apart:.2g} mm of the curve" if found.apart else ""
-    )
-    return (
-        f"{'gaps' if certificate.unproven_rad > 0.0 else proven}, by "
-        f"{certificate.states_checked} looks{curve}"
-    )
 
 
 def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> int:

@@ -10,7 +10,6 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import require_regular_file
@@ -87,15 +86,6 @@ def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
         )
         raise InvalidInputError(f"{option} {text!r}: write {wanted}")
     return found
-
-
-def finite(value: Any) -> Any:
-    """The same with null for numbers that json cannot say."""
-    if isinstance(value, dict):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return [finite(item) for item in value] if isinstance(value, list) else value
 
 
 class ProgressBar:

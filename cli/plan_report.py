@@ -4,8 +4,8 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from cli.options import finite
 from cvqmpt_lab.constraints.report import BoundUse, bound_usage
+from cvqmpt_lab.files import finite
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import Improvement
@@ -141,7 +141,7 @@ def solution_data(
 def _record(solution: Solution, problem: PlanningProblem) -> dict[str, Any] | None:
     """The certificate of its path as `cvqmpt certify --json` prints it; None without a path."""
     # these need scipy.interpolate, half a second to import
-    from cli.certificate_record import record
+    from cvqmpt_lab.certificate_record import record
     from cvqmpt_lab.motion_check import DryRun
     from cvqmpt_lab.trajectory.trajectory_files import Motion
 

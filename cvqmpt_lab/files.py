@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import json
+import math
 import os
 import re
 import stat
@@ -262,3 +263,12 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         twice = next(key for key in keys if keys.count(key) > 1)
         raise ValueError(f"key {shown(twice)} occurs twice in one object")
     return data
+
+
+def finite(value: Any) -> Any:
+    """The same with null for numbers that json cannot say."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return [finite(item) for item in value] if isinstance(value, list) else value

@@ -43,7 +43,7 @@ ROOT = Path(__file__).resolve().parents[2]
         ("problems list place-task --robot panda", "--robot", "goes with new"),
         ("problems list place-task --goals", "--goals", "goes with export"),
         ("reproduce place-task --problems 1 --backend nope --out /nope/x", "'nope'", "compiled"),
-        ("bench kernels --json /proc/x.json", "/proc/x.json", "writable folder"),
+        ("bench stages --json /proc/x.json", "/proc/x.json", "writable folder"),
         ("reproduce nope", "'nope'", "place-task"),
         ("figure nope", "'nope'", "histogram, concept"),
         ("figure cost", "cost", "name their folder with --rows"),
@@ -64,7 +64,7 @@ ROOT = Path(__file__).resolve().parents[2]
         ("problems list nope", "'nope'", "place-task-with-can"),
         ("problems export place-task", "--out", "DIR"),
         ("table /nope", "/nope", "not a directory"),
-        ("bench nope", "'nope'", "kernels"),
+        ("bench nope", "'nope'", "stages, paper-check"),
         ("check-tables --expected /nope", "/nope", "check-tables --update"),
     ],
 )

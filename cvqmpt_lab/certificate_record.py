@@ -1,9 +1,8 @@
-"""The record of a certificate: verdict, what was compared, tolerances, digests;
-and what differs between two.
-"""
+"""Record of a certificate: verdict, what was compared, tolerances and digests, as json or lines."""
 
 import hashlib
 import json
+import math
 from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
@@ -11,11 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from cli.options import finite
-from cvqmpt_lab.certificate import END_TOLERANCE, LARGEST_STEP, TOLERANCE
+from cvqmpt_lab.certificate import (
+    END_TOLERANCE,
+    LARGEST_STEP,
+    TOLERANCE,
+    FaultKind,
+    Verdict,
+)
 from cvqmpt_lab.collision.exact import ROUNDING, carried_pairs, obstacles_within, reach_with, solids
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import read_json_object
+from cvqmpt_lab.files import finite, read_json_object
 from cvqmpt_lab.motion_check import DryRun
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import LeftOut
@@ -27,17 +31,29 @@ DIGESTS = {"problem_sha256": "another problem", "motion_sha256": "another motion
 
 def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str, Any]:
     """Everything that a certificate says and rests on, as json; undefined numbers are null."""
+    certificate = found.certificate
+    faults = [
+        {
+            "kind": str(fault.kind),
+            "text": fault.text,
+            "state": fault.at,
+            "time_s": None if fault.at is None else _time(found, fault.at),
+        }
+        for fault in certificate.faults
+    ]
+    # the problem's json leaves out fields with their default value
+    asked = json.dumps(problem.to_dict(), sort_keys=True) + problem.robot.kinematics_digest
     return {
         "version": version("cvqmpt-lab"),
         "problem": problem.name,
-        "problem_sha256": _problem_digest(problem),
+        "problem_sha256": hashlib.sha256(asked.encode()).hexdigest(),
         "motion_sha256": _motion_digest(motion.of_joints(problem.robot.joint_names)),
-        **_verdict(found),
+        "valid": certificate.valid,
+        "verdict": str(certificate.verdict),
+        "faults": faults,
         "apart_m": found.apart,
         "curve": found.curve,
-        **finite(
-            {name: value for name, value in vars(found.certificate).items() if name != "faults"}
-        ),
+        **finite({name: value for name, value in vars(certificate).items() if name != "faults"}),
         "tolerances": {
             "constraint": TOLERANCE,
             "step_rad": LARGEST_STEP,
@@ -73,7 +89,63 @@ def differences(now: dict[str, Any], path: Path) -> dict[str, list[Any]]:
     }
 
 
-def compared_lines(contents: dict[str, Any]) -> list[str]:
+def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
+    """The lines a person reads of a record and the check that it was made from."""
+    certificate = found.certificate
+    what = "path"
+    if found.times is not None:
+        what = f"trajectory of {found.times[-1]:.3f} s, as {found.curve} pieces"
+    states = "x".join(map(str, np.shape(found.states)))
+    verdict = {Verdict.VALID: "yes", Verdict.REFUSED: "NO"}.get(certificate.verdict, "NOT PROVEN")
+    lines = [f"certified   {verdict}: {what}, {states} states, problem {contents['problem']}"]
+    for fault in certificate.faults:
+        where = "" if fault.at is None else f", {_where(found, fault.at)}"
+        lines.append(f"fault       {fault.text}{where}")
+    if certificate.states_checked == 0:
+        return lines
+    distance = "there is nothing to keep a distance from"
+    if certificate.min_clearance_at is not None:
+        distance = (
+            f"{1e3 * certificate.min_clearance_m:.2f} mm, the smallest found, "
+            f"{_where(found, certificate.min_clearance_at)}: {certificate.min_clearance_pair}"
+        )
+    collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
+    proven = f"no gaps: every state{' before that collision' if collides else ''} is proven"
+    if certificate.unproven_rad > 0.0:
+        proven = "gaps"
+    curve = ""
+    if found.apart:
+        curve = f"; straight pieces within {1e3 * found.apart:.2g} mm of the curve"
+    return [
+        *lines,
+        f"constraint  at most {certificate.max_violation_rad:.2g} rad, "
+        f"{certificate.max_violation_m:.2g} m outside; {TOLERANCE:g} is allowed",
+        f"clearance   {distance}",
+        f"resolution  {proven}, by {certificate.states_checked} looks{curve}",
+        *_compared_lines(contents),
+    ]
+
+
+def _where(found: DryRun, at: float) -> str:
+    """A place for people: state, and time or distance along."""
+    if found.times is not None:
+        return f"at {_time(found, at):.4f} s"
+    states, k = found.states[: int(at) + 2], int(at)
+    with np.errstate(all="ignore"):
+        steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
+        along = steps[:k].sum() + (at - k) * (steps[k] if k < len(steps) else 0.0)
+    distance = f", {along:.4f} rad along" if math.isfinite(along) else ""
+    return f"at state {at:.4g}{distance}"
+
+
+def _time(found: DryRun, at: float) -> float | None:
+    """Time [s] at a fractional number of a trajectory's states; None for a path."""
+    if found.times is None:
+        return None
+    return float(np.interp(at, np.arange(len(found.times)), found.times))
+
+
+def _compared_lines(contents: dict[str, Any]) -> list[str]:
     """The lines about what was compared, of a record."""
     it, used = contents["compared"], contents["tolerances"]
     near = it["obstacles"] - len(it["out_of_reach"])
@@ -81,37 +153,20 @@ def compared_lines(contents: dict[str, Any]) -> list[str]:
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
     return [
         f"compared    {it['moving_pieces']} moving and {it['carried_pieces']} carried pieces: "
-        f"{it['own_pairs']} pairs "
-        f"with each other, all with the {it['obstacle_pieces']} pieces of {near} obstacles in "
-        f"reach, of "
-        f"{it['obstacles']}",
+        f"{it['own_pairs']} pairs with each other, all with the {it['obstacle_pieces']} pieces "
+        f"of {near} obstacles in reach, of {it['obstacles']}",
         f"left out    {it['standing_pieces']} standing pieces against obstacles; of pairs of "
         f"links: {left or 'none'}",
         f"tolerances  constraint {used['constraint']:g} rad or m, step {used['step_rad']:g} rad, "
-        f"ends "
-        f"{used['ends_rad']:g} rad, margin {1e3 * used['margin_m']:.2g} mm, "
+        f"ends {used['ends_rad']:g} rad, margin {1e3 * used['margin_m']:.2g} mm, "
         f"clearance from obstacles {1e3 * used['clearance_m']:g} mm",
         f"record      version {contents['version']}, problem {contents['problem_sha256'][:12]}, "
         f"motion {contents['motion_sha256'][:12]}",
     ]
 
 
-def _verdict(found: DryRun) -> dict[str, Any]:
-    """The verdict and its faults, with times where there are some."""
-    faults = []
-    for fault in found.certificate.faults:
-        time = None
-        if found.times is not None and fault.at is not None:
-            time = float(np.interp(fault.at, np.arange(len(found.times)), found.times))
-        faults.append(
-            {"kind": str(fault.kind), "text": fault.text, "state": fault.at, "time_s": time}
-        )
-    certificate = found.certificate
-    return {"valid": certificate.valid, "verdict": str(certificate.verdict), "faults": faults}
-
-
 def _compared(problem: PlanningProblem) -> dict[str, Any]:
-    """Numbers of pieces, obstacles and pairs; obstacles and pairs left out, and on whose word."""
+    """Number of pieces, obstacles and pairs; obstacles and pairs left out, and on whose word."""
     robot, carried = problem.robot, problem.attachments
     links = robot.collision_model.geometryObjects
     pieces = [len(list(solids(item.name, item.shape, item.T_hand_object))) for item in carried]
@@ -136,14 +191,6 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
         "own_pairs": len(robot.collision_model.collisionPairs) + sum(pieces[k] for _, k in pairs),
         "left_out": left_out,
     }
-
-
-def _problem_digest(problem: PlanningProblem) -> str:
-    """Of the problem's json, from which fields with their default value are left out, and of the
-    robot's kinematics.
-    """
-    text = json.dumps(problem.to_dict(), sort_keys=True) + problem.robot.kinematics_digest
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _motion_digest(motion: Motion) -> str:
