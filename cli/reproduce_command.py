@@ -11,7 +11,6 @@ from cli.planner_options import add_budget, add_optimize, budget, optimize_budge
 from cli.report_command import write_report
 from cli.table_command import show_tables
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.external.found import PEERS
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
@@ -66,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--planners",
         type=planner_list,
         metavar="A,B",
-        help=f"of {', '.join(PLANNERS)}, {', '.join(PEERS)}, package.module:planner (all that can)",
+        help=f"of {', '.join(PLANNERS)}, an entry point, package.module:planner (all that can)",
     )
     add_model(parser)
     add_budget(parser)

@@ -15,7 +15,7 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.external.found import PEERS, external_names, find_external, refuse_clash
+from cvqmpt_lab.external import entry_point_names, external_planner, is_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import InformedRoadmaps
 from cvqmpt_lab.search.controls import AroundPath, solved_paths, straight_line, unconstrained_guide
@@ -43,7 +43,7 @@ class Method:
     needs_charts: bool = False
     model: str | None = None  # name or folder of its weights; None for the shipped ones
     sampler: SamplerChoice | None = None  # of a learned sampler under the paper's search
-    external: str = ""  # of a planner of others: its distributions and their versions
+    external: str = ""  # of an external planner: its distributions and their versions
 
     @staticmethod
     def simple(name: str, **stages: Any) -> "Method":
@@ -157,15 +157,9 @@ def _straight_line(name: str, uniform_share: float) -> Method:
 
 
 def _external(name: str) -> Method:
-    """A planner of others, see `external.found`."""
-    found = find_external(name)
-
-    def build(problem: PlanningProblem, model: str) -> Stages:
-        from cvqmpt_lab.external.call import ExternalPlanner
-
-        return Stages(predict=ExternalPlanner(found))
-
-    return Method(name, build, external=found.made_by)
+    """An external planner, see `cvqmpt_lab.external`."""
+    planner = external_planner(name)
+    return replace(Method.simple(name, predict=planner), external=planner.made_by)
 
 
 def _by_name(*methods: Method) -> dict[str, Method]:
@@ -222,17 +216,16 @@ def planner_named(name: str, model: str | None = None) -> Method:
     """The planner or control of that name; model: name or folder of its weights, None for the
     shipped ones.
 
-    Planners of others are ``package.module:planner``, the adapters that ship, and entry points, see
-    `external.found`.
+    External planners are ``package.module:planner`` and entry points, see `cvqmpt_lab.external`.
     """
-    refuse_clash(name, (*PLANNERS, *CONTROLS, *PUBLISHED, *PEERS))
+    refuse_clash(name, (*PLANNERS, *CONTROLS, *PUBLISHED))
     found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
     if name.startswith(PREFIX):
         found = _product(name, SamplerChoice.of(name.removeprefix(PREFIX)))
-    elif ":" in name or name in PEERS or name in external_names():
+    elif is_external(name):
         found = _external(name)
     if found is None:
-        others = [*PEERS, *external_names(), "package.module:planner"]
+        others = [*entry_point_names(), "package.module:planner"]
         known = [*PLANNERS, *CONTROLS, *PUBLISHED, f"{PREFIX}graph+wide, ..."]
         raise UnknownChoiceError("planner", name, [*known, *others])
     return found if model is None else found.with_model(model)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cvqmpt_lab.codec.plain import located
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, whole_number
-from cvqmpt_lab.external.found import PEERS
+from cvqmpt_lab.external import is_external
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
@@ -34,10 +34,10 @@ SPARE_S, TIMES, ITERATION_S = 300.0, 30, 0.01
 an iteration takes less than that [s].
 """
 EXTERNAL_SPARE_S, EXTERNAL_TIMES = 120.0, 6
-"""The same for planners of others, which may hang: the first run of a process warms up all of ours.
+"""The same for external planners, which may hang: the first run of a process warms up all of ours.
 """
 WARM_UP_S = 5.0  # given to a planner to warm up [s]
-_WARM: set[str] = set()  # planners of others that this process has called
+_WARM: set[str] = set()  # external planners that this process has called
 PACKAGES = Path(__file__).resolve().parents[1]
 
 
@@ -190,8 +190,9 @@ def run_experiment(
 
 def models_of(planner: str) -> tuple[str, ...]:
     """Names of the models that a planner needs."""
-    if planner in PEERS or ":" in planner.removeprefix(PREFIX):
-        return ()  # of others, perhaps not installed
+    # an external planner needs none, and is perhaps not installed
+    if is_external(planner.removeprefix(PREFIX)):
+        return ()
     kind = planner_named(planner).weights
     return () if kind is None else (kind,)
 
@@ -207,7 +208,7 @@ def weights_of(planners: Iterable[str], model: str | None = None) -> dict[str, s
 
 
 def externals_of(planners: Iterable[str]) -> dict[str, str]:
-    """Distributions and versions of planners of others, by the planner's name."""
+    """Distributions and versions of external planners, by the planner's name."""
     made_by = {name: planner_named(name).external for name in planners}
     return {name: text for name, text in made_by.items() if text}
 
@@ -261,7 +262,7 @@ def _warm_up(runs: tuple[Run, ...]) -> None:
 
 
 def _warm_up_external(run: Run) -> None:
-    """Call a planner of others once a process, so that no row pays for what it loads;
+    """Call an external planner once a process, so that no row pays for what it loads;
     in its own run: it may hang.
     """
     if run.planner in _WARM:

@@ -23,7 +23,7 @@ _PACKAGES = (
     "coal", "cvqmpt-lab", "example-robot-data", "numba", "numpy", "ompl", "pin", "rerun-sdk", "scipy", "torch",
 )  # fmt: skip
 DIGESTS = ("weights", "problem_files", "planners")
-"""Fields of a session, by name: sha256, of planners of others what made them;
+"""Fields of a session, by name: sha256, of external planners what made them;
 later sessions must not change them.
 """
 # What the fields of a session are, and of a configuration, that others read.
@@ -56,7 +56,7 @@ def provenance(
 
     weights: digest of each model in use, by the model's name. processes: how many ran side by side.
     problems: digest of each problem that was read from a file, by its name. planners: distributions
-        and versions of each planner of others, by its name.
+        and versions of each external planner, by its name.
     """
     commit, dirty = _git_state(_CHECKOUT)
     return {

@@ -22,7 +22,7 @@ class PlanStatus(StrEnum):
     NO_GOAL = "no_goal"
     INVALID_START = "invalid_start"
     INVALID_GOAL = "invalid_goal"
-    PLANNER_ERROR = "planner_error"  # these and the next three: of planners of others
+    PLANNER_ERROR = "planner_error"  # these and the next three: of external planners
     MALFORMED_PATH = "malformed_path"
     OVERTIME = "overtime"
     NO_PATH = "no_path"  # before its time was over

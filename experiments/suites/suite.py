@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.external.found import PEERS
 from cvqmpt_lab.planners import PLANNERS, WITHOUT_WEIGHTS, Method
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
@@ -58,7 +57,8 @@ IN_A_NEW_KITCHEN = (
     "roadmap-cvq",
 )
 ON_ANY_ROBOT = ("birrt", "ompl-projected", "roadmap")
-WITH_PEERS = ("birrt", "roadmap", "roadmap-cvq", *PEERS)
+# the last three are entry points, see `experiments.peers`
+WITH_PEERS = ("birrt", "roadmap", "roadmap-cvq", "roboplan", "sscbirrt", "hpp")
 ZERO_SHOT = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 
 SuiteItem = PlanningProblem | UnsolvableProblem | SensedProblem | Task

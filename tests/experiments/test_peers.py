@@ -1,9 +1,7 @@
-"""The adapters of other planners;
-each is skipped where its packages are not installed (extra `peers`).
-"""
+"""The adapters of three other planners; what needs their packages (extra `peers`) is skipped."""
 
-import importlib.util
 from dataclasses import replace
+from importlib import metadata
 
 import numpy as np
 import pinocchio as pin
@@ -11,14 +9,16 @@ import pytest
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.external.found import PEERS, find_external
-from cvqmpt_lab.external.upright import rpy_box, upright_region
-from cvqmpt_lab.external.world_files import unchecked_pairs, urdf_of
+from cvqmpt_lab.external import entry_point_names, external_planner
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.search.result import Budget
+from experiments.peers import rpy_box, upright_region, versions
+from experiments.peers.world_files import unchecked_pairs, urdf_of
 from experiments.suites.place_task import place_problem, single_goal_problem
+from experiments.suites.suite import WITH_PEERS
 
 TUNING = 1000  # a problem that is not reported
+NEEDS = {"hpp": "hpp-python", "roboplan": "roboplan", "sscbirrt": "sscbirrt"}
 
 
 @pytest.fixture(scope="module")
@@ -26,35 +26,28 @@ def problem():
     return single_goal_problem(TUNING)
 
 
-def missing(name):
-    return [
-        need
-        for module, need in PEERS[name].needs.items()
-        if importlib.util.find_spec(module) is None
-    ]
+def test_the_suites_adapters_are_entry_points():
+    assert set(entry_point_names()) >= set(WITH_PEERS) & NEEDS.keys() == NEEDS.keys()
 
 
-@pytest.mark.parametrize("name", PEERS)
-def test_an_adapter_plans_a_certified_path(problem, name):
-    if missing(name):
-        pytest.skip(f"not installed: {', '.join(missing(name))}; extra peers")
-    solution = solve(problem, name, Budget(seconds=60.0), seed=0)
-    assert solution.solved, (
-        solution.plan.detail,
-        solution.certificate and solution.certificate.reasons,
+@pytest.mark.parametrize("name", NEEDS)
+def test_an_adapter_plans_a_certified_path_or_names_what_installs_it(problem, name):
+    try:
+        versions(name, NEEDS[name])
+    except InvalidInputError:
+        missing = rf"planner {name} needs .*{NEEDS[name]}.*not installed: .*\[peers\]"
+        with pytest.raises(InvalidInputError, match=missing):
+            external_planner(name)
+        return
+    assert external_planner(name).made_by.startswith(
+        f"{NEEDS[name]} {metadata.version(NEEDS[name])}"
     )
-
-
-@pytest.mark.parametrize("name", PEERS)
-def test_a_missing_package_is_one_line_with_the_command_that_installs_it(name):
-    if not missing(name):
-        pytest.skip("installed")
-    with pytest.raises(InvalidInputError, match=rf"{name} needs .*not installed: .*\[peers\]"):
-        find_external(name)
+    solution = solve(problem, name, Budget(seconds=60.0), seed=0)
+    assert solution.solved, (solution.plan.detail, solution.certificate)
 
 
 def test_the_urdf_has_the_kinematics_and_collisions_of_the_problem(problem, tmp_path):
-    urdf, srdf = urdf_of(problem, tmp_path, np.eye(4))
+    urdf, srdf = urdf_of(problem.robot, problem.scene, tmp_path, np.eye(4))
     model = pin.buildModelFromXML(urdf)
     bodies = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
     bodies.addAllCollisionPairs()
@@ -68,7 +61,7 @@ def test_the_urdf_has_the_kinematics_and_collisions_of_the_problem(problem, tmp_
         )
         pin.framesForwardKinematics(model, data, q)
         assert np.allclose(data.oMf[tool].homogeneous, problem.robot.pose(q), atol=1e-9)
-    assert len(list(unchecked_pairs(problem))) == 17 * 16 / 2 - len(
+    assert len(list(unchecked_pairs(problem.robot))) == 17 * 16 / 2 - len(
         problem.robot.self_collision_pairs
     )
 

@@ -1,0 +1,77 @@
+"""Adapters of three other planners, for tables beside ours: hpp, roboplan, sscbirrt.
+
+The library does not know them: they are entry points of this distribution, as anybody's planner may
+be. They keep one upright constraint and plan to one goal, with an empty hand.
+"""
+
+from importlib import metadata
+
+import numpy as np
+
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
+from cvqmpt_lab.errors import InvalidInputError, install_command
+from cvqmpt_lab.problem import PlanningProblem
+
+
+def versions(planner: str, *distributions: str) -> str:
+    """Distributions and their versions; InvalidInputError with the cure where one is missing."""
+    found, missing = [], []
+    for name in distributions:
+        try:
+            found.append(f"{name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:
+            missing.append(name)
+    if missing:
+        verb = "is" if len(missing) == 1 else "are"
+        raise InvalidInputError(
+            f"planner {planner} needs {' and '.join(missing)}, which {verb} not installed: "
+            f"{install_command('peers')}"
+        )
+    return ", ".join(found)
+
+
+def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
+    """The region of a problem that bounds rotation y and z of the hand by +-b, and nothing else.
+
+    Raises InvalidInputError for what the adapters do not translate: other constraints, several
+    goals, a load.
+    """
+    region = problem.constraint[0] if len(problem.constraint) == 1 else None
+    if (
+        region is None
+        or isinstance(region, TaskSpaceRegionChain)
+        or region.bounded_rows.tolist() != [4, 5]
+    ):
+        raise InvalidInputError(
+            f"{problem.name}: this adapter keeps one upright constraint, rotation y and z bounded"
+        )
+    if not np.array_equal(np.abs(region.Bw[4:]), np.full((2, 2), region.Bw[4, 1])):
+        raise InvalidInputError(
+            f"{problem.name}: this adapter keeps one bound of rotation y and z, both ways"
+        )
+    if len(problem.goals) != 1:
+        raise InvalidInputError(
+            f"{problem.name}: this adapter plans to one goal, not to {len(problem.goals)}"
+        )
+    if problem.attachments:
+        raise InvalidInputError(
+            f"the hand carries {problem.attachments[0].name!r}: it must be empty"
+        )
+    return region
+
+
+def rpy_box(region: TaskSpaceRegion, share: float = 0.55) -> np.ndarray:
+    """Bounds (6, 2) on x, y, z [m] and roll, pitch, yaw [rad] that lie inside an upright region.
+
+    Roll r is free; pitch and yaw are at most s b, with b the region's bound on rotation vector
+    entries y and z. To first order these entries are then at most s b h (cot h + 1), h = r / 2,
+    which is 1.67 s b at the most: s = 0.60 fits. The rest is for the planners' tolerances and for
+    what lies between states.
+
+    Args:
+        region: an `upright_region`.
+        share: s.
+    """
+    tilt, far = share * region.Bw[4, 1], 100.0
+    upper = np.array([far, far, far, np.pi, tilt, tilt])
+    return np.stack([-upper, upper], axis=1)

@@ -1,0 +1,129 @@
+"""HPP (C++, pinocchio, coal): its diffusing planner with continuous collision checks, then its
+random shortcuts.
+
+HPP bounds nothing from two sides: the hand is kept upright exactly. Its wheels find their libraries
+by LD_LIBRARY_PATH alone; here they are loaded one by one instead.
+"""
+
+import ctypes
+import importlib
+import re
+import tempfile
+import time
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.result import Budget
+from experiments.peers import upright_region, versions
+from experiments.peers.world_files import urdf_of
+
+MADE_BY = versions("hpp", "hpp-python")
+MISSING_LIBRARY = re.compile(r"(\S+): cannot open shared object file")
+
+
+def _imported(module: str) -> ModuleType:
+    """A module whose libraries lie in the folder of pinocchio's."""
+    while True:
+        try:
+            return importlib.import_module(module)
+        except ImportError as error:
+            missing = MISSING_LIBRARY.match(str(error))
+            if missing is None:
+                raise
+            _load(missing[1])
+
+
+def _load(library: str) -> None:
+    """Load a shared library, after those that it needs."""
+    parents = Path(str(pin.__file__)).resolve().parents
+    folder = next(one for one in parents if (one / "libpinocchio_default.so").is_file())
+    path = folder / library
+    while True:
+        try:
+            ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+            return
+        except OSError as error:
+            missing = MISSING_LIBRARY.match(str(error))
+            if missing is None or missing[1] == library or not path.is_file():
+                raise
+            _load(missing[1])
+
+
+@lru_cache(maxsize=4)
+def _device(robot: Robot, scene: Scene) -> Any:
+    device = _imported("pyhpp.pinocchio").Device("arm")
+    loading = _imported("pyhpp.pinocchio.urdf")
+    with tempfile.TemporaryDirectory() as folder:
+        urdf, srdf = urdf_of(robot, scene, Path(folder), np.eye(4))
+        loading.loadModelFromString(device, 0, "", "anchor", urdf, srdf, pin.SE3.Identity())
+    return device
+
+
+def _posed(problem: PlanningProblem) -> Any:
+    """The problem in HPP."""
+    region, (link, T_link_hand) = upright_region(problem), problem.robot.end_effector_link
+    device = _device(problem.robot, problem.scene)
+    core, constraints = _imported("pyhpp.core"), _imported("pyhpp.constraints")
+    T_link_e = pin.SE3(T_link_hand @ np.linalg.inv(region.Tw_e))
+    turns, both, kinds = pin.StdVec_Bool(), pin.StdVec_Bool(), constraints.ComparisonTypes()
+    turns[:], both[:] = (False, True, True), (True, True)
+    kinds[:] = [constraints.ComparisonType.EqualToZero] * 2
+    T_world_w = pin.SE3(region.T0_w)
+    tilt = constraints.Orientation("upright", device, link, T_link_e, T_world_w, turns)
+    # [rad] tolerance of a projection, and its Newton steps
+    projector = core.ConfigProjector(device, "upright", 1e-4, 40)
+    projector.add(constraints.Implicit(tilt, kinds, both), 0)
+    kept = core.ConstraintSet(device, "upright")
+    kept.addConstraint(projector)
+    posed = core.Problem(device)
+    posed.setConstraints(kept)
+    for check in ("CollisionValidation", "JointBoundValidation"):
+        posed.addConfigValidation(check)
+    # [m] penetration that it allows, which must be above 0
+    posed.pathValidation(core.Progressive(device, 1e-3))
+    # [rad] between states that are projected
+    along = core.ProgressiveProjector(posed.distance(), posed.steeringMethod(), 0.2)
+    posed.pathProjector(along)
+    posed.initConfig(problem.start.copy())
+    posed.addGoalConfig(problem.goals[0].copy())
+    return posed
+
+
+def plan(
+    problem: PlanningProblem, budget: Budget, seed: int, spacing: float = 0.05
+) -> np.ndarray | None:
+    """A path (m, n) [rad] by `DiffusingPlanner` and `RandomShortcut`, read off every spacing [rad].
+
+    None where there is none in the budget's seconds.
+    """
+    began = time.perf_counter()
+    posed, core = _posed(problem), _imported("pyhpp.core")
+    # HPP draws by C's rand
+    ctypes.CDLL(None).srand(seed)
+    search = core.DiffusingPlanner(posed)
+    # more than any time is enough for
+    search.maxIterations(2**60)
+    if budget.seconds is not None:
+        search.timeOut(budget.seconds)
+    try:
+        path = search.solve()
+    except RuntimeError:
+        # raised when its time is over
+        return None
+    shortcuts = core.RandomShortcut(posed)
+    if budget.seconds is not None:
+        left = budget.seconds - (time.perf_counter() - began)
+        if left <= 0.0:
+            return None
+        shortcuts.timeOut(left)
+    path = shortcuts.optimize(path)
+    count = max(2, int(np.ceil(path.length() / spacing)) + 1)
+    return np.array([np.ravel(path.eval(t)[0]) for t in np.linspace(0.0, path.length(), count)])

@@ -1,0 +1,52 @@
+"""sscbirrt (C++, MuJoCo, analytical inverse kinematics by ssik): CBiRRT on a task-space region, its
+defaults.
+
+Its regions bound roll, pitch and yaw; its paths are smoothed by itself.
+"""
+
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.search.result import Budget
+from experiments.peers import rpy_box, upright_region, versions
+from experiments.peers.world_files import HAND, mjcf_of
+
+MADE_BY = versions("sscbirrt", "sscbirrt", "mujoco", "ssik")
+
+import mujoco
+from sscbirrt import mujoco as sscbirrt
+from sscbirrt.config import CBiRRTConfig
+from tsr import TSR
+
+
+@lru_cache(maxsize=4)
+def _world(robot: Robot, scene: Scene) -> tuple[Any, Any, Any]:
+    """Model, data and arm."""
+    text = mjcf_of(robot, scene)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "world.xml"
+        path.write_text(text)
+        model = mujoco.MjModel.from_xml_string(text)
+        arm = sscbirrt.Arm(model, list(robot.joint_names), HAND, mjcf=path)
+    return model, mujoco.MjData(model), arm
+
+
+def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
+    """A path (m, n) [rad] by `sscbirrt.mujoco.plan`; None where it finds none in the budget."""
+    region = upright_region(problem)
+    found = sscbirrt.plan(
+        *_world(problem.robot, problem.scene),
+        start=problem.start,
+        goal=problem.goals[0],
+        constraint=TSR(T0_w=region.T0_w, Tw_e=region.Tw_e, Bw=rpy_box(region)),
+        config=CBiRRTConfig(timeout=budget.seconds or 1e6),
+        seed=seed,
+    )
+    return np.array(found.path) if found.success else None
