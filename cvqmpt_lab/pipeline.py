@@ -12,7 +12,6 @@ from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import GoalSample
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
 from cvqmpt_lab.errors import require_kind, whole_number
-from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.processes import one_thread
@@ -31,7 +30,7 @@ _log = logging.getLogger("cvqmpt")
 
 
 @dataclass(frozen=True)
-class Solution(Pictured):
+class Solution:
     """What came of a problem."""
 
     problem: PlanningProblem  # with its goals

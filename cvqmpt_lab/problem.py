@@ -43,7 +43,6 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegionChain,
 )
 from cvqmpt_lab.errors import InvalidProblemError
-from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.mechanism import ArticulatedObject
 from cvqmpt_lab.robot.named_states import StateForm, StatesForm, numbers_of
@@ -104,7 +103,7 @@ Clearance = Annotated[
 
 
 @dataclass(frozen=True, eq=False)
-class PlanningProblem(Document, Pictured):
+class PlanningProblem(Document):
     """One constrained motion planning problem."""
 
     SCHEMA: ClassVar[str] = "cvqmpt-problem/1"

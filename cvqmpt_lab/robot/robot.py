@@ -15,7 +15,6 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.urdf import HeldJoint
 
@@ -122,7 +121,7 @@ class _ThreadData(threading.local):
 
 
 @dataclass(frozen=True, eq=False)
-class Robot(Pictured):
+class Robot:
     """A tree of n one-degree-of-freedom joints: an arm, or an arm and the door it moves.
 
     Build it with `panda`, `load_robot` or `with_articulated_object`.

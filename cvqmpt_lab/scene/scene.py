@@ -15,7 +15,6 @@ import numpy as np
 from cvqmpt_lab.codec.forms import FloatArray, Name, Schema
 from cvqmpt_lab.codec.plain import Checked, from_plain, to_plain, unique
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
-from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.poses import Pose, pose
 from cvqmpt_lab.scene.shapes import OccupancyMap, Shape
 
@@ -77,7 +76,7 @@ class Articulation(Checked):
 
 
 @dataclass(frozen=True, eq=False)
-class Scene(Checked, Pictured):
+class Scene(Checked):
     """Named objects and articulations; scenes with the same content are equal."""
 
     name: Name  # what the scene is called in results

@@ -1,1 +1,21 @@
-"""Pictures without a display, and recordings for rerun."""
+"""Pictures without a display, films, web pages, and recordings for rerun.
+
+Inside IPython an import of this package lets notebooks show robots, scenes, problems, tasks and
+what came of them as pictures; elsewhere it imports nothing.
+"""
+
+import sys
+from typing import Any
+
+
+def load_ipython_extension(shell: Any) -> None:
+    """Register the pictures with a shell of IPython; `%load_ext cvqmpt_lab.show` calls it."""
+    from cvqmpt_lab.show.draw import register_pictures
+
+    register_pictures(shell)
+
+
+if "IPython" in sys.modules:
+    _shell = sys.modules["IPython"].get_ipython()
+    if _shell is not None:
+        load_ipython_extension(_shell)

@@ -3,7 +3,10 @@ a robot, a scene, a problem, a task, or what came of them.
 """
 
 import io
+from base64 import b64encode
+from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -50,6 +53,20 @@ def png_of(what: object) -> bytes | None:
     written = io.BytesIO()
     draw(what, size=SMALL).save(written, format="PNG")
     return written.getvalue()
+
+
+def html_of(what: object) -> str:
+    """The text of something above its picture, as html."""
+    png = png_of(what)
+    picture = f'<img src="data:image/png;base64,{b64encode(png).decode()}">' if png else ""
+    return f"<pre>{escape(repr(what))}</pre>{picture}"
+
+
+def register_pictures(shell: Any) -> None:
+    """Let an IPython shell show all that `draw` draws: its text above its picture."""
+    for kind in DRAWN:
+        shell.display_formatter.formatters["image/png"].for_type(kind, png_of)
+        shell.display_formatter.formatters["text/html"].for_type(kind, html_of)
 
 
 def _image(what: object, size: tuple[int, int]) -> np.ndarray:

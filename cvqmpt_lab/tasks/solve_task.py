@@ -12,7 +12,6 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError, require_kind, whole_number
 from cvqmpt_lab.motion_check import certified_motion
-from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -62,7 +61,7 @@ class PhaseOutcome:
 
 
 @dataclass(frozen=True, eq=False)
-class TaskSolution(Pictured):
+class TaskSolution:
     """The result of a task."""
 
     task: Task

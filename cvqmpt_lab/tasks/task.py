@@ -27,7 +27,6 @@ from cvqmpt_lab.codec.plain import Checked, Document, located, mapping, unique
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
-from cvqmpt_lab.pictured import Pictured
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.named_states import StateForm, numbers_of
 from cvqmpt_lab.robot.source import seen_from
@@ -133,7 +132,7 @@ Phase: TypeAlias = Annotated[PlannedPhase | Hold | Grasp | Release, Tagged("kind
 
 
 @dataclass(frozen=True, eq=False)
-class Task(Document, Pictured):
+class Task(Document):
     """A named sequence of phases of a robot in a scene."""
 
     SCHEMA: ClassVar[str] = "cvqmpt-task/1"

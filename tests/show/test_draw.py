@@ -13,6 +13,7 @@ from PIL import Image
 import cvqmpt_lab
 from cvqmpt_lab import Scene, draw, region
 from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.show import load_ipython_extension
 
 
 def test_all_show_themselves_in_five_lines_and_as_a_picture(problem, solution, unsolved, task):
@@ -21,11 +22,18 @@ def test_all_show_themselves_in_five_lines_and_as_a_picture(problem, solution, u
         assert 1 < len(lines) <= 5 and max(map(len, lines)) < 200, lines
     assert "20 goals" in repr(problem) and "rotation about y -0.1 to 0.1 rad" in repr(problem)
     assert "certified" in repr(solution) and "iteration_limit" in repr(unsolved)
-    html = problem.robot._repr_html_()
+
+
+def test_notebooks_show_text_above_a_picture(problem):
+    shell = pytest.importorskip("IPython.core.interactiveshell").InteractiveShell()
+    load_ipython_extension(shell)
+    data, _ = shell.display_formatter.format(problem.robot)
+    html = data["text/html"]
     assert html.startswith("<pre>Robot &#x27;panda&#x27;") and "data:image/png;base64," in html
-    shown = Image.open(io.BytesIO(problem.scene._repr_png_()))
+    data, _ = shell.display_formatter.format(problem.scene)
+    shown = Image.open(io.BytesIO(data["image/png"]))
     assert shown.size == (600, 400) and len(shown.getcolors(1 << 20)) > 100
-    assert Scene("empty", ())._repr_png_() is None
+    assert "image/png" not in shell.display_formatter.format(Scene("empty", ()))[0]
 
 
 def test_draw_takes_all_of_them_and_writes(solution, task_solution, tmp_path):
