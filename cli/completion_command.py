@@ -9,11 +9,11 @@ from pathlib import Path
 import shtab
 
 from cli.main import COMMANDS, parser_with
+from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.search.space import BACKENDS
-from experiments.suites.suite import SUITES
 
 EXAMPLES = (
     "cvqmpt completion bash > ~/.local/share/bash-completion/completions/cvqmpt",

@@ -13,6 +13,7 @@ from cli.planner_options import add_budget, add_optimize, budget, optimize_budge
 from cli.robot_options import add_problem, problem_asked, refuse_robot, with_clearance
 from cli.scan_options import add_scan
 from cli.show_options import add_show, check_show, show_solution
+from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.pipeline import Solution, solve
@@ -21,7 +22,6 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import warm_up
-from experiments.suites.suite import SUITES, suite_named
 
 EXAMPLES = (
     "cvqmpt plan place-task --problem 7 --planner roadmap-cvq --optimize 0.05 --picture plan.png "

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from cli.options import ProgressBar, positive_int, writable_file
 from cli.robot_options import add_robot, robot_source
+from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.codec.json_schema import FOLDER
 from cvqmpt_lab.codec.plain import to_plain, to_text
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
@@ -16,9 +18,6 @@ from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.tasks.task import Task
-from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.sensor_task import SensedProblem
-from experiments.suites.suite import SUITES
 
 EXAMPLES = (
     "cvqmpt problems list place-task --problems 5",

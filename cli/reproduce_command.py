@@ -10,15 +10,15 @@ from cli.options import ProgressBar, add_model, log, own_command, positive_int
 from cli.planner_options import add_budget, add_optimize, budget, optimize_budget, planner_list
 from cli.report_command import write_report
 from cli.table_command import show_tables
+from cvqmpt_lab.benchmarks.suite import SUITES, Suite, folder_suite, suite_named
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.warm_up import compile_kernels
-from experiments.everything import PROFILES, amounts
+from experiments.everything import PROFILES, amounts, planners_of
 from experiments.figures.run_figure import reproduce_figure
 from experiments.run import Experiment, default_jobs, executor_for, run_experiment
-from experiments.suites.suite import SUITES, Suite, folder_suite, suite_named
 from paper_tables.suite_tables import render_directory
 
 ALL = "all"
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     experiment = Experiment(
         suite=suite.name if args.problems_dir is None else str(args.problems_dir.resolve()),
         problems=tuple(suite.problems[: args.problems]),
-        planners=tuple(suite.planners) if args.planners is None else args.planners,
+        planners=planners_of(suite) if args.planners is None else args.planners,
         seeds=tuple(range(args.seeds or 1)),
         budget=budget(args),
         backend=args.backend,

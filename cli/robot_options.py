@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cli.options import not_negative, numbers
+from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.codec.plain import mapping
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
@@ -16,7 +17,6 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.tasks.task import Task
-from experiments.suites.suite import SUITES, suite_named
 
 
 def add_robot(parser: argparse.ArgumentParser, title: str) -> None:

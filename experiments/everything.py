@@ -3,11 +3,48 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from cvqmpt_lab.benchmarks.suite import SUITES, Suite
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.planners import CONTROLS, PLANNERS
+from cvqmpt_lab.planners import CONTROLS, PLANNERS, WITHOUT_WEIGHTS
 from cvqmpt_lab.search.result import Budget
+from experiments import factorial
 from experiments.run import Experiment
-from experiments.suites.suite import SUITES, Suite
+
+# for problems that no shipped weights fit, and for constraints that no model has seen
+FREE_OF_WEIGHTS = tuple(name for name in PLANNERS if name in WITHOUT_WEIGHTS)
+IN_A_NEW_KITCHEN = (
+    "birrt",
+    "ompl-projected",
+    "cvq-mpt",
+    "opt-cvq-mpt",
+    "cvq-wide",
+    "roadmap",
+    "roadmap-cvq",
+)
+PLANNERS_OF: Mapping[str, tuple[str, ...]] = {  # of other suites all
+    "place-task-mirrored": IN_A_NEW_KITCHEN,
+    "constraints": ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"),
+    "factorial": factorial.PLANNERS,
+    "factorial-constraints": factorial.PLANNERS,
+    "open-door": FREE_OF_WEIGHTS,
+    "robots": ("birrt", "ompl-projected", "roadmap"),
+    # the last three are entry points, see `experiments.peers`
+    "peers": ("birrt", "roadmap", "roadmap-cvq", "roboplan", "sscbirrt", "hpp"),
+    "sensor-robustness": ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"),
+}
+
+
+def planners_of(suite: Suite) -> tuple[str, ...]:
+    """What runs on a suite unless others are named; on a folder those that can serve all of it."""
+    if not suite.digests:
+        return PLANNERS_OF.get(suite.name, tuple(PLANNERS))
+    problems = [suite.solvable(name) for name in suite.problems]
+    return tuple(
+        name
+        for name, method in PLANNERS.items()
+        if not any(method.incompatibility(problem) for problem in problems)
+    )
+
 
 CONTROLS_FOLDER = "controls"
 CONTROLLED = ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq", *CONTROLS)
@@ -48,7 +85,7 @@ class Amount:
         return Experiment(
             suite=self.suite.name,
             problems=tuple(self.suite.problems[: self.problems]),
-            planners=self.planners or tuple(self.suite.planners),
+            planners=self.planners or planners_of(self.suite),
             seeds=tuple(range(self.seeds)),
             budget=Budget(seconds=self.cutoff),
         )

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.item import SensedProblem
+from cvqmpt_lab.benchmarks.suite import Suite, folder_suite, suite_named
 from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.problem import PlanningProblem
@@ -16,8 +18,6 @@ from cvqmpt_lab.results.store import PARTIAL_FILE, StoredPaths
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.phase_goals import phase_problems
 from cvqmpt_lab.tasks.task import Task
-from experiments.suites.sensor_task import SensedProblem
-from experiments.suites.suite import Suite, folder_suite, suite_named
 
 LENGTH_TOLERANCE = 1e-9  # [rad] between the length in a row and that of its path
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.files import read_json_object, write_text
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
@@ -22,7 +23,6 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.search.result import Budget
 from experiments.rows import Run, result_row
-from experiments.suites.suite import suite_named
 from paper_tables.paper_numbers import PUBLISHED
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
 from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planners import Method, planner_named
@@ -16,9 +18,6 @@ from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
-from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.sensor_task import SensedProblem
-from experiments.suites.suite import SuiteItem, suite_named
 
 DRAWS = 256  # of a sampling distribution, whose G is told
 SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "vertices")

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
+from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
 from cvqmpt_lab.codec.plain import located
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, whole_number
 from cvqmpt_lab.external import is_external
@@ -27,7 +28,6 @@ from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Executor, Lost, dask_cluster, local_processes
 from experiments.rows import Outcome, Run, failed_rows, outcome_of
-from experiments.suites.suite import SuiteItem, suite_named
 
 SPARE_S, TIMES, ITERATION_S = 300.0, 30, 0.01
 """What a run may take beyond planning, and how many times its planning;

@@ -10,6 +10,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
@@ -18,7 +19,6 @@ from cvqmpt_lab.search.planner_interface import Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
 Result = TypeVar("Result")
 

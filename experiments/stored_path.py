@@ -4,11 +4,11 @@ beside it.
 
 from collections.abc import Mapping
 
+from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.store import StoredPaths
-from experiments.suites.suite import SUITES
 from paper_tables.claims import Evidence
 from paper_tables.report.page import PathPage
 

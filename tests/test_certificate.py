@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate import TOLERANCE, FaultKind, Verdict, certify
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
-from experiments.suites.place_task import place_problem
 
 ROOT = Path(__file__).parents[1]
 
@@ -113,7 +113,7 @@ import sys
 import numpy as np
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.search.result import JointPath
-from experiments.suites.place_task import place_problem
+from cvqmpt_lab.benchmarks.place_task import place_problem
 problem, rng = place_problem(2), np.random.default_rng(1)
 for _ in range(int(sys.argv[1])):
     certify(problem, JointPath(problem.robot.random_configurations(rng, 4)))

@@ -11,6 +11,7 @@ import pytest
 from command_line import run_here
 
 from cvqmpt_lab import external
+from cvqmpt_lab.benchmarks.place_task import single_goal_problem
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import planner_named
@@ -20,7 +21,6 @@ from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Lost, local_processes
 from experiments.run import Experiment, executor_for, run_experiment
-from experiments.suites.place_task import single_goal_problem
 
 PLANNERS = '''
 import os, time

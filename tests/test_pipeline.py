@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
@@ -17,7 +18,6 @@ from cvqmpt_lab.scene.shapes import ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.tasks.solve_task import solve_task
-from experiments.suites.place_task import place_problem
 
 ENOUGH = Budget(iterations=20_000)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
 from cvqmpt_lab.pipeline import with_sampled_goals
@@ -17,7 +18,6 @@ from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.named_states import group_states
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, shape_vertices
-from experiments.suites.place_task import place_problem
 
 DATA = Path(__file__).parent / "data"
 

@@ -3,9 +3,9 @@
 import pytest
 
 from cvqmpt_lab import warm_up
+from cvqmpt_lab.benchmarks.door_task import door_problem
+from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.planners import PLANNERS, planner_named
-from experiments.suites.door_task import door_problem
-from experiments.suites.place_task import place_problem
 
 
 @pytest.mark.parametrize("name", PLANNERS)

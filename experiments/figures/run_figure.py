@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.problem import PlanningProblem
@@ -23,7 +24,6 @@ from experiments.figures.drawing import save_figure
 from experiments.figures.row_figures import draw_cost
 from experiments.figures.scene_pictures import concept_figure, write_hands
 from experiments.figures.training_curves import draw_training
-from experiments.suites.suite import suite_named
 
 SUITE = "place-task"
 MODEL = "vq_mpt"

@@ -11,6 +11,7 @@ import pytest
 from command_line import refused
 
 from cli.main import main
+from cvqmpt_lab.benchmarks.place_task import DOOR, carried_can
 from cvqmpt_lab.constraints import between_states
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.poses import pose
@@ -23,7 +24,6 @@ from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json
 from experiments.run import Experiment, executor_for, run_experiment
-from experiments.suites.place_task import DOOR, carried_can
 
 MIDDLE = 40
 POINT = '{"positions": [1], "accelerations": [%s], "time_from_start": {"sec": 0}}'

@@ -8,11 +8,11 @@ from command_line import refused
 from jsonschema import Draft202012Validator
 
 from cli.main import main
+from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from cvqmpt_lab.trajectory.trajectory_files import read_motion
-from experiments.suites.multi_sequence import multi_sequence_task
 
 
 def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem, tmp_path):

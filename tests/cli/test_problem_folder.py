@@ -7,11 +7,11 @@ import pytest
 from command_line import refused
 
 from cli.main import main
+from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, place_problem
 from cvqmpt_lab.codec.plain import to_plain, to_text
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.scene.kitchen import kitchen
-from experiments.suites.place_task import DOOR, DOOR_ANGLE, place_problem
 
 BUDGET = ("--planners", "birrt", "--iterations", "20000", "--jobs", "1")
 

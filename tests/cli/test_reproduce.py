@@ -2,18 +2,17 @@
 
 import json
 import os
-from dataclasses import replace
 
 import pytest
 from command_line import refused
 
 from cli.main import main
+from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
 from experiments import everything
 from experiments.everything import Amount, amounts
-from experiments.suites.suite import SUITES
 
 
 def test_it_writes_its_files_and_refuses_to_mix_them_with_another_run(capsys, tmp_path):
@@ -67,8 +66,7 @@ def test_amounts_of_everything_are_fixed(capsys, tmp_path):
 def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     capsys, monkeypatch, tmp_path
 ):
-    suites = {"place-task": replace(SUITES["place-task"], planners=("birrt",))}
-    monkeypatch.setattr(everything, "SUITES", suites)
+    monkeypatch.setattr(everything, "PLANNERS_OF", {"place-task": ("birrt",)})
     monkeypatch.setattr(everything, "PROFILES", {"small": (Amount("place-task", 1, cutoff=5.0),)})
     words = ["reproduce", "all", "--profile", "small", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from cvqmpt_lab.benchmarks.door_task import door_problem, door_world
+from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, carried_can
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
@@ -13,8 +15,6 @@ from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings
-from experiments.suites.door_task import door_problem, door_world
-from experiments.suites.place_task import DOOR, DOOR_ANGLE, carried_can
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 CONTACT = 1e-5  # [m] contact is not defined below

@@ -7,6 +7,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from cvqmpt_lab.benchmarks.door_task import door_world
+from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.collision import exact
 from cvqmpt_lab.collision.exact import ROUNDING, CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
@@ -18,8 +20,6 @@ from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites.door_task import door_world
-from experiments.suites.place_task import carried_can
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 NOTHING = Scene("nothing", ())

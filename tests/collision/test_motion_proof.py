@@ -7,13 +7,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.motion_proof import prove_free
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud
-from experiments.suites.place_task import carried_can
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 

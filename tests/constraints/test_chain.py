@@ -8,6 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.benchmarks.door_task import (
+    BAR,
+    OPEN,
+    STANDOFF,
+    bar_pose,
+    door_problem,
+    door_world,
+    handle_region,
+)
+from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
@@ -26,16 +36,6 @@ from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget, JointPath
-from experiments.suites.door_task import (
-    BAR,
-    OPEN,
-    STANDOFF,
-    bar_pose,
-    door_problem,
-    door_world,
-    handle_region,
-)
-from experiments.suites.place_task import DOOR
 
 
 @pytest.fixture(scope="module")

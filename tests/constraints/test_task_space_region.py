@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import (
@@ -21,7 +22,6 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.kitchen import kitchen
-from experiments.suites.place_task import DOOR
 
 KINK = 1e-3  # rows this close to a bound, or to angle pi, have no derivative
 FREE = (-np.inf, np.inf)

@@ -7,15 +7,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from cvqmpt_lab.benchmarks.place_task import place_problem, single_goal_problem
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.external import entry_point_names, external_planner
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.search.result import Budget
+from experiments.everything import PLANNERS_OF
 from experiments.peers import rpy_box, upright_region, versions
 from experiments.peers.world_files import unchecked_pairs, urdf_of
-from experiments.suites.place_task import place_problem, single_goal_problem
-from experiments.suites.suite import WITH_PEERS
 
 TUNING = 1000  # a problem that is not reported
 NEEDS = {"hpp": "hpp-python", "roboplan": "roboplan", "sscbirrt": "sscbirrt"}
@@ -27,7 +27,7 @@ def problem():
 
 
 def test_the_suites_adapters_are_entry_points():
-    assert set(entry_point_names()) >= set(WITH_PEERS) & NEEDS.keys() == NEEDS.keys()
+    assert set(entry_point_names()) >= set(PLANNERS_OF["peers"]) & NEEDS.keys() == NEEDS.keys()
 
 
 @pytest.mark.parametrize("name", NEEDS)

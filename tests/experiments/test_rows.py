@@ -6,6 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.certificate import Fault, FaultKind
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
@@ -16,9 +19,6 @@ from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Unifo
 from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.vqmpt import edge_model
 from experiments.rows import Run, failed_rows, outcome_of, result_row
-from experiments.suites.multi_sequence import multi_sequence_task
-from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.suite import suite_named
 from paper_tables.committed import committed_directories
 
 RUN = Run("suite", 0, "birrt", 0, Budget(iterations=1))

@@ -11,7 +11,7 @@ import pytest
 from made_rows import a_failure, a_row
 
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
-from experiments.suites.factorial import PLANNERS
+from experiments.factorial import PLANNERS
 from paper_tables.factorial_table import CONTRASTS, factorial_table
 
 FACTOR = {

@@ -8,6 +8,7 @@ import torch
 from ompl import base as ob
 from toppra_duration import toppra_duration
 
+from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.certificate import TOLERANCE, certify
 from cvqmpt_lab.constraints.between_states import evenly_spaced
 from cvqmpt_lab.constraints.report import bound_usage
@@ -21,7 +22,6 @@ from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.vqmpt.checkpoint import as_modules
 from cvqmpt_lab.vqmpt.codebook import CodeDecoder, ModelConfigurations, waypoint_codes
 from cvqmpt_lab.vqmpt.weights import load_vq_mpt
-from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
 ENOUGH = Budget(iterations=20_000)
 STATES, PATHS = 5000, 50  # at most, on a problem

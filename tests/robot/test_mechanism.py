@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.door_task import BAR, GRIP, bar_pose, door_problem, door_world
+from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
@@ -22,8 +24,6 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, PointCloud
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites.door_task import BAR, GRIP, bar_pose, door_problem, door_world
-from experiments.suites.place_task import DOOR
 
 AWAY = np.array([2.8, 0.3, 0.0, -1.5, 0.0, 1.571, 0.785])  # the arm looks away from the kitchen
 DRAWER = "hitman_drawer_top"

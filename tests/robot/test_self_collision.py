@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 import trimesh
 
+from cvqmpt_lab.benchmarks.door_task import door_world
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.loading import load_robot, robot_from_source
 from cvqmpt_lab.robot.proven_apart import distance_levers
@@ -25,7 +26,6 @@ from cvqmpt_lab.robot.self_collision import (
     srdf_text,
 )
 from cvqmpt_lab.robot.source import ARMS
-from experiments.suites.door_task import door_world
 
 TOOL = 'size="0.02 0.06 0.02"'
 

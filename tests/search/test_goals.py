@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.family_task import other_robot_problem
+from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.goals import sample_goals
-from experiments.suites.family_task import other_robot_problem
-from experiments.suites.place_task import place_problem
 
 
 def apart(goals):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.place_task import place_problem, single_goal_problem
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.errors import InvalidInputError
@@ -25,7 +26,6 @@ from cvqmpt_lab.search.roadmap import (
     scene_costs,
 )
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites.place_task import place_problem, single_goal_problem
 
 ENOUGH = Budget(iterations=20_000)
 

@@ -8,6 +8,8 @@ from matplotlib.image import imread
 from PIL import Image
 from rerun.chunk import RrdReader
 
+from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
+from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec.plain import from_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.errors import InvalidInputError
@@ -34,8 +36,6 @@ from cvqmpt_lab.show.picture import (
     strip,
 )
 from cvqmpt_lab.show.recording import TASK_TIMELINE, log_task
-from experiments.suites.multi_sequence import CAN_NAME
-from experiments.suites.place_task import DOOR
 
 
 def test_picture_has_the_size_and_shows_the_trace(solution, tmp_path):

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.image import imread
 from rerun.chunk import RrdReader
 
+from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
@@ -21,7 +22,6 @@ from cvqmpt_lab.show.curves import bound_plots, clearance_plot
 from cvqmpt_lab.show.picture import draw_solution
 from cvqmpt_lab.show.recording import TIMELINE, log_solution
 from cvqmpt_lab.show.viewer import open_viewer
-from experiments.suites.place_task import carried_can
 
 
 def recorded(path, timeline=TIMELINE):

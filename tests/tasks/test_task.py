@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
+from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.poses import pose
@@ -13,8 +15,6 @@ from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, OccupancyMap, Sphere
 from cvqmpt_lab.tasks.task import Grasp, Release, Task
 from cvqmpt_lab.tasks.world import World
-from experiments.suites.multi_sequence import CAN_NAME
-from experiments.suites.place_task import carried_can
 
 
 def changed(task, which, **fields):

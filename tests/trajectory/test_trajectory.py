@@ -10,6 +10,8 @@ import pytest
 from command_line import refused
 
 from cli.main import main
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import certified_motion, dry_run
 from cvqmpt_lab.pipeline import solve
@@ -20,7 +22,6 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory_files import Motion
-from experiments.suites.place_task import TUNING_ENVIRONMENTS, UnsolvableProblem, place_problem
 
 FULL = TimingSettings(speed=1.0)
 TWO_JOINTS = JointLimits(("first", "second"), np.array([2.0, 1.0]), np.array([4.0, 5.0]))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import planner_named
@@ -16,7 +17,6 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.learned_sampler import GOAL_STD, CodeProposal, PredictedCodes
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 from cvqmpt_lab.vqmpt.stages import codebook_of, dictionary_roadmap
-from experiments.suites.place_task import place_problem
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from cvqmpt_lab import pipeline
+from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
@@ -25,7 +26,6 @@ from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.mpnet_rollouts import LINE_STATES, MPNetNetwork, MPNetRollouts, line_free
 from cvqmpt_lab.vqmpt.weights import RobotSignature, robot_signature
-from experiments.suites.place_task import TUNING_ENVIRONMENTS, place_problem
 
 CONFIG = MPNetConfig(
     n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2

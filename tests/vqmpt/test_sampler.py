@@ -7,13 +7,13 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from cvqmpt_lab.benchmarks.place_task import carried_can, place_problem
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.search.planner_interface import Query
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.sampler import COLLISION_WEIGHT, ENTRIES, EXITS, SEQUENCES, CodeSequences
 from cvqmpt_lab.vqmpt.stages import POINTS, code_roadmap, edge_model, observer
-from experiments.suites.place_task import carried_can, place_problem
 
 WEIGHTS = "vq_mpt"
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import CONTROLS
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from experiments.suites.place_task import place_problem
 
 ENOUGH = Budget(iterations=20_000)
 

@@ -7,6 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.sensor_task import ROOM, Sensing, scanned_scene, sensor_problem
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -14,15 +17,6 @@ from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.virtual import solids_of
 from experiments.rows import Run, outcome_of
-from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.sensor_task import (
-    ROOM,
-    SensedProblem,
-    Sensing,
-    scanned_scene,
-    sensor_problem,
-)
-from experiments.suites.suite import suite_named
 
 ENOUGH = Budget(iterations=20_000)
 

@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import planner_named
-from cvqmpt_lab.problem import check_problem
-from cvqmpt_lab.search.result import Budget
-from experiments.suites.place_task import (
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.place_task import (
     ENVIRONMENTS,
     GOALS,
-    UnsolvableProblem,
     can_com,
     carried_can,
     grasp_region,
     mirrored_problem,
     place_problem,
 )
-from experiments.suites.sensor_task import VARIED_SCENES, variants
-from experiments.suites.suite import SUITES, Suite, suite_named
+from cvqmpt_lab.benchmarks.sensor_task import VARIED_SCENES, variants
+from cvqmpt_lab.benchmarks.suite import SUITES, Suite, suite_named
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.problem import check_problem
+from cvqmpt_lab.search.result import Budget
 
 SHELF_COM = (0.555, -0.38, 0.742)  # link frame (0.56, -0.39, 0.642) + (-0.005, 0.010, 0.100)
 

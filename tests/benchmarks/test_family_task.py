@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.problem import check_problem
-from cvqmpt_lab.search.motion import motion_free
-from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites import family_task
-from experiments.suites.family_task import (
+from cvqmpt_lab.benchmarks import family_task
+from cvqmpt_lab.benchmarks.family_task import (
     ROBOTS,
     family_problem,
     held_out_problem,
     other_robot_problem,
 )
-from experiments.suites.place_task import UnsolvableProblem
-from experiments.suites.suite import suite_named
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.problem import check_problem
+from cvqmpt_lab.search.motion import motion_free
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.door_task import GRIP, OPEN, PADS, TURN, bar_pose, handle_region
+from cvqmpt_lab.benchmarks.place_task import DOOR, LIFT, SHELF_LINK, grasp_region
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
@@ -22,10 +24,7 @@ from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
-from experiments.suites.door_task import GRIP, OPEN, PADS, TURN, bar_pose, handle_region
-from experiments.suites.place_task import DOOR, LIFT, SHELF_LINK, grasp_region
 
-TASKS = range(10)
 FIRST_SEED = 100
 CAN_NAME = "can"
 CRACKERS = ((0.600, -0.623, 0.287), -np.pi / 4)  # centre of mass [m] and yaw [rad]

@@ -10,11 +10,12 @@ Settings of planners were chosen in the published kitchen, on TUNING_ENVIRONMENT
 differently and mirrored left to right.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright
 from cvqmpt_lab.pipeline import drawn_goals
@@ -30,11 +31,9 @@ from cvqmpt_lab.scene.scene import Attachment, Scene
 ENVIRONMENTS = range(150)
 TUNING_ENVIRONMENTS = range(1000, 1060)  # same distribution, never reported
 GOALS = 20
-SINGLE_GOAL_ENVIRONMENTS = range(30)
 DOOR = "dagger_door_left"
 DOOR_ANGLE = -1.57  # [rad]
 SHELF_LINK = (0.56, -0.39, 0.642)  # the can's link frame on the shelf [m]
-MIRRORED_ENVIRONMENTS = range(60)
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # left to right
 REMEASURED = KitchenParameters(  # [m]; wider, flatter and higher cabinets, a lower hood
     cabinet_width=0.42, wall_cabinet_depth=0.33, dagger_bottom_z=0.6765, hood_bottom_z=0.70
@@ -43,15 +42,6 @@ REMEASURED_SHELF_LINK = (0.60, -0.41, 0.692)  # before it is mirrored [m]
 # [m] by which a can that collides is above its published place on the counter, 1.5 mm inside the
 # top
 LIFT = 0.005
-
-
-@dataclass(frozen=True)
-class UnsolvableProblem:
-    """An environment without a planning problem, and why."""
-
-    name: str
-    reason: str
-    kind: FailReason = FailReason.NO_START  # what its rows are counted as
 
 
 def grasp_region(com: np.ndarray) -> TaskSpaceRegion:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import phase_problem
@@ -17,10 +18,10 @@ from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.space import ConstrainedSpace
-from experiments.suites.place_task import UnsolvableProblem
 
 PANDA = {"name": "panda"}
-PROBLEMS = range(50)
+PER_FAMILY = 50  # problems
+PER_ROBOT = 20
 SCENES_DRAWN = 20  # for a problem, until one holds two states with a blocked straight motion
 FIRST_SPARE_SCENE = 8000  # 8000 to 8949 are numbers that no other suite and no tuning has used
 DRAWS = 4000  # configurations drawn for start and goal
@@ -35,8 +36,8 @@ def held_out_problem(family: str, index: int) -> PlanningProblem | UnsolvablePro
     """
     spare = range(
         FIRST_SPARE_SCENE + index,
-        FIRST_SPARE_SCENE + len(PROBLEMS) * (SCENES_DRAWN - 1),
-        len(PROBLEMS),
+        FIRST_SPARE_SCENE + PER_FAMILY * (SCENES_DRAWN - 1),
+        PER_FAMILY,
     )
     return _first_problem(str(index), family, (index, *spare), PANDA)
 
@@ -111,7 +112,6 @@ def blocked_pair(
 
 
 # Nine arms: between two random upright hand poses, upright all the way, in scenes of every family.
-ROBOT_PROBLEMS = range(20)
 FIRST_ROBOT_SCENE = 2000  # 2000 to 2399 are numbers that no other suite uses
 ROBOT_FAMILIES = ("cubes-spheres", "table", "shelves", "kitchen-like")
 ROBOTS: Mapping[str, Mapping[str, Any]] = {
@@ -132,7 +132,7 @@ of seven makers.
 
 def robots_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     """Problem index % 20 of robot index // 20; its rows are named like a phase, by index and robot."""
-    number, k = divmod(index, len(ROBOT_PROBLEMS))
+    number, k = divmod(index, PER_ROBOT)
     robot = tuple(ROBOTS)[number]
     return replace(other_robot_problem(robot, k), name=phase_problem(str(index), number + 1, robot))
 
@@ -145,7 +145,7 @@ def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableP
     its family.
     """
     first = FIRST_ROBOT_SCENE + index
-    numbers = range(first, first + SCENES_DRAWN * len(ROBOT_PROBLEMS), len(ROBOT_PROBLEMS))
+    numbers = range(first, first + SCENES_DRAWN * PER_ROBOT, PER_ROBOT)
     found = _first_problem(
         str(index), ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)], numbers, ROBOTS[robot]
     )

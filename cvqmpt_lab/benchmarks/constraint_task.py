@@ -11,6 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.door_task import GRIP, handle_region
+from cvqmpt_lab.benchmarks.family_task import blocked_pair
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Line, Plane
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright
@@ -28,11 +32,7 @@ from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import Observation, Query, search, uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
-from experiments.suites.door_task import GRIP, handle_region
-from experiments.suites.family_task import blocked_pair
-from experiments.suites.place_task import UnsolvableProblem, carried_can
 
-PER_KIND = 20
 FIRST_SCENE = 2500  # numbers that no other suite uses
 MOVED = 0.25  # [m] from the hand's start to its goal at least
 DRAWS = 100  # configurations, of which one is free in any scene
@@ -138,11 +138,10 @@ def _carried(scene: Scene, name: str, T: np.ndarray) -> Attachment:
 
 
 NAMES = (*KINDS, "door")
-PROBLEMS = range(PER_KIND * len(NAMES))
 
 
 def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index`; with its goals. Indices beyond `PROBLEMS` are for tuning."""
+    """Problem `index`; with its goals. Indices from 160 on are for tuning."""
     number, kind = divmod(index, len(NAMES))
     name = phase_problem(str(index), kind + 1, NAMES[kind])
     rng = np.random.default_rng([index, 11])

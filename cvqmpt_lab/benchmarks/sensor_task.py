@@ -16,6 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.family_task import PANDA, upright_problem
+from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason, phase_problem
@@ -32,10 +35,7 @@ from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
 from cvqmpt_lab.sensing.render import View
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, scan
 from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, views_of
-from experiments.suites.family_task import PANDA, upright_problem
-from experiments.suites.place_task import DOOR, DOOR_ANGLE, UnsolvableProblem
 
-SCENES = range(30)
 VARIED_SCENES = range(10)  # whose sensing is varied
 FIRST_TABLE = 3000  # scene numbers that no other suite uses
 ROOM = 0.06  # [m] that start and goal keep from obstacles
@@ -119,25 +119,6 @@ class Sensing:
     padding: float = 0.0  # inflation radius of the cells [m]
 
 
-@dataclass(frozen=True)
-class SensedProblem:
-    """A problem in a map, and the scene that the map is of."""
-
-    problem: PlanningProblem  # as planners are given it
-    truth: Scene  # as it really is
-    seconds: float  # from images in files to the problem [s]
-
-    @property
-    def name(self) -> str:
-        """Of the problem."""
-        return self.problem.name
-
-    @property
-    def true_problem(self) -> PlanningProblem:
-        """The same problem in the scene as it really is."""
-        return replace(self.problem, scene=self.truth)
-
-
 def sensor_problem(
     number: int, sensing: Sensing | None = None
 ) -> SensedProblem | UnsolvableProblem:
@@ -207,8 +188,6 @@ LEVELS: Mapping[str, Sequence[Any]] = {
     "resolution": (0.01, 0.04),
     "padding": (0.0, 0.01, 0.03, 0.04),
 }
-# uniform samples, then learned ones
-VARIED_PLANNERS = ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 
 
 def variants() -> tuple[Sensing, ...]:
@@ -221,9 +200,6 @@ def variants() -> tuple[Sensing, ...]:
         if level != getattr(default, name)
     )
     return (default, *others)
-
-
-VARIED_PROBLEMS = range(len(VARIED_SCENES) * len(variants()))
 
 
 def setting(sensing: Sensing) -> str:

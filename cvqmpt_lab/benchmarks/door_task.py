@@ -11,6 +11,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec.plain import to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
@@ -23,7 +25,6 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
-from experiments.suites.place_task import DOOR, UnsolvableProblem
 
 OPEN = -0.45 * np.pi  # [rad]
 BAR = f"{DOOR}/handle_bar"
@@ -31,7 +32,6 @@ STANDOFF = 0.10  # [m] from the hand frame to the bar's axis
 GRIP = 0.0075  # [m] opening of each finger: the bar's radius
 PADS = ("panda_leftfinger_3", "panda_rightfinger_3")  # pieces of the fingers that close on the bar
 TURN = 0.4  # [rad] about the bar: goals lie within +- this, so that the fingers can open there
-PROBLEMS = range(10)
 GRASPS = 20  # of the closed door that are tried
 # of `pipeline.MAX_GOALS`; a posture that reaches fewer stands at a limit and may get stuck
 GOALS_NEEDED = 10

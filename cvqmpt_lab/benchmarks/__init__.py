@@ -1,0 +1,1 @@
+"""Benchmark problems and tasks, by the name of their suite and an index."""

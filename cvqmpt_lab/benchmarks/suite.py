@@ -1,0 +1,170 @@
+"""The suites by name: each is an ordered set of problems or tasks.
+
+A folder of problem files is one by its path. The module of a suite other than the place task is
+imported when its first problem is made, so that `cvqmpt plan` imports only what it plans.
+"""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.place_task import (
+    ENVIRONMENTS,
+    carried_can,
+    mirrored_problem,
+    place_problem,
+    single_goal_problem,
+)
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import SLOW
+from cvqmpt_lab.scene.families import FAMILIES
+from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.tasks.task import Task
+
+SuiteItem = PlanningProblem | UnsolvableProblem | SensedProblem | Task
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A named, ordered set of problems or tasks; make(i) builds the one with index i."""
+
+    name: str
+    problems: Sequence[Any]  # indices, or names of the problems of a folder
+    make: Callable[[Any], SuiteItem]
+    # in the hand in pictures, where its problems do not model it
+    carried: tuple[Attachment, ...] = ()
+    # every planner computes its own distance field and edge costs of a cloud
+    new_scenes: bool = True
+    # what else decides its rows, as json values
+    settings: Mapping[str, object] = field(default_factory=dict)
+    # sha256 of a folder's problems, by name
+    digests: Mapping[str, str] = field(default_factory=dict)
+
+    def item(self, index: int | str) -> SuiteItem:
+        """Problem or task `index`; InvalidInputError names the valid range."""
+        if index not in self.problems:
+            raise InvalidInputError(
+                f"unknown problem {index} of suite {self.name}; valid indices: "
+                f"{self.problems[0]} to {self.problems[-1]}"
+            )
+        return self.make(index)
+
+    def solvable(self, index: int | str) -> PlanningProblem | Task:
+        """The same, of a scanned scene the problem in its map;
+        InvalidInputError where there is no problem.
+        """
+        item = self.item(index)
+        if isinstance(item, UnsolvableProblem):
+            raise InvalidInputError(
+                f"problem {index} of {self.name} has no solution: {item.reason}"
+            )
+        return item.problem if isinstance(item, SensedProblem) else item
+
+
+def _family(name: str, index: int) -> SuiteItem:
+    from cvqmpt_lab.benchmarks.family_task import held_out_problem
+
+    return held_out_problem(name, index)
+
+
+def _robots(index: int) -> SuiteItem:
+    from cvqmpt_lab.benchmarks.family_task import robots_problem
+
+    return robots_problem(index)
+
+
+def _constraint(index: int) -> SuiteItem:
+    from cvqmpt_lab.benchmarks.constraint_task import constraint_problem
+
+    return constraint_problem(index)
+
+
+def _door(index: int) -> SuiteItem:
+    from cvqmpt_lab.benchmarks.door_task import door_problem
+
+    return door_problem(index)
+
+
+def _sensor(index: int) -> SuiteItem:
+    from cvqmpt_lab.benchmarks.sensor_task import sensor_problem
+
+    return sensor_problem(index)
+
+
+def _robustness(index: int) -> SuiteItem:
+    from cvqmpt_lab.benchmarks.sensor_task import robustness_problem
+
+    return robustness_problem(index)
+
+
+def _multi_sequence(index: int) -> SuiteItem:
+    from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
+
+    return multi_sequence_task(index)
+
+
+_CAN = (carried_can(),)
+SUITES: Mapping[str, Suite] = {
+    suite.name: suite
+    for suite in (
+        Suite("place-task", ENVIRONMENTS, place_problem, _CAN),
+        Suite("place-task-with-can", ENVIRONMENTS, partial(place_problem, with_can=True)),
+        Suite("place-task-single-goal", range(30), single_goal_problem, _CAN),
+        Suite("place-task-mirrored", range(60), mirrored_problem, _CAN),
+        *(Suite(f"family-{name}", range(50), partial(_family, name)) for name in FAMILIES),
+        Suite("constraints", range(160), _constraint),
+        Suite("factorial", range(60), place_problem),
+        Suite("factorial-constraints", range(80), _constraint),
+        Suite("open-door", range(10), _door, new_scenes=False),
+        Suite("robots", range(180), _robots),
+        Suite("peers", range(30), single_goal_problem, _CAN, new_scenes=False),
+        Suite("sensor", range(30), _sensor),
+        Suite("sensor-robustness", range(140), _robustness),
+        Suite(
+            "multi-sequence",
+            range(10),
+            _multi_sequence,
+            new_scenes=False,
+            settings={"speed": SLOW},
+        ),
+    )
+}
+
+
+_FOLDERS: dict[str, Suite] = {}  # by full path; workers that are forked find what was read before
+
+
+def folder_suite(folder: Path) -> Suite:
+    """The problems of a folder as they are now, as a suite with the folder's name; `suite_named`
+    finds it by full path. InvalidInputError: see `read_folder`; or the name is taken.
+    """
+    from cvqmpt_lab.benchmarks.problem_folder import read_folder
+
+    found, path = read_folder(folder), folder.resolve()
+    if path.name in SUITES or not path.name:
+        raise InvalidInputError(
+            f"folder {path}: its rows would be called {path.name!r}, as a suite of ours; give it "
+            f"another name"
+        )
+    problems = {name: filed.problem for name, filed in found.items()}
+    digests = {name: filed.digest for name, filed in found.items()}
+    _FOLDERS[str(path)] = suite = Suite(
+        path.name, tuple(problems), problems.__getitem__, digests=digests
+    )
+    return suite
+
+
+def suite_named(name: str) -> Suite:
+    """The suite of that name, or of the folder with that full path;
+    UnknownChoiceError lists the names.
+    """
+    if os.sep in name:
+        return _FOLDERS.get(name) or folder_suite(Path(name))
+    if name not in SUITES:
+        raise UnknownChoiceError("suite", name, SUITES)
+    return SUITES[name]

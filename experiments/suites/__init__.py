@@ -1,1 +1,0 @@
-"""Which problems and tasks an experiment runs, by name."""
