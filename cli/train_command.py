@@ -24,14 +24,11 @@ STAGES = (
     "published",
 )  # as in `training.profiles`, which needs torch
 PROFILE_NAMES = ("smoke", "compact", "published")
-EDGE_MODEL = "edge-model"
-ENOUGH_SCENES = 70  # of each arm, for the edge validity model
 EXAMPLES = (
     "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
     "cvqmpt train transformer --data data/ur5-roadmap --dictionary runs/ur5 --out "
     "runs/ur5-transformer",
     "cvqmpt train published --data data/roadmap --out runs/published --minutes 60",
-    "cvqmpt train edge-model --data data/panda,data/ur5 --judge data/kinova --out runs/edges",
     "cvqmpt train stage2 --profile published --data data/paths --dictionary runs/published --out "
     "runs/model",
     "cvqmpt train stage1 --profile compact --print-config > mine.json",
@@ -41,8 +38,7 @@ EXAMPLES = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to train, on what, how long and where to."""
     add = parser.add_argument
-    edges = "edge-model: the edge validity model of all arms, from data with --labels roadmap"
-    add("stage", help=f"what to train: {', '.join(STAGES)}; or {edges}")
+    add("stage", help=f"what to train: {', '.join(STAGES)}")
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
         "--profile", default="compact", help=f"of {', '.join(PROFILE_NAMES)} (compact)"
@@ -55,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--data",
         type=Path,
         metavar="DIR",
-        help="what `cvqmpt data generate` wrote; edge-model: several, with commas",
+        help="what `cvqmpt data generate` wrote",
     )
     add(
         "--out",
@@ -71,13 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and transformer (the "
         "shipped for the latter two): --out of stage1",
     )
-    add(
-        "--judge",
-        metavar="DIR[,DIR...]",
-        help="edge-model: labels of other arms, to judge it on (--data)",
-    )
-    most = f"edge-model: of each folder so many at most ({ENOUGH_SCENES})"
-    add("--scenes", type=positive_int, default=ENOUGH_SCENES, metavar="N", help=most)
     add("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
     add("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
     add("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
@@ -93,6 +82,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train, showing loss and time left."""
+    if args.stage == "edge-model":
+        raise InvalidInputError(
+            "train edge-model was removed: roadmaps of every arm use one fitted curve, "
+            "cvqmpt_lab/search/edge_costs.py"
+        )
     require_torch("cvqmpt train")
     from cvqmpt_lab.training.trainer import joined_processes, run_training
 
@@ -107,8 +101,6 @@ def run(args: argparse.Namespace) -> int:
         whole_number(f"--{name}", getattr(args, name))
     command = own_command()
     origin = provenance(command, [args.seed])
-    if args.stage == EDGE_MODEL:
-        return _train_edge_model(args, {"provenance": origin})
     progress = run_training(
         args.stage,
         profile,
@@ -130,34 +122,6 @@ def run(args: argparse.Namespace) -> int:
     if not progress.finished:
         log("stopped after --minutes; the same command continues")
     print(f"model in {args.out / 'model'}, curves in {args.out / 'curves.csv'}")
-    return 0
-
-
-def _train_edge_model(args: argparse.Namespace, metadata: dict) -> int:
-    from cvqmpt_lab.labels.edge_labels import (  # kernels, which a bare machine has not
-        CURVES_FILE,
-        train_edge_model,
-    )
-
-    data = [Path(folder) for folder in str(args.data).split(",")]
-    judged = [Path(folder) for folder in args.judge.split(",")] if args.judge else data
-    rows = train_edge_model(
-        data,
-        judged,
-        args.out,
-        seed=args.seed,
-        scenes=args.scenes,
-        metadata=metadata,
-        on_progress=ProgressBar(args.stage),
-    )
-    print(
-        f"{'arm':16} {'clearances in':13} {'model':18} AUC, median of scenes  of all edges  "
-        f"calibration error"
-    )
-    for row in rows:
-        start = f"{row['robot']:16} {row['source']:13} {row['model']:18}"
-        print(f"{start} {row['area']:22.4f} {row['area_of_all']:13.4f} {row['error']:18.3f}")
-    print(f"curves of the smallest clearance in {args.out / CURVES_FILE}")
     return 0
 
 

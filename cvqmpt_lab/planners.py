@@ -212,12 +212,21 @@ WITHOUT_WEIGHTS = tuple(
 )
 
 
+def is_removed(name: str) -> bool:
+    """Whether a planner of that name existed once; committed rows have it."""
+    return name == "graph-cvq" or name.startswith(f"{PREFIX}graph")
+
+
 def planner_named(name: str, model: str | None = None) -> Method:
     """The planner or control of that name; model: name or folder of its weights, None for the
     shipped ones.
 
     External planners are ``package.module:planner`` and entry points, see `cvqmpt_lab.external`.
     """
+    if is_removed(name):
+        raise InvalidInputError(
+            f"{name} was removed; roadmap-cvq plans on the same dictionary's roadmap"
+        )
     refuse_clash(name, (*PLANNERS, *CONTROLS, *PUBLISHED))
     found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
     if name.startswith(PREFIX):
@@ -226,7 +235,7 @@ def planner_named(name: str, model: str | None = None) -> Method:
         found = _external(name)
     if found is None:
         others = [*entry_point_names(), "package.module:planner"]
-        known = [*PLANNERS, *CONTROLS, *PUBLISHED, f"{PREFIX}graph+wide, ..."]
+        known = [*PLANNERS, *CONTROLS, *PUBLISHED, f"{PREFIX}random+wide, ..."]
         raise UnknownChoiceError("planner", name, [*known, *others])
     return found if model is None else found.with_model(model)
 

@@ -54,7 +54,7 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
     )
     warm_up(problem, planner_named("birrt"), "compiled")  # goals, trees and shortcuts
     problem = problem.with_goals(start[None])
-    for name in ("roadmap", "graph-cvq", "opt-cvq-mpt"):
+    for name in ("roadmap", "opt-cvq-mpt"):
         _propose(problem, planner_named(name), "compiled")
     space = ConstrainedSpace(problem)  # what planners in Python ask state by state
     space.project(start)

@@ -9,7 +9,7 @@ from itertools import product
 
 from cvqmpt_lab.vqmpt.sampler_choice import CLOUDS, GAUSSIANS, PREFIX, UPDATES
 
-PREDICTORS = ("transformer", "graph", "random", "oracle")
+PREDICTORS = ("transformer", "random", "oracle")
 UNIFORM = "uniform=0.15"  # the share that wide Gaussians have, for decoded ones
 
 PRODUCTS = (

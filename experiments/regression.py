@@ -66,7 +66,6 @@ CASES: tuple[Case, ...] = (
             ("cvq-mpt", (2, 5), SUITE),
             ("opt-cvq-mpt", (2, 5), SUITE),
             ("cvq-wide", (5,), SUITE),
-            ("graph-cvq", (5,), SUITE),
             ("roadmap", (2, 5, 8), SUITE),
             ("roadmap-cvq", (2, 5, 8), SUITE),
             ("cvq:transformer+wide+projected+no-cloud", (5,), "factorial"),

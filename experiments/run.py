@@ -14,7 +14,7 @@ from cvqmpt_lab.codec.plain import located
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, whole_number
 from cvqmpt_lab.external import is_external
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planners import planner_named, require_fit
+from cvqmpt_lab.planners import is_removed, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import FailReason, ResultRow
@@ -190,8 +190,8 @@ def run_experiment(
 
 def models_of(planner: str) -> tuple[str, ...]:
     """Names of the models that a planner needs."""
-    # an external planner needs none, and is perhaps not installed
-    if is_external(planner.removeprefix(PREFIX)):
+    # an external planner needs none, and is perhaps not installed; nor does a removed one
+    if is_external(planner.removeprefix(PREFIX)) or is_removed(planner):
         return ()
     kind = planner_named(planner).weights
     return () if kind is None else (kind,)

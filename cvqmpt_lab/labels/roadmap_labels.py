@@ -37,7 +37,6 @@ from cvqmpt_lab.training.shards import (
     packed_shard,
     read_roadmap_shards,
 )
-from cvqmpt_lab.vqmpt.sampler import links_of
 from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
 from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
 
@@ -190,7 +189,9 @@ def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
         raise InvalidInputError(
             f"{robot.name}'s roadmap has {len(roadmap.nodes)} nodes; labels need more than {LINKS}"
         )
-    edges = links_of(roadmap).edges
+    count, k = roadmap.neighbours.shape
+    pairs = np.stack([np.repeat(np.arange(count), k), roadmap.neighbours.ravel()], axis=1)
+    edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
     space = unconstrained_space(robot, Scene("nothing", ()))
     checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS)
     if checked is None:  # although nothing is near

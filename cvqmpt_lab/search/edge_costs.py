@@ -1,11 +1,12 @@
-"""How likely straight motions are free: clearances in the checker's distance grid, one logistic
-curve for all robots.
+"""Probability that a straight motion is free, from clearances in the checker's distance grid.
 
-    log odds of P(free) = slope * smallest clearance + bias
+One logistic curve serves all robots, with d the smallest clearance of the robot's balls at states
+along the motion [m]:
 
-The clearance is that of the robot's balls at states along the motion, read from a grid that the
-collision checker has anyway. Nothing is checked; a motion costs one to two microseconds.
-Self-collisions are not seen.
+    log (P(free) / (1 - P(free))) = slope * d + bias
+
+The collision checker has the grid anyway. Nothing is checked; a motion costs one to two
+microseconds. Self-collisions are not seen.
 """
 
 from typing import Annotated, NamedTuple
@@ -21,11 +22,14 @@ SURE = 18.0  # log odds above which P(free) counts as 1
 
 
 class EdgeCosts(NamedTuple):
-    """What motions cost beyond their length."""
+    """What motions cost beyond their length: weight * -log P(free).
+
+    slope, bias: fitted to 32 256 exactly checked edges of three arms (docs/training_log.md, part 3).
+    """
 
     grid: DistanceGrid  # of the scene
-    slope: float  # [1/m]
-    bias: float  # log odds at clearance 0
+    slope: float = 164.01773114271577  # [1/m]
+    bias: float = 6.477892406232406  # log odds at clearance 0
     weight: float = 4.0  # [rad] of -log P(free); 0: motions cost their length
     # [rad] between the states whose clearances are read; GAP times as much at most
     spacing: float = 0.3

@@ -105,9 +105,7 @@ def scene_costs(space: ConstrainedSpace) -> EdgeCosts:
     """Edge costs in the scene that a space checks, whose distances its checker has computed
     already.
     """
-    from cvqmpt_lab.vqmpt.edge_curve import SCENE, shipped_curve  # reads a file
-
-    return EdgeCosts(space.arrays.scene.grid, *shipped_curve(SCENE))
+    return EdgeCosts(space.arrays.scene.grid)
 
 
 def no_costs(space: ConstrainedSpace) -> EdgeCosts:

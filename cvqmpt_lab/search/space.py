@@ -134,10 +134,6 @@ class ConstrainedSpace:
             *(now - then for now, then in zip(astuple(self.counters), astuple(before), strict=True))
         )
 
-    def count_clearances(self, states: int) -> None:
-        """Count states whose clearance was read by kernels that do not know this space."""
-        self.arrays.counters[kernels.CLEARANCES] += states
-
     def reraise(self) -> None:
         """Throw what a Python state check threw inside compiled code, if anything (Ctrl-C
         included).

@@ -1,5 +1,4 @@
-"""Who predicts the codes of a learned sampler: the transformer, the authors' network, a graph
-search, or controls.
+"""Who predicts the codes of a learned sampler: the transformer, the authors' network, or controls.
 
 Each is given what it predicts with, then what it is asked.
 """
@@ -8,13 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.search.controls import unconstrained_path
 from cvqmpt_lab.search.planner_interface import Observation, Query
 from cvqmpt_lab.vqmpt.learned_sampler import PredictedCodes, union
 from cvqmpt_lab.vqmpt.predictor import Predictor
-from cvqmpt_lab.vqmpt.sampler import CodeRoadmap, CodeSequences
 from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
 
 GOALS = 3  # that a network is asked about; the search gets them all
@@ -54,29 +50,6 @@ def published_codes(predictor: Predictor, query: Query, observation: Observation
         f", none to {lost} of {len(goals)} goals" if lost else ""
     )
     return PredictedCodes(found.codes, goals, detail, found.encode_seconds, found.predict_seconds)
-
-
-def graph_codes(
-    roadmap_of: Callable[[Robot, tuple[Attachment, ...]], CodeRoadmap],
-    query: Query,
-    observation: Observation,
-) -> PredictedCodes:
-    """The cheapest sequences on the dictionary's roadmap to any goal, by Dijkstra's algorithm on
-    edge costs.
-
-    roadmap_of: for a robot and what it carries.
-    """
-    assert observation.cloud is not None
-    began = query.deadline.seconds
-    roadmap = roadmap_of(query.space.robot, query.space.problem.attachments)
-    before = roadmap.clearances_read
-    roadmap.edge_costs(observation.cloud, observation.use_cache)
-    encoded = query.deadline.seconds
-    found = CodeSequences(roadmap, observation.cloud, query.start, query.goals).cheapest()
-    query.space.count_clearances(roadmap.clearances_read - before)
-    codes, goals = union(found), query.nearest_goals(GOALS)
-    detail = f"{len(found)} sequences of {len(codes)} codes"
-    return PredictedCodes(codes, goals, detail, encoded - began, query.deadline.seconds - encoded)
 
 
 def random_codes(codes: int, query: Query, observation: Observation) -> PredictedCodes:

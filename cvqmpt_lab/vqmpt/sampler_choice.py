@@ -1,17 +1,15 @@
 """A learned sampler as a product of choices: who predicts codes, which Gaussians they become, how
 these are moved.
 
-    predictor   transformer: the scene transformer; published: the authors' architecture; graph:
-        cheapest sequences on
-                the dictionary's roadmap; random: any codes; oracle: codes of a path that ignores
-                the constraint
-    Gaussians   decoded: g(z) = N(mu, Sigma) as the decoder has them; wide: around each code's node
-    of the roadmap, no
-                direction narrower than WIDTH
-    update      none; algorithm-2: codes moved by gradient towards F(q) = 0; projected: every mean
-    put on the manifold sequences   likeliest: the best of the transformer's beams to each goal
-    (paper); all-beams: all three cloud       the scene's own; other-cloud: that of another scene;
-    no-cloud: no points
+    predictor   transformer: the scene transformer; published: the authors' architecture;
+                random: any codes; oracle: codes of a path that ignores the constraint
+    Gaussians   decoded: g(z) = N(mu, Sigma) as the decoder has them;
+                wide: around each code's node of the roadmap, no direction narrower than WIDTH
+    update      none; algorithm-2: codes moved by gradient towards F(q) = 0;
+                projected: every mean is projected onto F(q) = 0
+    sequences   likeliest: the best of the transformer's beams to each goal (paper);
+                all-beams: all three
+    cloud       own-cloud: the scene's; other-cloud: that of another scene; no-cloud: no points
 
 Sampled from is the mixture of the codes' Gaussians and one around each goal that was asked about,
 all equally likely (paper, eqn. sample_dist, and its code), and a uniform share.
@@ -24,7 +22,7 @@ from typing import Any, Self
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 
 PREFIX = "cvq:"
-PREDICTORS = ("transformer", "published", "graph", "random", "oracle")
+PREDICTORS = ("transformer", "published", "random", "oracle")
 GAUSSIANS = ("decoded", "wide")
 UPDATES = ("none", "algorithm-2", "projected")
 SEQUENCES = ("likeliest", "all-beams")
@@ -61,7 +59,7 @@ class SamplerChoice:
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """From words joined by "+", such as ``graph+wide+projected+uniform=0.15``:
+        """From words joined by "+", such as ``random+wide+projected+uniform=0.15``:
         the predictor first.
         """
         predictor, *words = text.split("+")
@@ -96,6 +94,5 @@ NAMED: Mapping[str, SamplerChoice] = {
     "opt-cvq-mpt": SamplerChoice.of("transformer+decoded+algorithm-2"),
     "cvq-published": SamplerChoice.of("published+decoded"),
     "cvq-wide": SamplerChoice.of("transformer+wide+projected+all-beams"),
-    "graph-cvq": SamplerChoice.of("graph+wide+projected"),
 }
-"""Products that planners are named after. The first three are the paper's, the others ours."""
+"""Products that planners are named after. The first three are the paper's, the last is ours."""

@@ -18,7 +18,6 @@ from cvqmpt_lab.search.roadmap_nodes import linked_roadmap
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.code_predictors import (
-    graph_codes,
     oracle_codes,
     published_codes,
     random_codes,
@@ -31,12 +30,10 @@ from cvqmpt_lab.vqmpt.codebook import (
     dictionary_gaussians,
     drawn_nodes,
 )
-from cvqmpt_lab.vqmpt.edge_model import EdgeModel
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.learned_sampler import CodePredictor, LearnedSampler
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts
 from cvqmpt_lab.vqmpt.predictor import Predictor
-from cvqmpt_lab.vqmpt.sampler import CodeRoadmap
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
 from cvqmpt_lab.vqmpt.weights import (
@@ -49,7 +46,7 @@ from cvqmpt_lab.vqmpt.weights import (
     resolve_model,
 )
 
-POINTS = 4096  # of a cloud that becomes a distance field
+POINTS = 4096  # of the other scene's cloud
 STEPS = 5  # of Algorithm 2
 
 
@@ -61,12 +58,6 @@ def model_of(model: str, architecture: str = VQ_MPT) -> StoredModel:
     return read_model(
         resolve_model(model, architecture), architecture=architecture, left_out=TRANSFORMER
     )
-
-
-@lru_cache(maxsize=8)
-def edge_model(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> EdgeModel:
-    """The edge validity model of a robot and what it carries."""
-    return EdgeModel(robot, attachments)
 
 
 @lru_cache(maxsize=8)
@@ -86,13 +77,6 @@ def dictionary_roadmap(model: str, robot: Robot) -> Roadmap:
 def free_dictionary(model: str, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Roadmap:
     """The same without what collides with itself."""
     return linked_roadmap(robot, attachments, dictionary_roadmap(model, robot).nodes)
-
-
-@lru_cache(maxsize=8)
-def code_roadmap(model: str, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> CodeRoadmap:
-    """The dictionary's roadmap with edge costs."""
-    bare = code_roadmap(model, robot, ()) if attachments else None
-    return CodeRoadmap(dictionary_roadmap(model, robot), edge_model(robot, attachments), bare)
 
 
 @lru_cache(maxsize=4)
@@ -135,9 +119,6 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
             )
         case "published":
             predict, observe = partial(published_codes, _predictor(model, robot)), observer()
-        case "graph":
-            code_roadmap(model, robot, ())  # made before the clock starts
-            predict, observe = partial(graph_codes, partial(code_roadmap, model)), observer(POINTS)
         case "random":
             predict = partial(random_codes, len(codebook.vectors))
         case _:  # oracle

@@ -201,3 +201,15 @@ def test_a_damaged_roadmap_says_so(tiny, tmp_path):
     (tmp_path / "roadmap.npz").write_bytes((tiny / "roadmap.npz").read_bytes()[:200])
     with pytest.raises(InvalidInputError, match="not a readable archive"):
         RoadmapGraph.read(tmp_path)
+
+
+def test_an_arm_without_dictionary_gets_free_nodes_and_another_s_dictionary_is_refused(tmp_path):
+    make(tmp_path, RoadmapRecipe(2, 2, ("shelves", "cage"), 1, {"name": "kinova"}))
+    graph = RoadmapGraph.read(tmp_path)
+    assert graph.nodes.shape == (1024, 6) and graph.node_possible.mean() > 0.9
+    assert np.abs(graph.nodes).max() < 2.0 * np.pi  # its joints turn further
+    assert any(np.isfinite(shard.arrays["cost"]).any() for shard in read_roadmap_shards(tmp_path))
+    with pytest.raises(
+        InvalidInputError, match=r"vq_mpt is no dictionary of ur5.*; leave --dictionary out"
+    ):
+        RoadmapRecipe(1, 2, ("table",), 0, {"name": "ur5"}, model="vq_mpt").check()

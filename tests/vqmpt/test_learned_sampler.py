@@ -45,13 +45,13 @@ def proposed(problem, query):
 @pytest.mark.parametrize(
     ("words", "choice"),
     [
-        ("graph", SamplerChoice(predictor="graph")),
+        ("random", SamplerChoice(predictor="random")),
         ("transformer+algorithm-2", SamplerChoice(predictor="transformer", update="algorithm-2")),
         ("random+wide", SamplerChoice(predictor="random", gaussians="wide", uniform_share=0.15)),
         (
-            "graph+uniform=0.5+projected+wide+other-cloud",
+            "random+uniform=0.5+projected+wide+other-cloud",
             SamplerChoice(
-                predictor="graph",
+                predictor="random",
                 gaussians="wide",
                 update="projected",
                 cloud="other-cloud",
@@ -69,11 +69,11 @@ def test_words_say_the_product(words, choice):
     [
         ("", "predictor of a learned sampler ''; valid choices: transformer"),
         ("wide", "'wide'; valid choices: transformer"),
-        ("graph+broad", "part of planner cvq:graph+broad 'broad'; valid choices: decoded, wide"),
-        ("graph+wide+decoded", "two parts of one kind, 'decoded'"),
-        ("graph+uniform=2", "uniform share 2.0 of a learned sampler: give 0 to 1"),
-        ("graph+all-beams", "all-beams goes with predictor transformer, not graph"),
-        ("graph+uniform=x", "give a number from 0 to 1 behind 'uniform='"),
+        ("random+broad", "part of planner cvq:random+broad 'broad'; valid choices: decoded, wide"),
+        ("random+wide+decoded", "two parts of one kind, 'decoded'"),
+        ("random+uniform=2", "uniform share 2.0 of a learned sampler: give 0 to 1"),
+        ("random+all-beams", "all-beams goes with predictor transformer, not random"),
+        ("random+uniform=x", "give a number from 0 to 1 behind 'uniform='"),
     ],
 )
 def test_other_words_are_refused(words, message):
@@ -82,7 +82,7 @@ def test_other_words_are_refused(words, message):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("predictor", ["transformer", "graph", "random", "oracle"])
+@pytest.mark.parametrize("predictor", ["transformer", "random", "oracle"])
 def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor):
     """Equal weights;
     the decoder's own Gaussians, and around the goals a tenth of each joint's range.
@@ -105,7 +105,7 @@ def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor)
 
 
 def test_wide_gaussians_lie_at_the_nodes_of_the_roadmap(problem, proposed):
-    proposal = proposed("cvq:graph+wide")
+    proposal = proposed("cvq:random+wide")
     c, nodes = len(proposal.codes), dictionary_roadmap("vq_mpt", problem.robot).nodes
     np.testing.assert_allclose(proposal.distribution.means[:c], nodes[proposal.codes], atol=1e-4)
     assert np.sqrt(np.linalg.eigvalsh(proposal.distribution.covariances[:c])).min() > 1.09
@@ -116,7 +116,7 @@ def test_updates_move_codes_towards_the_constraint(problem, proposed):
     """F^T F at the means: less after Algorithm 2, almost nothing after projection."""
     off = {}
     for update in ("none", "algorithm-2", "projected"):
-        proposal = proposed(f"cvq:graph+{update}")
+        proposal = proposed(f"cvq:random+{update}")
         means = proposal.distribution.means[
             : len(proposal.distribution.means) - len(proposal.goals)
         ]
@@ -125,7 +125,7 @@ def test_updates_move_codes_towards_the_constraint(problem, proposed):
 
 
 def test_without_codes_samples_are_uniform_and_the_proposal_says_so(problem, query):
-    stages = planner_named("cvq:graph+algorithm-2").stages(problem)
+    stages = planner_named("cvq:random+algorithm-2").stages(problem)
     none = PredictedCodes(np.empty(0, dtype=np.int64), query.goals[:0], "nothing")
     sampler = replace(stages.predict.__self__, predict=lambda query, observation: none)
     proposal = sampler.propose(query, Observation())
