@@ -8,7 +8,6 @@ from cli.options import ProgressBar, writable_file
 from experiments import regression
 from experiments.regression import EXPECTED, Expectations, compare, made_with, measure
 from experiments.run import models_of
-from paper_tables.claims_page import committed_pages, stale_pages
 from paper_tables.committed import (
     RESULTS,
     committed_directories,
@@ -16,6 +15,7 @@ from paper_tables.committed import (
     require_checkout,
     untraceable,
 )
+from paper_tables.pages import committed_pages, stale_pages
 
 EXAMPLES = ("cvqmpt check-tables", "cvqmpt check-tables --update")
 

@@ -6,14 +6,14 @@ from pathlib import Path
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from paper_tables.claims import Evidence, banner, evidence_below, judged_claims
-from paper_tables.claims_page import (
+from paper_tables.committed import RESULTS, committed_directories, require_checkout
+from paper_tables.pages import (
     PAGE,
     committed_pages,
     decomposition_lines,
     page_text,
     summary_lines,
 )
-from paper_tables.committed import RESULTS, committed_directories, require_checkout
 from paper_tables.writers import text_lines
 
 PAGE_NAME = "claims.md"

@@ -31,9 +31,7 @@ def run(args: argparse.Namespace) -> int:
 def write_report(directory: Path, out: Path | None = None) -> Path:
     """Write the report of results, into their folder unless `out` is given, and return its path."""
     from experiments.stored_path import first_path
-
-    # matplotlib takes a second to import
-    from paper_tables.report.page import evidence_of, report_html
+    from paper_tables.pages import evidence_of, report_html
 
     found = evidence_of(directory)
     text = report_html(found, ProgressBar("report"), first_path(found))

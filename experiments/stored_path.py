@@ -10,10 +10,9 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.store import StoredPaths
 from paper_tables.claims import Evidence
-from paper_tables.report.page import PathPage
 
 
-def first_path(found: Mapping[str, Evidence]) -> dict[str, PathPage]:
+def first_path(found: Mapping[str, Evidence]) -> dict[str, dict[str, str]]:
     """The first certified path of a suite's problem among results directories, by the directory's
     name; or none.
     """
@@ -31,7 +30,7 @@ def first_path(found: Mapping[str, Evidence]) -> dict[str, PathPage]:
     return {}
 
 
-def _page(row: ResultRow, kept: StoredPaths) -> PathPage | None:
+def _page(row: ResultRow, kept: StoredPaths) -> dict[str, str] | None:
     """Problem and path of a row; None if the suite has other problems now."""
     # rendering takes a quarter of a second to import
     from cvqmpt_lab.show.web_page import path_html
@@ -48,4 +47,4 @@ def _page(row: ResultRow, kept: StoredPaths) -> PathPage | None:
     html = path_html(
         problem, kept[row.path_sha256], f"certified path of {row.planner}", suite.carried
     )
-    return PathPage(title, html)
+    return {"title": title, "html": html}

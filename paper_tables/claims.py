@@ -1,4 +1,4 @@
-"""Every claim of the paper, judged by committed rows: does it hold?"""
+"""Every claim of the paper, judged by results directories: does it hold?"""
 
 import csv
 from collections.abc import Mapping
@@ -12,11 +12,8 @@ from paper_tables.judging import Effect, Ruling, Verdict, effects_of, overall, r
 from paper_tables.measures import Rows, pair_of
 from paper_tables.multi_sequence_table import task_rows
 from paper_tables.paper_numbers import read_published
-from paper_tables.statements import CLAIMS, PREDICTED, Claim, Statement
+from paper_tables.statements import CLAIMS, PREDICTED, Claim
 from paper_tables.suite_tables import table_of
-
-HISTOGRAM_VALUES = "values.csv"
-JUDGING = ("full",)  # profiles of `cvqmpt reproduce all` with runs enough for verdicts
 
 
 class Evidence(NamedTuple):
@@ -51,55 +48,48 @@ def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
     Rows of a profile that is too small for verdicts rule nothing: all that is compared has too few
     runs.
     """
-    measured = [
-        [effect for said in claim.statements for effect in _effects(said, found.get(claim.suite))]
-        for claim in CLAIMS
-    ]
+    measured = [_effects(claim, found.get(claim.suite)) for claim in CLAIMS]
     if profiles(found):
         measured = [[effect._replace(p=None) for effect in effects] for effects in measured]
     ruled = iter(rulings([effect for effects in measured for effect in effects]))
-    return [
-        JudgedClaim(
-            claim, tuple(Verdict(effect, next(ruled)) for effect in effects), found.get(claim.suite)
-        )
-        for claim, effects in zip(CLAIMS, measured, strict=True)
-    ]
+    judged = []
+    for claim, effects in zip(CLAIMS, measured, strict=True):
+        verdicts = tuple(Verdict(effect, next(ruled)) for effect in effects)
+        judged.append(JudgedClaim(claim, verdicts, found.get(claim.suite)))
+    return judged
 
 
-def _effects(said: Statement, evidence: Evidence | None) -> list[Effect]:
-    if evidence is None:
-        return []
-    if said.baselines == (PREDICTED,):
-        return [_updated(said, evidence)]
-    if not evidence.rows:
+def _effects(claim: Claim, evidence: Evidence | None) -> list[Effect]:
+    if evidence is not None and claim.baselines == (PREDICTED,):
+        return [updated_codes(claim, evidence.folder)]
+    if evidence is None or not evidence.rows:
         return []
     suite, rows = evidence.rows[0].suite, evidence.rows
     paper = table_of(suite).paper
     if suite == "multi-sequence":
         rows = task_rows(rows, PAPER_PHASES)
-    return effects_of(said, rows, read_published(*paper) if paper else ())
+    return effects_of(claim, rows, read_published(*paper) if paper else ())
 
 
-def _updated(said: Statement, evidence: Evidence) -> Effect:
+def updated_codes(claim: Claim, folder: Path) -> Effect:
     """G of the predicted codes after the update over that before; a problem counts once."""
     codes: dict[str, list[tuple[float, float]]] = {}
-    with (evidence.folder / HISTOGRAM_VALUES).open(encoding="utf-8", newline="") as handle:
+    with (folder / "values.csv").open(encoding="utf-8", newline="") as handle:
         for line in csv.DictReader(handle):
             after, before = float(line["g_after"]), float(line["g_before"])
             if line["code"] != "goal" and after > 0.0 < before:
                 codes.setdefault(line["problem"], []).append((after, before))
-    return reduction(
-        said, PREDICTED, [pair_of(problem, values) for problem, values in codes.items()]
-    )
+    return reduction(claim, PREDICTED, [pair_of(name, values) for name, values in codes.items()])
 
 
 def profiles(found: Mapping[str, Evidence]) -> list[str]:
-    """Profiles of `cvqmpt reproduce all` that made results directories, but the full ones."""
-    commands = [
-        session.get("command") or [] for item in found.values() for session in sessions(item.record)
-    ]
-    named = (after for words in commands for word, after in pairwise(words) if word == "--profile")
-    return [name for name in dict.fromkeys(named) if name not in JUDGING]
+    """Profiles of `cvqmpt reproduce all` that are too small for verdicts: all but the full one."""
+    named: dict[str, None] = {}
+    for item in found.values():
+        for session in sessions(item.record):
+            words = pairwise(session.get("command") or [])
+            named |= dict.fromkeys(after for word, after in words if word == "--profile")
+    return [name for name in named if name != "full"]
 
 
 def banner(found: Mapping[str, Evidence]) -> str:
@@ -109,22 +99,17 @@ def banner(found: Mapping[str, Evidence]) -> str:
         return ""
     return (
         f"These rows are of --profile {', '.join(small)}, made to try things out: few problems, "
-        f"short budgets, "
-        "wide intervals. Verdicts of the paper need --profile full."
+        f"short budgets, wide intervals. Verdicts of the paper need --profile full."
     )
 
 
 def evidence_below(results: Path) -> dict[str, Evidence]:
     """The results directories below a folder, by name."""
     folders = sorted(path.parent for path in Path(results).glob(f"*/{PROVENANCE_FILE}"))
-    return {
-        folder.name: found for folder in folders if (found := read_evidence(folder)) is not None
-    }
+    return {folder.name: read_evidence(folder) for folder in folders}
 
 
-def read_evidence(folder: Path) -> Evidence | None:
-    """What a results directory holds; None where there is none."""
-    if not (folder / PROVENANCE_FILE).is_file():
-        return None
+def read_evidence(folder: Path) -> Evidence:
+    """What a results directory holds."""
     rows = read_rows(folder / RUNS_FILE) if (folder / RUNS_FILE).is_file() else []
     return Evidence(folder, rows, ProvenanceFile(folder).read())

@@ -1,5 +1,4 @@
-"""What rows say of the paper's statements: effects with intervals, tests, and one correction for
-all of them.
+"""What rows say of the paper's claims: effects with intervals, tests, one correction for all.
 
 A stated number x is tested at STATED_SHARE * x, two-sided: it holds where rows say significantly
 more, and does not where they say significantly less. What is solved in time is tested so by what it
@@ -29,17 +28,17 @@ from paper_tables.measures import (
     problem_key,
 )
 from paper_tables.paper_numbers import PublishedValue
-from paper_tables.statements import CBIRRT, Statement
+from paper_tables.statements import CBIRRT, Claim
 from paper_tables.writers import Lines
 
 NOTHING = "–"  # the baseline of a share, which is of nothing but itself
-STATED_SHARE = 0.9
-LEVEL = 0.05
+STATED_SHARE = 0.9  # of a stated change that is tested
+LEVEL = 0.05  # of all tests of a page together
 FEWEST = 3  # problems with numbers of both, for a test
 
 
 class Ruling(StrEnum):
-    """What rows say of a statement, or of a claim."""
+    """What rows say of a claim against one baseline, or of a claim."""
 
     HOLDS = "holds"
     FAILS = "does not hold"
@@ -49,15 +48,15 @@ class Ruling(StrEnum):
 
 
 class Effect(NamedTuple):
-    """A statement against one baseline, measured: reductions, or a share of runs, as fractions."""
+    """A claim against one baseline, measured: reductions, or a share of runs, as fractions."""
 
-    statement: Statement
+    claim: Claim
     baseline: str
     paper: float | None  # by the paper's own numbers
     paired: Interval  # 1 - geometric mean of paired ratios; or the share
     means: Interval  # 1 - ratio of means; undefined of shares
     p: float | None  # of "exactly what is tested", two-sided; None where nothing can be tested
-    above: bool  # whether the estimate is on the statement's side
+    above: bool  # whether the estimate is on the claim's side
     note: str = ""
 
 
@@ -69,135 +68,112 @@ class Verdict(NamedTuple):
 
 
 def rulings(effects: Sequence[Effect], level: float = LEVEL) -> list[Ruling]:
-    """What is ruled of each, by Holm's step-down:
-    sorted p are compared with level / m, level / (m - 1), ...
-    """
-    tested = sorted(
-        (k for k, e in enumerate(effects) if e.p is not None), key=lambda k: effects[k].p or 0.0
-    )
-    found = [Ruling.INCOMPARABLE if e.statement.incomparable else Ruling.TOO_FEW for e in effects]
-    for rank, k in enumerate(tested):
-        p = effects[k].p
-        if p is None or p > level / (len(tested) - rank):
+    """Rule by Holm's step-down: sorted p are compared with level / m, level / (m - 1), ..."""
+    tested = sorted((e.p, k) for k, e in enumerate(effects) if e.p is not None)
+    found = [Ruling.INCOMPARABLE if e.claim.incomparable else Ruling.TOO_FEW for e in effects]
+    for rank, (p, k) in enumerate(tested):
+        if p > level / (len(tested) - rank):
             break
         found[k] = Ruling.HOLDS if effects[k].above else Ruling.FAILS
     return found
 
 
 def overall(found: Sequence[Ruling]) -> Ruling:
-    """What is ruled of a claim:
-    it holds where all its statements do, and does not where one does not.
-    """
-    if not found:
-        return Ruling.NO_ROWS
+    """Rule a claim: it holds where it does against all, and does not where it fails against one."""
     order = (Ruling.FAILS, Ruling.INCOMPARABLE, Ruling.TOO_FEW, Ruling.HOLDS)
-    return min(found, key=order.index)
+    return min(found, key=order.index, default=Ruling.NO_ROWS)
 
 
 # ---------------------------------------------------------------- effects
 
 
-def effects_of(
-    statement: Statement, rows: Rows, published: Sequence[PublishedValue]
-) -> list[Effect]:
-    """The statement against each baseline, those without rows included:
-    against them nothing can be told.
-    """
-    own = {
-        planner: [row for row in rows if row.planner == planner]
-        for planner in {r.planner for r in rows}
-    }
-    if statement.planner not in own:
+def effects_of(claim: Claim, rows: Rows, published: Sequence[PublishedValue]) -> list[Effect]:
+    """The claim against each baseline; against those without rows nothing can be told."""
+    own: dict[str, list[ResultRow]] = {}
+    for row in rows:
+        own.setdefault(row.planner, []).append(row)
+    if claim.planner not in own:
         return []
-    if not statement.baselines:
-        return [_share(statement, own, published)]
-    value, judged = VALUES[statement.metric], own[statement.planner]
+    if not claim.baselines:
+        return [_share(claim, own, published)]
+    judged = own[claim.planner]
+    numbers = {item.planner: float(item.value) for item in published if item.metric == claim.metric}
     found = []
-    for baseline in statement.baselines:
+    for baseline in claim.baselines:
         others = own.get(baseline, [])
-        pairs = paired_values(judged, others, value)
-        effect = reduction(statement, baseline, pairs, _published(statement, baseline, published))
-        left_out = "" if statement.incomparable else _left_out(judged, others)
+        paper = None
+        if claim.planner in numbers and baseline in numbers:
+            paper = 1.0 - numbers[claim.planner] / numbers[baseline]
+        pairs = paired_values(judged, others, VALUES[claim.metric])
+        effect = reduction(claim, baseline, pairs, paper)
+        left_out = "" if claim.incomparable else _left_out(judged, others)
         found.append(effect._replace(note="; ".join(filter(None, (effect.note, left_out)))))
     return found
 
 
 def _left_out(judged: Rows, others: Rows) -> str:
-    """How many runs are in no pair because one of two planners, each of which has rows, failed;
-    "" for none.
-    """
-    solved = [{problem_key(row): row.solved for row in rows} for rows in (judged, others)]
-    both = solved[0].keys() & solved[1].keys()
-    lost = [
-        sum(not one[key] and other[key] for key in both) for one, other in (solved, solved[::-1])
-    ]
-    told = [
-        f"{n} that {rows[0].planner} alone failed"
-        for n, rows in zip(lost, (judged, others), strict=True)
-        if n
-    ]
+    """How many runs are in no pair because one of two planners failed; "" for none."""
+    ours = {problem_key(row): row.solved for row in judged}
+    theirs = {problem_key(row): row.solved for row in others}
+    both = ours.keys() & theirs.keys()
+    told = []
+    for rows, own, other in ((judged, ours, theirs), (others, theirs, ours)):
+        lost = sum(not own[key] and other[key] for key in both)
+        if lost:
+            told.append(f"{lost} that {rows[0].planner} alone failed")
     return f"left out of {len(both)} runs: {' and '.join(told)}" if told else ""
 
 
 def reduction(
-    statement: Statement, baseline: str, pairs: Sequence[Pair], paper: float | None = None
+    claim: Claim, baseline: str, pairs: Sequence[Pair], paper: float | None = None
 ) -> Effect:
     """By both statistics; p is the larger of theirs, 1 where they lie on different sides."""
     paired = less(geometric_mean_interval([pair.ratio for pair in pairs]))
     means = less(ratio_of_means_interval([(pair.own, pair.other) for pair in pairs]))
-    if statement.incomparable:
+    untested = Effect(claim, baseline, paper, paired, means, None, False, f"{len(pairs)} problems")
+    if claim.incomparable:
         nothing = UNDEFINED._replace(n=paired.n)
-        return Effect(
-            statement, baseline, paper, nothing, nothing, None, False, statement.incomparable
-        )
-    tested = 1.0 - STATED_SHARE * statement.stated  # ratio
+        return untested._replace(paired=nothing, means=nothing, note=claim.incomparable)
     if len(pairs) < FEWEST:
-        return Effect(
-            statement, baseline, paper, paired, means, None, False, f"{len(pairs)} problems"
-        )
+        return untested
+    tested = 1.0 - STATED_SHARE * claim.stated  # ratio
+    # Student's test of the logarithms; Fieller's of a ratio of means
     logs = t_test([math.log(pair.ratio / tested) for pair in pairs])
-    # Fieller's test of a ratio of means
     differences = t_test([pair.own - tested * pair.other for pair in pairs])
     above = [(one.estimate or 0.0) > 1.0 - tested for one in (paired, means)]
-    said = [_alone(p, side) for p, side in zip((logs, differences), above, strict=True)]
+    alone = []
+    for p, side in zip((logs, differences), above, strict=True):
+        ruled = Ruling.HOLDS if side else Ruling.FAILS
+        alone.append(Ruling.TOO_FEW if p > LEVEL else ruled)
     note = ""
-    if said[0] is not said[1] or above[0] != above[1]:
-        note = (
-            f"each alone, paired: {said[0]}, means: {said[1]}; "
-            f"{_heaviest(statement.planner, baseline, pairs)}"
-        )
+    if alone[0] is not alone[1] or above[0] != above[1]:
+        heaviest = _heaviest(claim.planner, baseline, pairs)
+        note = f"each alone, paired: {alone[0]}, means: {alone[1]}; {heaviest}"
     p = max(logs, differences) if above[0] == above[1] else 1.0
-    return Effect(statement, baseline, paper, paired, means, p, all(above), note)
-
-
-def _alone(p: float, above: bool) -> Ruling:
-    """What one statistic says, uncorrected."""
-    return Ruling.TOO_FEW if p > LEVEL else Ruling.HOLDS if above else Ruling.FAILS
+    return untested._replace(p=p, above=all(above), note=note)
 
 
 def _heaviest(planner: str, baseline: str, pairs: Sequence[Pair]) -> str:
     """The problem with the largest share of a mean, which decides where the statistics disagree."""
-    own, other = (
-        math.fsum(column) for column in ([x.own for x in pairs], [x.other for x in pairs])
-    )
-    shares = [(x.own / own, planner, x.problem) for x in pairs] + [
-        (x.other / other, baseline, x.problem) for x in pairs
-    ]
+    own = math.fsum(pair.own for pair in pairs)
+    other = math.fsum(pair.other for pair in pairs)
+    shares = [(pair.own / own, planner, pair.problem) for pair in pairs]
+    shares += [(pair.other / other, baseline, pair.problem) for pair in pairs]
     share, name, problem = max(shares)
     return f"problem {problem} alone is {100.0 * share:.0f} % of the mean of {name}"
 
 
 def less(ratio: Interval) -> Interval:
-    """How much less of something a ratio means, as a fraction."""
-    middle, low, high = (
-        None if x is None else 1.0 - x for x in (ratio.estimate, ratio.high, ratio.low)
-    )
+    """How much less of something a ratio means, as a fraction: 1 - ratio."""
+    bounds = ratio.estimate, ratio.high, ratio.low
+    middle, low, high = (None if x is None else 1.0 - x for x in bounds)
     return Interval(middle, low, high, ratio.n)
 
 
 def t_test(values: Sequence[float]) -> float:
-    """Two-sided p of Student's test that the mean is zero; 0 or 1 where all values are equal;
-    1 for one value.
+    """Two-sided p of Student's test that the mean is zero.
+
+    0 or 1 where all values are equal; 1 for one value.
     """
     if len(values) < 2:
         return 1.0
@@ -209,7 +185,7 @@ def t_test(values: Sequence[float]) -> float:
 
 
 def score_test(share: Interval, tested: float) -> float:
-    """Two-sided p of a share, whose test Wilson's interval inverts."""
+    """Two-sided p of a share p: z = |p - t| / sqrt(t (1 - t) / n), as Wilson's interval has it."""
     spread = math.sqrt(tested * (1.0 - tested) / share.n)
     return math.erfc(abs((share.estimate or 0.0) - tested) / spread / math.sqrt(2.0))
 
@@ -217,74 +193,46 @@ def score_test(share: Interval, tested: float) -> float:
 # ---------------------------------------------------------------- shares
 
 
-class Cutoff(NamedTuple):
-    """The time within which a planner solves a share of its runs."""
-
-    seconds: float
-    note: str
-
-
-def cutoff_of(rows: Rows, share: float) -> Cutoff:
-    """The least time [s] within which `share` of the runs are solved;
-    infinite where they never are.
-    """
-    counted = [1.0 / len(seeds) for seeds in by_problem(rows) for _ in seeds]
-    times = [row.t_total_s if row.solved else None for seeds in by_problem(rows) for row in seeds]
-    done, total = 0.0, math.fsum(counted)
-    for time, weight in sorted(
-        (t, w) for t, w in zip(times, counted, strict=True) if t is not None
-    ):
+def cutoff_of(rows: Rows, share: float) -> float:
+    """The least time [s] within which `share` of the runs are solved; infinite where never."""
+    weighted = []
+    for seeds in by_problem(rows):
+        weighted += [(row.t_total_s, 1.0 / len(seeds), row.solved) for row in seeds]
+    total = math.fsum(weight for _, weight, _ in weighted)
+    done = 0.0
+    for time, weight in sorted((t, w) for t, w, solved in weighted if solved and t is not None):
         done += weight
         if done >= share * total * (1.0 - 1e-12):
-            note = f"within {time:.3g} s, in which {CBIRRT} has solved {100.0 * share:.1f} %"
-            return Cutoff(time, note)
-    return Cutoff(math.inf, f"{CBIRRT} never solves {100.0 * share:.1f} %: without a cutoff")
+            return time
+    return math.inf
 
 
-SHARES: Mapping[str, Callable[[ResultRow, Cutoff], bool]] = {
+# by metric: what is counted of a planner's runs, with a cutoff [s]
+SHARES: Mapping[str, Callable[[ResultRow, float], bool]] = {
     "accuracy": lambda row, cutoff: row.solved,
     "failed": lambda row, cutoff: not row.solved,
-    "solved_in_time": lambda row, cutoff: (
-        row.solved and (row.t_total_s or math.inf) <= cutoff.seconds
-    ),
+    "solved_in_time": lambda row, cutoff: row.solved and (row.t_total_s or math.inf) <= cutoff,
 }
-"""By metric: what is counted of a planner's runs."""
 
 
-def _share(
-    statement: Statement, own: Mapping[str, Rows], published: Sequence[PublishedValue]
-) -> Effect:
+def _share(claim: Claim, own: Mapping[str, Rows], published: Sequence[PublishedValue]) -> Effect:
+    """A claim of how many runs are so; a share solved in time is more than CBiRRT's."""
     accuracy = next((x for x in published if (x.planner, x.metric) == (CBIRRT, "accuracy")), None)
-    cutoff, known = Cutoff(math.inf, ""), 0.0
-    if statement.metric == "solved_in_time" and accuracy is not None:
+    cutoff, note, known = math.inf, "", 0.0
+    if claim.metric == "solved_in_time" and accuracy is not None:
         known = float(accuracy.value) / 100.0
         cutoff = cutoff_of(own.get(CBIRRT, ()), known)
-    counted = SHARES[statement.metric]
-    ours = fraction(own[statement.planner], lambda row: counted(row, cutoff))
-    ours = UNDEFINED if statement.incomparable else ours
-    tested = known + STATED_SHARE * (statement.stated - known)
+        note = f"within {cutoff:.3g} s, in which {CBIRRT} has solved {100.0 * known:.1f} %"
+        if math.isinf(cutoff):
+            note = f"{CBIRRT} never solves {100.0 * known:.1f} %: without a cutoff"
+    counted = SHARES[claim.metric]
+    ours = fraction(own[claim.planner], lambda row: counted(row, cutoff))
+    ours = UNDEFINED if claim.incomparable else ours
+    tested = known + STATED_SHARE * (claim.stated - known)
     p = None if ours.n < FEWEST else score_test(ours, tested)
-    note = statement.incomparable or cutoff.note
-    return Effect(
-        statement,
-        NOTHING,
-        statement.stated,
-        ours,
-        UNDEFINED,
-        p,
-        (ours.estimate or 0.0) > tested,
-        note,
-    )
-
-
-def _published(
-    statement: Statement, baseline: str, published: Sequence[PublishedValue]
-) -> float | None:
-    metric = statement.published or statement.metric
-    numbers = {item.planner: float(item.value) for item in published if item.metric == metric}
-    if statement.planner not in numbers or baseline not in numbers:
-        return None
-    return 1.0 - numbers[statement.planner] / numbers[baseline]
+    above = (ours.estimate or 0.0) > tested
+    note = claim.incomparable or note
+    return Effect(claim, NOTHING, claim.stated, ours, UNDEFINED, p, above, note)
 
 
 # ---------------------------------------------------------------- lines
@@ -294,10 +242,9 @@ def percent(effect: Effect, interval: Interval) -> str:
     """A reduction as a signed change [%], a share as it is; no decimals."""
     if interval.estimate is None:
         return NOTHING
-    sign = 1.0 if effect.baseline == NOTHING else -1.0
+    sign, signed = (1.0, "") if effect.baseline == NOTHING else (-1.0, "+")
     bounds = sorted(sign * 100.0 * x for x in (interval.low, interval.high) if x is not None)
     inside = f" [{', '.join(f'{round(x)}' for x in bounds)}]" if bounds else ""
-    signed = "" if effect.baseline == NOTHING else "+"
     return f"{round(sign * 100.0 * interval.estimate):{signed}d}{inside}".replace("-", "−")
 
 
@@ -305,28 +252,14 @@ def verdict_lines(verdicts: Iterable[Verdict]) -> Lines:
     """A line a verdict."""
     lines = [["planner", "against", "paper [%]", "paired [%]", "means [%]", "n", "p", "verdict"]]
     for effect, ruled in verdicts:
-        sign = 100.0 if effect.baseline == NOTHING else -100.0
-        paper = (
-            NOTHING if effect.paper is None else f"{round(sign * effect.paper)}".replace("-", "−")
-        )
-        p = NOTHING if effect.p is None else "<0.001" if effect.p < 0.001 else f"{effect.p:.3f}"
-        numbers = (percent(effect, effect.paired), percent(effect, effect.means))
-        lines.append(
-            [
-                effect.statement.planner,
-                effect.baseline,
-                paper,
-                *numbers,
-                str(effect.paired.n),
-                p,
-                str(ruled),
-            ]
-        )
+        paper, p = NOTHING, NOTHING
+        if effect.paper is not None:
+            sign = 100.0 if effect.baseline == NOTHING else -100.0
+            paper = f"{round(sign * effect.paper)}".replace("-", "−")
+        if effect.p is not None:
+            p = "<0.001" if effect.p < 0.001 else f"{effect.p:.3f}"
+        paired, means = percent(effect, effect.paired), percent(effect, effect.means)
+        n = str(effect.paired.n)
+        planner, against = effect.claim.planner, effect.baseline
+        lines.append([planner, against, paper, paired, means, n, p, str(ruled)])
     return lines
-
-
-def precision(effect: Effect) -> str:
-    """How well the paired effect is known, as half the width of its interval."""
-    if effect.paired.low is None or effect.paired.high is None:
-        return ""
-    return f"known to ±{50.0 * (effect.paired.high - effect.paired.low):.0f} points"

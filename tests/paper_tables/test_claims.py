@@ -9,17 +9,17 @@ from made_rows import a_results_folder
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from paper_tables.claims import evidence_below, judged_claims
-from paper_tables.claims_page import (
+from paper_tables.judging import Ruling
+from paper_tables.pages import (
     README,
-    VERDICTS,
     committed_pages,
     decomposition_lines,
+    evidence_of,
     page_text,
+    report_html,
     stale_pages,
     with_part,
 )
-from paper_tables.judging import Ruling
-from paper_tables.report.page import evidence_of, report_html
 
 
 def by_title(results):
@@ -32,7 +32,8 @@ def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_
 
 def test_the_readme_counts_its_verdicts():
     text = README.read_text()
-    rows = text.split(VERDICTS[0])[1].split(VERDICTS[1])[0].strip().splitlines()[2:]
+    part = text.partition("<!-- verdicts: written by cvqmpt claims -->")[2]
+    rows = part.partition("<!-- end of verdicts -->")[0].strip().splitlines()[2:]
     count = Counter(row.strip("|").split("|")[-1].strip() for row in rows)
     counted = (
         f"of {len(rows)}, {count[Ruling.HOLDS]} hold, {count[Ruling.FAILS]} do not, "
@@ -101,4 +102,4 @@ def test_a_small_profile_is_named(tmp_path):
 
 def test_a_readme_without_the_marks_of_the_summary_is_refused():
     with pytest.raises(InvalidInputError, match="put them where"):
-        with_part("a README without the marks of the summary", VERDICTS, "")
+        with_part("a README without the marks of the summary", "verdicts", "")

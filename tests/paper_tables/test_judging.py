@@ -21,9 +21,9 @@ from paper_tables.judging import (
 )
 from paper_tables.measures import Pair, pair_of, paired_values, work
 from paper_tables.paper_numbers import PublishedValue
-from paper_tables.statements import CLAIMS, Statement
+from paper_tables.statements import CLAIMS, Claim
 
-HALF = Statement("time", 0.5, ("ompl-projected",))
+HALF = Claim("time", 0.5, ("ompl-projected",))
 SPREAD = (0.9, 1.1, 1.0, 0.95, 1.05, 1.02, 0.98, 1.0, 0.93, 1.07)
 
 
@@ -35,9 +35,9 @@ def pairs(ratio, others=(1.0,) * 10):
     ]
 
 
-def with_p(p, above=True, statement=HALF):
+def with_p(p, above=True, claim=HALF):
     nothing = Interval(None, None, None, 0)
-    return Effect(statement, "x", None, nothing, nothing, p, above)
+    return Effect(claim, "x", None, nothing, nothing, p, above)
 
 
 @pytest.mark.parametrize(
@@ -93,8 +93,8 @@ def test_holm_compares_sorted_p_with_growing_levels_and_stops_at_the_first_above
     ]
     assert rulings([with_p(0.03), with_p(0.04)]) == [Ruling.TOO_FEW] * 2
     assert rulings([with_p(0.05)]) == [Ruling.HOLDS], "the level itself is significant"
-    other = Statement("vertices", 0.0, ("x",), incomparable="counted otherwise")
-    assert rulings([with_p(None, statement=other), with_p(0.04)]) == [
+    other = Claim("vertices", 0.0, ("x",), incomparable="counted otherwise")
+    assert rulings([with_p(None, claim=other), with_p(0.04)]) == [
         Ruling.INCOMPARABLE,
         Ruling.HOLDS,
     ]
@@ -150,9 +150,9 @@ def at(planner, k, time, **values):
 
 def test_the_cutoff_is_the_time_within_which_the_papers_cbirrt_has_solved_as_much():
     rows = [at("ompl-projected", k, 0.1 * (k + 1) if k < 9 else None) for k in range(10)]
-    assert cutoff_of(rows, 0.8).seconds == pytest.approx(0.8)
-    assert cutoff_of(rows, 0.9).seconds == pytest.approx(0.9)
-    assert math.isinf(cutoff_of(rows, 0.95).seconds), "one of ten is never solved"
+    assert cutoff_of(rows, 0.8) == pytest.approx(0.8)
+    assert cutoff_of(rows, 0.9) == pytest.approx(0.9)
+    assert math.isinf(cutoff_of(rows, 0.95)), "one of ten is never solved"
 
 
 def test_a_baseline_without_rows_and_runs_that_one_alone_failed_are_told():
@@ -166,7 +166,7 @@ def test_a_baseline_without_rows_and_runs_that_one_alone_failed_are_told():
         for k in range(10)
         for seed in range(2)
     ]
-    known, missing = effects_of(Statement("time", 0.0, ("b", "c"), "a"), rows, ())
+    known, missing = effects_of(Claim("time", 0.0, ("b", "c"), "a"), rows, ())
     assert known.note == "left out of 20 runs: 3 that a alone failed and 2 that b alone failed"
     assert known.paired.n == 10 and missing.note == "0 problems"
     assert missing.p is None and rulings([missing]) == [Ruling.TOO_FEW]
@@ -184,7 +184,7 @@ def test_what_is_solved_in_time_is_more_than_the_papers_cbirrt_solves(solved, ex
     published = [
         PublishedValue("I", "place", "ompl-projected", "CBiRRT", "accuracy", "93.65", "%", "")
     ]
-    (effect,) = effects_of(Statement("solved_in_time", 0.9842), rows, published)
+    (effect,) = effects_of(Claim("solved_in_time", 0.9842), rows, published)
     assert rulings([effect]) == [expected]
 
 
@@ -194,7 +194,7 @@ def test_what_is_solved_in_time_is_more_than_the_papers_cbirrt_solves(solved, ex
 def test_an_at_least_test_of_a_share(solved, expected):
     """98.42 % is tested at 88.6 %: 100 of 100 is more, 60 less, 88 neither."""
     rows = [at("opt-cvq-mpt", k, 0.1 if k < solved else None) for k in range(100)]
-    (effect,) = effects_of(Statement("solved_in_time", 0.9842), rows, ())
+    (effect,) = effects_of(Claim("solved_in_time", 0.9842), rows, ())
     assert rulings([effect]) == [expected] and effect.baseline == NOTHING
     assert percent(effect, effect.paired).startswith(str(solved))
 
@@ -205,15 +205,15 @@ def test_statements_name_planners_that_ran_and_reductions_are_signed_changes():
         for k in range(8)
         for name, t in (("opt-cvq-mpt", 0.1), ("ompl-projected", 0.4))
     ]
-    found = effects_of(Statement("time", 0.5, ("ompl-projected", "mpnet")), rows, ())
+    found = effects_of(Claim("time", 0.5, ("ompl-projected", "mpnet")), rows, ())
     assert [(effect.baseline, effect.paired.n) for effect in found] == [
         ("ompl-projected", 8),
         ("mpnet", 0),
     ]
     assert percent(found[0], found[0].paired) == "−75 [−75, −75]"
-    assert effects_of(Statement("time", 0.5, ("mpnet",), "cvq-mpt"), rows, ()) == []
+    assert effects_of(Claim("time", 0.5, ("mpnet",), "cvq-mpt"), rows, ()) == []
 
 
 def test_statements_are_few():
-    assert sum(max(1, len(said.baselines)) for claim in CLAIMS for said in claim.statements) <= 36
+    assert sum(max(1, len(claim.baselines)) for claim in CLAIMS) <= 36
     assert len({claim.title for claim in CLAIMS}) == len(CLAIMS)

@@ -12,8 +12,8 @@ from made_rows import a_failure, a_results_folder, a_row
 from cli.main import main
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
+from paper_tables.pages import evidence_of, report_html
 from paper_tables.planner_styles import COLOURS, OURS, line_style
-from paper_tables.report.page import PathPage, evidence_of, report_html
 
 EVIL = "<script>alert(1)</script>$x$"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -37,7 +37,7 @@ def results(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(results):
-    turned = {"place-task": PathPage("problem 3", "</script>turned")}
+    turned = {"place-task": {"title": "problem 3", "html": "</script>turned"}}
     return report_html(evidence_of(results), paths=turned)
 
 

@@ -27,8 +27,8 @@ from experiments.figures.code_update import (
 )
 from experiments.figures.drawing import figure_bytes
 from experiments.figures.scene_pictures import HandPoses
-from paper_tables.claims import Evidence, _updated
-from paper_tables.statements import PREDICTED, Statement
+from paper_tables.claims import updated_codes
+from paper_tables.statements import PREDICTED, Claim
 
 SETTINGS = UpdateSettings(samples=300)
 
@@ -104,7 +104,7 @@ def test_rows_and_bins_count_every_draw(update):
 def test_a_problem_counts_once_in_the_claim(tmp_path):
     lines = ["problem,code,g_before,g_after", "a,1,4,1", "a,2,4,4", "a,goal,1,100", "b,3,1,0.5"]
     (tmp_path / "values.csv").write_text("\n".join(lines))
-    effect = _updated(Statement("g", 0.0, (PREDICTED,)), Evidence(tmp_path, [], {}))
+    effect = updated_codes(Claim("g", 0.0, (PREDICTED,)), tmp_path)
     assert effect.paired[::3] == (pytest.approx(0.5), 2)
     assert effect.means.estimate == pytest.approx(1.0 - (2.5 + 0.5) / (4.0 + 1.0))
 

@@ -1,0 +1,361 @@
+"""Pages about results: the page of claims, the README's blocks and the html report.
+
+Words stand in `templates/`, and those about claims in `published/claims.toml`.
+"""
+
+import base64
+import re
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import read_text
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
+from cvqmpt_lab.results.row import ResultRow
+from paper_tables.claims import (
+    Evidence,
+    JudgedClaim,
+    banner,
+    evidence_below,
+    judged_claims,
+    read_evidence,
+)
+from paper_tables.committed import RESULTS
+from paper_tables.judging import (
+    LEVEL,
+    NOTHING,
+    STATED_SHARE,
+    Ruling,
+    Verdict,
+    less,
+    percent,
+    verdict_lines,
+)
+from paper_tables.measures import REFERENCE, VALUES, Rows, paired_ratio, work
+from paper_tables.paper_numbers import PUBLISHED, read_published
+from paper_tables.statements import CBIRRT, CVQ, OPT, READING, STEPS
+from paper_tables.suite_tables import SuiteTable, table_of
+from paper_tables.table_engine import by_planner
+from paper_tables.writers import Lines, Sections, change, markdown_table
+
+PAGE = PUBLISHED.parent / "README.md"
+README = PUBLISHED.parent.parent / "README.md"
+COMPARED = {"time [%]": "known_time", "work [%]": "work", "length [%]": "path_length"}
+KITCHENS = {"place-task": "known", "place-task-mirrored": "new"}
+ROW_COLUMNS = ("problem", "seed", "solved", "time [s]", "work", "vertices", "length [rad]", "what")
+
+SHOWN_FACTS = (  # of a session
+    "command", "git_commit", "git_dirty", "date_utc", "cpu_model", "cpu_count", "platform",
+    "python", "weights", "versions",
+)  # fmt: skip
+
+
+def rendered(template: str, **data: Any) -> str:
+    """A template of `templates/` with its data; in html, text from rows is escaped."""
+    html = template.endswith(".html.j2")
+    environment = Environment(
+        loader=PackageLoader("paper_tables", "templates"),
+        autoescape=html,
+        undefined=StrictUndefined,
+        trim_blocks=not html,
+        keep_trailing_newline=not html,
+    )
+    return environment.get_template(template).render(**data)
+
+
+def reading() -> list[str]:
+    """How to read verdicts, a point each."""
+    return [line.format(share=100 * STATED_SHARE, level=100 * LEVEL) for line in READING]
+
+
+# ---------------------------------------------------------------- the page of claims
+
+
+def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
+    """A line a claim, with the numbers of the comparison that decides."""
+    lines = [["claim", "against", "paired [%]", "means [%]", "verdict"]]
+    for item in claims:
+        cells = [NOTHING] * 3
+        if item.deciding is not None:
+            effect = item.deciding.effect
+            cells = [effect.baseline, percent(effect, effect.paired), percent(effect, effect.means)]
+        lines.append([item.claim.title, *cells, str(item.ruling)])
+    return lines
+
+
+def decomposition_lines(evidence: Evidence) -> Lines:
+    """What each step from the paper's CBiRRT to our own ideas brings, paired."""
+    groups = by_planner(evidence.rows, ())
+    lines = [["step", "planner", "against", *COMPARED]]
+    for step, planner, against in STEPS:
+        if planner in groups and against in groups:
+            lines.append([step, planner, against, *_changes(groups[planner], groups[against])])
+    return lines
+
+
+def kitchen_lines(found: Mapping[str, Evidence]) -> Lines:
+    """Every planner against `birrt`, in the known kitchen and in one never seen."""
+    lines = [["planner", "kitchen", *COMPARED]]
+    for planner in (CVQ, OPT, "cvq-wide", "roadmap", "roadmap-cvq", CBIRRT):
+        for suite, word in KITCHENS.items():
+            groups = by_planner(found[suite].rows, ())
+            if planner in groups and REFERENCE in groups:
+                lines.append([planner, word, *_changes(groups[planner], groups[REFERENCE])])
+    return lines
+
+
+def _changes(rows: Rows, baseline: Rows) -> list[str]:
+    """In the columns of COMPARED."""
+    values = (VALUES[name] for name in COMPARED.values())
+    return [change(less(paired_ratio(rows, baseline, value))) for value in values]
+
+
+def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root: Path) -> str:
+    """The page; links go from the folder `root`."""
+    steps = kitchens = ""
+    if "place-task" in found:
+        steps = markdown_table(decomposition_lines(found["place-task"]))
+    if found.keys() >= KITCHENS.keys():
+        kitchens = markdown_table(kitchen_lines(found))
+    used = {item.claim.suite for item in claims} | KITCHENS.keys()
+    return rendered(
+        "claims.md.j2",
+        banner=banner(found),
+        summary=markdown_table(summary_lines(claims)),
+        reading=reading(),
+        claims=[_section(item) for item in claims],
+        steps=steps,
+        kitchens=kitchens,
+        reference=REFERENCE,
+        results=[_made_by(item, root) for name, item in found.items() if name in used],
+    )
+
+
+def _section(item: JudgedClaim) -> dict[str, Any]:
+    """One claim: its verdict, and every baseline."""
+    remark = f" {item.claim.remark}" if item.claim.remark else ""
+    return {
+        "title": item.claim.title,
+        "ruling": item.ruling,
+        "text": f"The paper: {item.claim.paper}.{remark}",
+        "table": markdown_table(verdict_lines(item.verdicts)) if item.verdicts else "",
+        "notes": list(filter(None, map(_note, item.verdicts))),
+        "folder": item.evidence.folder.name if item.evidence else "",
+    }
+
+
+def _note(verdict: Verdict) -> str:
+    """What a verdict rests on, or ""."""
+    effect, ruled = verdict
+    texts = [effect.note]
+    low, high = effect.paired.low, effect.paired.high
+    if ruled is Ruling.TOO_FEW and low is not None and high is not None:
+        texts = [f"known to ±{50.0 * (high - low):.0f} points", effect.note]
+    text = "; ".join(filter(None, texts))
+    of = effect.claim.planner if effect.baseline == NOTHING else effect.baseline
+    return f"{of}: {text}" if text else ""
+
+
+def _made_by(evidence: Evidence, root: Path) -> dict[str, Any]:
+    """A results directory: where its rows are, its commit and wall-clock, and its commands."""
+    made = sessions(evidence.record)
+    commits = dict.fromkeys((session.get("git_commit") or "unknown")[:12] for session in made)
+    folder = evidence.folder.relative_to(root).as_posix()
+    files = f"[numbers]({folder}/values.csv)"
+    if evidence.rows:
+        files = f"[table]({folder}/table.md), [rows]({folder}/runs.csv)"
+    return {
+        "name": evidence.folder.name,
+        "files": files,
+        "commit": ", ".join(commits),
+        "time": wall_clock(evidence),
+        "commands": dict.fromkeys(shlex.join(session.get("command") or ["?"]) for session in made),
+    }
+
+
+def wall_clock(evidence: Evidence) -> str:
+    """How long the command took; where that is not recorded, what its rows add up to."""
+    known = [session.get("wall_s") for session in sessions(evidence.record)]
+    what, seconds = "wall-clock", sum(value or 0.0 for value in known)
+    if None in known:
+        what, seconds = "planning alone", sum(row.t_total_s or 0.0 for row in evidence.rows)
+        if not seconds:
+            return "wall-clock not recorded"
+    return f"{what} {seconds:.0f} s" if seconds < 90.0 else f"{what} {seconds / 60.0:.0f} min"
+
+
+def with_part(text: str, part: str, table: str) -> str:
+    """A README with the table between the marks of a part replaced; InvalidInputError without."""
+    begin, end = f"<!-- {part}: written by cvqmpt claims -->", f"<!-- end of {part} -->"
+    found = re.compile(f"{re.escape(begin)}\n.*?{re.escape(end)}", re.DOTALL)
+    if not found.search(text):
+        raise InvalidInputError(
+            f"README has no lines {begin!r} and {end!r}: put them where the table goes"
+        )
+    return found.sub(lambda _: f"{begin}\n{table}{end}", text)
+
+
+def committed_pages() -> dict[Path, str]:
+    """The committed page and, in a checkout, the README, as their rows say that they should be."""
+    found = evidence_below(RESULTS)
+    claims = judged_claims(found)
+    pages = {PAGE: page_text(found, claims, PAGE.parent)}
+    if README.is_file():
+        steps = markdown_table(decomposition_lines(found["place-task"]))
+        text = with_part(read_text(README), "verdicts", markdown_table(summary_lines(claims)))
+        pages[README] = with_part(text, "decomposition", steps)
+    return pages
+
+
+def stale_pages(pages: Mapping[Path, str]) -> list[str]:
+    """A line for every page that is not as it should be."""
+    return [
+        f"{path}: not what the rows say; write it with: cvqmpt claims --write"
+        for path, text in pages.items()
+        if not path.is_file() or read_text(path) != text
+    ]
+
+
+# ---------------------------------------------------------------- the html report
+
+
+def report_html(
+    found: Mapping[str, Evidence],
+    report: Callable[[int, int], None] = lambda done, total: None,
+    paths: Mapping[str, Mapping[str, str]] | None = None,
+) -> str:
+    """One self-contained html file about results directories, see `evidence_of`.
+
+    Args:
+        report: is called with how many of them are done.
+        paths: title and html of a path to turn, by the name of the directory that it is of.
+    """
+    claims = [item for item in judged_claims(found) if item.verdicts]
+    sections: list[dict[str, Any]] = []
+    for evidence in found.values():
+        report(len(sections), len(found))
+        sections.append({**section_of(evidence), "path": (paths or {}).get(evidence.folder.name)})
+    report(len(found), len(found))
+    data = [{key: section[key] for key in ("name", "rows", "again")} for section in sections]
+    return rendered(
+        "report.html.j2",
+        title="CVQ-MPT, reproduced",
+        banner=banner(found),
+        claims=summary_lines(claims) if claims else [],
+        styles={Ruling.HOLDS: "holds", Ruling.TOO_FEW: "part", Ruling.FAILS: "not"},
+        reading=reading(),
+        sections=sections,
+        data={"columns": ROW_COLUMNS, "sections": data},  # what the page's script reads
+    )
+
+
+def evidence_of(directory: Path) -> dict[str, Evidence]:
+    """A results directory by its suite, or those below a folder by name, the place task first."""
+    if (directory / PROVENANCE_FILE).is_file():
+        single = read_evidence(directory)
+        return {single.rows[0].suite if single.rows else directory.name: single}
+    found = evidence_below(directory)
+    if not found:
+        raise InvalidInputError(
+            f"{directory} is no results directory and holds none; make one with: "
+            f"cvqmpt reproduce place-task --out {directory}"
+        )
+    return dict(sorted(found.items(), key=lambda item: (item[0] != "place-task", item[0])))
+
+
+def section_of(evidence: Evidence) -> dict[str, Any]:
+    """Everything that the report says of a results directory."""
+    rows, name = evidence.rows, evidence.folder.name
+    suite = rows[0].suite if rows else name
+    table = table_of(suite) if rows else SuiteTable(f"Figure {name}")
+    published = read_published(*table.paper) if table.paper else ()
+    groups = by_planner(rows, published)
+    filed = digests_in(evidence.record, "problem_files")
+    problem = "--problem-file FILE" if filed else f"{suite} --problem PROBLEM"
+    return {
+        "name": name,
+        "title": table.title if name == suite else f"{name}: {table.title}",
+        "blocks": _blocks(table.render(rows, published).sections) if rows else [],
+        "planners": list(groups),
+        "plots": _plots(groups) if rows else {},
+        "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},
+        # the command that repeats a row
+        "again": f"cvqmpt plan {problem} --planner PLANNER --seed SEED --picture plan.png",
+        "provenance": _provenance(evidence),
+        "pictures": _pictures(evidence.folder),
+    }
+
+
+def _blocks(sections: Sections) -> list[dict[str, Any]]:
+    """Titles with tables (the header first) and texts."""
+    found = []
+    for title, part in sections.items():
+        texts = [text for text in part if isinstance(text, str)]
+        lines = [line for line in part if not isinstance(line, str)]
+        if len(lines) == 1:  # a header alone
+            texts, lines = ["None."], []
+        if texts or lines:
+            found.append({"title": title, "texts": texts, "lines": lines})
+    return found
+
+
+def _plots(groups: Mapping[str, Rows]) -> dict[str, str]:
+    """Plots of rows as svg, by title."""
+    from paper_tables import plots  # matplotlib takes a second to import
+
+    length = VALUES["path_length"]
+    drawn = {
+        "Solved against time": plots.solved_curve(groups),
+        "Path length, solved runs": plots.distribution(groups, length, "length [rad]", log=False),
+        "Work, solved runs": plots.distribution(groups, work, "projections and state checks"),
+        "Where time goes": plots.stage_times(groups),
+    }
+    if REFERENCE in groups and len(groups) > 1:
+        for name, value, label in (("Work", work, "work"), ("Length", length, "length [rad]")):
+            title = f"{name}, problem by problem, against {REFERENCE}"
+            drawn[title] = plots.scatter(groups, REFERENCE, value, label)
+    return drawn
+
+
+def _row(row: ResultRow) -> list[object]:
+    """In `ROW_COLUMNS`."""
+    what = row.fallback or row.detail or ""
+    if not row.solved:
+        what = f"{row.fail_reason}: {row.detail or ''}"
+    numbers = (row.t_total_s, work(row), row.path_length_rad)
+    time, effort, length = (None if number is None else round(number, 4) for number in numbers)
+    return [row.problem, row.seed, row.solved, time, effort, row.vertices, length, what]
+
+
+def _provenance(evidence: Evidence) -> dict[str, str]:
+    """Every fact of every session."""
+    facts: dict[str, dict[str, None]] = {}
+    for session in sessions(evidence.record):
+        for name, fact in session.items():
+            if name not in SHOWN_FACTS or not fact:
+                continue
+            text = shlex.join(fact) if isinstance(fact, list) else str(fact)
+            if isinstance(fact, Mapping):
+                known = (f"{key} {value}" for key, value in sorted(fact.items()) if value)
+                text = ", ".join(known)
+            facts.setdefault(name.replace("_", " "), {})[text] = None
+    joined = {name: " and ".join(found) for name, found in facts.items()}
+    return {**joined, "time": wall_clock(evidence)}
+
+
+def _pictures(folder: Path) -> dict[str, str]:
+    """Pictures beside the rows as data addresses; of one in two forms, the first; 2 MB at most."""
+    kinds = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
+    found: dict[str, Path] = {}
+    for path in (path for kind in kinds for path in sorted(folder.glob(f"*{kind}"))):
+        if path.stat().st_size < 2_000_000:
+            found.setdefault(path.stem, path)
+    pictures = {}
+    for path in found.values():
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+        pictures[path.name] = f"data:{kinds[path.suffix]};base64,{data}"
+    return pictures
