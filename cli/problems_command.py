@@ -75,7 +75,7 @@ def _new(args: argparse.Namespace) -> int:
     from cli.task_template import task_template
 
     if args.urdf is not None and args.end_effector is None:
-        args.end_effector = read_urdf(args.urdf).likely_end_effectors[0]
+        args.end_effector = read_urdf(args.urdf).likely_end_effectors()[0]
         print(f"end effector {args.end_effector}, a guess; --end-effector names another")
     kind, made_for = ("task", task_template) if args.task else ("problem", template)
     made = made_for(robot_source(args) or {"name": "panda"})

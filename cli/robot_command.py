@@ -71,7 +71,7 @@ def _source(args: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
     options = robot_options(args)
     if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
         return {"name": args.robot, **options}, []
-    likely = [] if "end_effector" in options else read_urdf(Path(args.robot)).likely_end_effectors
+    likely = [] if "end_effector" in options else read_urdf(Path(args.robot)).likely_end_effectors()
     return {
         "urdf": args.robot,
         **({"end_effector": likely[0]} if likely else {}),

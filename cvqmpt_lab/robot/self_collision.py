@@ -1,5 +1,4 @@
-"""Which pairs of links are checked against each other: all but those for which there is a reason
-not to.
+"""Which pairs of links are checked against each other: all but those with a reason not to.
 
 An SRDF names the pairs that its maker leaves out. Without one, a pair is left out if its links are
 fixed to each other or neighbours (one joint moves them, and no other body lies between), if they
@@ -7,43 +6,32 @@ are proven to stay `GAP` apart at all joint values, or if they overlap in nearly
 configuration. All others are checked. The result depends on the robot alone and is cached.
 """
 
-import contextlib
 import hashlib
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
+import coal
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.disk_cache import read_cached, sources_digest, write_cached
+from cvqmpt_lab.disk_cache import cached_arrays, sources_digest
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_text
+from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
-from cvqmpt_lab.robot.proven_apart import proven_apart
 from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry
 from cvqmpt_lab.robot.urdf import Urdf
 
-SAMPLES = 2000  # random configurations
-GAP = 0.01  # [m] a pair that may come so near is checked
-# [m] of an overlap: at 0 coal calls hulls free that are 1.3 mm deep in each other, by where GJK
-# begins
-CONTACT = 1e-6
-# share of them in which two hulls overlap "always": because of their shapes, not of the
-# configuration
-ALWAYS = 0.95
-SPREAD = 0.15  # by which the share among `CHUNK` of them may be smaller: five standard deviations
-CHUNK = 50  # configurations after which pairs that are decided are dropped
+# [m] a pair that may come so near is checked
+GAP = 0.01
 # reasons for leaving out a pair
 FIXED, ADJACENT, APART = "fixed to each other", "adjacent", "proven apart"
 # before the share of random states; before what an SRDF says
 OVERLAP, FROM_SRDF = "overlap in ", "SRDF: "
-# of the rule: other sources make cached files invalid
-SOURCES = sources_digest(Path(__file__).parent)
 
-Pair = tuple[str, str]  # names of two links
+Pair = tuple[str, str]
 
 
 def left_out_pairs(
@@ -54,65 +42,36 @@ def left_out_pairs(
     urdf: Urdf,
     srdf: Path | None,
 ) -> tuple[LeftOut, ...]:
-    """The pairs that an SRDF leaves out;
-    without one, the cached ones, or those found now, which are then cached.
-    """
+    """The pairs that an SRDF leaves out; without one those found by the rule above, cached."""
     if srdf is not None:
         return tuple(
             pair._replace(reason=FROM_SRDF + pair.reason.removeprefix(FROM_SRDF))
             for pair in read_srdf(srdf)
         )
-    names = [link_of_piece(model, item) for item in geometry.geometryObjects]
-    near = neighbours(urdf, set(names))
-    key = robot_digest(geometry, links, kinematics, names, near)
-    file = f"{model.name.replace('/', '_')}-{key[:16]}.srdf"
-    with contextlib.suppress(OSError, ValueError, InvalidInputError):  # not there yet, or damaged
-        text = read_cached(KIND, file).decode()
-        if text == signed(text.rpartition(SIGNATURE)[0], key):
-            return srdf_pairs(text, Path(file))
-    found = found_pairs(model, geometry, links, kinematics, near)
-    write_cached(KIND, file, signed(srdf_text(model.name, found), key).encode())
-    return found
-
-
-KIND = "self_collision"  # folder of the cache
-SIGNATURE = "<!-- sha256 of the robot and of the lines above: "
-
-
-def signed(text: str, key: str) -> str:
-    """A cached file: its text, and the digest of text and robot, without which it is not believed."""
-    return f"{text}{SIGNATURE}{hashlib.sha256((key + text).encode()).hexdigest()} -->\n"
-
-
-def robot_digest(
-    geometry: pin.GeometryModel,
-    links: Sequence[LinkGeometry],
-    kinematics: Kinematics,
-    names: Sequence[str],
-    near: Collection[Pair],
-) -> str:
-    """Digest of all that the pairs depend on: every joint's axis, placement and limits, and every
-    piece.
-
-    names: URDF links of the pieces. near: of `neighbours`. Axes are in `kinematics.rotation`:
-        joints turn about z.
-    """
-    digest = hashlib.sha256(f"{SOURCES} {sorted(near)!r}".encode())
+    names = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
+    near = _neighbours(urdf, set(names))
+    # all that the pairs depend on: the rule, axes, placements and limits of joints, and the pieces
+    digest = hashlib.sha256(f"{sources_digest(Path(__file__).parent)} {sorted(near)!r}".encode())
     for array in kinematics:
         digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())
     for name, piece, item in zip(names, links, geometry.geometryObjects, strict=True):
         kind = type(item.geometry).__name__
-        digest.update(
-            f"{name!r} {piece.name!r} {piece.link} {kind} {piece.vertices.shape}".encode()
-        )
-        digest.update(piece.T_link_geometry.tobytes() + piece.vertices.tobytes())
-    return digest.hexdigest()
+        text = f"{name!r} {piece.name!r} {piece.link} {kind} {piece.vertices.shape}"
+        digest.update(text.encode() + piece.T_link_geometry.tobytes() + piece.vertices.tobytes())
+    key = digest.hexdigest()
+
+    def find() -> dict[str, np.ndarray]:
+        found = _found_pairs(model, geometry, names, links, kinematics, near)
+        return {"robot": np.array(key), "pairs": np.array(found, dtype=str).reshape(-1, 3)}
+
+    kept = cached_arrays(
+        "self_collision", key.encode(), find, lambda kept: str(kept["robot"]) == key
+    )
+    return tuple(LeftOut(*map(str, row)) for row in kept["pairs"])
 
 
-def neighbours(urdf: Urdf, bodies: Collection[str]) -> set[Pair]:
-    """Pairs (nearer to the base, further out) of links with bodies, with none but links without
-    bodies between them.
-    """
+def _neighbours(urdf: Urdf, bodies: Collection[str]) -> set[Pair]:
+    """Pairs (nearer to the base, further out) of links with bodies, and no body between them."""
     above = {joint.child: joint.parent for joint in urdf.joints.values()}
     found = set()
     for link in bodies:
@@ -124,17 +83,12 @@ def neighbours(urdf: Urdf, bodies: Collection[str]) -> set[Pair]:
     return found
 
 
-def link_of_piece(model: pin.Model, item: pin.GeometryObject) -> str:
-    """The URDF link that a collision piece belongs to."""
-    return model.frames[item.parentFrame].name
-
-
 def checked_pairs(
     model: pin.Model, geometry: pin.GeometryModel, left_out: Sequence[LeftOut]
 ) -> tuple[tuple[int, int], ...]:
     """Set the pairs that the geometry model checks; return their indices."""
     skipped = {frozenset((pair.first, pair.second)) for pair in left_out}
-    names = [link_of_piece(model, item) for item in geometry.geometryObjects]
+    names = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
     geometry.addAllCollisionPairs()
     every = [(int(pair.first), int(pair.second)) for pair in geometry.collisionPairs]
     kept = tuple((i, k) for i, k in every if frozenset((names[i], names[k])) not in skipped)
@@ -144,21 +98,36 @@ def checked_pairs(
     return kept
 
 
-def found_pairs(
+def _found_pairs(
     model: pin.Model,
     geometry: pin.GeometryModel,
+    names: Sequence[str],
     links: Sequence[LinkGeometry],
     kinematics: Kinematics,
     near: Collection[Pair],
+    samples: int = 2000,
+    always: float = 0.95,
+    spread: float = 0.15,
+    chunk: int = 50,
+    contact: float = 1e-6,
 ) -> tuple[LeftOut, ...]:
-    """Pairs of links to leave out, by the rule at the top of this file."""
+    """Pairs of links to leave out, by the rule at the top of this file.
+
+    Args:
+        names: URDF links of the pieces.
+        near: neighbours.
+        samples: random configurations.
+        always: share of them in which two hulls overlap because of their shapes.
+        spread: by which that share may be smaller among `chunk`: five standard deviations.
+        chunk: configurations after which pairs that are decided are dropped.
+        contact: [m] of an overlap. At 0 coal calls hulls free that are 1.3 mm deep in each other,
+            by where GJK begins.
+    """
     pieces: dict[str, list[int]] = {}
-    for k, item in enumerate(geometry.geometryObjects):
-        pieces.setdefault(link_of_piece(model, item), []).append(k)
+    for k, name in enumerate(names):
+        pieces.setdefault(name, []).append(k)
+    joints = {name: geometry.geometryObjects[own[0]].parentJoint for name, own in pieces.items()}
     every = list(combinations(pieces, 2))
-    joints = {
-        name: geometry.geometryObjects[indices[0]].parentJoint for name, indices in pieces.items()
-    }
     reasons = {}
     for pair in every:
         a, b = joints[pair[0]], joints[pair[1]]
@@ -168,89 +137,170 @@ def found_pairs(
             reasons[pair] = ADJACENT
     pairs = [pair for pair in every if pair not in reasons]
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
-    states = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, model.nq))
-    sampling = _Sampling(model, geometry, pieces, states, _balls(links, kinematics, states))
-    often, apart = set(pairs), set(pairs)  # what may still be nearly always near, or never
-    for rows in np.array_split(np.arange(SAMPLES), SAMPLES // CHUNK):
-        undecided = often | apart
-        seen = sampling.close([pair for pair in pairs if pair in undecided], rows, GAP)
-        often -= {pair for pair, hits in seen.items() if hits.mean() < ALWAYS - SPREAD}
-        apart -= {pair for pair, hits in seen.items() if hits.any()}
-    touching = sampling.close(
-        [pair for pair in pairs if pair in often], np.arange(SAMPLES), CONTACT
-    )
+    states = np.random.default_rng(0).uniform(lower, upper, (samples, model.nq))
+    robot = model, geometry, links, kinematics, pieces
+    # pairs that may still be nearly always near, and those that may never be
+    often, apart = set(pairs), set(pairs)
+    for part in np.array_split(states, samples // chunk):
+        undecided = [pair for pair in pairs if pair in often | apart]
+        for pair, hits in _close(*robot, undecided, part, GAP).items():
+            if hits.mean() < always - spread:
+                often.discard(pair)
+            if hits.any():
+                apart.discard(pair)
+    touching = _close(*robot, [pair for pair in pairs if pair in often], states, contact)
     for pair, hits in touching.items():
-        if hits.mean() >= ALWAYS:
+        if hits.mean() >= always:
             reasons[pair] = f"{OVERLAP}{100.0 * hits.mean():.4g} % of random states"
     shapes = [item.geometry for item in geometry.geometryObjects]
     for first, second in sorted(apart):
         bodies = ((i, k) for i in pieces[first] for k in pieces[second])
         if all(
-            proven_apart(kinematics, (links[i], links[k]), (shapes[i], shapes[k]), GAP)
+            _proven_apart(kinematics, (links[i], links[k]), (shapes[i], shapes[k]), GAP)
             for i, k in bodies
         ):
             reasons[first, second] = APART
     return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
 
 
-def _balls(
-    links: Sequence[LinkGeometry], kinematics: Kinematics, states: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (k, p, 3) and radii (p,) [m] of balls around the pieces, in each state (k, n)."""
+def _close(
+    model: pin.Model,
+    geometry: pin.GeometryModel,
+    links: Sequence[LinkGeometry],
+    kinematics: Kinematics,
+    pieces: Mapping[str, list[int]],
+    pairs: Sequence[Pair],
+    states: np.ndarray,
+    margin: float,
+) -> dict[Pair, np.ndarray]:
+    """Whether each pair of links is closer than margin [m], (k,) in states (k, n)."""
+    tested = pin.GeometryModel(geometry)
+    tested.removeAllCollisionPairs()
+    indices = [(k, i, j) for k, (a, b) in enumerate(pairs) for i in pieces[a] for j in pieces[b]]
+    for _, i, j in indices:
+        tested.addCollisionPair(pin.CollisionPair(i, j))
+    owner, first, second = np.array(indices, dtype=int).reshape(-1, 3).T
+    data, tested_data = model.createData(), pin.GeometryData(tested)
+    for request in tested_data.collisionRequests:
+        request.security_margin = margin
+    # pieces whose balls are apart need no exact check
     rotations, translations = link_poses(kinematics, states)
     centres, radii = np.empty((len(states), len(links), 3)), np.empty(len(links))
     for i, piece in enumerate(links):
         middle, radii[i] = piece.ball
         centres[:, i] = rotations[:, piece.link] @ middle + translations[:, piece.link]
-    return centres, radii
+    hits = np.zeros((len(states), len(pairs)), dtype=bool)
+    for hit, q, centre in zip(hits, states, centres, strict=True):
+        apart = np.linalg.norm(centre[first] - centre[second], axis=1)
+        pin.updateGeometryPlacements(model, data, tested, tested_data, q)
+        for k in np.flatnonzero(apart <= radii[first] + radii[second] + margin).tolist():
+            if not hit[owner[k]]:
+                hit[owner[k]] = pin.computeCollision(tested, tested_data, k)
+    return dict(zip(pairs, hits.T, strict=True))
 
 
-@dataclass(frozen=True)
-class _Sampling:
-    """The check of pairs of links in random states."""
+def _proven_apart(
+    kinematics: Kinematics,
+    pieces: tuple[LinkGeometry, LinkGeometry],
+    shapes: tuple[coal.CollisionGeometry, coal.CollisionGeometry],
+    gap: float,
+    most: int = 10_000,
+) -> bool:
+    """Whether two pieces stay more than gap [m] apart at all joint values; "no" may mean unknown.
 
-    model: pin.Model
-    geometry: pin.GeometryModel
-    pieces: Mapping[str, list[int]]  # indices of the pieces of each link
-    states: np.ndarray  # (k, n) [rad or m]
-    # of `_balls`: pieces whose balls are apart need no exact check
-    balls: tuple[np.ndarray, np.ndarray]
+    Branch and bound over boxes of joint values. When joint j alone changes by d, the distance of
+    the pieces changes by at most L_j |d|, so that in a box with centre q and half widths h
 
-    def close(
-        self, pairs: Sequence[Pair], rows: np.ndarray, margin: float
-    ) -> dict[Pair, np.ndarray]:
-        """Whether each pair of links is closer than a margin [m], in each of the states `rows`."""
-        tested = pin.GeometryModel(self.geometry)
-        tested.removeAllCollisionPairs()
-        pieces = ((k, self.pieces[a], self.pieces[b]) for k, (a, b) in enumerate(pairs))
-        indices = [(k, i, j) for k, first, second in pieces for i in first for j in second]
-        for _, i, j in indices:
-            tested.addCollisionPair(pin.CollisionPair(i, j))
-        owner, first, second = np.array(indices, dtype=int).reshape(-1, 3).T
-        data, tested_data = self.model.createData(), pin.GeometryData(tested)
-        for request in tested_data.collisionRequests:
-            request.security_margin = margin
-        centres, radii = self.balls
-        hits = np.zeros((len(rows), len(pairs)), dtype=bool)
-        for hit, row in zip(hits, rows, strict=True):
-            apart = np.linalg.norm(centres[row, first] - centres[row, second], axis=1)
-            pin.updateGeometryPlacements(self.model, data, tested, tested_data, self.states[row])
-            for k in np.flatnonzero(apart <= radii[first] + radii[second] + margin).tolist():
-                if not hit[owner[k]]:
-                    hit[owner[k]] = pin.computeCollision(tested, tested_data, k)
-        return dict(zip(pairs, hits.T, strict=True))
+        distance >= distance(q) - sum_j L_j h_j.
+
+    Where that is too little, the box is halved along the joint with the largest L_j h_j.
+
+    Args:
+        kinematics: of the robot.
+        pieces: their vertices contain the shapes.
+        shapes: of the pieces, in their frames.
+        gap: [m].
+        most: distances computed for a pair that up to three joints move (0.15 s); a third of that
+            for each further joint, since a proof gets less likely.
+    """
+    a, b = (piece.link for piece in pieces)
+    levers = distance_levers(kinematics, *pieces)
+    joints, lever = np.array(list(levers), dtype=int), np.array(list(levers.values()))
+    left = most // 3 ** max(len(joints) - 3, 0)
+    low, high = kinematics.lower[joints][None], kinematics.upper[joints][None]
+    (ball_a, radius_a), (ball_b, radius_b) = (piece.ball for piece in pieces)
+    while len(low):
+        # joints that are not between the pieces change nothing
+        q = np.tile(kinematics.lower, (len(low), 1))
+        q[:, joints] = 0.5 * (low + high)
+        R, t = link_poses(kinematics, q)
+        needed = 0.5 * (high - low) @ lever + gap
+        centres = np.linalg.norm(R[:, a] @ ball_a + t[:, a] - R[:, b] @ ball_b - t[:, b], axis=1)
+        undecided = np.flatnonzero(~(centres - radius_a - radius_b > needed))
+        left -= len(undecided)
+        if left < 0:
+            return False
+        distance = np.empty(len(undecided))
+        for k, i in enumerate(undecided):
+            bodies = []
+            for shape, piece in zip(shapes, pieces, strict=True):
+                R_link, T = R[i, piece.link], piece.T_link_geometry
+                origin = R_link @ T[:3, 3] + t[i, piece.link]
+                bodies += [shape, coal.Transform3s(R_link @ T[:3, :3], origin)]
+            distance[k] = coal_distance(*bodies)
+        if not (distance > gap).all():
+            return False
+        open_boxes = undecided[distance <= needed[undecided]]
+        low, high = low[open_boxes], high[open_boxes]
+        row, widest = np.arange(len(low)), ((high - low) * lever).argmax(axis=1)
+        below, above = high.copy(), low.copy()
+        below[row, widest] = above[row, widest] = 0.5 * (low[row, widest] + high[row, widest])
+        low, high = np.concatenate([low, above]), np.concatenate([below, high])
+    return True
 
 
-# SRDF files.
+def distance_levers(
+    kinematics: Kinematics, first: LinkGeometry, second: LinkGeometry
+) -> dict[int, float]:
+    """L_j [m/rad, or m/m] of each joint j between two pieces: |d distance / d q_j| <= L_j.
+
+    1 for a slider. For a hinge, of the two sides that it turns against each other, the largest
+    distance from its axis of the side whose points are closer to it in all configurations.
+    """
+    moves = kinematics.moves
+    slide = np.maximum(np.abs(kinematics.lower), np.abs(kinematics.upper))
+    slide = np.where(kinematics.prismatic, slide, 0.0)
+    # largest distance [m] between the origins of joint j's frame and of its parent's
+    step = [
+        float(np.linalg.norm(t)) + s for t, s in zip(kinematics.translation, slide, strict=True)
+    ]
+    levers = {}
+    for piece, other in ((first, second), (second, first)):
+        # from the piece to where both chains part
+        joints = np.flatnonzero(moves[:, piece.link] & ~moves[:, other.link])[::-1].tolist()
+        others = np.flatnonzero(moves[:, other.link] & ~moves[:, piece.link])[::-1].tolist()
+        far = float(np.linalg.norm(other.vertices_in_link, axis=1).max())
+        far += sum(step[j] for j in others)
+        to_other = {}
+        for j in reversed(joints):
+            off_axis = np.cross(kinematics.translation[j], kinematics.rotation[j, :, 2])
+            to_other[j] = float(np.linalg.norm(off_axis)) + far
+            far += step[j]
+        # of the own piece: around joint j's axis z, and from the origin of joint j
+        own = piece.vertices_in_link
+        around = float(np.linalg.norm(own[:, :2], axis=1).max())
+        reach = float(np.linalg.norm(own, axis=1).max())
+        for j in joints:
+            levers[j] = 1.0 if kinematics.prismatic[j] else min(around, to_other[j])
+            around = float(np.linalg.norm(kinematics.translation[j, :2])) + slide[j] + reach
+            reach += step[j]
+    return levers
+
+
 def read_srdf(path: Path) -> tuple[LeftOut, ...]:
     """The pairs that an SRDF file leaves out; InvalidInputError names a file that is none."""
-    return srdf_pairs(read_text(path, "SRDF file"), path)
-
-
-def srdf_pairs(text: str, path: Path) -> tuple[LeftOut, ...]:
-    """The pairs that the text of an SRDF file leaves out; errors name its path."""
     try:
-        root = ElementTree.fromstring(text)
+        root = ElementTree.fromstring(read_text(path, "SRDF file"))
     except ElementTree.ParseError as error:
         raise InvalidInputError(f"cannot read SRDF file {path}: {error}") from error
     if root.tag != "robot":
