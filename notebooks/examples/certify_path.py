@@ -1,0 +1,14 @@
+"""Judge a path of your own: the certificate names what is wrong with it."""
+
+import numpy as np
+from cvqmpt_lab.benchmarks.suite import suite_named
+
+from cvqmpt_lab import Budget, JointPath, certify, solve
+
+problem = suite_named("place-task").solvable(7)
+solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)
+path = solution.simplified.path
+straight = JointPath(np.linspace(path.states[0], path.states[-1], 200))
+for name, judged in (("planned", path), ("straight", straight)):
+    certificate = certify(solution.problem, judged)
+    print(name, certificate.verdict, *certificate.reasons, sep="; ")

@@ -1,0 +1,13 @@
+"""Look at the learned dictionary: each code is a Gaussian N(mu, Sigma) in joint space."""
+
+import numpy as np
+
+from cvqmpt_lab import robot_from_source
+from cvqmpt_lab.vqmpt.codebook import dictionary_gaussians
+from cvqmpt_lab.vqmpt.weights import load_vq_mpt
+
+panda = robot_from_source({"name": "panda"})
+means, covariances = dictionary_gaussians(load_vq_mpt(panda), panda)
+deviations = np.sqrt(np.linalg.eigvalsh(covariances))
+print(f"{len(means)} codes; standard deviations along the axes [rad]:")
+print(np.median(deviations, axis=0).round(2))

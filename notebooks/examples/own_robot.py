@@ -1,0 +1,11 @@
+"""Load an arm from its URDF and ask what was understood of it."""
+
+from pathlib import Path
+
+from cvqmpt_lab import load_robot
+
+urdf = Path(__file__).parents[2] / "tests" / "data" / "slider_arm.urdf"
+robot = load_robot(urdf, end_effector="tool")
+print(robot)
+for name, low, high in zip(robot.joint_names, robot.lower, robot.upper, strict=True):
+    print(f"{name}: {low:.2f} to {high:.2f}")

@@ -1,0 +1,100 @@
+"""The graph of the project's own imports: no circle, no arrow upwards, a small start of `plan`."""
+
+import ast
+import configparser
+import subprocess
+import sys
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("cvqmpt_lab", "paper_tables", "experiments", "cli")
+LARGEST_START = 110  # own modules that `cvqmpt plan` imports
+
+
+@cache
+def modules():
+    """The file of each module; a package has the name of its folder."""
+    files = [file for name in PACKAGES for file in (ROOT / name).rglob("*.py")]
+    relative = {file: file.relative_to(ROOT).with_suffix("").parts for file in files}
+    return {".".join(part for part in relative[f] if part != "__init__"): f for f in files}
+
+
+def imported(file, known):
+    """Names of own modules that a file imports, or names in a string, which may import them."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            inside = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from (name if name in known else node.module for name in inside)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+@cache
+def arrows():
+    """The own modules that each module imports; imports of a package's own `__init__` left out."""
+    known = modules()
+    return {
+        name: {other for other in imported(file, known) if other in known and other != name}
+        for name, file in known.items()
+    }
+
+
+def test_no_circle():
+    graph = {
+        name: {other for other in others if modules()[other].name != "__init__.py"}
+        for name, others in arrows().items()
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def layers():
+    """The layers of each contract in .importlinter, from the top; a layer is a set of packages."""
+    contracts = configparser.ConfigParser()
+    contracts.read(ROOT / ".importlinter")
+    for name in contracts.sections():
+        if contracts[name].get("type") == "layers":
+            lines = contracts[name]["layers"].split("\n")
+            yield [set(line.replace("|", " ").replace(":", " ").split()) for line in lines if line]
+
+
+def level(module, contract):
+    """The layer of a module, None where the contract does not name it."""
+    inside = [
+        k
+        for k, packages in enumerate(contract)
+        if any(f"{module}.".startswith(f"{one}.") for one in packages)
+    ]
+    return inside[0] if inside else None
+
+
+def test_no_arrow_upwards():
+    upwards = [
+        f"{name} -> {other}"
+        for contract in layers()
+        for name, others in arrows().items()
+        for other in others
+        if None not in (below := level(name, contract), above := level(other, contract))
+        and below > above
+    ]
+    assert upwards == []
+
+
+def test_plan_imports_few_modules():
+    code = (
+        "import sys; from cli.main import main;"
+        "main(['plan', 'place-task', '--problem', '7', '--seed', '0']);"
+        f"print(*(name for name in sys.modules if name.split('.')[0] in {PACKAGES}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    own = done.stdout.splitlines()[-1].split()
+    assert len(own) <= LARGEST_START, sorted(own)
