@@ -1,9 +1,9 @@
 """Give the search a sampling distribution of your own: Gaussians halfway to the goals."""
 
 import numpy as np
-from cvqmpt_lab.benchmarks.suite import suite_named
 
 from cvqmpt_lab import Budget, GaussianMixture, Method, solve
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.search.planner_interface import Proposal
 
 

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from cvqmpt_lab.benchmarks.suite import suite_named
-
 from cvqmpt_lab import Budget, TimingSettings, save_trajectory, solve, time_path
+from cvqmpt_lab.benchmarks.suite import suite_named
 
 problem = suite_named("place-task").solvable(7)
 solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)
