@@ -105,12 +105,12 @@ def _ompl(name: str, manifold: str) -> Method:
 
 
 def _learned(planner: str, builder: str, weights: str = VQ_MPT, **options: Any) -> Method:
-    """A planner whose stages are made by a function of `vqmpt.stages`."""
+    """A planner whose stages are made by a function of `vqmpt.learned_sampler`."""
 
     def build(problem: PlanningProblem, model: str) -> Stages:
-        from cvqmpt_lab.vqmpt import stages  # reads weights
+        from cvqmpt_lab.vqmpt import learned_sampler  # reads weights
 
-        return getattr(stages, builder)(problem.robot, model, **options)
+        return getattr(learned_sampler, builder)(problem.robot, model, **options)
 
     return Method(planner, build, weights)
 
@@ -134,7 +134,7 @@ def _roadmap(
 
             roadmap = spread_roadmap(robot, load, sequence, draw)
         else:
-            from cvqmpt_lab.vqmpt.stages import free_dictionary  # reads weights
+            from cvqmpt_lab.vqmpt.learned_sampler import free_dictionary  # reads weights
 
             roadmap = free_dictionary(model, robot, load)
         return Stages(

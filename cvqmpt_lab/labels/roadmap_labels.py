@@ -37,7 +37,7 @@ from cvqmpt_lab.training.shards import (
     packed_shard,
     read_roadmap_shards,
 )
-from cvqmpt_lab.vqmpt.stages import dictionary_roadmap
+from cvqmpt_lab.vqmpt.learned_sampler import dictionary_roadmap
 from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
 
 STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for

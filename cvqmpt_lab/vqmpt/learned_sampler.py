@@ -1,36 +1,65 @@
-"""From predicted codes to the distribution that is sampled, and the updates that move it towards
-the constraint.
+"""The learned sampler: predicted codes become the distribution that the search samples from.
+
+With h_1 ... h_c the predicted codes and q_1 ... q_k the goals that were asked about, sampled is
+
+    q ~ 1 / (c + k) (sum_i N(mu(z_hi), Sigma(z_hi)) + sum_j N(q_j, S)),   S^(1/2) = 0.1 diag(range),
+
+and a uniform share (paper, eqn. sample_dist; the goals are in the published code alone). Weights,
+dictionaries and roadmaps are loaded once a process, before any clock starts. A model is a name or
+folder as `weights.resolve_model` takes it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.families import another_scene
+from cvqmpt_lab.scene.scene import Attachment, Scene
+from cvqmpt_lab.search.controls import unconstrained_path
 from cvqmpt_lab.search.planner_interface import (
     GaussianMixture,
     Observation,
     Proposal,
     Query,
+    Stages,
     widened,
 )
 from cvqmpt_lab.search.result import PlanStatus, Timings
-from cvqmpt_lab.vqmpt.codebook import Codebook, drawn_nodes
-from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer
+from cvqmpt_lab.search.roadmap import Roadmap
+from cvqmpt_lab.search.roadmap_nodes import linked_roadmap
+from cvqmpt_lab.sensing.observation import Observer
+from cvqmpt_lab.sensing.virtual import CameraSettings
+from cvqmpt_lab.vqmpt.codebook import (
+    Codebook,
+    code_noise,
+    codes_of,
+    dictionary_gaussians,
+    drawn_nodes,
+)
+from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
+from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts
+from cvqmpt_lab.vqmpt.predictor import Predictor
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
+from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
+from cvqmpt_lab.vqmpt.weights import (
+    MPNET,
+    TRANSFORMER,
+    VQ_MPT,
+    StoredModel,
+    load_vq_mpt,
+    read_model,
+    resolve_model,
+)
 
-# [rad] no wide Gaussian is narrower in any direction; chosen on the tuning environments
-WIDTH = 1.1
-SMALLEST_STD = 1e-4  # [rad] in any direction, so that covariances stay positive definite
-# of the Gaussian around each goal, as a share of each joint's range (published code)
-GOAL_STD = 0.1
-DRIFT = 1.5  # [rad] that a projected mean may move; others are left out
+GOALS = 3  # that a network is asked about; the search gets them all
 
 
 class PredictedCodes(NamedTuple):
-    """What a predictor says."""
+    """Codes that a predictor found, and what that took."""
 
     codes: np.ndarray  # (c,) int64, those of all sequences
     goals: np.ndarray  # (k, n) that were asked about [rad or m]
@@ -44,6 +73,78 @@ class PredictedCodes(NamedTuple):
 CodePredictor = Callable[[Query, Observation], PredictedCodes]
 
 
+def transformer_codes(
+    predictor: SceneTransformerPredictor, all_beams: bool, query: Query, observation: Observation
+) -> PredictedCodes:
+    """Codes of the sequences to the goals of least cost, by beam search (K = 3).
+
+    Args:
+        predictor: the scene transformer.
+        all_beams: take every hypothesis of the beam, not only the likeliest.
+        query: start and goals.
+        observation: the cloud.
+    """
+    assert observation.cloud is not None
+    began = query.deadline.seconds
+    scene = predictor.encode(observation.cloud, observation.use_cache)
+    encoded = query.deadline.seconds
+    order = predictor.rank(scene, query.start, query.goals)
+    goals = query.goals[order[:GOALS]]
+    beams = predictor.hypotheses(scene, query.start, goals, every=all_beams)
+    most = None if all_beams else 1
+    found = [sequence for beam in beams for sequence in beam[:most] if sequence.finished]
+    each_once = dict.fromkeys(code for sequence in found for code in sequence.codes)
+    codes = np.array(list(each_once), dtype=np.int64)
+    detail = f"{len(codes)} codes of {len(found)} sequences to {len(goals)} goals"
+    return PredictedCodes(codes, goals, detail, encoded - began, query.deadline.seconds - encoded)
+
+
+def published_codes(predictor: Predictor, query: Query, observation: Observation) -> PredictedCodes:
+    """Codes of the authors' network's sequences to the nearest goals; repeated codes count."""
+    assert observation.cloud is not None
+    goals = query.nearest_goals(GOALS)
+    found = predictor.predict(observation.cloud, query.start, goals, observation.use_cache)
+    lost = len(found.unfinished)
+    detail = f"{len(found.codes)} codes" + (
+        f", none to {lost} of {len(goals)} goals" if lost else ""
+    )
+    return PredictedCodes(found.codes, goals, detail, found.encode_seconds, found.predict_seconds)
+
+
+def random_codes(
+    codes: int, query: Query, observation: Observation, count: int = 12
+) -> PredictedCodes:
+    """Random codes of the dictionary: ablation baseline; about as many as predictors give."""
+    drawn = query.rng.choice(codes, min(count, codes), replace=False)
+    return PredictedCodes(drawn, query.nearest_goals(GOALS), f"{len(drawn)} codes at random")
+
+
+def oracle_codes(
+    codes_of: Callable[[np.ndarray], np.ndarray],
+    query: Query,
+    observation: Observation,
+    spacing: float = 0.2,
+) -> PredictedCodes:
+    """Codes of an unconstrained path of the same problem, planned first: an upper bound.
+
+    Args:
+        codes_of: gives the codes (b,) of configurations (b, n) along a path.
+        query: start and goals; planning the path counts.
+        observation: not used.
+        spacing: between the waypoints whose codes are taken [rad].
+    """
+    began = query.deadline.seconds
+    path, plan = unconstrained_path(query)
+    if path is None:
+        none, detail = np.empty(0, dtype=np.int64), "no unconstrained path"
+        return PredictedCodes(
+            none, query.goals[:0], detail, vertices=plan.vertices, failure=plan.status
+        )
+    codes = np.unique(codes_of(path.spaced(spacing)))
+    detail, seconds = f"{len(codes)} codes of an unconstrained path", query.deadline.seconds - began
+    return PredictedCodes(codes, path.states[-1:], detail, 0.0, seconds, plan.vertices)
+
+
 @dataclass(frozen=True, eq=False)
 class CodeProposal(Proposal):
     """A proposal that remembers the codes it was made of."""
@@ -55,7 +156,7 @@ class CodeProposal(Proposal):
 
 @dataclass(frozen=True, eq=False)
 class LearnedSampler:
-    """Gaussians of predicted codes for one robot, as a choice has them, and what moves them."""
+    """Mixture of the Gaussians of predicted codes (paper, eqn. sample_dist), and its updates."""
 
     predict: CodePredictor
     choice: SamplerChoice
@@ -63,28 +164,35 @@ class LearnedSampler:
     codebook: Codebook
     robot: Robot
     noise: np.ndarray  # (codes, n) standard normal: where in its Gaussian each code's node lies
+    # [rad] no wide Gaussian is narrower in any direction; chosen on the tuning environments
+    width: float = 1.1
+    smallest_std: float = 1e-4  # [rad] in any direction, so that covariances stay positive definite
+    # of the Gaussian around each goal, as a share of each joint's range (published code)
+    goal_std: float = 0.1
+    drift: float = 1.5  # [rad] that a projected mean may move; others are left out
 
     def gaussians(
         self, codes: np.ndarray, z: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Means (c, n) [rad] and covariances (c, n, n) [rad^2] of codes (c,); z:
-        where they were moved to.
+        """Means (c, n) [rad] and covariances (c, n, n) [rad^2] of codes.
+
+        Args:
+            codes: (c,) rows of the dictionary.
+            z: (c, code_dim), the codes' vectors after an update; None for the dictionary's.
         """
-        means, covariances = self.codebook.gaussians(
-            self.codebook.vectors[codes] if z is None else z
-        )
+        z = self.codebook.vectors[codes] if z is None else z
+        means, covariances = self.codebook.gaussians(z)
+        positive = widened(covariances, self.smallest_std)
         if self.choice.gaussians == "decoded":
-            return means, widened(covariances, SMALLEST_STD)
-        nodes = drawn_nodes(
-            means, widened(covariances, SMALLEST_STD), self.robot, self.noise[codes]
-        )
-        return nodes, widened(covariances, WIDTH)
+            return means, positive
+        nodes = drawn_nodes(means, positive, self.robot, self.noise[codes])
+        return nodes, widened(covariances, self.width)
 
     def mixture(
         self, query: Query, goals: np.ndarray, means: np.ndarray, covariances: np.ndarray
     ) -> GaussianMixture:
         """The mixture of these Gaussians and one around each of goals (k, n)."""
-        spread = np.diag((GOAL_STD * (self.robot.upper - self.robot.lower)) ** 2)
+        spread = np.diag((self.goal_std * (self.robot.upper - self.robot.lower)) ** 2)
         around = np.broadcast_to(spread, (len(goals), *spread.shape))
         every = np.concatenate([means, goals]), np.concatenate([covariances, around])
         mixed = GaussianMixture.equal(*every, query.uniform, self.choice.uniform_share, self.name)
@@ -94,7 +202,7 @@ class LearnedSampler:
     def propose(self, query: Query, observation: Observation) -> CodeProposal:
         """The sampling distribution of predicted codes: CVQ-MPT, before any update.
 
-        Uniform samples, and a fallback that says so, where there are none.
+        Uniform samples, and a fallback that says so, where no code was predicted.
         """
         found = self.predict(query, observation)
         some = len(found.codes) > 0
@@ -111,10 +219,11 @@ class LearnedSampler:
         )
 
     def moved(self, optimizer: LatentOptimizer, query: Query, proposal: Proposal) -> Proposal:
-        """Algorithm 2 of the paper: the codes of a proposal moved by gradient towards the
-        constraint, then decoded.
+        """Codes moved by z <- z - eta dE[F^T F]/dz (paper, Algorithm 2), then decoded.
 
-        The proposal itself where there is nothing to move or no constraint.
+        Returns
+        -------
+            The proposal itself where there is no code or no constraint.
         """
         assert isinstance(proposal, CodeProposal)
         if query.space.dim == 0 or len(proposal.codes) == 0:
@@ -122,21 +231,22 @@ class LearnedSampler:
         vectors = self.codebook.vectors[proposal.codes]
         moved = optimizer.optimize(vectors, query.space.problem.manifold, query.rng)
         before, after = moved.g_before.mean(), moved.g_after.mean()
+        gaussians = self.gaussians(proposal.codes, moved.z)
         return replace(
             proposal,
-            distribution=self.mixture(
-                query, proposal.goals, *self.gaussians(proposal.codes, moved.z)
-            ),
+            distribution=self.mixture(query, proposal.goals, *gaussians),
             timings=replace(proposal.timings, optimize=moved.seconds),
             detail=f"{proposal.detail}, G {before:.3g} to {after:.3g}, {moved.kept.sum()} kept",
         )
 
     def projected(self, query: Query, proposal: Proposal) -> Proposal:
-        """Every code's mean put on the manifold by Newton's method (Algorithm 1), its covariance
-        left as it is.
+        """Means projected by q <- q - J^+ F(q) (paper, Algorithm 1); covariances as they are.
 
-        Codes whose mean is not near the manifold are left out; the proposal itself where there are
-        none or no constraint.
+        Codes whose mean is not near the manifold are left out.
+
+        Returns
+        -------
+            The proposal itself where there is no code or no constraint.
         """
         assert isinstance(proposal, CodeProposal)
         if query.space.dim == 0 or len(proposal.codes) == 0:
@@ -146,7 +256,7 @@ class LearnedSampler:
         near = np.zeros(len(means), dtype=bool)
         for row, mean in enumerate(means):
             q = mean.copy()
-            near[row] = query.space.project(q) and np.linalg.norm(q - mean) <= DRIFT
+            near[row] = query.space.project(q) and np.linalg.norm(q - mean) <= self.drift
             means[row] = q
         mixture = self.mixture(query, proposal.goals, means[near], covariances[near])
         return replace(
@@ -158,8 +268,98 @@ class LearnedSampler:
         )
 
 
-def union(sequences: Sequence[Sequence[int]]) -> np.ndarray:
-    """Codes (c,) int64 of sequences, each once, in their order."""
-    return np.array(
-        list(dict.fromkeys(code for codes in sequences for code in codes)), dtype=np.int64
-    )
+@lru_cache(maxsize=4)
+def model_of(model: str, architecture: str = VQ_MPT) -> StoredModel:
+    """Weights without the transformer, whose arrays nobody needs once it is made of them."""
+    folder = resolve_model(model, architecture)
+    return read_model(folder, architecture=architecture, left_out=TRANSFORMER)
+
+
+@lru_cache(maxsize=8)
+def codebook_of(model: str, robot: Robot) -> Codebook:
+    """The dictionary's codes as Gaussians."""
+    return Codebook(model_of(model), robot)
+
+
+@lru_cache(maxsize=8)
+def dictionary_roadmap(model: str, robot: Robot) -> Roadmap:
+    """A roadmap whose nodes are one configuration drawn from each code's Gaussian."""
+    means, covariances = dictionary_gaussians(model_of(model), robot)
+    return Roadmap.of(drawn_nodes(means, covariances, robot, code_noise(len(means), robot.dof)))
+
+
+@lru_cache(maxsize=8)
+def free_dictionary(model: str, robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Roadmap:
+    """The same without what collides with itself."""
+    return linked_roadmap(robot, attachments, dictionary_roadmap(model, robot).nodes)
+
+
+@lru_cache(maxsize=4)
+def observer(points: int | None = None) -> Observer:
+    """Renders clouds of that many points, or as many as point encoders were trained on."""
+    return Observer(CameraSettings.like_training(points) if points else None)
+
+
+@lru_cache(maxsize=4)
+def _scene_predictor(model: str, robot: Robot) -> SceneTransformerPredictor:
+    return SceneTransformerPredictor(load_vq_mpt(robot, model), robot)
+
+
+@lru_cache(maxsize=4)
+def _published_predictor(model: str, robot: Robot) -> Predictor:
+    return Predictor(model_of(model), robot)
+
+
+@lru_cache(maxsize=4)
+def _rollouts(model: str, bridged: bool) -> MPNetRollouts:
+    return MPNetRollouts(model_of(model, MPNET), bridged)
+
+
+def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stages:
+    """The stages of a learned sampler.
+
+    Args:
+        robot: that the weights must be of.
+        model: name or folder of the weights.
+        name: what result rows call the distribution.
+        choice: predictor, Gaussians, update, cloud and uniform share.
+
+    Raises
+    ------
+        InvalidInputError: the weights lack what the predictor needs, or are another robot's.
+    """
+    codebook = codebook_of(model, robot)
+    predict: CodePredictor
+    observe: Callable[[Scene], np.ndarray] | None = None
+    match choice.predictor:
+        case "transformer":
+            all_beams = choice.sequences == "all-beams"
+            predict = partial(transformer_codes, _scene_predictor(model, robot), all_beams)
+        case "published":
+            predict = partial(published_codes, _published_predictor(model, robot))
+        case "random":
+            predict = partial(random_codes, len(codebook.vectors))
+        case _:  # oracle
+            predict = partial(oracle_codes, partial(codes_of, model_of(model), robot))
+    if choice.predictor in ("transformer", "published"):
+        clouds: dict[str, Callable[[Scene], np.ndarray]] = {
+            "own-cloud": observer(),
+            # controls, which see another scene or nothing
+            "other-cloud": lambda scene: observer(4096)(another_scene()),
+            "no-cloud": lambda scene: np.empty((0, 3)),
+        }
+        observe = clouds[choice.cloud]
+    noise = code_noise(len(codebook.vectors), robot.dof)
+    sampler = LearnedSampler(predict, choice, name, codebook, robot, noise)
+    updates: dict[str, Callable[[Query, Proposal], Proposal] | None] = {
+        "none": None,
+        "algorithm-2": partial(sampler.moved, LatentOptimizer(codebook, LatentSettings())),
+        "projected": sampler.projected,
+    }
+    return Stages(predict=sampler.propose, observe=observe, update=updates[choice.update])
+
+
+def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:
+    """MPNet's rollouts as published; bridged: open rollouts are connected with bidirectional RRT."""
+    points = model_of(model, MPNET).config.n_points
+    return Stages(predict=_rollouts(model, bridged), observe=observer(points))

@@ -1,6 +1,4 @@
-"""Products of predictor, Gaussians and update:
-their words, their mixtures, what updates do to them.
-"""
+"""Learned samplers: their names, mixtures and updates; controls on the shipped weights."""
 
 from dataclasses import replace
 
@@ -8,15 +6,21 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.benchmarks.place_task import place_problem
+from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import CvqmptError
-from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planners import CONTROLS, planner_named
 from cvqmpt_lab.search.planner_interface import Observation, Query, Uniform
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.vqmpt.learned_sampler import GOAL_STD, CodeProposal, PredictedCodes
+from cvqmpt_lab.vqmpt.learned_sampler import (
+    CodeProposal,
+    LearnedSampler,
+    PredictedCodes,
+    codebook_of,
+    dictionary_roadmap,
+)
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
-from cvqmpt_lab.vqmpt.stages import codebook_of, dictionary_roadmap
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +103,8 @@ def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor)
     np.testing.assert_array_equal(mixture.means[c:], proposal.goals)
     span = problem.robot.upper - problem.robot.lower
     np.testing.assert_allclose(
-        mixture.covariances[c:], [np.diag((GOAL_STD * span) ** 2)] * len(proposal.goals)
+        mixture.covariances[c:],
+        [np.diag((LearnedSampler.goal_std * span) ** 2)] * len(proposal.goals),
     )
     assert all((np.abs(problem.goals - goal).max(axis=1) < 1e-9).any() for goal in proposal.goals)
 
@@ -134,3 +139,30 @@ def test_without_codes_samples_are_uniform_and_the_proposal_says_so(problem, que
         proposal.fallback == "no code sequence reached a goal"
         and stages.update(query, proposal) is proposal
     )
+
+
+def plan(problem, name, budget=Budget(iterations=20_000), seed=0):
+    """What the search of a method finds."""
+    return solve(problem, name, budget, seed, clearance=False).plan
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+def test_controls_solve_repeat_and_give_up(problem, name):
+    first, second = plan(problem, name), plan(problem, name)
+    assert first.status is PlanStatus.SOLVED and certify(problem, first.path).valid
+    np.testing.assert_array_equal(first.path.states, second.path.states)
+    assert first.counters == second.counters
+    assert plan(problem, name, Budget(seconds=1e-9)).status is PlanStatus.TIMEOUT
+
+
+def test_a_roadmap_needs_its_own_scene():
+    """With another scene's a planner works harder, over a few problems together."""
+    ratios = []
+    for environment in (1003, 1007, 1017, 1020, 1030):
+        problem = with_sampled_goals(place_problem(environment))[0]
+        own, wrong = (
+            plan(problem, name).counters for name in ("roadmap-cvq", "roadmap-wrong-scene")
+        )
+        work = [counters.projections + counters.state_checks for counters in (own, wrong)]
+        ratios.append(np.log(work[1] / work[0]))
+    assert np.exp(np.mean(ratios)) > 1.3

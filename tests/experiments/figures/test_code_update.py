@@ -15,7 +15,7 @@ from cvqmpt_lab.search.planner_interface import Observation, Query
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
-from cvqmpt_lab.vqmpt.stages import codebook_of
+from cvqmpt_lab.vqmpt.learned_sampler import codebook_of
 from cvqmpt_lab.vqmpt.weights import weights_digest
 from experiments.figures import scene_pictures
 from experiments.figures.code_update import (
