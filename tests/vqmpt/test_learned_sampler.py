@@ -141,9 +141,10 @@ def test_without_codes_samples_are_uniform_and_the_proposal_says_so(problem, que
     )
 
 
-def plan(problem, name, budget=Budget(iterations=20_000), seed=0):
+def plan(problem, name, **budget):
     """What the search of a method finds."""
-    return solve(problem, name, budget, seed, clearance=False).plan
+    budget = Budget(**budget or {"iterations": 20_000})
+    return solve(problem, name, budget, seed=0, clearance=False).plan
 
 
 @pytest.mark.parametrize("name", CONTROLS)
@@ -152,7 +153,7 @@ def test_controls_solve_repeat_and_give_up(problem, name):
     assert first.status is PlanStatus.SOLVED and certify(problem, first.path).valid
     np.testing.assert_array_equal(first.path.states, second.path.states)
     assert first.counters == second.counters
-    assert plan(problem, name, Budget(seconds=1e-9)).status is PlanStatus.TIMEOUT
+    assert plan(problem, name, seconds=1e-9).status is PlanStatus.TIMEOUT
 
 
 def test_a_roadmap_needs_its_own_scene():
