@@ -178,14 +178,14 @@ PLANNERS = _by_name(
     _roadmap("roadmap-cvq", VQ_MPT),
 )
 
-ISOLATED = {
+# controls that were products of the factorial under another name
+_RENAMED = {
     "true-codes": "oracle+wide",
     "random-codes": "random+wide",
     "cvq-wrong-cloud": "transformer+decoded+other-cloud",
     "cvq-no-cloud": "transformer+decoded+no-cloud",
     "cvq-uniform": "transformer+decoded+uniform=0.15",
 }
-"""Products that say what one choice is worth."""
 
 CONTROLS = _by_name(
     Method.simple("guided-birrt", predict=partial(unconstrained_guide, AroundPath("guide"))),
@@ -201,7 +201,6 @@ CONTROLS = _by_name(
     Method.simple(
         "solved-paths", predict=partial(solved_paths, AroundPath("solved-paths", std=0.25))
     ),
-    *(_product(name, SamplerChoice.of(words)) for name, words in ISOLATED.items()),
 )
 
 PUBLISHED = _by_name(_product("cvq-published", NAMED["cvq-published"]))
@@ -214,7 +213,7 @@ WITHOUT_WEIGHTS = tuple(
 
 def is_removed(name: str) -> bool:
     """Whether a planner of that name existed once; committed rows have it."""
-    return name == "graph-cvq" or name.startswith(f"{PREFIX}graph")
+    return name == "graph-cvq" or name.startswith(f"{PREFIX}graph") or name in _RENAMED
 
 
 def planner_named(name: str, model: str | None = None) -> Method:
@@ -223,6 +222,10 @@ def planner_named(name: str, model: str | None = None) -> Method:
 
     External planners are ``package.module:planner`` and entry points, see `cvqmpt_lab.external`.
     """
+    if name in _RENAMED:
+        raise InvalidInputError(
+            f"{name} was removed; {PREFIX}{_RENAMED[name]} is the same, and suite factorial runs it"
+        )
     if is_removed(name):
         raise InvalidInputError(
             f"{name} was removed; roadmap-cvq plans on the same dictionary's roadmap"

@@ -30,7 +30,6 @@ PLANNERS_OF: Mapping[str, tuple[str, ...]] = {  # of other suites all
     "robots": ("birrt", "ompl-projected", "roadmap"),
     # the last three are entry points, see `experiments.peers`
     "peers": ("birrt", "roadmap", "roadmap-cvq", "roboplan", "sscbirrt", "hpp"),
-    "sensor-robustness": ("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"),
 }
 
 
@@ -53,7 +52,6 @@ QUICK = tuple(name for name in PLANNERS if name not in SLOW)
 SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 ISOLATED = (
     "straight-line",
-    "cvq-wrong-cloud",
     "roadmap-uniform-0",
     "roadmap-uniform-1",
     "roadmap-uniform-2",
@@ -115,7 +113,6 @@ FULL = (
     *(Amount(name, cutoff=3.0, planners=FAMILY) for name in FAMILIES),
     Amount("robots", seeds=3, cutoff=5.0),
     Amount("sensor", seeds=3, planners=QUICK),
-    Amount("sensor-robustness", cutoff=3.0),
     Amount("open-door"),
     Amount("place-task", seeds=3),
     Amount("multi-sequence"),

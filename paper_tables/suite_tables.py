@@ -19,7 +19,6 @@ from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published
 from paper_tables.peers_table import peers_table
 from paper_tables.place_task_table import place_task_table
-from paper_tables.robustness_table import robustness_table
 from paper_tables.table_engine import Rendered, rows_of_one_suite
 
 
@@ -53,7 +52,6 @@ TABLES: Mapping[str, SuiteTable] = {  # by suite; others are rendered as problem
         partial(place_task_table, sensed=True),
         ("place_task.csv", "Physical robot"),
     ),
-    "sensor-robustness": SuiteTable("Scanned scenes measured in several ways", robustness_table),
     "constraints": SuiteTable(
         "Eight kinds of constraints, zero-shot, in held-out scenes", constraints_table
     ),

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planners import CONTROLS, PLANNERS, WITHOUT_WEIGHTS
+from cvqmpt_lab.planners import CONTROLS, PLANNERS, WITHOUT_WEIGHTS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.scene import Scene
@@ -38,3 +39,17 @@ def test_weights_of_the_panda_are_refused_for_another_arm(other, name):
 def test_methods_without_weights_serve_it(other):
     assert {"birrt", "guided-birrt"} <= set(WITHOUT_WEIGHTS)
     assert solve(other, "guided-birrt", Budget(iterations=2000), seed=0).solved
+
+
+@pytest.mark.parametrize(
+    ("find", "name", "instead"),
+    [
+        (planner_named, "graph-cvq", "roadmap-cvq"),
+        (planner_named, "cvq-no-cloud", "cvq:transformer+decoded+no-cloud"),
+        (suite_named, "sensor-robustness", "suite sensor"),
+    ],
+)
+def test_what_was_removed_is_refused_with_what_replaces_it(find, name, instead):
+    with pytest.raises(InvalidInputError, match="was removed") as refusal:
+        find(name)
+    assert instead in str(refusal.value)

@@ -1,18 +1,16 @@
 """Planning in the map that depth images give of a scene, and judging paths in the map and in the
 scene.
 
-Five kitchens and five cluttered tables; start and goal are random upright configurations `ROOM`
+Kitchens and tables by turns; start and goal are random upright configurations `ROOM`
 from everything, the straight motion between them blocked. Noisy depth images with the arm at the
-start become, through files, filters and the removal of the robot's points, an occupancy map, all
-that planners know. A second suite varies one setting each.
+start become, through files, filters and the removal of the robot's points, an occupancy map, all that
+planners know.
 """
 
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +19,7 @@ from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.row import FailReason, phase_problem
+from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
@@ -32,11 +30,9 @@ from cvqmpt_lab.sensing.depth import read_capture, write_view
 from cvqmpt_lab.sensing.filters import BallCrop
 from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
-from cvqmpt_lab.sensing.render import View
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, scan
 from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, views_of
 
-VARIED_SCENES = range(10)  # whose sensing is varied
 FIRST_TABLE = 3000  # scene numbers that no other suite uses
 ROOM = 0.06  # [m] that start and goal keep from obstacles
 THINGS = {
@@ -47,27 +43,15 @@ THINGS = {
 """On the counter: what, and the height of its centre of mass [m]."""
 COUNTER = ((0.32, -0.85), (0.70, -0.20))  # [m] corners x, y of where they stand
 APART = 0.17  # [m] between their centres
-STANDS = (
-    ((130, 160), (20, 45)),
-    ((185, 205), (20, 45)),
-    ((165, 195), (50, 65)),
-    ((100, 120), (15, 35)),
-)
-"""Azimuths and elevations [deg] of the first, second, ... camera as seen from `TARGET`:
-behind the robot.
-"""
+# azimuths and elevations [deg] of the two cameras as seen from `TARGET`: behind the robot
+STANDS = (((130, 160), (20, 45)), ((185, 205), (20, 45)))
 TARGET, TARGET_SPREAD, DISTANCE = (0.45, -0.15, 0.35), 0.1, (1.2, 1.7)  # [m]
 
 
-class ScannedScene(NamedTuple):
-    """One true scene."""
-
-    truth: PlanningProblem  # with its start and its only goal
-    cameras: tuple[Camera, ...]  # as many as there are `STANDS`; the first ones are used
-
-
-def scanned_scene(number: int) -> ScannedScene | UnsolvableProblem:
-    """Scene `number`: even ones are kitchens, odd ones tables."""
+def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | UnsolvableProblem:
+    """The problem in scene `number` as it really is, with its start and its only goal, and the
+    cameras that look at it: even scenes are kitchens, odd ones tables.
+    """
     rng = np.random.default_rng([number, 12])
     scene = (
         family_scene("table", FIRST_TABLE + number)
@@ -77,7 +61,7 @@ def scanned_scene(number: int) -> ScannedScene | UnsolvableProblem:
     truth = upright_problem(str(number), robot_from_source(PANDA), scene, rng, ROOM)
     if isinstance(truth, UnsolvableProblem):
         return truth
-    return ScannedScene(truth, tuple(_camera(stand, rng) for stand in STANDS))
+    return truth, [_camera(stand, rng) for stand in STANDS]
 
 
 def _cluttered_kitchen(number: int, rng: np.random.Generator) -> Scene:
@@ -103,37 +87,25 @@ def _camera(stand: tuple[tuple[int, int], tuple[int, int]], rng: np.random.Gener
     return Camera(KINECT, look_at(target + rng.uniform(*DISTANCE) * away, target))
 
 
-# what of a scan the arm can touch, and a little more
-REACH = BallCrop(centre=(0.0, 0.0, 0.33), radius=1.3)
-NEIGHBOURS = 8  # points with fewer are taken for flying pixels, which come in veils behind edges
+def sensor_problem(number: int, padding: float = 0.0) -> SensedProblem | UnsolvableProblem:
+    """The problem of `scanned_scene` in the map that its cameras give.
 
-
-@dataclass(frozen=True, kw_only=True)
-class Sensing:
-    """How a scene is measured, and what map is made of it."""
-
-    noise: float = 1.0  # errors of the cameras, times those of `DepthNoise`
-    cameras: int = 2  # 1 to 4
-    pixels: int | None = None  # of all images that are kept, drawn at random; None for all
-    resolution: float = 0.02  # edge of the map's cells [m]
-    padding: float = 0.0  # inflation radius of the cells [m]
-
-
-def sensor_problem(
-    number: int, sensing: Sensing | None = None
-) -> SensedProblem | UnsolvableProblem:
-    """`scanned_scene` measured; the same noise, start and goal whatever else is varied."""
+    padding: inflation radius of the map's cells [m].
+    """
     scanned = scanned_scene(number)
     if isinstance(scanned, UnsolvableProblem):
         return scanned
-    sensing = sensing or Sensing()
+    truth, cameras = scanned
+    rng = np.random.default_rng([number, 13])
+    world = truth.scene.with_objects(*arm_objects(truth.robot, truth.start))
+    views = views_of(world, CameraSettings(cameras=tuple(cameras), errors=DepthNoise()), rng)
     with tempfile.TemporaryDirectory(prefix="cvqmpt-scan-") as folder:
-        files = _images(scanned, sensing, Path(folder))
+        files = [write_view(view, Path(folder), f"camera_{k}") for k, view in enumerate(views)]
         began = time.perf_counter()
         try:
-            problem = _in_map(scanned.truth, files, sensing)
+            problem = _in_map(truth, files, padding)
         except InvalidInputError as error:
-            return UnsolvableProblem(scanned.truth.name, f"no map: {error}")
+            return UnsolvableProblem(truth.name, f"no map: {error}")
         seconds = time.perf_counter() - began
     checker = problem.collision_checker()
     for label, q in problem.labelled_configurations():
@@ -142,81 +114,29 @@ def sensor_problem(
             return UnsolvableProblem(
                 problem.name, f"{label} in the map: {checker.colliding_pair(q)}", kind
             )
-    return SensedProblem(problem, scanned.truth.scene, seconds)
-
-
-def _images(scanned: ScannedScene, sensing: Sensing, folder: Path) -> list[tuple[Path, Path, Path]]:
-    """What the cameras measure of the scene with the arm at the start, written to files."""
-    truth = scanned.truth
-    rng = np.random.default_rng([int(truth.name), 13])
-    world = truth.scene.with_objects(*arm_objects(truth.robot, truth.start))
-    errors = DepthNoise().times(sensing.noise)
-    settings = CameraSettings(cameras=scanned.cameras[: sensing.cameras], errors=errors)
-    views = views_of(world, settings, rng)
-    if sensing.pixels is not None:
-        views = [_thinned(view, sensing.pixels // len(views), rng) for view in views]
-    return [write_view(view, folder, f"camera_{k}") for k, view in enumerate(views)]
-
-
-def _thinned(view: View, pixels: int, rng: np.random.Generator) -> View:
-    """The view with no more than so many pixels that measured something."""
-    seen = np.flatnonzero(np.isfinite(view.depth))
-    depth = np.full(view.depth.size, np.inf)
-    kept = rng.choice(seen, min(pixels, len(seen)), replace=False)
-    depth[kept] = view.depth.ravel()[kept]
-    return replace(view, depth=depth.reshape(view.depth.shape))
+    return SensedProblem(problem, truth.scene, seconds)
 
 
 def _in_map(
-    truth: PlanningProblem, files: list[tuple[Path, Path, Path]], sensing: Sensing
+    truth: PlanningProblem,
+    files: list[tuple[Path, Path, Path]],
+    padding: float,
+    resolution: float = 0.02,
+    neighbours: int = 8,
 ) -> PlanningProblem:
-    """The problem in a map of what the files say."""
-    captures = [read_capture(*each) for each in files]
-    settings = ScanSettings(crop=REACH, voxel=0.5 * sensing.resolution, neighbours=NEIGHBOURS)
-    found = scan(captures, settings, np.random.default_rng(0), Arm(truth.robot, truth.start))
-    mapped = occupancy_map(
-        found.points, MapSettings(resolution=sensing.resolution, padding=sensing.padding)
-    )
-    return replace(truth, scene=Scene("map", (SceneObject("map", mapped, np.eye(4)),)))
+    """The problem in a map of what the files say.
 
-
-# values tried of each field of `Sensing`, beside its default
-LEVELS: Mapping[str, Sequence[Any]] = {
-    "noise": (0.0, 2.0, 4.0),
-    "cameras": (1, 4),
-    "pixels": (40_000, 10_000, 2_500),
-    "resolution": (0.01, 0.04),
-    "padding": (0.0, 0.01, 0.03, 0.04),
-}
-
-
-def variants() -> tuple[Sensing, ...]:
-    """The default, then everything that differs from it in one field."""
-    default = Sensing()
-    others = (
-        replace(default, **{name: level})
-        for name, levels in LEVELS.items()
-        for level in levels
-        if level != getattr(default, name)
-    )
-    return (default, *others)
-
-
-def setting(sensing: Sensing) -> str:
-    """All fields of a `Sensing` in words, as the table of the rows reads them."""
-    values = ((item.name, getattr(sensing, item.name)) for item in fields(sensing))
-    return " ".join(
-        f"{name}={'all' if value is None else format(value, 'g')}" for name, value in values
-    )
-
-
-def robustness_problem(index: int) -> SensedProblem | UnsolvableProblem:
-    """Variant index // 10 of scene index % 10;
-    its rows are named like a phase, by scene and setting.
+    Args:
+        truth: the problem in the scene that was measured.
+        files: depth image, intrinsics and extrinsics of each camera.
+        padding: inflation radius of the map's cells [m].
+        resolution: edge of the map's cells [m].
+        neighbours: points with fewer are taken for flying pixels, which come in veils behind edges.
     """
-    sensing, number = variants()[index // len(VARIED_SCENES)], index % len(VARIED_SCENES)
-    item = sensor_problem(number, sensing)
-    name = phase_problem(str(index), number + 1, setting(sensing))
-    if isinstance(item, UnsolvableProblem):
-        return replace(item, name=name)
-    return replace(item, problem=replace(item.problem, name=name))
+    # what of a scan the arm can touch, and a little more
+    reach = BallCrop(centre=(0.0, 0.0, 0.33), radius=1.3)
+    settings = ScanSettings(crop=reach, voxel=0.5 * resolution, neighbours=neighbours)
+    captures = [read_capture(*each) for each in files]
+    found = scan(captures, settings, np.random.default_rng(0), Arm(truth.robot, truth.start))
+    mapped = occupancy_map(found.points, MapSettings(resolution=resolution, padding=padding))
+    return replace(truth, scene=Scene("map", (SceneObject("map", mapped, np.eye(4)),)))

@@ -96,12 +96,6 @@ def _sensor(index: int) -> SuiteItem:
     return sensor_problem(index)
 
 
-def _robustness(index: int) -> SuiteItem:
-    from cvqmpt_lab.benchmarks.sensor_task import robustness_problem
-
-    return robustness_problem(index)
-
-
 def _multi_sequence(index: int) -> SuiteItem:
     from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
 
@@ -124,7 +118,6 @@ SUITES: Mapping[str, Suite] = {
         Suite("robots", range(180), _robots),
         Suite("peers", range(30), single_goal_problem, _CAN, new_scenes=False),
         Suite("sensor", range(30), _sensor),
-        Suite("sensor-robustness", range(140), _robustness),
         Suite(
             "multi-sequence",
             range(10),
@@ -165,6 +158,11 @@ def suite_named(name: str) -> Suite:
     """
     if os.sep in name:
         return _FOLDERS.get(name) or folder_suite(Path(name))
+    if name == "sensor-robustness":
+        raise InvalidInputError(
+            "suite sensor-robustness was removed, its last table is in docs/training_log.md; suite "
+            "sensor plans from noisy cameras"
+        )
     if name not in SUITES:
         raise UnknownChoiceError("suite", name, SUITES)
     return SUITES[name]

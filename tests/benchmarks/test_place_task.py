@@ -16,7 +16,6 @@ from cvqmpt_lab.benchmarks.place_task import (
     mirrored_problem,
     place_problem,
 )
-from cvqmpt_lab.benchmarks.sensor_task import VARIED_SCENES, variants
 from cvqmpt_lab.benchmarks.suite import SUITES, Suite, suite_named
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
@@ -112,7 +111,7 @@ def test_suites_know_their_problems(suite):
     sizes |= {"factorial": 60, "factorial-constraints": 80}
     sizes |= dict.fromkeys(("multi-sequence", "open-door"), 10)
     sizes |= {"robots": 180, "place-task-mirrored": 60, "peers": 30}
-    sizes |= {"sensor": 30, "sensor-robustness": len(VARIED_SCENES) * len(variants())}
+    sizes |= {"sensor": 30}
     assert last + 1 == sizes.get(suite, 50)
     assert suite_named(suite).item(last).name.partition("/")[0] == str(last)
     for index in (-1, last + 1, 1000):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.sensor_task import ROOM, Sensing, scanned_scene, sensor_problem
+from cvqmpt_lab.benchmarks.sensor_task import ROOM, scanned_scene, sensor_problem
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import FailReason
@@ -28,16 +28,14 @@ def sensed():
 
 @pytest.mark.parametrize("number", [0, 5])
 def test_starts_and_goals_have_room_and_cameras_stand_in_the_open(number):
-    scanned, again = scanned_scene(number), scanned_scene(number)
-    truth = scanned.truth
-    np.testing.assert_array_equal(truth.start, again.truth.start)
-    eyes = [[camera.eye for camera in each.cameras] for each in (scanned, again)]
-    np.testing.assert_array_equal(*eyes)
-    assert len(scanned.cameras) == 4
+    (truth, cameras), (again, same) = scanned_scene(number), scanned_scene(number)
+    np.testing.assert_array_equal(truth.start, again.start)
+    np.testing.assert_array_equal(*([camera.eye for camera in each] for each in (cameras, same)))
+    assert len(cameras) == 2
     for q in (truth.start, truth.goals[0]):
         assert not truth.collision_checker(ROOM - 1e-4).in_collision(q)
         np.testing.assert_allclose(truth.manifold.residual(q), 0.0, atol=1e-3)
-    for camera in scanned.cameras:
+    for camera in cameras:
         for solid in solids_of(truth.scene.obstacles):
             T = solid.T_world_solid
             away = (np.array(camera.eye) - T[:3, 3]) @ T[:3, :3]
@@ -60,7 +58,7 @@ def test_a_path_is_judged_in_the_map_and_in_truth(sensed):
 
 
 def test_a_goal_that_the_map_takes_for_occupied_is_a_failure_that_says_so():
-    found = [sensor_problem(7, Sensing(padding=padding)) for padding in (0.04, 0.3)]
+    found = [sensor_problem(7, padding) for padding in (0.04, 0.3)]
     assert isinstance(found[0], SensedProblem) and isinstance(found[1], UnsolvableProblem)
     (row,) = outcome_of(Run("sensor", 7, "birrt", 0, ENOUGH), found[1], 0.0).rows
     assert row.fail_reason in (FailReason.INVALID_START, FailReason.INVALID_GOAL)

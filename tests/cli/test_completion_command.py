@@ -31,7 +31,7 @@ def script(tmp_path_factory):
         (("pl",), {"plan"}),
         (("",), set(COMMANDS)),
         (("plan", "place-task", "--planner", ""), {*PLANNERS, *CONTROLS}),
-        (("plan", "place-task", "--planner", "cvq-w"), {"cvq-wide", "cvq-wrong-cloud"}),
+        (("plan", "place-task", "--planner", "cvq-w"), {"cvq-wide"}),
         (("reproduce", "place-task-w"), {"place-task-with-can"}),
         (("robot", "xa"), {"xarm7"}),
         (("table", "--ompl"), {"--ompl-log"}),

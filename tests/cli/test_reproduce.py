@@ -53,7 +53,7 @@ def test_every_suite_and_the_controls_are_part_of_everything():
         seeds = {planner: len(part.seeds) for part in reversed(parts) for planner in part.planners}
         assert seeds == {p: slow if p in ("atlas-rrt", "tb-rrt") else most for p in PLANNERS}
         assert all(part.problems == tuple(SUITES[name].problems) for part in parts)
-    assert {"random-codes", "birrt"} <= set(full["controls"].planners)
+    assert {"straight-line", "birrt"} <= set(full["controls"].planners)
     with pytest.raises(UnknownChoiceError, match="tiny"):
         amounts("tiny")
 

@@ -1,4 +1,4 @@
-"""Tables of the other suites: tasks by phase, kinds of constraints, scanned scenes;
+"""Tables of the other suites: tasks by phase, kinds of constraints;
 against numbers by hand.
 """
 
@@ -10,7 +10,6 @@ from made_rows import a_failure, a_row
 
 from paper_tables.multi_sequence_table import multi_sequence_table
 from paper_tables.paper_numbers import read_published
-from paper_tables.robustness_table import levels_of, robustness_table
 
 PHASES = ["reach-handle", "open-door", "reach-can", "approach", "carry"]
 
@@ -53,39 +52,3 @@ def test_times_of_tasks_sum_the_papers_phases():
         and r"\toprule" in table.latex
         and max(map(len, table.brief)) <= 100
     )
-
-
-def varied(scene, planner, setting, solved=True, **values):
-    name, make = f"{scene}/{scene + 1}-{setting}", a_row if solved else a_failure
-    return make(name, planner, suite="sensor-robustness", path_length_rad=8.0, **values)
-
-
-def some_rows():
-    """Padding 0 collides once, the next does not; noise 2 fails once."""
-    rows = []
-    for scene in range(4):
-        for planner in ("birrt", "cvq-mpt"):
-            for padding in ("0", "0.01", "0.03"):
-                hit = padding == "0" and scene == 2 and planner == "cvq-mpt"
-                setting = f"noise=1 padding={padding} pixels=all"
-                rows.append(varied(scene, planner, setting, true_free=not hit))
-            noisy, few = "noise=2 padding=0 pixels=all", "noise=1 padding=0 pixels=900"
-            rows.append(varied(scene, planner, few, true_free=True))
-            rows.append(
-                varied(scene, planner, noisy, solved=scene > 0, true_free=True if scene else None)
-            )
-    return rows
-
-
-def test_one_thing_is_varied_at_a_time_and_the_padding_follows():
-    groups = [level.group for level in levels_of(some_rows()) if level.planner == "birrt"]
-    assert [value for factor, value in groups if factor == "padding"] == ["0 *", "0.01", "0.03"]
-    assert [value for factor, value in groups if factor == "pixels"] == ["900", "all *"]
-    table = robustness_table(some_rows(), ())
-    ours = ours_in(table)
-    assert ours["collisions_at_padding=0", "cvq-mpt"] == 1
-    assert ours["true_free_at_padding=0", "cvq-mpt"] == pytest.approx(75.0)
-    assert ours["solved_at_noise=2", "birrt"] == pytest.approx(75.0)
-    assert ours["true_free_at_noise=2", "birrt"] == pytest.approx(100.0)
-    assert table.size == "4 scenes" and "Recommended padding: 0.01 m" in table.markdown
-    assert max(map(len, table.brief)) <= 100
