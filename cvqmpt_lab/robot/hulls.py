@@ -10,9 +10,6 @@ import pinocchio as pin
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import LinkGeometry, in_link
 
-FARTHEST = 1e4  # [m] from the origin of its frame, of a vertex
-THINNEST = 1e-6  # [m] of a mesh up to 1 m across; of a larger one in proportion
-
 # In coal 3.0 the first direction in which a process asks for the furthest point of a box decides,
 # for all boxes afterwards, whether they are larger by 1e-10 of their size on one side. They are: it
 # is decided here, along an axis. Else the last digits of all distances would depend on the first
@@ -24,8 +21,9 @@ coal.distance(
 
 
 def coal_distance(*bodies: Any) -> float:
-    """Distance [m] of two of coal's objects, or of two shapes, a pose after each;
-    negative where they overlap.
+    """Distance [m] of two of coal's objects, or of two shapes, a pose after each.
+
+    Negative where they overlap.
     """
     return float(coal.distance(*bodies, coal.DistanceRequest(), coal.DistanceResult()))
 
@@ -34,34 +32,41 @@ def replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:
     """Every collision mesh becomes its convex hull; InvalidInputError names one that has none."""
     for item in geometry.geometryObjects:
         shape = item.geometry
-        if isinstance(shape, coal.BVHModelBase):
-            what = f"collision mesh {item.meshPath or item.name}"
-            if shape.num_vertices == 0:
-                raise InvalidInputError(f"{what} is empty")
-            require_volume(np.array(shape.vertices()), what)
-            try:
-                shape.buildConvexHull(True, "Qt")
-            except RuntimeError as error:  # e.g. a corner with more than 255 neighbours
-                reason = str(error).rpartition("message: ")[2].strip()
-                raise InvalidInputError(
-                    f"{what} has no convex hull ({reason}): simplify it"
-                ) from error
-            item.geometry = shape.convex
+        if not isinstance(shape, coal.BVHModelBase):
+            continue
+        what = f"collision mesh {item.meshPath or item.name}"
+        if shape.num_vertices == 0:
+            raise InvalidInputError(f"{what} is empty")
+        require_volume(np.array(shape.vertices()), what)
+        try:
+            shape.buildConvexHull(True, "Qt")
+        except RuntimeError as error:
+            # e.g. a corner with more than 255 neighbours
+            reason = str(error).rpartition("message: ")[2].strip()
+            raise InvalidInputError(f"{what} has no convex hull ({reason}): simplify it") from error
+        item.geometry = shape.convex
 
 
-def require_volume(points: np.ndarray, what: str) -> None:
-    """InvalidInputError for points (n, 3) that are too far away, or whose hull is too thin, for
-    Qhull (it crashes).
-    """
-    farthest = float(np.abs(points).max())
-    if not farthest <= FARTHEST:
+def _require_near(points: np.ndarray, what: str, farthest: float = 1e4) -> None:
+    """Refuse vertices (n, 3) further than that [m] from the origin of their frame."""
+    far = float(np.abs(points).max())
+    if not far <= farthest:
         raise InvalidInputError(
-            f"{what} has a vertex at {farthest:.3g} m, beyond {FARTHEST:g}: give metres"
+            f"{what} has a vertex at {far:.3g} m, beyond {farthest:g}: give metres"
         )
+
+
+def require_volume(points: np.ndarray, what: str, thinnest: float = 1e-6) -> None:
+    """Refuse points (n, 3) that are too far away, or whose hull is too thin, for Qhull.
+
+    It ends the process there. thinnest: [m] of a mesh up to 1 m across; of a larger one in
+    proportion.
+    """
+    _require_near(points, what)
     centred = points - points.mean(axis=0)
     along = np.ptp(centred @ np.linalg.svd(centred, full_matrices=False)[2].T, axis=0)
     thickness = float(along.min()) if len(points) > 3 else 0.0
-    least = THINNEST * max(1.0, float(along.max()))
+    least = thinnest * max(1.0, float(along.max()))
     if not thickness >= least:
         raise InvalidInputError(
             f"{what} is {thickness:.2g} m thick, less than {least:.2g}: give a mesh with volume, "
@@ -78,53 +83,49 @@ def convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
 
 
 def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeometry:
-    """A convex piece as arrays; frames: of `axis_frames`.
-
-    InvalidInputError for one beyond FARTHEST.
-    """
+    """A convex piece as arrays; frames: of `axis_frames`."""
     link, T_link_geometry = in_link(frames, item.parentJoint, item.placement)
     vertices = hull_vertices(item.geometry)
-    farthest = float(np.abs(vertices).max())
-    if not farthest <= FARTHEST:
-        raise InvalidInputError(
-            f"collision shape {item.name} has a vertex at {farthest:.3g} m, beyond {FARTHEST:g}: "
-            f"give metres"
-        )
+    _require_near(vertices, f"collision shape {item.name}")
     return LinkGeometry(item.name, link, T_link_geometry, vertices)
 
 
 def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
     """Vertices (n, 3) [m] of a polytope that contains the shape: exact for hulls and boxes.
 
-    Round shapes (cylinder, capsule, sphere) are circumscribed by 24-sided prisms or boxes.
+    Cylinders and capsules are circumscribed by 24-sided prisms, spheres by boxes.
     """
-    if isinstance(shape, coal.ConvexBase):
-        return np.array(shape.points(), dtype=float).reshape(-1, 3)
     corners = np.array(list(product((-1.0, 1.0), repeat=3)))
-    if isinstance(shape, coal.Box):
-        return corners * shape.halfSide
-    if isinstance(shape, coal.Sphere):
-        return corners * shape.radius
-    if isinstance(shape, coal.Cylinder | coal.Capsule):
-        half = shape.halfLength + (shape.radius if isinstance(shape, coal.Capsule) else 0.0)
-        return prism_vertices(shape.radius, half)
+    match shape:
+        case coal.ConvexBase():
+            return np.array(shape.points(), dtype=float).reshape(-1, 3)
+        case coal.Box():
+            return corners * shape.halfSide
+        case coal.Sphere():
+            return corners * shape.radius
+        case coal.Cylinder():
+            return prism_vertices(shape.radius, shape.halfLength)
+        case coal.Capsule():
+            return prism_vertices(shape.radius, shape.halfLength + shape.radius)
     raise InvalidInputError(
         f"collision shape {type(shape).__name__} is not supported: use a mesh, box or cylinder"
     )
 
 
 def enclosing_points(shape: coal.CollisionGeometry) -> np.ndarray:
-    """Points (n, 3) [m] whose hull contains any shape:
-    vertices of a polytope, else the corners of its box.
-    """
+    """Points (n, 3) [m] whose hull contains any shape: those of a polytope, else of its box."""
     if isinstance(shape, coal.ConvexBase):
         return hull_vertices(shape)
     shape.computeLocalAABB()
-    return np.array(list(product(*zip(shape.aabb_local.min_, shape.aabb_local.max_, strict=True))))
+    box = shape.aabb_local
+    return np.array(list(product(*zip(box.min_, box.max_, strict=True))))
 
 
 def prism_vertices(radius: float, half_length: float, sides: int = 24) -> np.ndarray:
-    """Vertices (2 sides, 3) of the prism around a cylinder along z [m]."""
+    """Vertices (2 sides, 3) [m] of the prism around a cylinder along z.
+
+    Its edges are radius / cos(pi / sides) from the axis, so that its sides touch the cylinder.
+    """
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = radius / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.concatenate([np.c_[ring, np.full(sides, z)] for z in (-half_length, half_length)])

@@ -1,8 +1,7 @@
 """Forward kinematics of a tree of hinges and sliders, compiled, on plain arrays.
 
-Joint frames are chosen so that every joint turns about, or slides along, its own z axis (`Robot`
-prepares them): T_j = T_parent(j) T_joint(j) Rot_z(q_j), or Trans_z(q_j). Row 0 of every pose array
-is the world; joint j (from 0) is row j + 1.
+Joint frames are chosen so that every joint turns about, or slides along, its own z axis
+(`robot.axis_frames`). Row 0 of every pose array is the world; joint j (from 0) is row j + 1.
 """
 
 from typing import Annotated, NamedTuple
@@ -25,11 +24,10 @@ _C2, _C3, _C4, _C5, _C6, _C7, _C8 = _C[2:9]
 
 @kernel(inline="machine")
 def sine_and_cosine(angle):
-    """Sine and cosine of an angle [rad] below 1e5, to 1e-15; not-a-number for angles that are not
-    finite.
+    """Sine and cosine of an angle [rad] below 1e5, to 1e-15; nan for angles that are not finite.
 
-    k pi / 2 is taken off in three exact parts; on the rest, in [-pi / 4, pi / 4], Taylor's series
-    are exact.
+    x = angle - k pi / 2 in [-pi / 4, pi / 4] is formed by three exact subtractions; on it Taylor's
+    series are exact: sin x = x - x^3 / 3! + ..., cos x = 1 - x^2 / 2! + ...
     """
     k = np.floor(angle * _TWO_OVER_PI + 0.5)
     x = ((angle - k * _QUARTER_HIGH) - k * _QUARTER_MIDDLE) - k * _QUARTER_LOW
@@ -65,10 +63,16 @@ class Kinematics(NamedTuple):
 
 @kernel(inline="machine")
 def forward_kinematics(kinematics, q, link_rotation, link_translation):
-    """Write the pose of every joint frame at q (n,) [rad or m].
+    """Write the pose of every joint frame.
 
-    link_rotation, link_translation: (n + 1, 3, 3) and (n + 1, 3) [m], overwritten; row 0 is the
-        world.
+    T_j = T_parent(j) T_joint(j) Rot_z(q_j) for a hinge, T_parent(j) T_joint(j) Trans_z(q_j) for a
+    slider; T_joint(j) are rotation and translation of `Kinematics`.
+
+    Args:
+        kinematics: the tree.
+        q: configuration (n,) [rad or m].
+        link_rotation: (n + 1, 3, 3), overwritten; row 0 is the world.
+        link_translation: (n + 1, 3) [m], overwritten.
     """
     turn, offset = kinematics.rotation, kinematics.translation
     for a in range(3):
@@ -111,8 +115,14 @@ def write_link_poses(
 
 
 def link_poses(kinematics: Kinematics, configurations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m] of all joint frames at
-    configurations (m, n).
+    """Poses of all joint frames, see `forward_kinematics`.
+
+    Args:
+        kinematics: the tree.
+        configurations: (m, n) [rad or m].
+
+    Returns:
+        Rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m].
     """
     m, rows = len(configurations), len(kinematics.parent) + 1
     rotations, translations = np.empty((m, rows, 3, 3)), np.empty((m, rows, 3))

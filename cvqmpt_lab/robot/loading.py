@@ -67,15 +67,14 @@ def load_robot(
     Continuous joints turn by up to 2 pi either way; joints that are not between the two are held at
     the value nearest to 0, and those that mimic them at the value that follows.
 
-    Parameters
-    ----------
-    end_effector: frame that constraints and goals are about.
-    srdf: file with the link pairs to skip; without one they are found by sampling.
-    locked: joints to fix, with their values [rad or m].
-    package_dirs: folders in which ``package://`` mesh paths are looked up first.
-    acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2]; only timing a path needs
-        them.
-    base: (4, 4), pose of the base link in the world.
+    Args:
+        end_effector: frame that constraints and goals are about.
+        srdf: file with the link pairs to skip; without one they are found by sampling.
+        locked: joints to fix, with their values [rad or m].
+        package_dirs: folders in which ``package://`` mesh paths are looked up first.
+        acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2]; only timing a path needs
+            them.
+        base: (4, 4), pose of the base link in the world.
     """
     source: dict[str, Any] = {
         "urdf": str(Path(urdf).resolve()),
@@ -159,7 +158,7 @@ def _built(source: Mapping[str, Any]) -> Robot:
     if files.acceleration_limits is not None:
         names = list(model.names)[1:]
         accelerations = positive_per_joint(
-            "acceleration limit", files.acceleration_limits, names, "rad/s^2"
+            "acceleration", files.acceleration_limits, names, "rad/s^2"
         )
     hand = model.frames[model.getFrameId(files.end_effector, pin.FrameType.BODY)]
     robot = Robot(

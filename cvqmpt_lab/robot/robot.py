@@ -18,8 +18,6 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.urdf import HeldJoint
 
-DIGEST_DECIMALS = 9  # [rad or m]: rounding of compilers and processors must not show in the digest
-
 
 class LeftOut(NamedTuple):
     """Two links, or a link and a piece of a door, that are not checked against each other, and why.
@@ -58,8 +56,6 @@ class LinkGeometry:
 
 
 SLOW = 0.1  # share of the speed limits for first tries on a real arm: 0.2 rad/s on the Panda
-# [rad/s^2], data sheet; velocities: its URDF
-PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +68,7 @@ class JointLimits:
 
     def __post_init__(self) -> None:
         for name, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2")):
-            values = positive_per_joint(
-                f"{name} limit", getattr(self, name), self.joint_names, unit
-            )
+            values = positive_per_joint(name, getattr(self, name), self.joint_names, unit)
             object.__setattr__(self, name, values)
 
     def scaled(self, speed: float) -> "JointLimits":
@@ -89,25 +83,23 @@ class JointLimits:
 def positive_per_joint(
     what: str, values: float | Sequence[float] | np.ndarray, joint_names: Sequence[str], unit: str
 ) -> np.ndarray:
-    """Finite positive numbers (n,), one a joint; a single number is used for all joints."""
+    """Limits (n,), finite and positive, one a joint; a single number is used for all joints."""
+    n = len(joint_names)
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError) as error:
-        raise InvalidInputError(
-            f"{what}s {values!r}: give {len(joint_names)} numbers [{unit}]"
-        ) from error
+        raise InvalidInputError(f"{what} limits {values!r}: give {n} numbers [{unit}]") from error
     if array.ndim == 0:
-        array = np.full(len(joint_names), float(array))
-    if array.shape != (len(joint_names),):
-        names = ", ".join(joint_names)
+        array = np.full(n, float(array))
+    if array.shape != (n,):
         raise InvalidInputError(
-            f"{what}s have shape {array.shape}: give {len(joint_names)} numbers [{unit}], one "
-            f"each for {names}"
+            f"{what} limits have shape {array.shape}: give {n} numbers [{unit}], one each for "
+            f"{', '.join(joint_names)}"
         )
     for name, value in zip(joint_names, array, strict=True):
         if not (np.isfinite(value) and value > 0.0):
             raise InvalidInputError(
-                f"{what} {value} of joint {name!r}: give a finite number above 0 [{unit}]"
+                f"{what} limit {value} of joint {name!r}: give a finite number above 0 [{unit}]"
             )
     array.flags.writeable = False
     return array
@@ -149,9 +141,8 @@ class Robot:
 
     def __repr__(self) -> str:
         return (
-            f"Robot {self.name!r}: {self.dof} joints, end effector {self.end_effector}, reach "
-            f"{self.reach:.2f} m, "
-            f"{len(self.links)} convex pieces\njoints      {', '.join(self.joint_names)}"
+            f"Robot {self.name!r}: {self.dof} joints, end effector {self.end_effector}, "
+            f"reach {self.reach:.2f} m, {len(self.links)} convex pieces\njoints      {', '.join(self.joint_names)}"
         )
 
     @property
@@ -193,21 +184,24 @@ class Robot:
 
     @cached_property
     def kinematics_digest(self) -> str:
-        """Hash of joint names, placements, axes and limits: what weights are trained for;
-        no collision shapes.
+        """Hash of joint names, placements, axes and limits, which weights are trained for.
+
+        Collision shapes are no part of it.
         """
         k = self.kinematics
         digest = hashlib.sha256("\n".join(self.joint_names).encode())
         for array in (k.parent, k.prismatic, k.rotation, k.translation, k.lower, k.upper):
-            digest.update(
-                (np.round(array.astype(np.float64), DIGEST_DECIMALS) + 0.0).astype("<f8").tobytes()
-            )
+            # rounding of compilers and processors must not show in the digest; no minus zero
+            rounded = np.round(array.astype(np.float64), 9) + 0.0
+            digest.update(rounded.astype("<f8").tobytes())
         return digest.hexdigest()[:32]
 
     @cached_property
     def reach(self) -> float:
-        """Radius [m] of a ball around the base frame that no moving link, and no end-effector
-        frame, can leave.
+        """Radius [m] of a ball around the base that no moving link or end-effector frame leaves.
+
+        The distance of joint j's origin is at most that of its parent's plus |t_j|, and for a
+        slider plus max(|lower|, |upper|).
         """
         k = self.kinematics
         distance = np.zeros(self.dof + 1)
@@ -223,11 +217,16 @@ class Robot:
         return float(max(ends))
 
     def pose(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
-        """T_world_frame (4, 4) by pinocchio, of the end effector or the named frame."""
+        """T_world_frame (4, 4) of the end effector or the named frame.
+
+        Args:
+            q: configuration (n,) [rad or m].
+            frame: name of a body frame.
+        """
         return self.poses(np.asarray(q)[None], frame)[0]
 
     def poses(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
-        """The same at configurations (k, n), as (k, 4, 4)."""
+        """The same at configurations (k, n), as (k, 4, 4), by pinocchio."""
         name = frame or self.end_effector
         if not self.model.existFrame(name, pin.FrameType.BODY):
             raise InvalidInputError(
@@ -241,9 +240,7 @@ class Robot:
         return poses
 
     def link_of(self, frame: str) -> tuple[int, np.ndarray]:
-        """Pose row that carries a body frame, and T_link_frame (4, 4);
-        UnknownChoiceError lists the frames.
-        """
+        """Pose row that carries a body frame, and T_link_frame (4, 4)."""
         if frame not in self.frame_names:
             raise UnknownChoiceError(f"frame of robot {self.name}", frame, self.frame_names)
         body = self.model.frames[self.model.getFrameId(frame, pin.FrameType.BODY)]
@@ -260,49 +257,50 @@ class Robot:
         """Name of the joint furthest outside its limits and by how much [rad or m], or None."""
         excess = np.maximum(self.lower - q, q - self.upper)
         worst = int(np.argmax(excess))
-        return (
-            (self.joint_names[worst], float(excess[worst])) if excess[worst] > tolerance else None
-        )
+        if excess[worst] <= tolerance:
+            return None
+        return self.joint_names[worst], float(excess[worst])
 
     def random_configurations(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Uniform configurations (count, n) inside the limits."""
+        """Uniform configurations (count, n) inside the limits [rad or m]."""
         return rng.uniform(self.lower, self.upper, (count, self.dof))
 
 
-# From pinocchio's model to the arrays of the kernels, whose joint frames have the joint axis as z.
 def axis_frames(model: pin.Model) -> list[np.ndarray]:
-    """Rotation (3, 3) of each pose row that turns pinocchio's joint frame so that its z is the
-    joint axis.
+    """Rotation (3, 3) of each pose row that turns pinocchio's joint frame: its z is the joint axis.
+
+    The kernels' joint frames are these.
     """
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
+    z = np.array([0.0, 0.0, 1.0])
     frames = [np.eye(3)]
     for j in range(1, model.njoints):
         jacobian = pin.getJointJacobian(model, data, j, pin.ReferenceFrame.LOCAL)
-        motion = jacobian.reshape(6, -1)[:, j - 1]  # of one joint, pinocchio gives a vector
+        # of one joint, pinocchio gives a vector
+        motion = jacobian.reshape(6, -1)[:, j - 1]
         axis = motion[3:] if np.linalg.norm(motion[3:]) > 0.5 else motion[:3]
-        z = np.array([0.0, 0.0, 1.0])
         frames.append(pin.Quaternion.FromTwoVectors(z, axis).toRotationMatrix())
     return frames
 
 
 def kinematics_arrays(model: pin.Model, frames: list[np.ndarray]) -> Kinematics:
-    """Plain arrays of a model, in joint frames whose z is the joint axis."""
+    """Arrays of a model for the kernels; frames: of `axis_frames`."""
     n = model.nq
     parent = np.array([model.parents[j + 1] for j in range(n)], dtype=np.int64)
-    placements = [model.jointPlacements[j + 1] for j in range(n)]
+    rotation, translation = np.empty((n, 3, 3)), np.empty((n, 3))
     moves = np.zeros((n, n + 1), dtype=bool)
-    for k in range(1, n + 1):
-        moves[[j - 1 for j in model.supports[k] if j > 0], k] = True
+    for j in range(n):
+        placement, R_parent = model.jointPlacements[j + 1], frames[parent[j]]
+        rotation[j] = R_parent.T @ placement.rotation @ frames[j + 1]
+        translation[j] = R_parent.T @ placement.translation
+        moves[[above - 1 for above in model.supports[j + 1] if above > 0], j + 1] = True
+    kinds = [joint.shortname() for joint in list(model.joints)[1:]]
     return Kinematics(
         parent=parent,
-        rotation=np.array(
-            [frames[parent[j]].T @ placements[j].rotation @ frames[j + 1] for j in range(n)]
-        ),
-        translation=np.array([frames[parent[j]].T @ placements[j].translation for j in range(n)]),
-        prismatic=np.array(
-            [j.shortname().startswith("JointModelP") for j in list(model.joints)[1:]]
-        ),
+        rotation=rotation,
+        translation=translation,
+        prismatic=np.array([kind.startswith("JointModelP") for kind in kinds]),
         lower=np.array(model.lowerPositionLimit),
         upper=np.array(model.upperPositionLimit),
         moves=moves,

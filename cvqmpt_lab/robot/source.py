@@ -15,7 +15,6 @@ from cvqmpt_lab.codec.forms import FloatArray, Schema, numbers
 from cvqmpt_lab.codec.plain import from_plain, located, mapping
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import Pose
-from cvqmpt_lab.robot.robot import PANDA_ACCELERATION
 from cvqmpt_lab.robot.urdf import collada_unit
 
 ARTICULATED = "articulated"
@@ -162,7 +161,8 @@ ARMS: Mapping[str, NamedArm] = {
         "panda_hand",
         "panda_description/srdf/panda.srdf",
         {"panda_finger_joint1": FINGER_OPENING, "panda_finger_joint2": FINGER_OPENING},
-        PANDA_ACCELERATION,
+        # [rad/s^2], data sheet
+        (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
     ),
     "ur3": NamedArm(f"{UR}/urdf/ur3_robot.urdf", "tool0"),
     "ur5": NamedArm(f"{UR}/urdf/ur5_robot.urdf", "tool0"),

@@ -163,10 +163,9 @@ class Scene(Checked):
         """Return a scene with the articulation `name` at `value` [rad] or [m], its objects
         re-posed.
 
-        Raises
-        ------
-        UnknownChoiceError, InvalidInputError: there is no such articulation; `value` is outside its
-        range.
+        Raises:
+            UnknownChoiceError, InvalidInputError: there is no such articulation; `value` is outside
+                its range.
         """
         joint = self.articulation(name)
         motion = joint.displacement(value)

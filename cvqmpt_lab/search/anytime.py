@@ -88,8 +88,7 @@ def improve(
         settings: of the shortening.
         gain: a path is shortened again while that takes off more than this share of its length.
 
-    Returns
-    -------
+    Returns:
         The best path, and what was done.
     """
     deadline = Deadline(budget, space)

@@ -91,19 +91,16 @@ def reach_free(
 ):
     """Find a free configuration for each of several poses, until there are as many as wanted.
 
-    Parameters
-    ----------
-    regions: the first is the pose to be reached, the others hold at the same time.
-    margin: to be kept from obstacles [m].
-    firsts, look: an attempt starts from the best of `look` seeds from number firsts[attempt, pose]
-        on; a multiple
-        of VISIT attempts a pose.
-    stop_on_stall: attempts that stall are given up.
-    poses: configurations and verdicts are written.
+    Args:
+        regions: the first is the pose to be reached, the others hold at the same time.
+        margin: to be kept from obstacles [m].
+        firsts, look: an attempt starts from the best of `look` seeds from number
+            firsts[attempt, pose] on; a multiple of VISIT attempts a pose.
+        stop_on_stall: attempts that stall are given up.
+        poses: configurations and verdicts are written.
 
-    Returns
-    -------
-    Number of poses reached.
+    Returns:
+        Number of poses reached.
     """
     found = 0
     for i in range(poses.verdict.shape[0]):

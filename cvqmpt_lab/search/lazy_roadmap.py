@@ -349,16 +349,14 @@ def search(
 ):
     """Write the states of the shortest path found that holds, coarsely, into states.
 
-    Parameters
-    ----------
-    drift: nodes that projection moves further than this are left out [rad].
-    path, ends: rows of the path's nodes from goal to start, and where each edge's states end.
-    states: motions between them are not checked yet.
+    Args:
+        drift: nodes that projection moves further than this are left out [rad].
+        path, ends: rows of the path's nodes from goal to start, and where each edge's states end.
+        states: motions between them are not checked yet.
 
-    Returns
-    -------
-    Number of states, or NO_PATH when there is no path left, none within most_searches, or no room.
-    Number of nodes on the last believed path. Number of searches.
+    Returns:
+        Number of states, or NO_PATH when there is no path left, none within most_searches, or no
+        room. Number of nodes on the last believed path. Number of searches.
     """
     length = 0
     for searched in range(most_searches):

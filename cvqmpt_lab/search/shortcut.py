@@ -87,10 +87,9 @@ def shortcut(
 
     states: (capacity, n), first count rows the path, changed in place. detour: (k, n) room.
 
-    Returns
-    -------
-    The new number of states. Every motion put in has been projected and checked at
-    space.resolution.
+    Returns:
+        The new number of states. Every motion put in has been projected and checked at
+        space.resolution.
     """
     for i in range(picks.shape[0]):
         length = path_length(states, count)
