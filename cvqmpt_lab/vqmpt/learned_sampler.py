@@ -221,8 +221,7 @@ class LearnedSampler:
     def moved(self, optimizer: LatentOptimizer, query: Query, proposal: Proposal) -> Proposal:
         """Codes moved by z <- z - eta dE[F^T F]/dz (paper, Algorithm 2), then decoded.
 
-        Returns
-        -------
+        Returns:
             The proposal itself where there is no code or no constraint.
         """
         assert isinstance(proposal, CodeProposal)
@@ -244,8 +243,7 @@ class LearnedSampler:
 
         Codes whose mean is not near the manifold are left out.
 
-        Returns
-        -------
+        Returns:
             The proposal itself where there is no code or no constraint.
         """
         assert isinstance(proposal, CodeProposal)
@@ -324,8 +322,7 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         name: what result rows call the distribution.
         choice: predictor, Gaussians, update, cloud and uniform share.
 
-    Raises
-    ------
+    Raises:
         InvalidInputError: the weights lack what the predictor needs, or are another robot's.
     """
     codebook = codebook_of(model, robot)
