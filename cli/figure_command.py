@@ -7,9 +7,9 @@ from cli.options import add_model, log, own_command, positive_int
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.warm_up import compile_kernels
-from experiments.figures import run_figure
 from experiments.figures.code_update import UpdateSettings
-from experiments.figures.run_figure import FIGURES, ROW_FIGURES
+from experiments.figures.paper import FIGURES, reproduce_figure, summary
+from experiments.figures.rows import draw_cost, draw_training
 from paper_tables.committed import RESULTS
 
 EXAMPLES = (
@@ -19,6 +19,7 @@ EXAMPLES = (
     "cvqmpt figure training --rows runs",
 )
 
+ROW_FIGURES = {"cost": draw_cost, "training": draw_training}
 REMOVED = {  # figures by name, and what is there instead of them
     "equal-time": "cvqmpt plan --optimize improves a path until the time is up",
     "difficulty": "cvqmpt report lists the rows of a run problem by problem",
@@ -73,10 +74,10 @@ def run(args: argparse.Namespace) -> int:
         out, settings = args.out or Path("runs") / args.figure, UpdateSettings(seed=args.seed)
         compile_kernels(log)
         problems = range(args.problems) if args.figure == "histogram" else (args.problem,)
-        updates, written = run_figure.reproduce_figure(
+        updates, written = reproduce_figure(
             args.figure, out, command, problems, args.model, settings
         )
-        print("\n".join(run_figure.summary(updates)))
+        print("\n".join(summary(updates)))
     for path in written:
         print(f"written {path}")
     return 0

@@ -17,7 +17,7 @@ from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.everything import PROFILES, amounts, planners_of
-from experiments.figures.run_figure import reproduce_figure
+from experiments.figures.paper import reproduce_figure
 from experiments.run import Experiment, default_jobs, executor_for, run_experiment
 from paper_tables.suite_tables import render_directory
 

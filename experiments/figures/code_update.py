@@ -11,12 +11,8 @@ equally many draws of each are draws of the mixture.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint
 from cvqmpt_lab.errors import InvalidInputError, whole_number
@@ -27,14 +23,9 @@ from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Qu
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.learned_sampler import CodeProposal, model_of
-from experiments.figures.drawing import write_csv
 
 PLANNER, PUBLISHED = "opt-cvq-mpt", "cvq:published+algorithm-2"
-ENOUGH = Budget(seconds=60.0)
-BINS = 40
-SHOWN = 0.99  # share of the draws that the bins cover
-HISTOGRAM_FILE, VALUES_FILE = "histogram.csv", "values.csv"
-COLOURS = {"before": "#8c96a3", "after": "#c8452d"}
+WHEN = ("before", "after")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,21 +67,19 @@ class CodeUpdate:
         )
 
     def rows(self) -> list[dict[str, object]]:
-        """A row a Gaussian:
-        F^T F at its mean, mean of F^T F of its draws, share of them where F is zero.
-        """
-        centres = {
-            when: squared_residual(self.problem.manifold, getattr(self, when).means)
-            for when in COLOURS
-        }
-        g = {when: self.g(when) for when in COLOURS}
+        """A row a Gaussian: F^T F at its mean, mean of F^T F of its draws, share where F is zero."""
+        centres, g = {}, {}
+        for when in WHEN:
+            mixture: GaussianMixture = getattr(self, when)
+            centres[when] = squared_residual(self.problem.manifold, mixture.means)
+            g[when] = self.g(when)
         return [
             {
                 "problem": self.problem.name,
                 "code": int(self.codes[i]) if i < len(self.codes) else "goal",
-                **{f"centre_{when}": float(centres[when][i]) for when in COLOURS},
-                **{f"g_{when}": float(g[when][i].mean()) for when in COLOURS},
-                **{f"satisfied_{when}": float((g[when][i] == 0.0).mean()) for when in COLOURS},
+                **{f"centre_{when}": float(centres[when][i]) for when in WHEN},
+                **{f"g_{when}": float(g[when][i].mean()) for when in WHEN},
+                **{f"satisfied_{when}": float((g[when][i] == 0.0).mean()) for when in WHEN},
                 "kept": int((self.before.means[i] == self.after.means[i]).all()),
             }
             for i in range(len(self.before.means))
@@ -111,10 +100,8 @@ def update_codes(
     published = model is not None and model_of(model).config.kind == "published"
     stages = planner_named(PUBLISHED if published else PLANNER, model).stages(problem)
     assert stages.observe is not None and stages.update is not None
-    cloud, query = (
-        stages.observe(problem.scene),
-        Query.of(ConstrainedSpace(problem), ENOUGH, planned),
-    )
+    cloud = stages.observe(problem.scene)
+    query = Query.of(ConstrainedSpace(problem), Budget(seconds=60.0), planned)
     proposal = stages.predict(query, Observation(cloud))
     assert isinstance(proposal, CodeProposal)
     before, after = proposal.distribution, stages.update(query, proposal).distribution
@@ -131,98 +118,28 @@ def squared_residual(constraint: RegionConstraint, q: np.ndarray) -> np.ndarray:
     return np.square(constraint.residual(q)).sum(axis=1)
 
 
-def histogram_rows(updates: Sequence[CodeUpdate]) -> list[dict[str, object]]:
-    """Draws in even bins of |F(q)|, of the codes of all problems and of all that is sampled, goals
-    included.
+def histogram_rows(
+    updates: Sequence[CodeUpdate], bins: int = 40, shown: float = 0.99
+) -> list[dict[str, object]]:
+    """Draws in even bins of |F(q)|, of the codes alone and of all that is sampled, goals included.
+
+    The bins cover the share `shown` of all draws; a last one holds the others.
     """
-    norms = {when: [np.sqrt(update.g(when)) for update in updates] for when in COLOURS}
-    top = float(
-        np.quantile(np.concatenate([n.ravel() for side in norms.values() for n in side]), SHOWN)
-    )
-    edges = np.append(np.linspace(0.0, top if top > 0.0 else 1.0, BINS + 1), np.inf)
+    norms = {when: [np.sqrt(update.g(when)) for update in updates] for when in WHEN}
+    every = np.concatenate([n.ravel() for side in norms.values() for n in side])
+    top = float(np.quantile(every, shown))
+    edges = np.append(np.linspace(0.0, top if top > 0.0 else 1.0, bins + 1), np.inf)
     rows: list[dict[str, object]] = []
     for what in ("codes", "all"):
-        counts = {
-            when: np.histogram(
-                np.concatenate(
-                    [
-                        n[: len(u.codes) if what == "codes" else None].ravel()
-                        for n, u in zip(side, updates, strict=True)
-                    ]
-                ),
-                edges,
-            )[0]
-            for when, side in norms.items()
-        }
+        counts = []
+        for side in norms.values():
+            counted = [
+                n[: len(u.codes) if what == "codes" else None].ravel()
+                for n, u in zip(side, updates, strict=True)
+            ]
+            counts.append(np.histogram(np.concatenate(counted), edges)[0])
         rows += [
             {"of": what, "from": low, "to": high, "before": int(b), "after": int(a)}
-            for (low, high), b, a in zip(pairwise(map(float, edges)), *counts.values(), strict=True)
+            for (low, high), b, a in zip(pairwise(map(float, edges)), *counts, strict=True)
         ]
     return rows
-
-
-def write_tables(updates: Sequence[CodeUpdate], folder: Path) -> list[Path]:
-    """Write the numbers of every Gaussian, and of the histogram; returns the files."""
-    tables = {
-        HISTOGRAM_FILE: histogram_rows(updates),
-        VALUES_FILE: [row for update in updates for row in update.rows()],
-    }
-    return [write_csv(folder / name, rows) for name, rows in tables.items()]
-
-
-def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
-    """Histogram of |F| of draws from codes; G of every code;
-    G of everything that is sampled, a line a problem.
-    """
-    figure = Figure(figsize=(13.0, max(4.2, 0.6 + 0.16 * len(updates))), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    draw_norms(left, updates)
-    rows = [row for update in updates for row in update.rows()]
-    codes = np.array(
-        [(row["g_before"], row["g_after"]) for row in rows if row["code"] != "goal"], dtype=float
-    )
-    lowest = max(codes.min(), 1e-6)
-    span = (0.7 * lowest, 1.4 * codes.max())
-    middle.plot(span, span, ":", color="0.5", label="not moved")
-    middle.scatter(*codes.T, s=14.0, color=COLOURS["after"], alpha=0.7)
-    middle.set(
-        xscale="log", yscale="log", xlim=span, ylim=span, title=f"$G$ of {len(codes)} codes",
-        xlabel="before [rad$^2$]", ylabel="after [rad$^2$]",
-    )  # fmt: skip
-    for axis in (middle.xaxis, middle.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter(NullFormatter())
-    middle.legend(frameon=False)
-    means = np.array([[update.g(when).mean() for when in COLOURS] for update in updates])
-    y = np.arange(len(updates))
-    right.hlines(y, means[:, 1], means[:, 0], color="0.8", linewidth=2.0)
-    for column, (when, colour) in enumerate(COLOURS.items()):
-        right.scatter(means[:, column], y, color=colour, s=30.0, label=when, zorder=3)
-    right.set(
-        yticks=y, yticklabels=[update.problem.name for update in updates], xlim=(0.0, None),
-        title="$G$ of all that is sampled, goals included", xlabel="mean $F(q)^T F(q)$ "
-                                                                   "[rad$^2$]", ylabel="problem",
-    )  # fmt: skip
-    right.invert_yaxis()
-    right.legend(frameon=False)
-    return figure
-
-
-def draw_norms(axes: Axes, updates: Sequence[CodeUpdate]) -> None:
-    """The histogram of |F| of draws from the codes' Gaussians of some problems;
-    the last bin is left out.
-    """
-    rows = [row for row in histogram_rows(updates) if row["of"] == "codes"]
-    edges = [float(str(row["from"])) for row in rows]
-    for when, colour in COLOURS.items():
-        counts = np.array([row[when] for row in rows], dtype=float)
-        share = counts[:-1] / counts.sum()
-        norms = np.concatenate([np.sqrt(u.g(when)[: len(u.codes)]).ravel() for u in updates])
-        axes.stairs(share, edges, fill=True, color=colour, alpha=0.4)
-        axes.stairs(share, edges, color=colour, label=f"{when}: median {np.median(norms):.2f}")
-    axes.set(
-        title="raw samples of the codes", xlabel="$\\|F(q)\\|$ [rad]", ylabel="share of samples"
-    )
-    axes.set_xlim(0.0, edges[-1])
-    axes.legend(frameon=False)

@@ -17,16 +17,15 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.learned_sampler import codebook_of
 from cvqmpt_lab.vqmpt.weights import weights_digest
-from experiments.figures import scene_pictures
+from experiments.figures import paper
 from experiments.figures.code_update import (
     UpdateSettings,
-    histogram_figure,
     histogram_rows,
     squared_residual,
     update_codes,
 )
 from experiments.figures.drawing import figure_bytes
-from experiments.figures.scene_pictures import HandPoses
+from experiments.figures.paper import HandPoses, histogram_figure
 from paper_tables.claims import updated_codes
 from paper_tables.statements import PREDICTED, Claim
 
@@ -151,7 +150,7 @@ def test_the_command_writes_the_histogram(tmp_path, model, capsys):
 
 
 def test_the_command_writes_the_concept_figure(tmp_path, model, monkeypatch):
-    monkeypatch.setattr(scene_pictures, "PICTURE", (180, 138))
+    monkeypatch.setattr(paper, "PICTURE", (180, 138))
     out = tmp_path / "concept"
     assert main(["figure", "concept", "--model", str(model), "--out", str(out)]) == 0
     rows = rows_of(out / "concept.csv")

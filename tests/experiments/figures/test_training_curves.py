@@ -5,7 +5,7 @@ import json
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
-from experiments.figures.training_curves import draw_training
+from experiments.figures.rows import draw_training
 
 
 def test_trainings_are_drawn_from_their_folders_and_from_the_table(tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from made_rows import a_row
 
 from cvqmpt_lab.results.row import RUNS_FILE, write_rows
-from experiments.figures.row_figures import OURS, draw_cost
+from experiments.figures.rows import OURS, draw_cost
 
 
 def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
