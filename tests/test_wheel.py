@@ -24,14 +24,7 @@ def site(tmp_path_factory):
     for name in ("pyproject.toml", "README.md", "LICENSE", "LICENSES.md"):
         shutil.copy(ROOT / name, folder / "tree")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    words = [
-        "wheel",
-        "--no-deps",
-        "--no-build-isolation",
-        "--wheel-dir",
-        str(folder),
-        str(folder / "tree"),
-    ]
+    words = f"wheel --no-deps --no-build-isolation --wheel-dir {folder} {folder}/tree".split()
     subprocess.run([*pip, *words], check=True)
     (wheel,) = folder.glob("cvqmpt_lab-*.whl")
     subprocess.run(

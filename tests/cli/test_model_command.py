@@ -66,22 +66,6 @@ def test_published_folders_are_converted_and_predict(
     assert "is there and not empty; choose another --out" in again
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["show"], "unknown action 'show'; valid choices: info, import"),
-        (["import", "--out", "x"], "import: give --dictionary-dir DIR"),
-        (["import", "--dictionary-dir", "x", "--ar-dir", "y"], "import: give --out DIR"),
-        (["import", "--dictionary-dir", "x", "--ar-dir", "y", "--out", "z"], "x/model_params.json: No such file"),
-        (["info", "--model", "nowhere"], "no weights in nowhere; give one of vq_mpt, mpnet, or"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_done_is_one_line(words, message, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert message in refused(capsys, "model", *words)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_damaged_and_foreign_folders(panda, tmp_path, capsys):
     save_checkpoint(tmp_path / "model", random_checkpoint(panda))
     folder, words = tmp_path / "model", ("model", "info", "--model", tmp_path / "model")

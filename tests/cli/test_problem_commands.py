@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import refused
 from jsonschema import Draft202012Validator
 
 from cli.main import main
@@ -104,17 +103,3 @@ def test_a_pose_out_of_reach_has_no_configuration(mine, capsys):
         "0 of 1 configurations; of 100 poses, 100 without inverse kinematics"
         in capsys.readouterr().out
     )
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--pose", "1 2 3"], "write 6 numbers, x, y, z, roll, pitch, yaw"),
-        (["--pose", "1 2 3 4 5 six"], "write 6 numbers"),
-        (["--region", "{"], "--region is not json"),
-        (["--region", '{"psoe": {}}'], "--region.psoe is unknown; did you mean 'pose'?"),
-        (["--region", "start_region"], "has no 'start_region'"),
-    ],
-)
-def test_a_wrong_pose_or_region_is_one_line(mine, capsys, words, message):
-    assert message in refused(capsys, "ik", "--problem-file", mine, *words)

@@ -38,32 +38,6 @@ def test_a_picture_and_an_srdf_are_written(said, tmp_path, slider_arm_urdf):
     assert read_srdf(srdf) == load_robot(slider_arm_urdf, "tool").left_out_pairs
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        ("robot ur55", "did you mean 'ur5'"),
-        ("robot ur5 --lock elbow_joint", "--lock 'elbow_joint': write JOINT=VALUE"),
-        ("robot ur5 --lock elbow_joint=nan", "finite number"),
-        ("robot ur5 --end-effector nope", "unknown end-effector frame 'nope'"),
-        ("robot ur5 --srdf /nope.srdf", "/nope.srdf"),
-        ("robot ur5 --base 1,2", "--base '1,2': write X,Y,Z"),
-        ("robot ur5 --base 1,2,x", "--base '1,2,x': write numbers"),
-        ("robot ur5 --picture /nowhere/a.png", "/nowhere does not exist"),
-        (
-            "plan --problem-file p.json --robot ur5 --urdf a.urdf",
-            "--robot ur5 and --urdf a.urdf: give one",
-        ),
-        ("plan place-task --base 0,0,0", "--robot or --urdf; give it"),
-        ("plan --problem-file p.json --base 0,0,0", "cannot read problem file p.json"),
-        ("plan --problem-file p.json --urdf a.urdf", "cvqmpt robot a.urdf suggests one"),
-    ],
-)
-def test_what_cannot_be_is_one_line(capsys, words, says):
-    assert main(words.split()) == 2
-    error = capsys.readouterr().err
-    assert says in error and error.count("\n") == 1
-
-
 @pytest.fixture
 def arm_file(tmp_path, slider_arm):
     """A problem without constraint for the slider arm of the tests, in an empty scene."""

@@ -153,13 +153,7 @@ def test_damaged_text_is_refused_in_one_line(tmp_path):
 
 def test_import_writes_a_scene_that_problems_name(tmp_path, capsys):
     (tmp_path / "shelf.scene").write_text(OLDER)
-    words = [
-        "problems",
-        "import",
-        str(tmp_path / "shelf.scene"),
-        "--out",
-        str(tmp_path / "shelf.json"),
-    ]
+    words = f"problems import {tmp_path}/shelf.scene --out {tmp_path}/shelf.json".split()
     assert main(words) == 0
     assert (
         "3 objects; the file's frame is taken for the robot's base frame" in capsys.readouterr().out

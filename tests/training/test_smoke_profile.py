@@ -55,16 +55,7 @@ def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_pat
     profile["published"] |= {"batches_per_epoch": 2, "validation_scenes": 2}
     profile["published_model"]["dense"] = True
     config.write_text(json.dumps(profile))
-    train = [
-        "train",
-        "published",
-        "--config",
-        str(config),
-        "--data",
-        str(labels),
-        "--out",
-        str(out),
-    ]
+    train = f"train published --config {config} --data {labels} --out {out}".split()
     assert main([*train, "--epochs", "1", "--device", "cpu"]) == 0
     said = capsys.readouterr().out
     assert (
