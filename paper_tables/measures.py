@@ -8,7 +8,7 @@ on the machine. Seeds of one problem are not independent: everywhere a problem c
 import math
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
+from operator import attrgetter, truediv
 from statistics import fmean, median
 from typing import Literal, NamedTuple
 
@@ -45,7 +45,7 @@ def work(row: ResultRow) -> float | None:
 
 def network_time(row: ResultRow) -> float:
     """What networks and the latent update took [s]."""
-    return sum(t or 0.0 for t in (row.t_encode_s, row.t_predict_s, row.t_optimize_s))
+    return (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
 
 
 def paper_cost(row: ResultRow) -> float | None:
@@ -131,24 +131,30 @@ def by_problem(rows: Iterable[ResultRow]) -> list[list[ResultRow]]:
 
 def values_of(rows: Iterable[ResultRow], value: Value) -> list[list[float]]:
     """Values of the rows that say one, by problem; problems where none does are left out."""
-    found = (
-        [number for row in seeds if (number := value(row)) is not None]
-        for seeds in by_problem(rows)
-    )
-    return [numbers for numbers in found if numbers]
+    found: dict[str, list[float]] = {}
+    for row in rows:
+        number = value(row)
+        if number is not None:
+            found.setdefault(row.problem, []).append(number)
+    return list(found.values())
 
 
 def censored(rows: Rows, value: Value) -> list[list[float]]:
     """Values of solved runs and +inf for failures, by problem; nothing when no solved run has one."""
-    paths = [row for row in rows if row.solved]
-    if paths and not values_of(paths, value):
-        return []
-    return values_of(rows, lambda row: value(row) if row.solved else math.inf)
+    found: dict[str, list[float]] = {}
+    solved_runs, stated = 0, 0
+    for row in rows:
+        number = value(row) if row.solved else math.inf
+        solved_runs += row.solved
+        if number is not None:
+            stated += row.solved
+            found.setdefault(row.problem, []).append(number)
+    return [] if solved_runs and not stated else list(found.values())
 
 
 def fraction(rows: Iterable[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
     """Share of the rows with Wilson's interval; a problem counts by its share of seeds."""
-    shares = [fmean(map(counted, seeds)) for seeds in by_problem(rows)]
+    shares = [sum(map(counted, seeds)) / len(seeds) for seeds in by_problem(rows)]
     return wilson_interval(math.fsum(shares), len(shares))
 
 
@@ -192,8 +198,9 @@ class Pair(NamedTuple):
 
 def pair_of(problem: str, values: Sequence[tuple[float, float]]) -> Pair:
     """The pair of a problem's seeds, or codes: positive values of the one and the other."""
-    own, other = (fmean(column) for column in zip(*values, strict=True))
-    return Pair(problem, own, other, math.exp(fmean(math.log(a / b) for a, b in values)))
+    own, other = zip(*values, strict=True)
+    logs = list(map(math.log, map(truediv, own, other)))
+    return Pair(problem, fmean(own), fmean(other), math.exp(fmean(logs)))
 
 
 def paired_values(
@@ -285,10 +292,10 @@ runs that say a value.
 
 
 def share_of(
-    counted: Callable[[ResultRow], bool], among: Callable[[ResultRow], bool] = lambda row: True
+    counted: Callable[[ResultRow], bool], among: Callable[[ResultRow], bool] | None = None
 ) -> Measure:
     """Percentage of the runs of a kind, with Wilson's interval."""
-    return lambda rows, runs: fraction([row for row in rows if among(row)], counted).scaled(100)
+    return lambda rows, runs: fraction(filter(among, rows) if among else rows, counted).scaled(100)
 
 
 def median_of(value: str, over: Over = "all") -> Measure:

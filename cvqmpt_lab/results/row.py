@@ -7,16 +7,16 @@ other.
 
 import csv
 import io
+import math
 import re
 import typing
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cvqmpt_lab.codec.plain import field_kinds, from_plain
 from cvqmpt_lab.errors import (
     CvqmptError,
     InvalidInputError,
@@ -152,8 +152,13 @@ class ResultRow:
     t_wall_s: float | None = None
 
     def __post_init__(self) -> None:
-        for column, kind in field_kinds(ResultRow).items():
-            object.__setattr__(self, column, _checked(column, kind, getattr(self, column)))
+        for column in _COLUMNS:
+            value = column.checked(getattr(self, column.name))
+            object.__setattr__(self, column.name, value)
+        self.require_consistent()
+
+    def require_consistent(self) -> None:
+        """Refuse a solved run without a certificate, and a failure without a reason."""
         if self.solved and not self.certified:
             raise InvalidInputError(
                 f"solved is True but certified is {self.certified}; a path without a certificate "
@@ -176,30 +181,86 @@ class ResultRow:
         return self.problem.partition("/")[0]
 
 
-COLUMNS: tuple[str, ...] = tuple(field_kinds(ResultRow))
+class _Column(NamedTuple):
+    """A column of ``runs.csv``."""
+
+    name: str
+    kind: Any  # str, int, float, bool or FailReason
+    optional: bool  # empty where undefined
+
+    def checked(self, value: Any) -> Any:
+        """A value as its plain Python type; the message of an error begins with the column."""
+        if hasattr(value, "item"):
+            # a numpy scalar
+            value = value.item()
+        if value is None and self.optional:
+            return None
+        if self.kind is FailReason:
+            if value not in list(FailReason):
+                raise UnknownChoiceError(self.name, value, FailReason)
+            return FailReason(value)
+        if self.kind is float and type(value) is int:
+            value = float(value)
+        if type(value) is not self.kind:
+            raise InvalidInputError(f"{self.name} is {shown(value)}; give {KINDS[self.kind]}")
+        if self.kind is str:
+            self._check_text(value)
+        elif self.kind in (int, float):
+            if not math.isfinite(value):
+                raise InvalidInputError(f"{self.name} is {value}; give {KINDS[self.kind]}")
+            if value < 0 and self.name not in SIGNED:
+                raise InvalidInputError(f"{self.name} is {value}; it cannot be negative")
+        return value
+
+    def _check_text(self, text: str) -> None:
+        if not text or not text.isprintable() or text.startswith(FORMULA):
+            raise InvalidInputError(
+                f"{self.name} is {text!r}; it must be one non-empty line that does not begin like "
+                f"a formula"
+            )
+        if self.name == "schema" and text != SCHEMA:
+            raise InvalidInputError(f"schema is {text!r}; this version reads and writes {SCHEMA!r}")
+
+    def read(self, text: str) -> Any:
+        """The value of a cell; ValueError for text that is no value of this type."""
+        if text == "" and self.optional:
+            return None
+        if self.kind is bool:
+            return ("false", "true").index(text) == 1
+        return self.checked(text if self.kind in (str, FailReason) else self.kind(text))
+
+    def read_all(self, texts: Sequence[str]) -> list[Any]:
+        """The values of all cells, as by `read`, which is called once for equal texts, and not for
+        numbers that are as they should be: files hold half a million cells.
+        """
+        distinct = set(texts)
+        if self.optional:
+            distinct.discard("")
+        if self.kind in (int, float):
+            values = dict(zip(distinct, map(self.kind, distinct), strict=True))
+            finite = all(map(math.isfinite, values.values()))
+            if not finite or (min(values.values(), default=0) < 0 and self.name not in SIGNED):
+                raise ValueError(f"{self.name} out of range")
+        else:
+            values = {text: self.read(text) for text in distinct}
+        if self.optional:
+            values[""] = None
+        return [values[text] for text in texts]
+
+
+def _columns() -> tuple[_Column, ...]:
+    found = []
+    for field in fields(ResultRow):
+        kind, *optional = typing.get_args(field.type) or (field.type,)
+        found.append(_Column(field.name, kind, bool(optional)))
+    return tuple(found)
+
+
+KINDS = {str: "text", int: "a whole number", float: "a finite number", bool: "true or false"}
+_COLUMNS = _columns()
+COLUMNS = tuple(column.name for column in _COLUMNS)
 FIRST_COLUMNS = COLUMNS.index("t_sense_s")  # so many are in every file; older files lack later ones
 SIGNED = ("min_clearance_m", "true_clearance_m")
-
-
-def _checked(column: str, kind: Any, value: object) -> object:
-    """A column's value as its plain Python type; errors begin with the column."""
-    if column == "fail_reason":
-        if value is None or value in list(FailReason):
-            return None if value is None else FailReason(str(value))
-        raise UnknownChoiceError(column, value, FailReason)
-    plain = from_plain(kind, value, column)
-    if isinstance(plain, str) and not (
-        plain and plain.isprintable() and not plain.startswith(FORMULA)
-    ):
-        raise InvalidInputError(
-            f"{column} is {plain!r}; it must be one non-empty line that does not begin like a "
-            f"formula"
-        )
-    if isinstance(plain, float) and plain < 0 and column not in SIGNED:
-        raise InvalidInputError(f"{column} is {plain}; it cannot be negative")
-    if column == "schema" and plain != SCHEMA:
-        raise InvalidInputError(f"schema is {plain!r}; this version reads and writes {SCHEMA!r}")
-    return plain
 
 
 def one_line(text: str) -> str | None:
@@ -216,16 +277,6 @@ def _to_text(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return repr(value) if isinstance(value, float) else str(value)
-
-
-def _from_text(kind: Any, text: str) -> object:
-    """Inverse of `_to_text` for a column of type `kind`; ValueError for text that is no such value."""
-    kind, *optional = typing.get_args(kind) or (kind,)
-    if text == "" and optional:
-        return None
-    if kind is bool:
-        return ("false", "true").index(text) == 1
-    return kind(text)
 
 
 def csv_text(rows: Iterable[ResultRow], header: bool = True) -> str:
@@ -248,26 +299,9 @@ def sorted_rows(rows: Iterable[ResultRow]) -> list[ResultRow]:
     """Rows in the one deterministic order:
     suite, problem (numbers as numbers), planner, seed, backend.
     """
-    return sorted(
-        rows, key=lambda r: (r.suite, natural_key(r.problem), r.planner, r.seed, r.backend)
-    )
-
-
-def _parse_row(where: str, fields: list[str], columns: int) -> ResultRow:
-    if len(fields) != columns:
-        raise RunStoreError(f"{where}: {len(fields)} fields, expected {columns}")
-    values: dict[str, Any] = {}
-    for (column, kind), text in zip(field_kinds(ResultRow).items(), fields, strict=False):
-        try:
-            values[column] = _from_text(kind, text)
-        except ValueError:
-            raise RunStoreError(
-                f"{where}, column {column}: {shown(text)} cannot stand there"
-            ) from None
-    try:
-        return ResultRow(**values)
-    except CvqmptError as error:
-        raise RunStoreError(f"{where}, column {error}") from None
+    rows = list(rows)
+    places = {problem: natural_key(problem) for problem in {row.problem for row in rows}}
+    return sorted(rows, key=lambda r: (r.suite, places[r.problem], r.planner, r.seed, r.backend))
 
 
 def _parse_header(path: Path, fields: list[str]) -> int:
@@ -290,13 +324,51 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         columns = _parse_header(path, next(reader, [])) if header else len(COLUMNS)
-        return [
-            _parse_row(f"{path}, line {reader.line_num}", fields, columns)
-            for fields in reader
-            if fields
-        ]
+        lines = [(reader.line_num, cells) for cells in reader if cells]
     except csv.Error as error:
         raise RunStoreError(f"{path}, line {reader.line_num}, column unknown: {error}") from error
+    for line, cells in lines:
+        if len(cells) != columns:
+            raise RunStoreError(f"{path}, line {line}: {len(cells)} fields, expected {columns}")
+    by_column = zip(*(cells for _, cells in lines), strict=True)
+    try:
+        values = [
+            column.read_all(texts) for column, texts in zip(_COLUMNS, by_column, strict=False)
+        ]
+        missing = [[None] * len(lines)] * (len(COLUMNS) - len(values))
+        rows = [_unchecked(cells) for cells in zip(*values, *missing, strict=True)]
+    except (ValueError, CvqmptError):
+        _raise_first_fault(path, lines)
+        raise
+    for (line, _), row in zip(lines, rows, strict=True):
+        if (row.solved and not row.certified) or row.solved is not (row.fail_reason is None):
+            try:
+                row.require_consistent()
+            except CvqmptError as error:
+                raise RunStoreError(f"{path}, line {line}, column {error}") from None
+    return rows
+
+
+def _unchecked(cells: tuple[Any, ...]) -> ResultRow:
+    """A row of values that were checked column by column."""
+    row = object.__new__(ResultRow)
+    row.__dict__.update(zip(COLUMNS, cells, strict=True))
+    return row
+
+
+def _raise_first_fault(path: Path, lines: Sequence[tuple[int, list[str]]]) -> None:
+    """Name the first line, and its first column, with a cell that cannot be read."""
+    for line, cells in lines:
+        for column, text in zip(_COLUMNS, cells, strict=False):
+            where = f"{path}, line {line}, column"
+            try:
+                column.read(text)
+            except ValueError:
+                raise RunStoreError(
+                    f"{where} {column.name}: {shown(text)} cannot stand there"
+                ) from None
+            except CvqmptError as error:
+                raise RunStoreError(f"{where} {error}") from None
 
 
 def read_rows(path: Path) -> list[ResultRow]:

@@ -5,7 +5,10 @@ something is undefined (no data) an `Interval` holds None, never 0.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from fractions import Fraction
+from functools import lru_cache
+from operator import attrgetter
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -18,6 +21,7 @@ from cvqmpt_lab.results.row import ResultRow, natural_key
 CONFIDENCE = 0.95  # of every interval
 BOOTSTRAP_SAMPLES = 2000
 ProblemKey = tuple[str, str, int]  # (suite, problem, seed), which the runs of a pair share
+problem_key: Callable[[ResultRow], ProblemKey] = attrgetter("suite", "problem", "seed")
 
 
 class Interval(NamedTuple):
@@ -72,12 +76,21 @@ def median_interval(values: ArrayLike) -> Interval:
     n = len(ordered)
     if n == 0:
         return UNDEFINED
-    from scipy.stats import binom  # slow to import
-
-    rank = max(1, int(binom.ppf((1.0 - CONFIDENCE) / 2.0, n, 0.5)))
-    coverage = max(0.0, float(1.0 - 2.0 * binom.cdf(rank - 1, n, 0.5)))
+    rank, coverage = _median_rank(n)
     median = float(ordered[(n - 1) // 2] / 2 + ordered[n // 2] / 2)
     return Interval(median, float(ordered[rank - 1]), float(ordered[n - rank]), n, coverage)
+
+
+@lru_cache(maxsize=1024)
+def _median_rank(n: int) -> tuple[int, float]:
+    """The r of `median_interval` for n values, and P(r <= B <= n - r)."""
+    rank, below = 0, Fraction(1, 2**n)
+    while below < Fraction((1.0 - CONFIDENCE) / 2.0):
+        rank += 1
+        below += Fraction(math.comb(n, rank), 2**n)
+    rank = max(1, rank)
+    lower = sum(Fraction(math.comb(n, k), 2**n) for k in range(rank))
+    return rank, max(0.0, float(1 - 2 * lower))
 
 
 def mean_of_solved(values: ArrayLike) -> Interval:
@@ -129,11 +142,6 @@ def ratio_of_means_interval(pairs: Sequence[tuple[float, float]]) -> Interval:
     low, high = np.quantile(sums[:, 0] / sums[:, 1], [tail, 1 - tail])
     ratio = array[:, 0].sum() / array[:, 1].sum()
     return Interval(float(ratio), float(low), float(high), n)
-
-
-def problem_key(row: ResultRow) -> ProblemKey:
-    """The (suite, problem, seed) of a row."""
-    return row.suite, row.problem, row.seed
 
 
 def jointly_solved(rows_by_planner: Mapping[str, Iterable[ResultRow]]) -> tuple[ProblemKey, ...]:
