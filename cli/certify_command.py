@@ -12,7 +12,7 @@ from cvqmpt_lab.certificate_record import differences, record, report_lines
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import dry_run
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.trajectory.trajectory_files import read_motion
+from cvqmpt_lab.trajectory.trajectory import read_motion
 
 EXAMPLES = (
     "cvqmpt certify path.csv place-task --problem 7",

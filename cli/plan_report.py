@@ -143,7 +143,7 @@ def _record(solution: Solution, problem: PlanningProblem) -> dict[str, Any] | No
     # these need scipy.interpolate, half a second to import
     from cvqmpt_lab.certificate_record import record
     from cvqmpt_lab.motion_check import DryRun
-    from cvqmpt_lab.trajectory.trajectory_files import Motion
+    from cvqmpt_lab.trajectory.trajectory import Motion
 
     if solution.simplified is None or solution.certificate is None:
         return None

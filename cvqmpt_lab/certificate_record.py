@@ -24,7 +24,7 @@ from cvqmpt_lab.motion_check import DryRun
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import LeftOut
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.trajectory.trajectory_files import Motion
+from cvqmpt_lab.trajectory.trajectory import Motion
 
 DIGESTS = {"problem_sha256": "another problem", "motion_sha256": "another motion"}
 

@@ -20,13 +20,12 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.trajectory.trajectory_files import Motion
+from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly  # half a second to import, needed for trajectories alone
 
     from cvqmpt_lab.trajectory.timing import TimingSettings
-    from cvqmpt_lab.trajectory.trajectory import Trajectory
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
 SAME = 1e-9  # [rad or m] between quintic and cubic, below which one of them is judged

@@ -20,7 +20,7 @@ class Curve(AbstractGeometricPath):
 
     def __init__(self, curve):
         self.curve, self.dof = curve, curve.spline.c.shape[1]
-        self.path_interval = np.array([0.0, curve.length])
+        self.path_interval = np.array([0.0, curve.marks[-1]])
 
     def __call__(self, s, order=0):
         return self.curve.spline(s, order)

@@ -1,4 +1,17 @@
-"""Time a path: round its corners and find the fastest motion within speed and acceleration limits."""
+"""Time a path: round its corners and find the fastest motion within speed and acceleration limits.
+
+A robot can pass a corner of a planner's path without stopping only if the corner is rounded. The
+curve q(s) is Schoenberg's spline: a cubic B-spline over arc length whose i-th control point is the
+polyline at the average of knots i + 1 to i + 3. It keeps straight stretches, rounds corners on the
+inside (an interpolating spline would leave the checked clearance), stays in the range of each joint
+and has continuous curvature. Its distance from a corner is about a sixth of the knot spacing times
+the change of direction, so knots are packed at corners until that distance is small enough.
+
+The motion s(t) along it has the greatest sum of squared speeds b = (ds/dt)^2 within the limits, a
+linear program:
+
+    q' = dq/ds sqrt(b),    q'' = d2q/ds2 b + dq/ds a,    a = (db/ds) / 2.
+"""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -6,14 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sparse
+from scipy.interpolate import BSpline
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import SLOW, JointLimits
-from cvqmpt_lab.trajectory.curve import SmoothCurve, checked_waypoints, smooth_curve
 from cvqmpt_lab.trajectory.trajectory import Trajectory
-
-CHECKS = 5  # places in an interval, ends included, at which limits are checked
-TIGHTENINGS = 3  # of a refused curve, each to a quarter of the deviation
 
 
 @dataclass(frozen=True)
@@ -22,6 +32,17 @@ class TimingSettings:
 
     speed: float = SLOW  # factor on velocity and acceleration limits, above 0 and at most 1
     deviation: float = 1e-3  # of the motion from the polyline at rounded corners, at most [rad]
+    tightenings: int = 3  # of a refused curve, each to a quarter of the deviation
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothCurve:
+    """A twice continuously differentiable curve q(s), s about arc length [rad or m]."""
+
+    spline: BSpline  # q(s) (n,) [rad or m]
+    grid: np.ndarray  # (g,) places at which speeds are computed: knots, and points between [rad]
+    deviation: float  # largest distance measured between q(s) and the polyline at s [rad]
+    marks: np.ndarray  # (m,) of the waypoints, the last the length of the polyline [rad]
 
 
 def time_path(
@@ -30,13 +51,19 @@ def time_path(
     settings: TimingSettings | None = None,
     check: Callable[[Trajectory], Sequence[str]] | None = None,
 ) -> Trajectory:
-    """The fastest motion along waypoints (m, n) [rad] within the limits, at rest at both ends.
+    """The fastest motion along waypoints within the limits, at rest at both ends.
 
-    check: faults of the motion, see `motion_check.certified_motion`. While there are any, corners
-        are cut less.
+    Args:
+        waypoints: (m, n) [rad or m], neighbours distinct.
+        limits: velocity and acceleration of each joint.
+        settings: speed, and how far corners may be cut.
+        check: faults of the motion, see `motion_check.certified_motion`. While there are any,
+            corners are cut less.
+
+    Raises InvalidInputError for waypoints that are no path, and names what holds the motion up.
     """
     settings = settings or TimingSettings()
-    states = checked_waypoints(waypoints)
+    states = _checked_waypoints(waypoints)
     if states.shape[1] != len(limits.joint_names):
         raise InvalidInputError(
             f"waypoints have {states.shape[1]} joints, the limits {len(limits.joint_names)}: "
@@ -44,7 +71,7 @@ def time_path(
         )
     limits = limits.scaled(settings.speed)
     reasons: Sequence[str] = ()
-    for k in range(TIGHTENINGS + 1):
+    for k in range(settings.tightenings + 1):
         curve = smooth_curve(states, settings.deviation / 4**k)
         motion = _trajectory(curve, squared_speeds(curve, limits), limits)
         reasons = check(motion) if check else ()
@@ -54,6 +81,118 @@ def time_path(
         f"the path with rounded corners is refused even {curve.deviation:.1e} rad from it: "
         f"{'; '.join(reasons)}; plan with another seed"
     )
+
+
+def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
+    """The waypoints (m, n) as floats; refused unless m >= 2, all finite, neighbours distinct."""
+    try:
+        states = np.array(waypoints, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(
+            "waypoints are not an array of numbers: give (m, n) joint values [rad]"
+        ) from error
+    if states.ndim != 2 or len(states) < 2 or states.shape[1] == 0:
+        raise InvalidInputError(
+            f"waypoints have shape {states.shape}: give (m, n), two or more, one value a joint "
+            f"[rad]"
+        )
+    for k, j in np.argwhere(~np.isfinite(states)):
+        raise InvalidInputError(
+            f"waypoint {k} has {states[k, j]} at joint index {j}: give finite numbers"
+        )
+    for k in np.flatnonzero(np.linalg.norm(np.diff(states, axis=0), axis=1) < 1e-9):
+        raise InvalidInputError(f"waypoint {k + 1} repeats waypoint {k}: leave one of the two out")
+    return states
+
+
+def smooth_curve(
+    states: np.ndarray,
+    deviation: float,
+    widest: float = 0.08,
+    spans: int = 20,
+    refinements: int = 40,
+    samples: int = 8,
+) -> SmoothCurve:
+    """Curve along waypoints, nowhere further than deviation from their polyline.
+
+    Args:
+        states: waypoints (m, n) [rad or m], neighbours distinct.
+        deviation: [rad].
+        widest: spacing of knots on smooth stretches [rad].
+        spans: between knots at least, however short the path.
+        refinements: how often knots are packed more densely.
+        samples: places a knot span at which the distance is measured.
+    """
+    if not (np.isfinite(deviation) and deviation > 0.0):
+        raise InvalidInputError(f"deviation {deviation}: give a distance above 0 [rad]")
+    steps = np.diff(states, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    marks = np.concatenate([[0.0], np.cumsum(lengths)])
+    turns = np.linalg.norm(np.diff(steps / lengths[:, None], axis=0), axis=1)
+
+    def polyline(s: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(s, marks, joint) for joint in states.T], axis=1)
+
+    spacing, aim = min(widest, marks[-1] / spans), deviation
+    for _ in range(refinements):
+        knots = _knots(marks, turns, spacing, aim, spans)
+        t = np.concatenate([np.repeat(knots[0], 3), knots, np.repeat(knots[-1], 3)])
+        spline = BSpline(t, polyline((t[1:-3] + t[2:-2] + t[3:-1]) / 3.0), 3)
+        inside = np.arange(samples) / samples * np.diff(knots)[:, None]
+        s = np.concatenate([(knots[:-1, None] + inside).ravel(), marks])
+        # at equal s: no less than the distance between the two sets
+        measured = float(np.linalg.norm(spline(s) - polyline(s), axis=1).max())
+        if measured <= deviation:
+            return SmoothCurve(spline, _grid(knots), measured, marks)
+        aim *= 0.9 * deviation / measured
+        spacing *= np.sqrt(0.9 * deviation / measured)
+    raise InvalidInputError(
+        f"no smooth curve within {deviation} rad of the path was found; give a larger deviation"
+    )
+
+
+def _knots(
+    marks: np.ndarray,
+    turns: np.ndarray,
+    spacing: float,
+    aim: float,
+    spans: int,
+    flat: float = 1.5,
+    growth: float = 0.5,
+) -> np.ndarray:
+    """Knots (k,) from 0 to the end, so dense at waypoints that their corners are cut by aim.
+
+    Args:
+        marks: (m,) of the waypoints [rad].
+        turns: (m - 2,) changes of direction.
+        spacing: on smooth stretches [rad].
+        aim: distance from a corner [rad].
+        spans: at least.
+        flat: finest spacings, either side of a corner, before the spacing grows.
+        growth: the spacing grows by this share of the distance from a corner.
+    """
+    at_corner = 6.0 * aim / np.maximum(turns, 1e-12)
+    sharp = at_corner < spacing
+    corners, finest = marks[1:-1][sharp], at_corner[sharp]
+    # the spacing wished for is sampled on a lattice and, as it changes fast there, at corners
+    lattice = np.linspace(0.0, marks[-1], 4 * int(np.ceil(marks[-1] / spacing)) + 1)
+    around = corners[:, None] + np.outer(finest, (-6, -4, -2.5, -flat, 0, flat, 2.5, 4, 6))
+    s = np.unique(np.clip(np.concatenate([lattice, around.ravel()]), 0.0, marks[-1]))
+    wish = np.full(len(s), spacing)
+    for corner, fine in zip(corners, finest, strict=True):
+        wish = np.minimum(wish, fine + growth * np.maximum(np.abs(s - corner) - flat * fine, 0.0))
+    density = 0.5 * (1.0 / wish[1:] + 1.0 / wish[:-1]) * np.diff(s)
+    count = np.concatenate([[0.0], np.cumsum(density)])
+    most = max(spans, int(np.ceil(count[-1])))
+    return np.interp(np.linspace(0.0, count[-1], most + 1), count, s)
+
+
+def _grid(knots: np.ndarray) -> np.ndarray:
+    """Knots and points between them: spans are cut in three, short ones at corners in four."""
+    spans = np.diff(knots)
+    parts = np.where(spans < 0.6 * spans.max(), 4, 3)
+    cuts = [a + np.arange(m) / m * d for a, d, m in zip(knots, spans, parts, strict=False)]
+    return np.concatenate([*cuts, knots[-1:]])
 
 
 def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) -> Trajectory:
@@ -69,56 +208,67 @@ def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) ->
         joint_names=limits.joint_names,
         times=slower * times,
         positions=curve.spline(grid),
-        velocities=first * speeds[:, None] / slower + 0.0,  # no -0.0
+        # no -0.0
+        velocities=first * speeds[:, None] / slower + 0.0,
         accelerations=(second * squared[:, None] + first * a[:, None]) / slower**2,
         deviation=curve.deviation,
     )
 
 
 def _excess(
-    curve: SmoothCurve, squared: np.ndarray, path_acceleration: np.ndarray, limits: JointLimits
+    curve: SmoothCurve,
+    squared: np.ndarray,
+    path_acceleration: np.ndarray,
+    limits: JointLimits,
+    checks: int = 5,
 ) -> float:
-    """Factor on time (1 to about 1.002) that brings every joint within its limits between grid
-    points.
+    """Factor on time, 1 to about 1.002, that brings joints within limits between grid points.
+
+    checks: places in an interval, ends included.
     """
     grid = curve.grid
-    share = np.linspace(0.0, 1.0, CHECKS)
+    share = np.linspace(0.0, 1.0, checks)
     s = (grid[:-1, None] + share * np.diff(grid)[:, None]).ravel()
     b = (squared[:-1, None] + share * np.diff(squared)[:, None]).ravel()
-    a = np.repeat(path_acceleration, CHECKS)
+    a = np.repeat(path_acceleration, checks)
     first, second = curve.spline(s, 1), curve.spline(s, 2)
     velocity = np.abs(first) * np.sqrt(b)[:, None] / limits.velocity
     acceleration = np.abs(second * b[:, None] + first * a[:, None]) / limits.acceleration
     return float(max(1.0, velocity.max(), np.sqrt(acceleration.max())))
 
 
-# The fastest motion along a curve q(s): maximise the sum of b = (ds/dt)^2 over the grid, a linear
-# program. least |q'| / velocity limit, relative to the typical one: it is 0 where all joints
-# reverse
-FLAT = 1e-3
-TOLERANCE = 1e-10  # of the linear program, whose numbers are about 1
-STANDSTILL = 1e-8  # squared speed, relative to the typical one, below which there is no motion
+def squared_speeds(
+    curve: SmoothCurve, limits: JointLimits, flat: float = 1e-3, standstill: float = 1e-8
+) -> np.ndarray:
+    """Squared speeds b = (ds/dt)^2 along a curve: the greatest sum within the limits.
 
+    Args:
+        curve: q(s).
+        limits: |dq/ds| sqrt(b) <= velocity, |d2q/ds2 b + dq/ds (db/ds) / 2| <= acceleration.
+        flat: least |dq/ds| / velocity, relative to the typical one: it is 0 where all joints
+            reverse.
+        standstill: b, relative to the typical one, below which there is no motion.
 
-def squared_speeds(curve: SmoothCurve, limits: JointLimits) -> np.ndarray:
-    """Squared speeds b (g,) [rad^2/s^2] on the grid, 0 at both ends;
-    InvalidInputError names a joint without motion.
+    Returns:
+        b (g,) [rad^2/s^2] on the grid, 0 at both ends.
+
+    Raises InvalidInputError that names the joint that holds the motion up.
     """
     grid = curve.grid
     slope = np.abs(curve.spline(grid, 1))
-    slowness = (slope / limits.velocity).max(axis=1)  # least time per arc length
-    bound = np.maximum(slowness, FLAT * np.median(slowness)) ** -2
+    slowness = (slope / limits.velocity).max(axis=1)
+    bound = np.maximum(slowness, flat * np.median(slowness)) ** -2
     typical = 1.0 / np.median((slope / limits.acceleration).max(axis=1))
-    scale = min(np.median(bound), 2.0 * curve.length * typical)
+    scale = min(np.median(bound), 2.0 * float(curve.marks[-1]) * typical)
     faster = _velocity_rows(curve, limits.velocity, bound)
     rows = [_acceleration_rows(curve, limits.acceleration, bound), faster]
     rows = scale * sparse.vstack(rows, format="csr")
     bound = bound / scale
     bound[[0, -1]] = 0.0
-    solved, shape = _greatest(rows, bound)
-    shape = np.minimum(shape, bound)
-    if not solved or shape[1:-1].min() <= STANDSTILL:
-        raise InvalidInputError(_why_not(curve, limits, shape if solved else bound))
+    greatest = _greatest(rows, bound)
+    shape = bound if greatest is None else np.minimum(greatest, bound)
+    if greatest is None or shape[1:-1].min() <= standstill:
+        raise InvalidInputError(_why_not(curve, limits, shape))
     return scale * np.maximum(shape, 0.0)
 
 
@@ -141,13 +291,14 @@ def _acceleration_rows(
 ) -> sparse.csr_matrix:
     """Matrix A of the acceleration limits A b <= 1.
 
-    Between grid points q'' b + q' a, with a = b' / 2, is a parabola in s. Its three Bernstein
-    coefficients, which enclose it, are bounded, so limits hold between grid points too. Rows
-    implied by b <= bound (g,) are left out.
+    Between grid points d2q/ds2 b + dq/ds a, with a = (db/ds) / 2, is a parabola in s. Its three
+    Bernstein coefficients, which enclose it, are bounded, so limits hold between grid points too.
+    Rows implied by b <= bound (g,) are left out.
     """
     grid = curve.grid
     steps = np.diff(grid)[:, None]
-    left, right = [], []  # factors of b at the two ends of each interval, (g - 1, n) each
+    # factors of b at the two ends of each interval, (g - 1, n) each
+    left, right = [], []
     for share in (0.0, 0.5, 1.0):
         s = grid[:-1] + share * np.diff(grid)
         change = curve.spline(s, 1) / acceleration / (2.0 * steps)
@@ -173,44 +324,47 @@ def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndar
     size = np.maximum(np.abs(upper), 1e-12)
     at_zero, at_bound = 1.0 / size, (1.0 - lower * bound[:, None]) / size
     above = upper > 0.0
-    binding = above | (at_bound < 0.0)  # others ask y to exceed something negative
+    # others ask y to exceed something negative
+    binding = above | (at_bound < 0.0)
     for r in range(lower.shape[1]):
-        tighter = (
-            (at_zero[:, [r]] <= at_zero) & (at_bound[:, [r]] <= at_bound) & (above[:, [r]] == above)
-        )
-        binding &= ~(tighter & ((at_zero[:, [r]] < at_zero) | (at_bound[:, [r]] < at_bound)))
+        zero, end = at_zero[:, [r]], at_bound[:, [r]]
+        tighter = (zero <= at_zero) & (end <= at_bound) & (above[:, [r]] == above)
+        binding &= ~(tighter & ((zero < at_zero) | (end < at_bound)))
     return binding
 
 
-def _greatest(rows: sparse.csr_matrix, bound: np.ndarray) -> tuple[bool, np.ndarray]:
-    """Whether there is a solution, and the greatest b (g,), nan without one."""
-    import cvxpy as cp  # takes half a second, which planning without timing need not wait for
+def _greatest(
+    rows: sparse.csr_matrix, bound: np.ndarray, tolerance: float = 1e-10
+) -> np.ndarray | None:
+    """The b (g,) of the greatest sum with rows b <= 1 and 0 <= b <= bound; None without one."""
+    # it takes half a second to import, which planning without timing need not wait for
+    import cvxpy as cp
 
     b = cp.Variable(len(bound))
     problem = cp.Problem(cp.Maximize(cp.sum(b)), [rows @ b <= 1.0, b >= 0.0, b <= bound])
-    options = {"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE}
+    options = {"primal_feasibility_tolerance": tolerance, "dual_feasibility_tolerance": tolerance}
     try:
-        with warnings.catch_warnings():  # of inaccurate solutions: limits are checked afterwards
+        with warnings.catch_warnings():
+            # of inaccurate solutions: limits are checked afterwards
             warnings.simplefilter("ignore", UserWarning)
             problem.solve(solver=cp.HIGHS, highs_options=options)
     except cp.SolverError:
-        return False, np.full(b.shape, np.nan)
+        return None
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or b.value is None:
-        return False, np.full(b.shape, np.nan)
-    return True, np.asarray(b.value)
+        return None
+    return np.asarray(b.value)
 
 
 def _why_not(curve: SmoothCurve, limits: JointLimits, shape: np.ndarray) -> str:
     """The joint and the inner grid point with the lowest speed."""
-    grid = curve.grid
-    k = 1 + int(np.argmin(shape[1:-1]))
-    by_velocity = (np.abs(curve.spline(grid[k], 1)) / limits.velocity) ** 2
-    by_acceleration = np.abs(curve.spline(grid[k], 2)) / limits.acceleration
+    s = curve.grid[1 + int(np.argmin(shape[1:-1]))]
+    by_velocity = (np.abs(curve.spline(s, 1)) / limits.velocity) ** 2
+    by_acceleration = np.abs(curve.spline(s, 2)) / limits.acceleration
     j = int(np.argmax(np.maximum(by_velocity, by_acceleration)))
     kind = "velocity" if by_velocity[j] > by_acceleration[j] else "acceleration"
+    waypoint = int(np.argmin(np.abs(curve.marks - s)))
     return (
         f"the path cannot be timed: joint {limits.joint_names[j]!r}, {kind} limit "
-        f"{getattr(limits, kind)[j]:.3g}, holds it up at {grid[k]:.3f} of {curve.length:.3f} rad "
-        f"(waypoint "
-        f"{curve.waypoint(grid[k])}); raise that limit, or plan a path without that turn"
+        f"{getattr(limits, kind)[j]:.3g}, holds it up at {s:.3f} of {curve.marks[-1]:.3f} rad "
+        f"(waypoint {waypoint}); raise that limit, or plan a path without that turn"
     )

@@ -1,26 +1,36 @@
-"""Trajectories: joint positions, velocities and accelerations over time; as csv and, for ROS, as
-json.
+"""Trajectories: joint positions, velocities and accelerations over time; their files.
 
-Files leave accelerations out: a controller then follows the cubics through positions and
-velocities, which are what is certified. With accelerations, which jump between pieces, ROS's would
-follow quintics that exceed them by up to 75 %.
+A csv has a header of joint names, or none, and a row a state; with a column ``time`` it is a
+trajectory, whose columns are ``JOINT_position``, ``JOINT_velocity`` and perhaps
+``JOINT_acceleration``. A json file holds a list of states, an object with ``joint_names`` and
+``states`` (or ``path``, as ``cvqmpt plan --json`` prints), or ROS's `JointTrajectory`.
+
+Files that are written leave accelerations out: a controller then follows the cubics through
+positions and velocities, which are what is certified. With accelerations, which jump between
+pieces, ROS's would follow quintics that exceed them by up to 75 %.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.files import write_text
+from cvqmpt_lab.codec.forms import numbers
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+from cvqmpt_lab.files import json_object, read_text, require_regular_file, write_text
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicHermiteSpline  # half a second to import
+    # half a second to import
+    from scipy.interpolate import CubicHermiteSpline
+
+KINDS = ("position", "velocity", "acceleration")  # of columns in a csv
 
 
 class JointState(NamedTuple):
@@ -54,7 +64,10 @@ class Trajectory:
         return float(self.times[-1])
 
     def at(self, t: float | np.ndarray) -> JointState:
-        """State at a time or at times (k,) [s]; at rest before the start and after the end."""
+        """State at a time or at times (k,) [s]; at rest before the start and after the end.
+
+        Between two points q(t) is the cubic through both positions and velocities.
+        """
         moment = np.asarray(t, dtype=float)
         if not np.isfinite(moment).all():
             raise InvalidInputError(f"time {t}: give finite seconds from 0 to {self.duration:.3f}")
@@ -70,33 +83,54 @@ class Trajectory:
         if not (np.isfinite(period) and period > 0.0):
             raise InvalidInputError(f"sampling period {period}: give seconds above 0, such as 0.01")
         times = np.linspace(0.0, self.duration, max(2, int(np.ceil(self.duration / period)) + 1))
-        return Trajectory(self.joint_names, times, *self.at(times), deviation=self.deviation)
+        return Trajectory(self.joint_names, times, *self.at(times), self.deviation)
 
     @cached_property
     def _motion(self) -> tuple[CubicHermiteSpline, CubicHermiteSpline, CubicHermiteSpline]:
-        """Cubic pieces through positions and velocities, as a robot's controller interpolates, and
-        derivatives.
-        """
+        """Cubic pieces as a robot's controller interpolates, and their two derivatives."""
         from scipy.interpolate import CubicHermiteSpline
 
         spline = CubicHermiteSpline(self.times, self.positions, self.velocities)
         return spline, spline.derivative(1), spline.derivative(2)
 
 
-# Files.
-KINDS = ("position", "velocity", "acceleration")  # of columns
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A path or trajectory of a file; numbers may be nan or infinite."""
+
+    joint_names: tuple[str, ...] | None  # n names, or None where the file has none
+    positions: np.ndarray  # (m, n) [rad or m]
+    times: np.ndarray | None = None  # (m,) [s], or None for a path
+    velocities: np.ndarray | None = None  # (m, n) [rad/s or m/s], with times
+    accelerations: np.ndarray | None = None  # (m, n) [rad/s^2 or m/s^2], where stated
+
+    def of_joints(self, names: tuple[str, ...]) -> Motion:
+        """With joints in the order of names; InvalidInputError for other joints."""
+        if self.joint_names is None or self.joint_names == names:
+            return self
+        if sorted(self.joint_names) != sorted(names):
+            raise InvalidInputError(
+                f"the file moves joints {', '.join(map(shown, self.joint_names))}; the robot has "
+                f"{', '.join(names)}"
+            )
+        order = [self.joint_names.index(name) for name in names]
+        velocities, accelerations = (
+            None if kind is None else kind[:, order]
+            for kind in (self.velocities, self.accelerations)
+        )
+        return Motion(names, self.positions[:, order], self.times, velocities, accelerations)
 
 
 def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Write a .csv or .json file."""
-    write_text(Path(path), _WRITERS[file_type(path)](trajectory))
+    write_text(Path(path), WRITERS[file_type(path)](trajectory))
 
 
 def file_type(path: Path | str) -> str:
     """The ending of a trajectory file, ".csv" or ".json"; anything else is refused."""
     ending = Path(path).suffix.lower()
-    if ending not in _WRITERS:
-        raise UnknownChoiceError(f"trajectory file type of {path}:", ending, _WRITERS)
+    if ending not in WRITERS:
+        raise UnknownChoiceError(f"trajectory file type of {path}:", ending, WRITERS)
     return ending
 
 
@@ -104,26 +138,129 @@ def as_csv(trajectory: Trajectory) -> str:
     """Header, then a line a time: time [s], then all positions, then all velocities."""
     columns = [f"{name}_{kind}" for kind in KINDS[:2] for name in trajectory.joint_names]
     table = np.column_stack([trajectory.times, trajectory.positions, trajectory.velocities])
-    lines = [
-        ",".join(["time", *columns]),
-        *(",".join(repr(float(x)) for x in row) for row in table),
-    ]
-    return "\n".join(lines) + "\n"
+    lines = [",".join(map(repr, row)) for row in table.tolist()]
+    return "\n".join([",".join(["time", *columns]), *lines]) + "\n"
 
 
 def as_ros_json(trajectory: Trajectory) -> str:
     """The fields of `trajectory_msgs/JointTrajectory`."""
     points = []
-    for k, t in enumerate(trajectory.times):
+    for t, q, v in zip(trajectory.times, trajectory.positions, trajectory.velocities, strict=True):
         sec, nanosec = divmod(round(1e9 * t), 1_000_000_000)
-        states = {
-            kind: getattr(trajectory, kind)[k].tolist() for kind in ("positions", "velocities")
-        }
-        when = {"time_from_start": {"sec": sec, "nanosec": nanosec}}
-        points.append({**states, "accelerations": [], "effort": [], **when})
+        points.append(
+            {
+                "positions": q.tolist(),
+                "velocities": v.tolist(),
+                "accelerations": [],
+                "effort": [],
+                "time_from_start": {"sec": sec, "nanosec": nanosec},
+            }
+        )
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     message = {"header": header, "joint_names": list(trajectory.joint_names), "points": points}
     return json.dumps(message, allow_nan=False) + "\n"
 
 
-_WRITERS = {".csv": as_csv, ".json": as_ros_json}
+WRITERS = {".csv": as_csv, ".json": as_ros_json}
+
+
+def read_motion(path: Path) -> Motion:
+    """Read a .csv or .json file; InvalidInputError names the file and what in it is not understood."""
+    readers = {".csv": _from_csv, ".json": _from_json}
+    ending = path.suffix.lower()
+    if ending not in readers:
+        raise UnknownChoiceError(f"file type of {path}:", ending, readers)
+    text = read_text(require_regular_file(path, "motion"), "motion")
+    try:
+        motion = readers[ending](text)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"motion {path} is not understood: {error}") from error
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError, csv.Error) as error:
+        why = shown(str(error))
+        raise InvalidInputError(f"motion {path} is not understood: {why}") from error
+    for kind in (motion.positions, motion.velocities, motion.accelerations):
+        if kind is not None and (kind.ndim != 2 or kind.shape != motion.positions.shape):
+            raise InvalidInputError(
+                f"motion {path}: arrays of {motion.positions.shape} and {kind.shape} states"
+            )
+    if motion.joint_names is not None and motion.positions.shape[1] != len(motion.joint_names):
+        raise InvalidInputError(
+            f"motion {path}: {len(motion.joint_names)} joint names, {motion.positions.shape[1]} "
+            f"values a state"
+        )
+    return motion
+
+
+def _from_csv(text: str) -> Motion:
+    rows = [row for row in csv.reader(io.StringIO(text)) if row]
+    if not rows:
+        raise InvalidInputError("it is empty")
+    header, lines = None, rows
+    try:
+        np.array(rows[0], dtype=float)
+    except ValueError:
+        header, lines = tuple(name.strip() for name in rows[0]), rows[1:]
+    table = np.array([[float(x) for x in row] for row in lines]).reshape(len(lines), -1)
+    if header is not None and lines and table.shape[1] != len(header):
+        raise InvalidInputError(f"{len(header)} names in its header, {table.shape[1]} values a row")
+    if header is None or "time" not in header:
+        return Motion(header, table)
+    names = tuple(name.removesuffix("_position") for name in header if name.endswith("_position"))
+    columns = dict(zip(header, table.T, strict=False))
+    expected = ["time", *(f"{name}_{kind}" for kind in KINDS for name in names)]
+    if not names or len(columns) != len(header) or not set(header) <= set(expected):
+        odd = next((name for name in header if name not in expected), header[0])
+        raise InvalidInputError(
+            f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity"
+        )
+    kinds: list[Any] = [None, None, None]
+    for k, kind in enumerate(KINDS):
+        if any(column.endswith(f"_{kind}") for column in header):
+            kinds[k] = np.stack([columns[f"{name}_{kind}"] for name in names], axis=1)
+    return Motion(names, kinds[0], columns["time"], kinds[1], kinds[2])
+
+
+def _from_json(text: str) -> Motion:
+    try:
+        data = json.loads(text) if text.lstrip().startswith("[") else json_object(text, "it")
+    except RecursionError as error:
+        raise InvalidInputError("it is nested too deeply") from error
+    if isinstance(data, list):
+        return Motion(None, _table(data))
+    names = data.get("joint_names", data.get("joints"))
+    if names is not None:
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise InvalidInputError(f"'joint_names' {shown(names)}: give a list of names")
+        names = tuple(names)
+    if "points" in data:
+        return _from_points(names, data["points"])
+    key = next((key for key in ("states", "path") if data.get(key) is not None), None)
+    if key is None:
+        raise InvalidInputError("it has no 'states', 'path' or 'points'")
+    return Motion(names, _table(data[key]))
+
+
+def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) -> Motion:
+    """The points of a `JointTrajectory`."""
+    times = [point["time_from_start"] for point in points]
+    kinds = []
+    for key in ("positions", "velocities", "accelerations"):
+        given = [bool(point.get(key)) for point in points]
+        if any(given) and not all(given):
+            raise InvalidInputError(
+                f"point {given.index(False)} has no {key!r}, others have: give all or none"
+            )
+        kinds.append(_table([point[key] for point in points]) if all(given) else None)
+    if kinds[0] is None:
+        raise InvalidInputError("a point has no 'positions'")
+    seconds = numbers([time["sec"] for time in times], "sec")
+    seconds = seconds + 1e-9 * numbers([time.get("nanosec", 0) for time in times], "nanosec")
+    return Motion(names, kinds[0], seconds, kinds[1], kinds[2])
+
+
+def _table(rows: list[list[float]]) -> np.ndarray:
+    """States (m, n); ValueError unless all are numbers, as many in each."""
+    table = numbers(rows, "states")
+    if table.ndim != 2:
+        raise ValueError(f"states of shape {table.shape}, give a list of lists of numbers")
+    return table

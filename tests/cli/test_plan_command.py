@@ -11,7 +11,7 @@ from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
-from cvqmpt_lab.trajectory.trajectory_files import read_motion
+from cvqmpt_lab.trajectory.trajectory import read_motion
 
 
 def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem, tmp_path):

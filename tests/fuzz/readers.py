@@ -44,8 +44,7 @@ from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.trajectory.timing import time_path
-from cvqmpt_lab.trajectory.trajectory import save_trajectory
-from cvqmpt_lab.trajectory.trajectory_files import read_motion
+from cvqmpt_lab.trajectory.trajectory import read_motion, save_trajectory
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.import_published import read_tensors

@@ -17,8 +17,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import panda
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.trajectory.curve import smooth_curve
-from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+from cvqmpt_lab.trajectory.timing import TimingSettings, smooth_curve, time_path
 from cvqmpt_lab.vqmpt.checkpoint import as_modules
 from cvqmpt_lab.vqmpt.codebook import CodeDecoder, ModelConfigurations, waypoint_codes
 from cvqmpt_lab.vqmpt.weights import load_vq_mpt

@@ -21,7 +21,7 @@ from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
-from cvqmpt_lab.trajectory.trajectory_files import Motion
+from cvqmpt_lab.trajectory.trajectory import Motion
 
 FULL = TimingSettings(speed=1.0)
 TWO_JOINTS = JointLimits(("first", "second"), np.array([2.0, 1.0]), np.array([4.0, 5.0]))
