@@ -19,7 +19,7 @@ from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings
 from cvqmpt_lab.training.transformer_stage import TransformerStage
 from cvqmpt_lab.vqmpt import config as sizes
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint
-from cvqmpt_lab.vqmpt.scene_transformer import LONGEST
+from cvqmpt_lab.vqmpt.scene_arrays import LONGEST
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, checkpoint_folder, resolve_model
 
 MODELS = {

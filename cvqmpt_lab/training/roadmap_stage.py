@@ -26,8 +26,8 @@ from cvqmpt_lab.training.stage_base import Means, OptimizerSettings, Stage
 from cvqmpt_lab.training.training_clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import require_sizes
-from cvqmpt_lab.vqmpt.point_groups import NOWHERE
-from cvqmpt_lab.vqmpt.scene_transformer import LONGEST, roadmap_ways
+from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, NOWHERE
+from cvqmpt_lab.vqmpt.scene_transformer import roadmap_ways
 
 NO_TARGET = -100
 SHORT = (4, 6)  # codes from which paths count as longer ones

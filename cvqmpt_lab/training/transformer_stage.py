@@ -19,7 +19,7 @@ from cvqmpt_lab.training.roadmap_stage import (
 )
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig, SceneTransformerSizes
-from cvqmpt_lab.vqmpt.point_groups import group_points
+from cvqmpt_lab.vqmpt.scene_arrays import group_points
 from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer
 
 

@@ -1,4 +1,4 @@
-"""The authors' beam search for a sequence of codes that is probable (paper, eqn. prob_eqn),
+"""Beam search for a sequence of codes that is probable (paper, eqn. prob_eqn),
 
     P(h_1 ... h_n | M) = prod_i pi(h_i | h_1 ... h_(i-1), M),
 
@@ -15,22 +15,21 @@ from cvqmpt_lab.errors import InvalidInputError
 
 
 class StepDecoder(Protocol):
-    """What a search asks a sequence model: prefixes of codes, one a row, that grow by one code a
-    step.
+    """Log-probabilities, float32, of what can follow prefixes of codes, one prefix a row.
 
-    Classes are the codes, then the start token (never predicted), then the goal token. Rows of one
-    query (start and goal) lie together, queries in their order, equally many rows each. Logits are
-    float32.
+    Rows of one query (start and goal) lie together, queries in their order. Classes are the codes
+    and the goal token; impossible ones have -inf.
     """
 
-    def start(self) -> np.ndarray:
-        """Logits (queries, n_classes) of the first code; called once, before `advance`."""
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Classes (queries, l) that can come first, and their log-probabilities; called once."""
 
-    def advance(self, parents: np.ndarray, codes: np.ndarray) -> np.ndarray:
-        """Replace the rows and return the logits (rows, n_classes) of what follows them.
+    def advance(self, parents: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Replace the rows; classes (rows, w), the last the goal token, and log-probabilities.
 
-        parents (rows,) int64: the earlier row, of the same query, that each new row continues;
-        codes (rows,) int64: what it adds. The number of rows is chosen at the first step and stays.
+        Args:
+            parents: (rows,) int64, the earlier row that each new row continues.
+            codes: (rows,) int64, the code it adds.
         """
 
 
@@ -38,81 +37,98 @@ class StepDecoder(Protocol):
 class CodeSequence:
     """A predicted sequence."""
 
-    codes: tuple[int, ...]  # without start and goal token
+    codes: tuple[int, ...]  # without the goal token
     # the goal token was predicted before the length limit; without it the codes lead nowhere
     finished: bool
     score: float  # what the search ranked by
 
 
 def beam_search(
-    decoder: StepDecoder, *, beams: int = 3, max_length: int = 50
-) -> list[CodeSequence]:
-    """Search a sequence for each query as the authors' code does, all queries in one batch.
+    decoder: StepDecoder,
+    *,
+    beams: int = 3,
+    max_length: int = 50,
+    every: bool = False,
+    published: bool = False,
+) -> list[list[CodeSequence]]:
+    """Hypotheses for each query, finished ones first, then by score; all queries in one batch.
 
-    A hypothesis is ranked by the logarithm of its first probability plus the sum of the others. The
-    last code of any beam is forbidden to all of them. The search of a query ends at the first step
-    in which any beam predicts the goal token, and returns the best of those; at the length limit
-    the best hypothesis, with `finished` False. The first prediction is never the goal token, and
-    none is the start token. Not copied is that their code then reads embeddings that were not
-    reordered with the beams.
+    Scores are log P. A finished hypothesis stays in the beam as it is. Since going on only lowers
+    the others, a query leaves the batch once its best hypothesis is finished, or every one.
 
-    beams: hypotheses kept per query, K. max_length: predicted tokens at most, the goal token
-        included (published
-    code: 50 for CVQ-MPT, 30 for Opt-CVQ-MPT).
+    Args:
+        decoder: the sequence model.
+        beams: K, hypotheses kept per query.
+        max_length: predicted tokens at most, the goal token included (published code: 50 for
+            CVQ-MPT, 30 for Opt-CVQ-MPT).
+        every: go on until every hypothesis is finished, not only the best.
+        published: the rules of the authors' code. The score is the logarithm of the first
+            probability plus the sum of the others; the last code of any beam is forbidden to all;
+            a query ends at the first goal token of any beam. (Not copied is that their code then
+            reads embeddings that were not reordered with the beams.)
+
+    Raises:
+        InvalidInputError: no such number of tokens or beams, or log-probabilities are not numbers.
     """
     if max_length < 1:
         raise InvalidInputError(f"sequences of {max_length} tokens; give at least 1")
-    logits = decoder.start()
-    if not np.isfinite(logits).all():
+    classes, log_p = decoder.start()
+    if np.isnan(log_p).any():
         raise InvalidInputError("predicted logits are not finite; start, goal or weights hold NaN")
-    log_p = _log_probabilities(logits)
-    log_p[:, -1] = -np.inf
-    queries, classes = log_p.shape
-    most, goal = classes - 2, classes - 1
+    most = int(np.isfinite(log_p).sum(axis=1).min())
     if not 1 <= beams <= most:
         raise InvalidInputError(f"{beams} beams; give 1 to {most}")
-    codes, score = _largest(log_p, beams)  # (queries, beams)
-    codes, query = codes[..., None], np.arange(queries)[:, None]
-    parents = np.arange(queries).repeat(beams)
-    found: dict[int, CodeSequence] = {}
+    column, score = _largest(log_p, beams)
+    codes = np.take_along_axis(classes, column, axis=1)[..., None]  # (queries, beams, t)
+    query, found = np.arange(len(codes)), dict[int, list[CodeSequence]]()
+    parents, ended = query.repeat(beams), np.zeros(score.shape, dtype=bool)
     for _ in range(max_length - 1):
-        latest = codes[..., -1]
-        logits = decoder.advance(parents, np.where(latest == goal, 0, latest).ravel())
-        gain = np.exp(_log_probabilities(logits)).reshape(queries, beams, classes)
-        gain.swapaxes(1, 2)[query, latest] = -np.inf
-        flat, score = _largest((score[..., None] + gain).reshape(queries, -1), beams)
-        rank, code = np.divmod(flat, classes)
-        codes = np.concatenate((codes[query, rank], code[..., None]), axis=2)
-        parents = (rank + beams * query).ravel()
-        for row, ended in enumerate((code == goal).tolist()):
-            if True in ended and row not in found:
-                best = ended.index(True)
-                found[row] = CodeSequence(
-                    tuple(codes[row, best, :-1].tolist()), True, float(score[row, best])
-                )
-        if len(found) == queries:
+        classes, log_p = decoder.advance(parents, np.where(ended, 0, codes[..., -1]).ravel())
+        gain, width = log_p.reshape(*score.shape, -1), classes.shape[1]
+        if published:
+            last = (classes.reshape(gain.shape)[..., None] == codes[:, None, None, :, -1]).any(-1)
+            gain = np.where(last | np.isneginf(gain), -np.inf, np.exp(gain))
+        gain[ended] = -np.inf  # a finished hypothesis goes on as it is, at no cost
+        gain[ended, -1] = 0.0
+        column, score = _largest((score[..., None] + gain).reshape(len(query), -1), beams)
+        rank, column = np.divmod(column, width)
+        row = beams * np.arange(len(query))[:, None] + rank
+        earlier = np.take_along_axis(codes, rank[..., None], axis=1)
+        codes = np.concatenate([earlier, classes[row, column][..., None]], axis=2)
+        ended = codes[..., -1] == classes[0, -1]
+        if published:
+            done = ended.any(axis=1)
+        else:
+            done = ended.all(axis=1) if every else ended[:, 0]
+        for one in np.flatnonzero(done).tolist():
+            found[int(query[one])] = _hypotheses(codes[one], score[one], ended[one])
+        query, codes, score, ended, row = (x[~done] for x in (query, codes, score, ended, row))
+        if len(query) == 0:
             break
-    return [
-        found[row]
-        if row in found
-        else CodeSequence(tuple(codes[row, 0].tolist()), False, float(score[row, 0]))
-        for row in range(queries)
-    ]
+        parents = row.ravel()
+    for one, which in enumerate(query.tolist()):
+        found[which] = _hypotheses(codes[one], score[one], ended[one])
+    return [found[which] for which in range(len(found))]
+
+
+def _hypotheses(codes: np.ndarray, score: np.ndarray, ended: np.ndarray) -> list[CodeSequence]:
+    """Hypotheses (beams, t) in order, each up to its first goal token."""
+    sequences = []
+    for one in np.argsort(~ended, kind="stable").tolist():
+        row = codes[one].tolist()
+        until = row.index(row[-1]) if ended[one] else len(row)
+        sequences.append(CodeSequence(tuple(row[:until]), bool(ended[one]), float(score[one])))
+    return sequences
 
 
 def _largest(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and values (q, count) of the largest in each row (q, n), largest first;
-    ties by column.
-    """
-    columns = np.sort(np.argpartition(values, -count, axis=1)[:, -count:], axis=1)
-    row = np.arange(len(values))[:, None]
-    columns = columns[row, np.argsort(-values[row, columns], axis=1, kind="stable")]
-    return columns, values[row, columns]
+    """Columns and values (q, count) of the largest in each row (q, n), ties by column."""
+    columns = np.argsort(-values, axis=1, kind="stable")[:, :count]
+    return columns, np.take_along_axis(values, columns, axis=1)
 
 
-def _log_probabilities(logits: np.ndarray) -> np.ndarray:
-    """Log probabilities (rows, classes), the start token left out."""
-    log_p = logits - logits.max(axis=1, keepdims=True)
-    log_p -= np.log(np.exp(log_p).sum(axis=1, keepdims=True))
-    log_p[:, -2] = -np.inf
-    return log_p
+def log_softmax(logits: np.ndarray) -> np.ndarray:
+    """Log (exp(x_i) / sum_j exp(x_j)) of rows (r, w), in place."""
+    logits -= logits.max(axis=1, keepdims=True)
+    logits -= np.log(np.exp(logits).sum(axis=1, keepdims=True))
+    return logits

@@ -83,7 +83,8 @@ class Predictor:
         ends = self._configurations.normalised(np.vstack((start[None], goals))).astype(np.float32)
         starts, ends = ends[:1].repeat(len(goals), axis=0), ends[1:]
         decoder = self._network.decoder(self._dictionary, scene, starts, ends)
-        sequences = beam_search(decoder, max_length=self._length)
+        found = beam_search(decoder, max_length=self._length, published=True)
+        sequences = [beam[0] for beam in found]
         each = [found.codes for found in sequences if found.finished]
         return Prediction(
             goals=goals,

@@ -27,14 +27,7 @@ from torch.nn import functional as F
 
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig
 from cvqmpt_lab.vqmpt.link_positions import LinkPositions
-
-SHARPNESS = 60.0  # beta at first [1 / m^2]
-WAVES = 5  # of the code of a position
-RISK = 3.0  # w, what -log P(free) costs [rad]
-ROUNDS = 14  # of the cost to go: edges of the longest way
-UNREACHED = 30.0  # [rad] cost to go where there is no way
-WORST = 10.0  # [rad] most that A counts
-LONGEST = 13  # codes of a sequence
+from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, RISK, UNREACHED, WAVES, WORST, arcs_of
 
 
 class Scenes(NamedTuple):
@@ -134,7 +127,8 @@ class GeometricAttention(nn.Module):
         )
         self.own_norm, self.norm = nn.LayerNorm(width), nn.LayerNorm(width)
         self.value, self.bias = nn.Linear(width, 4 * values), nn.Linear(width, points)
-        self.sharpness = nn.Parameter(torch.full((points,), SHARPNESS).log())
+        # beta at first [1 / m^2]
+        self.sharpness = nn.Parameter(torch.full((points,), 60.0).log())
         self.mix = nn.Sequential(
             nn.Linear(points * (values + 1) + width, 2 * width),
             nn.GELU(approximate="tanh"),
@@ -225,25 +219,14 @@ class SceneTransformer(nn.Module):
     @cached_property
     def graph(self) -> Graph:
         """Tables of the roadmap; made when they are first asked for."""
-        count, device = len(self.nodes), self.nodes.device
-        pairs = self.edges.cpu().numpy()
-        arcs = np.concatenate([pairs, pairs[:, ::-1]])
-        order = np.argsort(arcs[:, 0], kind="stable")
-        first = np.searchsorted(arcs[order, 0], np.arange(count + 1))
-        degree = np.diff(first)
-        column = np.arange(len(arcs)) - np.repeat(first[:-1], degree)
-        neighbour = np.repeat(np.arange(count)[:, None], max(1, degree.max(initial=1)), 1)
-        edge, padding = np.zeros_like(neighbour), np.full(neighbour.shape, np.inf, dtype=np.float32)
-        row = arcs[order, 0]
-        neighbour[row, column], edge[row, column], padding[row, column] = (
-            arcs[order, 1],
-            order % len(pairs),
-            0.0,
-        )
+        arcs = arcs_of(len(self.nodes), self.edges.cpu().numpy())
+        neighbour, edge = arcs.table.astype(np.int64), np.zeros(arcs.table.shape, dtype=np.int64)
+        edge.reshape(-1)[arcs.slot] = arcs.edge
+        padding = np.where(arcs.padding, np.float32(np.inf), np.float32(0.0))
         with torch.no_grad():
             features, positions = self.configurations(self.nodes[None])
             length = (self.nodes[self.edges[:, 0]] - self.nodes[self.edges[:, 1]]).norm(dim=1)
-        tables = [torch.from_numpy(table).to(device) for table in (neighbour, edge, padding)]
+        tables = [torch.from_numpy(t).to(self.nodes.device) for t in (neighbour, edge, padding)]
         return Graph(positions[0], features[0], tables[0], tables[1], tables[2], length)
 
     @cached_property
@@ -305,16 +288,22 @@ class SceneTransformer(nn.Module):
         return self.link(x.relu())[..., 0].float()
 
     @torch.no_grad()
-    def cost_to_go(self, scenes: Scenes, goals: Ends) -> Tensor:
-        """V (s, g, N) [rad]:
-        cost of the cheapest way from every code to each goal, at most UNREACHED.
+    def cost_to_go(self, scenes: Scenes, goals: Ends, rounds: int = 14) -> Tensor:
+        """V (s, g, N) [rad]: cost of the shortest path from every code to each goal, <= UNREACHED.
+
+        By Bellman and Ford's algorithm, V_i <- min_j (cost(i, j) + V_j), for all scenes at once.
+
+        Args:
+            scenes: of `encode`.
+            goals: of `ends`.
+            rounds: edges of the longest path.
         """
         arcs = (self.arc_costs(scenes) + self.graph.padding)[..., None]
         start = arcs.new_full((*goals.near.shape[:2], len(self.nodes)), UNREACHED)
         # (s, N, g)
         V = start.scatter(2, goals.near, goals.cost.float()).transpose(1, 2).contiguous()
         neighbour = self.graph.neighbour.flatten()
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             through = V.index_select(1, neighbour).view(*arcs.shape[:3], -1) + arcs
             V, before = torch.minimum(V, through.amin(2)), V
             if torch.equal(V, before):

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.vqmpt.beam_search import StepDecoder
+from cvqmpt_lab.vqmpt.beam_search import StepDecoder, log_softmax
 from cvqmpt_lab.vqmpt.config import (
     EPSILON,
     ModelConfig,
@@ -194,23 +194,27 @@ class _PrefixDecoder:
         self._model, self._quantizer, self._context = model, quantizer, context
         self._codes = torch.zeros(len(context), 0, dtype=torch.int64, device=context.device)
 
-    def start(self) -> np.ndarray:
-        """Logits (queries, n_classes) of the first code."""
-        return self._logits()
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Classes and log-probabilities (queries, n_classes) of the first code."""
+        classes, log_p = self._log_probabilities()
+        log_p[:, -1] = -np.inf
+        return classes, log_p
 
-    def advance(self, parents: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    def advance(self, parents: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Replace the rows; see `StepDecoder`."""
         rows, added = (
             torch.from_numpy(given).to(self._context.device) for given in (parents, codes)
         )
         self._context = self._context[rows]
         self._codes = torch.cat((self._codes[rows], added[:, None]), dim=1)
-        return self._logits()
+        return self._log_probabilities()
 
     @torch.inference_mode()
-    def _logits(self) -> np.ndarray:
+    def _log_probabilities(self) -> tuple[np.ndarray, np.ndarray]:
         logits = self._model.prefix_logits(self._context, self._codes, self._quantizer)
-        return logits.float().cpu().numpy()
+        log_p = log_softmax(logits.float().cpu().numpy())
+        log_p[:, -2] = -np.inf  # the start token
+        return np.broadcast_to(np.arange(log_p.shape[1]), log_p.shape), log_p
 
 
 def prefix_lengths(count: int) -> Tensor:

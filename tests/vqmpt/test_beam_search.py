@@ -19,17 +19,21 @@ class TableDecoder:
 
     def start(self):
         self.queries, self.prefixes = np.arange(len(self.tables)), [()] * len(self.tables)
-        return self._logits()
+        classes, log_p = self._log_probabilities()
+        log_p[:, GOAL] = -np.inf
+        return classes, log_p
 
     def advance(self, parents, codes):
         self.queries = np.array([self.queries[p] for p in parents])
         self.prefixes = [self.prefixes[p] + (int(c),) for p, c in zip(parents, codes, strict=True)]
         assert all(code < CODES for prefix in self.prefixes for code in prefix)
-        return self._logits()
+        return self._log_probabilities()
 
-    def _logits(self):
+    def _log_probabilities(self):
         rows = [given(self.tables[q], p) for q, p in zip(self.queries, self.prefixes, strict=True)]
-        return np.log(np.array(rows)) + np.float32(3.0)
+        log_p = np.log(np.array(rows))
+        log_p[:, START] = -np.inf
+        return np.broadcast_to(np.arange(CODES + 2), log_p.shape), log_p
 
 
 def given(table, prefix):
@@ -66,7 +70,8 @@ def beam_by_hand(table, k, length):
 @pytest.mark.parametrize(("beams", "length"), [(1, 12), (2, 1), (2, 4), (3, 6)])
 def test_beams_in_a_batch_are_searched_by_the_rules_of_the_published_code(seed, beams, length):
     table = tables(seed, queries=4, goal=0.03)
-    for query, found in enumerate(beam_search(TableDecoder(table), beams=beams, max_length=length)):
+    searched = beam_search(TableDecoder(table), beams=beams, max_length=length, published=True)
+    for query, (found, *_) in enumerate(searched):
         codes, score = beam_by_hand(table[query], beams, length)
         assert found.codes + (GOAL,) * found.finished == codes
         assert found.score == pytest.approx(score, abs=1e-5)

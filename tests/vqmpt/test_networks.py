@@ -227,7 +227,7 @@ def test_beam_search_scores_what_the_model_says(sequence_model):
     scene = sequence_model.encode_scene([torch.rand(20, 3)])
     context = sequence_model.encode_context(scene, start, goal)
     decoder = sequence_model.decoder(dictionary, scene, start, goal)
-    for row, sequence in enumerate(beam_search(decoder, max_length=9)):
+    for row, (sequence, *_) in enumerate(beam_search(decoder, max_length=9, published=True)):
         expected, path = 0.0, [*sequence.codes] + [SMALL.goal_class] * sequence.finished
         for i, code in enumerate(path):
             prefix = torch.tensor([path[:i]], dtype=torch.int64)

@@ -16,12 +16,14 @@ from cvqmpt_lab.labels.roadmap_labels import body_points
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.vqmpt.checkpoint import stored
 from cvqmpt_lab.vqmpt.codebook import code_noise, dictionary_gaussians, drawn_nodes
-from cvqmpt_lab.vqmpt.compiled_groups import compiled_groups
 from cvqmpt_lab.vqmpt.config import ModelConfig, SceneTransformerConfig, SceneTransformerSizes
-from cvqmpt_lab.vqmpt.point_groups import group_points
-from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
-from cvqmpt_lab.vqmpt.scene_transformer import RISK, Ends, SceneTransformer, roadmap_ways
-from cvqmpt_lab.vqmpt.sequence_decoder import LONGEST, SequenceDecoder
+from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, RISK, group_points
+from cvqmpt_lab.vqmpt.scene_predictor import (
+    SceneTransformerPredictor,
+    SequenceDecoder,
+    compiled_groups,
+)
+from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer, roadmap_ways
 
 SMALL = SceneTransformerSizes(
     width=32, layers=3, heads=2, groups=24, group_size=8, values=4, edge_width=16, links=6, stride=3
@@ -114,7 +116,7 @@ def test_embeddings_odds_and_costs_to_go_are_those_of_torch(
         risk = F.softplus(-network.link_odds(by_torch, tensor(goals), ends.near))
         length = (tensor(goals)[:, :, None] - network.nodes[ends.near]).norm(dim=-1)
     np.testing.assert_allclose(ends.cost, length + RISK * risk, atol=1e-4)
-    decoder = SequenceDecoder(predictor._network, scene, start, goals)
+    decoder = SequenceDecoder(predictor.network, scene, start, goals)
     np.testing.assert_allclose(decoder.V, V[0], atol=1e-4)
     expected = (first.cost[0] + V[0][:, first.near[0, 0]]).min(dim=1).values
     costs = predictor.goal_costs(scene, start, goals)
@@ -126,7 +128,7 @@ def test_ways_after_every_prefix_are_as_likely_as_by_torch(
     checkpoint, predictor, by_torch, queries
 ):
     network, (start, goals), rng = checkpoint.transformer, queries, np.random.default_rng(0)
-    decoder = SequenceDecoder(predictor._network, predictor.encode(CLOUD), start, goals)
+    decoder = SequenceDecoder(predictor.network, predictor.encode(CLOUD), start, goals)
     ways, log_p = decoder.start()
     steps, codes = [(ways, log_p)], []
     for _ in range(LONGEST):
@@ -187,7 +189,7 @@ def likeliest_by_hand(decoder, beams):
 def test_sequences_are_those_of_a_beam_search_by_hand(predictor, queries, beams):
     scene, (start, goals) = predictor.encode(CLOUD), queries
     found = predictor.sequences(scene, start, goals, beams)
-    decoders = [SequenceDecoder(predictor._network, scene, start, goal[None]) for goal in goals]
+    decoders = [SequenceDecoder(predictor.network, scene, start, goal[None]) for goal in goals]
     codes, scores = zip(*(likeliest_by_hand(decoder, beams) for decoder in decoders), strict=True)
     assert [one.codes + (GOAL,) * one.finished for one in found] == list(codes)
     np.testing.assert_allclose([one.score for one in found], scores, atol=1e-4)
