@@ -10,9 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, hand_reach
 from cvqmpt_lab.constraints.named import upper_axis
-from cvqmpt_lab.constraints.no_goal import hand_reach
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     ROWS_TEXT,

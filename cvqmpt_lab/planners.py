@@ -27,7 +27,7 @@ from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.vqmpt.sampler_choice import NAMED, PREFIX, SamplerChoice
 
 VQ_MPT = "vq_mpt"  # the shipped weights
-UNIFORM, HALTON = "uniform", "halton"  # sequences of `search.roadmap_nodes`
+UNIFORM, HALTON = "uniform", "halton"  # sequences of `search.roadmap`
 UNIFORM_DRAWS = 3  # of independent nodes: what is luck among roadmaps
 
 
@@ -130,7 +130,7 @@ def _roadmap(
     def build(problem: PlanningProblem, model: str) -> Stages:
         robot, load = problem.robot, problem.attachments
         if weights is None:
-            from cvqmpt_lab.search.roadmap_nodes import spread_roadmap
+            from cvqmpt_lab.search.roadmap import spread_roadmap
 
             roadmap = spread_roadmap(robot, load, sequence, draw)
         else:

@@ -33,9 +33,8 @@ import numpy as np
 from cvqmpt_lab.codec.forms import TURN, Condition, FloatArray, Name, OneOrMore, Schema
 from cvqmpt_lab.codec.plain import Document, mapping, unique
 from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region, why_none
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.no_goal import why_none
 from cvqmpt_lab.constraints.report import bound_usage, bounds_text, broken_bound, displacements
 from cvqmpt_lab.constraints.task_space_region import (
     TOLERANCE,

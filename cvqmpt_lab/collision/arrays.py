@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.collision.clusters import Cloud
+from cvqmpt_lab.collision.covers import ANY_RADIUS, Cloud
 from cvqmpt_lab.collision.exact import carried_pairs, reach_with
 from cvqmpt_lab.collision.geometry import (
     CELL,
     RobotGeometry,
     SceneGeometry,
+    ShapeSpec,
+    outline,
     robot_geometry,
     scene_geometry,
 )
-from cvqmpt_lab.collision.primitives import ShapeSpec, outline
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
-from cvqmpt_lab.collision.sphere_cover import ANY_RADIUS
 from cvqmpt_lab.disk_cache import cached_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import SOURCES

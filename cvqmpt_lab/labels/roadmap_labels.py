@@ -26,8 +26,7 @@ from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.motion import edge_verdicts, motion_free
-from cvqmpt_lab.search.roadmap import Roadmap
-from cvqmpt_lab.search.roadmap_nodes import spread_roadmap
+from cvqmpt_lab.search.roadmap import Roadmap, spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY
 from cvqmpt_lab.training.shards import (

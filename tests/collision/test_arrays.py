@@ -9,7 +9,7 @@ import pytest
 from cvqmpt_lab import files
 from cvqmpt_lab.collision import arrays, geometry
 from cvqmpt_lab.collision.arrays import stored_robot_geometry
-from cvqmpt_lab.collision.primitives import ShapeSpec
+from cvqmpt_lab.collision.geometry import ShapeSpec
 from cvqmpt_lab.collision.separation import BOX
 
 

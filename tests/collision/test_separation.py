@@ -9,10 +9,9 @@ from compiled_kernels import from_python
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.collision.clusters import Cloud
+from cvqmpt_lab.collision.covers import ANY_RADIUS, Cloud, Piece, cut_into_pieces, sphere_tree
 from cvqmpt_lab.collision.distance_grid import RANGE, cell_of, known_distance
-from cvqmpt_lab.collision.geometry import scene_geometry
-from cvqmpt_lab.collision.primitives import ShapeSpec, outline, pack_shapes
+from cvqmpt_lab.collision.geometry import ShapeSpec, outline, pack_shapes, scene_geometry
 from cvqmpt_lab.collision.separation import (
     BOX,
     CYLINDER,
@@ -22,7 +21,6 @@ from cvqmpt_lab.collision.separation import (
     distance,
     separating_gap,
 )
-from cvqmpt_lab.collision.sphere_cover import ANY_RADIUS, Piece, cut_into_pieces, sphere_tree
 from cvqmpt_lab.errors import InvalidInputError
 
 cell_of, known_distance = map(from_python, (cell_of, known_distance))

@@ -17,8 +17,7 @@ from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.roadmap import TURN, RoadmapPath
-from cvqmpt_lab.search.roadmap_nodes import NEIGHBOURS, NODES, UNIFORM, spread_roadmap
+from cvqmpt_lab.search.roadmap import NEIGHBOURS, NODES, TURN, UNIFORM, RoadmapPath, spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 EMPTY = Scene("empty", ())
