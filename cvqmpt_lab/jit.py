@@ -1,5 +1,4 @@
-"""Compiled functions: numba's `njit` with our options, its cache folder, and the check of arrays
-that Python passes.
+"""Compiled functions: numba's `njit` with our options, a cache folder, and checks of arguments.
 
 A `kernel` is called by other kernels only. An `entry` is a kernel that Python calls, too: its
 machine code is kept on disk, and its annotations say what each array must look like, for example
@@ -46,24 +45,16 @@ INLINE: dict[str | None, dict] = {
     "source": {"inline": "always"},
 }
 NUMBERS = {float: types.float64, int: types.int64, bool: types.boolean}
-DTYPES = {
-    name: np.dtype(name)
-    for name in ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")
-}
-VERSIONS = 8  # of the kernels' sources whose machine code is kept: those used last
+DTYPES = ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")
 PACKAGE = Path(__file__).parent
 FILES = [file for file in sorted(PACKAGE.rglob("*.py")) if b"cvqmpt_lab.jit" in file.read_bytes()]
+# digest of every file with kernels: numba does not notice when a function that another calls changes
 SOURCES = sources_digest(*FILES)
-"""Digest of every file with kernels:
-numba itself does not notice when a function changes that another one calls.
-"""
 
 
 @functools.cache
 def folder() -> Path | None:
-    """The folder for machine code of these sources, or None;
-    one that cannot be written may have been filled before.
-    """
+    """The folder for machine code of these sources, or None."""
     place = trusted_cache(named_folder("NUMBA_CACHE_DIR", cache_folder()) / SOURCES)
     if place is not None:
         with contextlib.suppress(OSError):
@@ -72,19 +63,15 @@ def folder() -> Path | None:
     return place
 
 
-def forget_unused(place: Path, kept: int = VERSIONS) -> None:
-    """Remove machine code of all but the versions of the sources that were used last."""
+def forget_unused(place: Path, kept: int = 8) -> None:
+    """Remove machine code of all but the `kept` versions of the sources that were used last."""
     with contextlib.suppress(OSError):  # another process removes it, too
-        found = [
-            one
-            for one in place.iterdir()
-            if re.fullmatch("[0-9a-f]{16}", one.name) and one.is_dir()
-        ]
-        ours = [
-            one
-            for one in found
-            if all(file.suffix in (".nbi", ".nbc", "") for file in one.iterdir())
-        ]
+        named = [one for one in place.iterdir() if re.fullmatch("[0-9a-f]{16}", one.name)]
+        ours = []
+        for one in named:
+            # a folder that holds anything else is not ours
+            if one.is_dir() and all(f.suffix in (".nbi", ".nbc", "") for f in one.iterdir()):
+                ours.append(one)
         for old in sorted(ours, key=lambda one: one.stat().st_mtime_ns)[:-kept]:
             shutil.rmtree(old)
 
@@ -157,9 +144,8 @@ def kernel(function: Callable | None = None, *, inline: str | None = None) -> An
     """A compiled function that other kernels call.
 
     inline: "machine" merges its machine code into every caller: a named tuple of arrays is passed
-        as a hundred scalars,
-        too slow in the hot path. "source" copies it into its callers, so that it is not compiled on
-        its own.
+        as a hundred scalars, too slow in the hot path. "source" copies its source into its callers,
+        so that it is not compiled on its own.
     """
     if function is None:
         return functools.partial(kernel, inline=inline)
@@ -167,18 +153,14 @@ def kernel(function: Callable | None = None, *, inline: str | None = None) -> An
 
 
 def entry(function: Callable | None = None, *, inline: str | None = None) -> Any:
-    """A compiled function that Python and other kernels call; inline: as of `kernel`."""
-    return (
-        functools.partial(entry, inline=inline)
-        if function is None
-        else Entry(function, INLINE[inline])
-    )
+    """A compiled function that Python and other kernels call; inline: see `kernel`."""
+    if function is None:
+        return functools.partial(entry, inline=inline)
+    return Entry(function, INLINE[inline])
 
 
 class Entry:
-    """A compiled function whose arrays are checked when Python calls it;
-    arguments are given by position.
-    """
+    """A compiled function whose arrays are checked when Python calls it, by position."""
 
     all: ClassVar[list["Entry"]] = []
 
@@ -199,9 +181,7 @@ class Entry:
 
     @functools.cached_property
     def unchecked(self) -> Callable:
-        """Its machine code, for callers that have checked the shapes:
-        the check costs some microseconds.
-        """
+        """Its machine code, for callers that made the arrays: a check costs some microseconds."""
         return self.dispatcher.compile(tuple(_numba_type(form) for form in _forms(self.py_func)))
 
     def __call__(self, *arguments: Any) -> Any:
@@ -240,7 +220,7 @@ def _forms(annotated: Any) -> tuple[_Form, ...]:
             found.append(_Form(name, hint))
             continue
         words = hint.__metadata__[0].split()
-        dtype = DTYPES[words.pop(0) if words[0] in DTYPES else "float64"]
+        dtype = np.dtype(words.pop(0) if words[0] in DTYPES else "float64")
         shape = tuple(int(word) if word.isdigit() else word for word in words)
         found.append(_Form(name, hint, dtype, shape))
     return tuple(found)
@@ -256,45 +236,41 @@ def _numba_type(form: _Form) -> types.Type:
 
 
 def check_arrays(arrays: NamedTuple) -> None:
-    """InvalidInputError unless all arrays of a named tuple, nested ones too, fit annotations and
-    each other.
-    """
+    """InvalidInputError unless all arrays of a named tuple fit annotations and each other."""
     _check(arrays, _forms(type(arrays)), {}, type(arrays).__name__, 9)
 
 
 def _check(
-    values: tuple, forms: tuple[_Form, ...], sizes: dict[str, int], where: str, depth: int
+    values: tuple, forms: tuple[_Form, ...], letters: dict[str, int], where: str, depth: int
 ) -> None:
-    """Compare values with their forms, named tuples down to a depth; sizes:
-    numbers known for names of dimensions.
+    """Compare values with their forms, named tuples down to a depth.
+
+    letters: sizes known for letters, throughout a call. Words hold among these values alone.
     """
+    words: dict[str, int] = {}
     for value, form in zip(values, forms, strict=True):
         if form.dtype is None:
             if depth > 0 and form.hint not in NUMBERS:
-                own = {name: size for name, size in sizes.items() if len(name) == 1}
-                _check(value, _forms(form.hint), own, f"{where}.{form.name}", depth - 1)
-                sizes.update((name, size) for name, size in own.items() if len(name) == 1)
+                _check(value, _forms(form.hint), letters, f"{where}.{form.name}", depth - 1)
             continue
-        right = (
-            type(value) is np.ndarray
-            and value.dtype == form.dtype
-            and value.ndim == len(form.shape)
-        )
-        if right and value.flags.c_contiguous:
+        is_array = type(value) is np.ndarray
+        if is_array and value.dtype == form.dtype and value.ndim == len(form.shape):
+            fits = value.flags.c_contiguous
             for size, name in zip(value.shape, form.shape, strict=True):
-                if size != (name if isinstance(name, int) else sizes.setdefault(name, size)):
-                    break
-            else:
+                if isinstance(name, int):
+                    fits = fits and size == name
+                elif fits:
+                    known = letters if len(name) == 1 else words
+                    fits = size == known.setdefault(name, size)
+            if fits:
                 continue
+        sizes = {**letters, **words}
         wanted = ", ".join(
             f"{name} = {sizes[name]}" if name in sizes else str(name) for name in form.shape
         )
-        given, needed = f"is a {type(value).__name__}", f"needed: ({wanted}) of {form.dtype}"
+        given = f"is a {type(value).__name__}"
         if isinstance(value, np.ndarray):
-            order = (
-                ""
-                if value.flags.c_contiguous
-                else ", not contiguous (np.ascontiguousarray cures that)"
-            )
-            given = f"has shape {value.shape} of {value.dtype}{order}"
-        raise InvalidInputError(f"{where}: {form.name} {given}; {needed}")
+            given = f"has shape {value.shape} of {value.dtype}"
+            if not value.flags.c_contiguous:
+                given += ", not contiguous (np.ascontiguousarray cures that)"
+        raise InvalidInputError(f"{where}: {form.name} {given}; needed: ({wanted}) of {form.dtype}")

@@ -15,8 +15,6 @@ from cvqmpt_lab.jit import entry
 LARGEST_RADIUS = 0.08  # [m] pieces are cut until their ball is this small
 MOST_PIECES = 8  # per shape; more only while a ball is larger than ANY_RADIUS
 ANY_RADIUS = 0.095  # [m] below the reach of the distance grid's lists
-ROUNDS = 200  # steps towards the smallest ball around points
-FLAT = 1e-9  # [m] thinner point sets are treated as flat
 SLACK = 1e-8  # [m] added to every ball: more than FLAT and the rounding of its vertices
 
 
@@ -25,7 +23,7 @@ class Piece(NamedTuple):
 
     points: np.ndarray  # (k, 3), whose hull, inflated, holds the piece [m]
     inflation: float  # [m]
-    number: int  # The caller's number for it
+    number: int  # the caller's number for it
 
 
 class SphereTree(NamedTuple):
@@ -43,8 +41,10 @@ def shrink_sphere(
     centre: Annotated[np.ndarray, "3"],
     best: Annotated[np.ndarray, "3"],
 ):
-    """Write the centre of what `enclosing_sphere` returns into best, return its radius; centre:
-    work array.
+    """Write the centre of a small ball around points into best; return its radius [m].
+
+    c <- c + (p - c) / (i + 1) with p the point farthest from c, i = 1, 2, ... (Badoiu and Clarkson,
+    "Smaller core-sets for balls", 2003). centre: work array.
     """
     smallest = np.inf
     for a in range(3):
@@ -66,13 +66,9 @@ def shrink_sphere(
 
 
 def enclosing_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius of a nearly smallest ball around points (k, 3) [m].
-
-    Badoiu and Clarkson, "Smaller core-sets for balls", 2003: ever shorter steps towards the
-    farthest point.
-    """
+    """Centre (3,) and radius of a nearly smallest ball around points (k, 3) [m]."""
     centre = np.empty(3)
-    radius = shrink_sphere(np.ascontiguousarray(points), ROUNDS, np.empty(3), centre)
+    radius = shrink_sphere(np.ascontiguousarray(points), 200, np.empty(3), centre)
     return centre, radius
 
 
@@ -83,13 +79,13 @@ class Hull(NamedTuple):
     edges: np.ndarray  # (e, 2) pairs of corners that include all its edges
 
 
-def convex_hull(points: np.ndarray) -> Hull:
-    """Return the hull of points (n, 3) [m]; flat and straight sets of points have one too."""
+def convex_hull(points: np.ndarray, flat: float = 1e-9) -> Hull:
+    """The hull of points (n, 3) [m]; sets thinner than `flat` [m] are planar or straight."""
     from scipy.spatial import ConvexHull, QhullError  # 0.3 s to import, needed once a robot
 
     centred = points - points.mean(axis=0)
     along = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
-    along = along[:, np.ptp(along, axis=0) > FLAT]
+    along = along[:, np.ptp(along, axis=0) > flat]
     if along.shape[1] == 0:
         return Hull(points[:1], np.empty((0, 2), dtype=np.int64))
     if along.shape[1] == 1:
@@ -105,7 +101,7 @@ def convex_hull(points: np.ndarray) -> Hull:
 
 
 def cut_into_pieces(points: np.ndarray) -> list[np.ndarray]:
-    """Convex pieces (points (k, 3) each) whose union is the hull of points (n, 3)."""
+    """Convex pieces (points (k, 3) each) whose union is the hull of points (n, 3) [m]."""
     pieces = [convex_hull(points)]
     radii = [enclosing_sphere(pieces[0].corners)[1]]
     while max(radii) > (LARGEST_RADIUS if len(pieces) < MOST_PIECES else ANY_RADIUS):
@@ -134,7 +130,7 @@ def _halves(hull: Hull) -> tuple[Hull, Hull]:
 
 
 def sphere_tree(pieces: Sequence[Piece]) -> SphereTree:
-    """Return a tree of balls over pieces; every ball contains the inflated pieces below it."""
+    """A tree of balls over pieces; every ball contains the inflated pieces below it."""
     spheres: list[np.ndarray] = []
     skips: list[int] = []
     leaves: list[int] = []
@@ -160,24 +156,12 @@ def sphere_tree(pieces: Sequence[Piece]) -> SphereTree:
     )
 
 
-MOST_PRIMITIVES = 16  # in one cluster
-_FINE = 8  # steps of the sorting curve along the edge of a voxel
-_BITS = 21  # of each coordinate on the curve
-_SPREADING = (  # shifts and masks that open gaps of two bits
-    (32, 0x001F00000000FFFF),
-    (16, 0x001F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
-
-
 class Cloud(NamedTuple):
     """Boxes along the axes of one frame, each inflated by a radius; points are boxes of size zero."""
 
     centre: np.ndarray  # (k, 3) [m]
     half: np.ndarray  # (k, 3) half edges [m]
-    radius: float  # Inflation of every box [m]
+    radius: float  # inflation of every box [m]
     T_world_cloud: np.ndarray  # (4, 4), pose of their frame [m]
 
 
@@ -194,22 +178,14 @@ class Clusters(NamedTuple):
 
 
 def cluster_primitives(clouds: Sequence[Cloud], voxel: float) -> Clusters:
-    """Return the primitives of clouds in clusters of those whose centres lie in the same voxel of
-    this edge [m].
+    """Boxes around the primitives of clouds whose centres lie in the same voxel of this edge [m].
 
-    Raises InvalidInputError for primitives that are not finite or a negative radius.
+    InvalidInputError: a primitive is not finite, or a radius is negative.
     """
     parts = [_cluster_cloud(cloud, k, voxel) for k, cloud in enumerate(clouds) if len(cloud.centre)]
     if not parts:
-        none = np.empty((0, 3))
-        return Clusters(
-            none,
-            none,
-            np.empty((0, 3, 3)),
-            np.empty(0),
-            np.zeros(1, np.int64),
-            primitives=np.empty((0, 6)),
-        )
+        none, start = np.empty((0, 3)), np.zeros(1, np.int64)
+        return Clusters(none, none, np.empty((0, 3, 3)), np.empty(0), start, np.empty((0, 6)))
     offsets = np.cumsum([0, *(len(part.primitives) for part in parts)])
     starts = [part.start[:-1] + offset for part, offset in zip(parts, offsets[:-1], strict=True)]
     names = (name for name in Clusters._fields if name != "start")
@@ -217,14 +193,26 @@ def cluster_primitives(clouds: Sequence[Cloud], voxel: float) -> Clusters:
     return Clusters(**joined, start=np.concatenate([*starts, offsets[-1:]]).astype(np.int64))
 
 
-def _cluster_cloud(cloud: Cloud, number: int, voxel: float) -> Clusters:
-    _check(cloud, number)
-    key = _curve_position(cloud.centre, voxel / _FINE)
+def _cluster_cloud(
+    cloud: Cloud, number: int, voxel: float, most: int = 16, fine: int = 8
+) -> Clusters:
+    """Clusters of at most `most` primitives, sorted along a curve of `fine` steps a voxel."""
+    finite = np.isfinite(cloud.centre).all(axis=1) & np.isfinite(cloud.half).all(axis=1)
+    if not finite.all():
+        bad = int(np.flatnonzero(~finite)[0])
+        raise InvalidInputError(
+            f"cloud {number}: point {bad} is {cloud.centre[bad]}; remove points that are not finite"
+        )
+    if not 0.0 <= cloud.radius < np.inf:
+        raise InvalidInputError(
+            f"cloud {number}: radius {cloud.radius} of its points; give a length >= 0 [m]"
+        )
+    key = _curve_position(cloud.centre, voxel / fine)
     order = np.argsort(key)
-    centre, half, cell = cloud.centre[order], cloud.half[order], key[order] // _FINE**3
+    centre, half, cell = cloud.centre[order], cloud.half[order], key[order] // fine**3
     first_of_cell = np.append(True, cell[1:] != cell[:-1])
     place = np.arange(len(cell)) - np.flatnonzero(first_of_cell)[np.cumsum(first_of_cell) - 1]
-    start = np.flatnonzero(place % MOST_PRIMITIVES == 0)
+    start = np.flatnonzero(place % most == 0)
     low, high = np.minimum.reduceat(centre - half, start), np.maximum.reduceat(centre + half, start)
     middle, count = 0.5 * (low + high), np.diff(start, append=len(cell))
     listed = np.repeat(count > 1, count)
@@ -240,30 +228,18 @@ def _cluster_cloud(cloud: Cloud, number: int, voxel: float) -> Clusters:
     )
 
 
-def _check(cloud: Cloud, number: int) -> None:
-    """Refuse what no kernel could work with."""
-    finite = np.isfinite(cloud.centre).all(axis=1) & np.isfinite(cloud.half).all(axis=1)
-    if not finite.all():
-        bad = int(np.flatnonzero(~finite)[0])
-        raise InvalidInputError(
-            f"cloud {number}: point {bad} is {cloud.centre[bad]}; remove points that are not finite"
-        )
-    if not 0.0 <= cloud.radius < np.inf:
-        raise InvalidInputError(
-            f"cloud {number}: radius {cloud.radius} of its points; give a length >= 0 [m]"
-        )
-
-
-def _curve_position(points: np.ndarray, step: float) -> np.ndarray:
-    """Return the position (k,) int64 of points on a Morton curve with cells of edge step [m]."""
+def _curve_position(points: np.ndarray, step: float, bits: int = 21) -> np.ndarray:
+    """Positions (k,) int64 of points (k, 3) on a Morton curve with cells of edge step [m]."""
     extent = float(np.ptp(points, axis=0).max())
-    step = max(step, extent / ((1 << _BITS) - 1))
+    step = max(step, extent / ((1 << bits) - 1))
     index = ((points - points.min(axis=0)) / step).astype(np.int64)
-    return _spread(index[:, 0]) | _spread(index[:, 1]) << 1 | _spread(index[:, 2]) << 2
-
-
-def _spread(number: np.ndarray) -> np.ndarray:
-    """Move bit k of each number (below 2^21) to bit 3 k."""
-    for shift, mask in _SPREADING:
-        number = (number | number << shift) & mask
-    return number
+    # move bit k of each coordinate to bit 3 k: shifts, and masks that open gaps of two bits
+    for shift, mask in (
+        (32, 0x001F00000000FFFF),
+        (16, 0x001F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        index = (index | index << shift) & mask
+    return index[:, 0] | index[:, 1] << 1 | index[:, 2] << 2

@@ -5,6 +5,7 @@ links against obstacles are coal's broad phases, one a link and one for the worl
 thousand obstacles cost no pairs.
 """
 
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,24 +24,16 @@ from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
 
-# [m] of an arm with what it carries; more is a misplaced unit, and would never end
-LONGEST_REACH = 20.0
-# [m] of boxes in a broad phase, which then reports what is that close
+# [m] by which boxes in a broad phase are inflated: it reports obstacles that are that close
 INFLATIONS = (1e-3, 1e-2, 0.05, 0.25)
-# of the robot's own pieces are all measured; of more, those whose enclosing balls are close
-FEW_PAIRS = 100
-ROUNDING = 1e-6
-"""[m] coal's GJK stops when a distance d [m] is known to ROUNDING (1 + d);
-what it returns is never less than d.
-"""
 
 
 @dataclass(frozen=True)
 class CollidingPair:
     """Two pieces that overlap, or are closest."""
 
-    first: str  # Name of a piece of the robot or of what it carries
-    second: str  # Name of another one, or of an obstacle
+    first: str  # name of a piece of the robot or of what it carries
+    second: str  # name of another one, or of an obstacle
 
     def __str__(self) -> str:
         return f"{self.first} and {self.second}"
@@ -61,24 +54,23 @@ class Solid(NamedTuple):
     T_parent_shape: np.ndarray  # (4, 4), pose in the world or in the hand [m]
 
 
-class _World(NamedTuple):
-    """Obstacles in a broad phase."""
-
-    phase: coal.DynamicAABBTreeCollisionManager
-    # They must outlive the broad phase, which reads their boxes
-    objects: list[coal.CollisionObject]
-
-
 class CollisionChecker:
     """Whether a robot, carrying attachments, touches itself or the obstacles of a scene.
 
     Pieces that do not move against each other (a base link and the walls, a hand and what it
-    carries) are no pair.
-    margin: pieces closer than this [m] count as touching. clearance: kept from obstacles beyond it
-        [m].
-    Contact is defined to 1e-5 m only: two checkers agree where a margin is kept. Each thread needs
-    its own checker.
+    carries) are no pair. Contact is defined to 1e-5 m only: two checkers agree where a margin is
+    kept. Each thread needs its own checker.
+
+    Args:
+        robot: the robot.
+        scene: obstacles.
+        attachments: what the hand carries.
+        margin: pieces closer than this [m] count as touching.
+        clearance: kept from obstacles in addition [m].
     """
+
+    # up to so many of the robot's own pairs are all measured; of more, those whose balls are close
+    few_pairs = 100
 
     def __init__(
         self,
@@ -114,7 +106,10 @@ class CollisionChecker:
         pairs = [(p.first, p.second) for p in self._geometry.collisionPairs]
         self._own_pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
         self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments) + clearance))
-        self._worlds: dict[float, _World] = {}
+        # broad phases by inflation; the objects, whose boxes they read, must outlive them
+        self._worlds: dict[
+            float, tuple[coal.DynamicAABBTreeCollisionManager, list[coal.CollisionObject]]
+        ] = {}
         self._callback = coal.CollisionCallBackDefault()
         self._callback.data.request.enable_contact = True
         self._sweep = Sweep(robot, self._geometry, [k for k, *_ in self._links])
@@ -130,11 +125,15 @@ class CollisionChecker:
         return np.array([self.in_collision(q) for q in configurations], dtype=bool)
 
     def clear_of_obstacles(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Whether the robot surely touches no obstacle at any configuration in hulls of corners (k,
-        c, n), (k,) bool.
+        """Whether the robot is proven to touch no obstacle anywhere in hulls, (k,) bool.
 
-        q (k, n) lie in the hulls: distances there are compared with how far any point of a link can
-        move. "No" may mean "not known".
+        A link l is free in a hull H if its distance to obstacles at q exceeds the margin and how
+        far its points can move in H: d_l(q) > margin + max_{x on l, q' in H} |x(q') - x(q)|.
+        False may mean "not known".
+
+        Args:
+            q: (k, n), a configuration in each hull.
+            hulls: (k, c, n), corners of convex hulls of configurations.
         """
         moved = self._needed(self._sweep.in_world(q, hulls), self._outer)
         clear = moved.max(axis=1, initial=0.0) <= INFLATIONS[-1]
@@ -153,33 +152,29 @@ class CollisionChecker:
         moved = self._needed(self._sweep.between(q, hulls), self._margin)
         return np.array([self._apart(*pair) for pair in zip(q, moved, strict=True)], dtype=bool)
 
-    def _needed(self, moved: np.ndarray, margin: float) -> np.ndarray:
-        """What coal's distances must exceed [m] where points may have moved that far:
-        with margin and rounding.
-        """
-        return (moved + margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)
+    @staticmethod
+    def _needed(moved: np.ndarray, margin: float, rounding: float = 1e-6) -> np.ndarray:
+        """Distances [m] that coal must report where points may have moved that far."""
+        # coal stops when a distance d is known to rounding (1 + d); it never reports less than d
+        return (moved + margin + rounding) * (1.0 + 2.0 * rounding)
 
     def moved(self, q: np.ndarray, hull: np.ndarray) -> float:
-        """The furthest [m] that any point of the robot can move from q (n,) inside the hull of
-        corners (c, n).
-        """
+        """Bound [m] on the motion of any point of the robot from q (n,) in a hull (c, n)."""
         return float(self._sweep.in_world(q[None], hull[None]).max(initial=0.0))
 
     def _apart(self, q: np.ndarray, gaps: np.ndarray) -> bool:
         """Whether the robot's own pairs are further apart at q (n,) than gaps (p,) [m]."""
         geometry, results = self._geometry, self._own_results
-        if len(gaps) <= FEW_PAIRS:
+        if len(gaps) <= self.few_pairs:
             nearest = pin.computeDistances(self._model, self._data, geometry, results, q)
             found = results.distanceResults
             if found[nearest].min_distance > gaps.max():
                 return True
-            return all(found[k].min_distance > gap for k, gap in enumerate(gaps.tolist()))
+            return bool((np.array([result.min_distance for result in found]) > gaps).all())
         pin.updateGeometryPlacements(self._model, self._data, geometry, results, q)
         (first, second), (joints, balls) = self._own_pairs, self._balls
-        R, t = (
-            np.array([getattr(T, part) for T in self._data.oMi])
-            for part in ("rotation", "translation")
-        )
+        R = np.array([T.rotation for T in self._data.oMi])
+        t = np.array([T.translation for T in self._data.oMi])
         centres = np.einsum("kij,kj->ki", R[joints], balls[:, :3]) + t[joints]
         between = np.linalg.norm(centres[first] - centres[second], axis=1)
         near = np.flatnonzero(between - balls[first, 3] - balls[second, 3] <= gaps)
@@ -196,47 +191,43 @@ class CollisionChecker:
         self._own.update()
         request = self._callback.data.request
         request.security_margin = self._outer
-        world = self._world(0.0)
-        for j, i in np.argwhere(
-            _box_gaps(self._obstacle_boxes, _boxes(self._moving)) <= self._outer
-        ):
-            if coal.collide(self._moving[i], world.objects[j], request, coal.CollisionResult()):
+        _, objects = self._world(0.0)
+        gaps = _box_gaps(self._obstacle_boxes, _boxes(self._moving))
+        for j, i in np.argwhere(gaps <= self._outer):
+            if coal.collide(self._moving[i], objects[j], request, coal.CollisionResult()):
                 return CollidingPair(self._pieces[i], self._obstacles[j].name)
         return None
 
     def contact(self, q: np.ndarray) -> str:
-        """The first overlapping pair in words; with a clearance, that it is closer than that."""
-        closer = (
-            f", closer than the clearance of {1e3 * self._clearance:g} mm"
-            if self._clearance
-            else ""
-        )
-        return f"{self.colliding_pair(q)}{closer}"
+        """The first overlapping pair in words, with the clearance that it does not keep."""
+        text = str(self.colliding_pair(q))
+        if self._clearance:
+            text += f", closer than the clearance of {1e3 * self._clearance:g} mm"
+        return text
 
     def _own_pair(self, k: int) -> CollidingPair:
         pair, objects = self._geometry.collisionPairs[k], self._geometry.geometryObjects
         return CollidingPair(objects[pair.first].name, objects[pair.second].name)
 
     def clearance(self, q: np.ndarray) -> float:
-        """Smallest distance of all pairs [m];
-        zero or negative (penetration) in collision, inf without pairs.
-        """
+        """Smallest distance of all pairs [m]; negative in collision, inf without pairs."""
         return self.nearest(q).distance
 
     def nearest(self, q: np.ndarray) -> Nearest:
-        """The smallest distance of all pairs, measured pair by pair in the order of the gaps
-        between their boxes.
+        """The smallest distance of all pairs, and the pair.
 
-        coal's broad phases measure no distances here: they hand every pair the same result, which
-        then holds the last pair's distance, not the least.
+        Pairs are measured in the order of the gaps between their boxes until a gap is larger than
+        the smallest distance so far.
         """
+        # not by coal's broad phases: they hand every pair the same result, which then holds the
+        # last pair's distance, not the smallest
         nearest, geometry, results = Nearest(np.inf, None), self._geometry, self._own_results
         pin.updateGeometryPlacements(self._model, self._data, geometry, results, q)
         self._own.update()
         if len(geometry.collisionPairs) > 0:
             k = pin.computeDistances(geometry, results)
             nearest = Nearest(float(results.distanceResults[k].min_distance), self._own_pair(k))
-        world = self._world(0.0)
+        _, objects = self._world(0.0)
         gaps = _box_gaps(self._obstacle_boxes, _boxes(self._moving))
         close = np.flatnonzero(gaps <= max(nearest.distance, 0.0))
         by_gap = close[gaps.flat[close].argsort(kind="stable")]
@@ -244,38 +235,43 @@ class CollisionChecker:
             if gap > max(nearest.distance, 0.0):
                 break
             j, i = divmod(k, len(self._moving))
-            distance = coal_distance(self._moving[i], world.objects[j])
+            distance = coal_distance(self._moving[i], objects[j])
             if distance < nearest.distance:
                 nearest = Nearest(distance, CollidingPair(self._pieces[i], self._obstacles[j].name))
         return nearest
 
     @cached_property
     def _obstacle_boxes(self) -> np.ndarray:
-        return _boxes(self._world(0.0).objects)
+        return _boxes(self._world(0.0)[1])
 
-    def _world(self, inflation: float) -> _World:
-        """The obstacles in boxes that are inflated [m]."""
+    def _world(
+        self, inflation: float
+    ) -> tuple[coal.DynamicAABBTreeCollisionManager, list[coal.CollisionObject]]:
+        """The obstacles in boxes that are inflated [m], made once."""
         if inflation not in self._worlds:
-            placed = ((item.shape, transform(item.T_parent_shape)) for item in self._obstacles)
-            objects = [coal.CollisionObject(*item) for item in placed]
-            more = np.full(3, inflation)
-            for item in objects:
-                item.getAABB().expand(more)
+            objects = []
+            for item in self._obstacles:
+                placed = coal.CollisionObject(item.shape, transform(item.T_parent_shape))
+                placed.getAABB().expand(np.full(3, inflation))
+                objects.append(placed)
             phase = coal.DynamicAABBTreeCollisionManager()
             phase.registerObjects(objects)
             phase.setup()
-            self._worlds[inflation] = _World(phase, objects)
+            self._worlds[inflation] = phase, objects
         return self._worlds[inflation]
 
     def _meets_obstacle(self, margins: np.ndarray) -> bool:
-        """Whether a link, where the broad phase has it now, is closer to an obstacle than its
-        margin [m].
-        """
+        """Whether a posed link l is closer to an obstacle than margins[l] [m]."""
         request, result = self._callback.data.request, self._callback.data.result
         for (_, manager, _), margin in zip(self._links, margins.tolist(), strict=True):
             request.security_margin = margin
-            inflation = next((s for s in (self._outer, *INFLATIONS) if s >= margin), margin)
-            manager.collide(self._world(inflation).phase, self._callback)
+            # few inflations serve all margins: a broad phase of 10 000 obstacles is slow to make
+            inflation = self._outer
+            if margin > inflation:
+                larger = bisect_left(INFLATIONS, margin)
+                inflation = INFLATIONS[larger] if larger < len(INFLATIONS) else margin
+            world = self._worlds.get(inflation) or self._world(inflation)
+            manager.collide(world[0], self._callback)
             if result.isCollision():
                 return True
         return False
@@ -287,9 +283,10 @@ def _forget_guesses(results: pin.GeometryData) -> None:
     The last digits of distances, and verdicts on contact, would then depend on what was asked
     before.
     """
-    hits, distances = results.collisionRequests, results.distanceRequests
-    kinds = (hits, coal.CollisionRequest), (distances, coal.DistanceRequest)
-    for requests, kind in kinds:
+    for requests, kind in (
+        (results.collisionRequests, coal.CollisionRequest),
+        (results.distanceRequests, coal.DistanceRequest),
+    ):
         for k in range(len(requests)):
             requests[k] = kind()
             requests[k].gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
@@ -317,49 +314,47 @@ def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.Geom
     hand = robot.model.frames[robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)]
     carried = []
     for item in attachments:
-        pieces = solids(item.name, item.shape, item.T_hand_object)
-        carried.append([geometry.addGeometryObject(_carried(piece, hand)) for piece in pieces])
+        rows = []
+        for piece in solids(item.name, item.shape, item.T_hand_object):
+            placement = hand.placement * pin.SE3(piece.T_parent_shape)
+            placed = pin.GeometryObject(piece.name, hand.parentJoint, placement, piece.shape)
+            rows.append(geometry.addGeometryObject(placed))
+        carried.append(rows)
     for i, k in carried_pairs(robot, attachments):
         for piece in carried[k]:
             geometry.addCollisionPair(pin.CollisionPair(i, piece))
     return geometry
 
 
-def _carried(piece: Solid, hand: pin.Frame) -> pin.GeometryObject:
-    """A solid in the hand as pinocchio's geometry."""
-    placement = hand.placement * pin.SE3(piece.T_parent_shape)
-    return pin.GeometryObject(piece.name, hand.parentJoint, placement, piece.shape)
-
-
 def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
-    """(link piece, attachment) index pairs:
-    all but the pieces that, like the attachment, are fixed to the hand.
-    """
-    hand = robot.model.frames[
-        robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)
-    ].parentJoint
+    """(link piece, attachment) index pairs, without pieces fixed to the hand."""
+    frame = robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)
+    hand = robot.model.frames[frame].parentJoint
     joints = [item.parentJoint for item in robot.collision_model.geometryObjects]
     return [
         (i, k) for k in range(len(attachments)) for i, joint in enumerate(joints) if joint != hand
     ]
 
 
-def reach_with(robot: Robot, attachments: Sequence[Attachment]) -> float:
+def reach_with(robot: Robot, attachments: Sequence[Attachment], longest: float = 20.0) -> float:
     """Radius [m] of a ball around the base that neither the robot nor what it carries can leave.
 
-    InvalidInputError, naming what is too long or too far away, when that is more than
-    LONGEST_REACH.
+    InvalidInputError names what reaches further than `longest` [m]: a misplaced unit, whose
+    distance grid would take all memory.
     """
-    middles = ((a, float(np.linalg.norm(a.T_hand_object[:3, 3]))) for a in attachments)
-    carried = {f"attachment {a.name!r}": far + bounding_radius(a.shape) for a, far in middles}
-    for name, length in {f"robot {robot.name}": robot.reach, **carried}.items():
-        if not length <= LONGEST_REACH:
+    reaches = {f"robot {robot.name}": robot.reach}
+    carried = 0.0
+    for item in attachments:
+        far = float(np.linalg.norm(item.T_hand_object[:3, 3])) + bounding_radius(item.shape)
+        reaches[f"attachment {item.name!r}"] = far
+        carried = max(carried, far)
+    for name, length in reaches.items():
+        if not length <= longest:
             raise InvalidInputError(
-                f"{name} reaches {length:.3g} m, more than {LONGEST_REACH:g}: give positions, "
-                f"sizes and slider "
-                f"limits in metres"
+                f"{name} reaches {length:.3g} m, more than {longest:g}: give positions, sizes and "
+                f"slider limits in metres"
             )
-    return robot.reach + max(carried.values(), default=0.0)
+    return robot.reach + carried
 
 
 def obstacles_within(scene: Scene, reach: float) -> Iterator[Solid]:

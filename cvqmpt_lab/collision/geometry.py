@@ -45,9 +45,6 @@ from cvqmpt_lab.robot.kinematics import Kinematics
 CELL = 0.04  # [m] of the distance grid
 
 
-_PRISM_SIDES = 16
-
-
 class ShapeSpec(NamedTuple):
     """One convex shape in plain numbers."""
 
@@ -61,20 +58,20 @@ class ShapeSpec(NamedTuple):
     inflation: float = 0.0  # of a box, cylinder or hull, to all sides [m]
 
 
-def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:
-    """Return points (k, 3) and an inflation radius [m], so that the inflated hull of the points
-    holds the shape.
+def outline(spec: ShapeSpec, sides: int = 16) -> tuple[np.ndarray, float]:
+    """Points (k, 3) and a radius [m]: their hull, inflated, holds the shape.
 
-    The points are in the frame of the owner, a link or the world.
+    The points are in the frame of the owner, a link or the world. A cylinder becomes a prism with
+    so many sides around it.
     """
     if spec.kind == HULL:
         points = spec.vertices
     elif spec.kind == BOX:
         points = 0.5 * np.array(spec.size) * np.array(list(product((-1.0, 1.0), repeat=3)))
     elif spec.kind == CYLINDER:
-        turn = 2.0 * np.pi * np.arange(_PRISM_SIDES) / _PRISM_SIDES
-        radius = spec.size[0] / np.cos(np.pi / _PRISM_SIDES)
-        half = np.full(_PRISM_SIDES, 0.5 * spec.size[2])
+        turn = 2.0 * np.pi * np.arange(sides) / sides
+        radius = spec.size[0] / np.cos(np.pi / sides)
+        half = np.full(sides, 0.5 * spec.size[2])
         rim = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), half])
         points = np.concatenate([rim, rim * (1.0, 1.0, -1.0)])
     else:
@@ -84,11 +81,9 @@ def outline(spec: ShapeSpec) -> tuple[np.ndarray, float]:
 
 
 def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
-    """Return shapes as a struct of arrays, in the order given; of a mesh only the vertices of its
-    hull.
+    """Shapes as a struct of arrays, in the order given; of a mesh only the vertices of its hull.
 
-    Raises InvalidInputError for a pose, size or vertex that is not finite, and for a mesh without
-    vertices.
+    InvalidInputError: a pose, size or vertex is not finite, or a mesh has no vertices.
     """
     _check(specs)
     n = len(specs)
@@ -118,7 +113,7 @@ def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
 
 
 def _check(specs: Sequence[ShapeSpec]) -> None:
-    """Refuse what no kernel could work with."""
+    """InvalidInputError for shapes that kernels cannot handle."""
     poses = np.array([spec.T_owner_shape for spec in specs]).reshape(-1, 16)
     wrong = ~np.isfinite(poses).all(axis=1)
     for i, spec in enumerate(specs):
@@ -205,8 +200,9 @@ def robot_geometry(
 
 
 def swing(kinematics: Kinematics, robot: RobotGeometry) -> np.ndarray:
-    """Return how far any point of the robot can move per unit of each joint (n,) [m/rad, or 1 for
-    sliders].
+    """Bounds (n,) on |dx/dq_j| of any point x of the robot at any configuration.
+
+    [m/rad] of hinges, 1 of sliders.
     """
     n = len(kinematics.parent)
     extent = np.zeros(n + 1)  # of what hangs on each pose row, from its origin
@@ -228,9 +224,7 @@ def swing(kinematics: Kinematics, robot: RobotGeometry) -> np.ndarray:
 def _bodies(
     link: Sequence[int], pairs: Sequence[tuple[int, int]]
 ) -> tuple[list[list[int]], list[tuple[int, int]]]:
-    """Geometries grouped by link and by the others they are checked against;
-    pairs of groups to check.
-    """
+    """Geometries grouped by link and partners of checks, and the pairs of groups to check."""
     partners: list[set[int]] = [set() for _ in link]
     for a, b in pairs:
         partners[a].add(b)
@@ -245,8 +239,9 @@ def _bodies(
 
 
 def _cut(spec: ShapeSpec, pieces: list[ShapeSpec]) -> list[Piece]:
-    """Append the pieces of one geometry, return them as leaves;
-    cylinders and spheres stay one piece.
+    """Append the pieces of one geometry and return them as leaves of a tree.
+
+    Cylinders and spheres stay one piece.
     """
     points, inflation = outline(spec)
     parts = [points] if spec.kind == SPHERE else cut_into_pieces(points)
@@ -267,11 +262,10 @@ def scene_geometry(
     cell: float = CELL,
     clouds: Sequence[Cloud] = (),
 ) -> SceneGeometry:
-    """Return obstacles and clouds with a grid over the box lower..upper (3,) [m].
+    """Obstacles and clouds with a grid over the box lower..upper (3,) [m].
 
     Balls outside the grid, or larger than `REACH`, are compared with every item: correct, but slow.
-    Raises InvalidInputError for poses, vertices or points that are not finite, and for empty
-    meshes.
+    InvalidInputError: see `pack_shapes` and `cluster_primitives`.
     """
     solid = pack_shapes(specs)
     clusters = cluster_primitives(clouds, cell)

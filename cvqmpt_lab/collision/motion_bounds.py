@@ -1,5 +1,7 @@
-"""How far points of a robot can move while its joints change:
-bounds from Jacobians and a ball around each link.
+"""Bounds on how far points of a robot move while its configuration stays in a convex hull.
+
+They come from Jacobians and a ball around each link (Schwarzer, Saha and Latombe 2005, refined to
+second order).
 """
 
 from collections.abc import Sequence
@@ -12,12 +14,15 @@ from cvqmpt_lab.robot.robot import Robot
 
 
 class Sweep:
-    """Bounds on the motion of points of a robot whose configuration stays in a convex hull;
-    many hulls at once.
+    """Motion bounds of a robot's links, for many hulls of configurations at once.
+
+    Args:
+        robot: the robot.
+        geometry: its pieces; `between` bounds their collision pairs.
+        links: joint ids of the links whose motion in the world `in_world` bounds.
     """
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:
-        """links: joints of `in_world`; `between` is about the collision pairs of the geometry."""
         self._model, self._data = robot.model, robot.model.createData()
         objects, joints = geometry.geometryObjects, robot.model.njoints
         support = np.zeros((joints, robot.dof), dtype=bool)
@@ -41,22 +46,21 @@ class Sweep:
         self._pair = pair.reshape(-1)
 
     def in_world(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Bounds (k, l) [m] on the motion of any point of each link from q (k, n), in hulls with
-        corners (k, c, n).
+        """Bounds (k, l) [m] on the motion of any point of each link.
+
+        Args:
+            q: (k, n), where motions begin.
+            hulls: (k, c, n), corners of the hulls that configurations stay in.
         """
         return self._in_world.bounds(*self._posed(q), hulls - q[:, None])
 
     def between(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Bounds (k, p) [m] on the motion of any two points of each pair of pieces against each
-        other.
-        """
+        """Bounds (k, p) [m] on the relative motion of two points of each pair of pieces."""
         bounds = self._of_pairs.bounds(*self._posed(q), hulls - q[:, None])
         return bounds.reshape(len(q), 2, -1).sum(1)[:, self._pair]
 
     def _posed(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """At each of q (k, n):
-        the Jacobians' columns (6, k, n), and the centres of the joints' balls (3, k, j).
-        """
+        """Columns of the Jacobians (6, k, n) and centres of the balls (3, k, j) at q (k, n)."""
         columns, poses = np.empty((len(q), 6, self._model.nv)), self._data.oMi
         centres = np.zeros((len(q), self._model.njoints, 3))
         for row, column, moved in zip(q, columns, centres, strict=True):
@@ -68,25 +72,30 @@ class Sweep:
 
 
 class _Motions:
-    """Links, each moved by some joints while the others stand still."""
+    """Links (l,), each moved by some joints (l, n) while the others stand still."""
 
     def __init__(
         self, links: np.ndarray, moving: np.ndarray, balls: np.ndarray, slides: np.ndarray
     ) -> None:
-        """links: (l,) joints that carry them. moving: (l, n). balls:
-        (joints, 4), around what each carries.
-        """
         self._links, self._moving, self._radii = links, moving.astype(float), balls[links, 3, None]
         self._turning = (moving & ~slides).astype(float)
 
     def bounds(self, columns: np.ndarray, centres: np.ndarray, changes: np.ndarray) -> np.ndarray:
-        """Bounds (k, l) [m] on the motion of any point of each link, changes (k, c, n) leading to
-        corners of hulls.
+        """Bounds (k, l) [m] on the motion of any point x of each link.
 
-        The first-order part is the Jacobian's, |J dq|; the rest is half the second derivative along
-        a straight line. For joints i and j, j further out, d/dq_i of (axis_j x (point - origin_j))
-        is a rotation of that vector, so its length is at most lever_j, the speed of the point per
-        turn of j. A lever grows as the joints after it move.
+        With d the change to a corner of the hull and s_j the largest speed of x per unit of joint
+        j, each within the hull:
+
+            |x(q + d) - x(q)| <= |J d| + 1/2 sum_j |d_j| s_j (|d_j| + 2 sum_{i < j} |d_i|)
+
+        The second term bounds half the second derivative along a straight line: for a joint i
+        before j, d/dq_i turns the vector axis_j x (x - origin_j), whose length is at most s_j.
+        Sliders do not turn: they are left out of the inner sum. s_j grows as joints after j move.
+
+        Args:
+            columns: (6, k, n), Jacobian columns.
+            centres: (3, k, j), of the links' balls [m].
+            changes: (k, c, n), from q to the corners of hulls.
         """
         if len(self._radii) == 0:
             return np.zeros((len(changes), 0))
@@ -103,12 +112,12 @@ class _Motions:
         most = np.abs(changes).max(axis=1)[:, None]
         turned = most * self._turning
         around = 2.0 * np.cumsum(turned, axis=2) - turned
-        way, second = np.zeros(furthest.shape), np.zeros(furthest.shape)
+        later, second = np.zeros(furthest.shape), np.zeros(furthest.shape)
         for j in range(self._moving.shape[1] - 1, -1, -1):
-            fastest = speeds[..., j] + turns[..., j] * self._radii[:, 0] + way
+            fastest = speeds[..., j] + turns[..., j] * self._radii[:, 0] + later
             moved = most[..., j] * self._moving[:, j] * fastest
             second += 0.5 * around[..., j] * moved
-            way += moved
+            later += moved
         return furthest + second
 
 
@@ -118,12 +127,12 @@ def _lengths(vectors: np.ndarray) -> np.ndarray:
 
 
 def balls_around(items: Sequence[pin.GeometryObject]) -> np.ndarray:
-    """`_ball_around` each piece alone, (p, 4) [m]."""
+    """Centres and radii (p, 4) [m] of balls around each piece alone."""
     return np.array([_ball_around([item]) for item in items]).reshape(-1, 4)
 
 
 def _ball_around(items: Sequence[pin.GeometryObject]) -> np.ndarray:
-    """Centre in the joint's frame and radius of a ball that holds pieces, (4,) [m]."""
+    """Centre in the joint's frame and radius (4,) [m] of a ball that holds pieces."""
     if not items:
         return np.zeros(4)
     placed = [(enclosing_points(item.geometry), item.placement) for item in items]

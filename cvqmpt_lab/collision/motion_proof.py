@@ -1,9 +1,9 @@
-"""Whether a motion is free at every state of it, not only at samples.
+"""Proof that a motion is free at every state, not only at samples (conservative advancement).
 
-In the middle of a stretch, distances by coal are compared with how far any link can move inside it.
-A stretch that is not proven is cut, down to FINEST; one that is not proven even then is reported,
-although its middle is free. Nothing depends on which of several pairs coal finds first: that is
-chance.
+A stretch of a motion is free when the distance by coal at its middle exceeds how far any link can
+move inside the stretch. A stretch that is not proven is cut in two, down to FINEST; one that is not
+proven even then is reported, although its middle is free. Nothing depends on which of several pairs
+coal finds first: that is chance.
 """
 
 from collections import deque
@@ -21,14 +21,10 @@ FINEST = 1e-7
 # [rad] the same after the first such stretch, or after MOST_FINE looks at shorter ones
 COARSE = 1e-4
 MOST_FINE = 4000  # about 0.2 s; else sliding along an obstacle at micrometres would take hours
+# [rad] half of a stretch, or less, whose middle is checked for a collision if it is not proven
 DOUBTFUL = 0.01
-"""[rad] half of a stretch, or less, whose middle is asked for a collision when it cannot be proven.
-"""
-PARTS = 2  # Into which such a stretch is cut
+# stretches in one call, next to each other, so that little is wasted before a collision
 BATCH = 64
-"""Stretches looked at together;
-they are next to each other, so that little is wasted before a collision.
-"""
 
 
 class Unproven(NamedTuple):
@@ -41,17 +37,18 @@ class Unproven(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MotionProof:
-    """What is known of a motion."""
+    """The result of `prove_free`."""
 
     colliding: np.ndarray | None  # (n,), the first colliding configuration found, or None
     unproven: Unproven | None  # the longest such stretch; None when there is none, or a collision
     tightest: np.ndarray  # (k, n), middles of all stretches, those proven with the least room first
-    looks: int  # Configurations looked at
+    looks: int  # stretches whose middles were measured
 
 
 def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
-    """Prove that straight joint motions through states (m, n), m >= 1, touch nothing;
-    stops at a collision.
+    """Prove that straight joint motions through states (m, n), m >= 1, touch nothing.
+
+    Returns at the first collision that is found.
     """
     line = _Polyline(states)
     obstacles = _walk(line, checker.clear_of_obstacles, checker.in_collision)
@@ -70,8 +67,12 @@ def _walk(
     clear: Callable[[np.ndarray, np.ndarray], np.ndarray],
     hits: Callable[[np.ndarray], bool],
 ) -> MotionProof:
-    """Prove stretch after stretch; clear: see `CollisionChecker.clear_of_obstacles`."""
-    ahead, looks, fine = deque(_parts(0.0, 0.5 * line.length, LONGEST)), 0, 0
+    """Prove stretch after stretch with `CollisionChecker.clear_of_obstacles` or `_of_itself`."""
+    half_length = 0.5 * line.length
+    count = max(1, int(np.ceil(half_length / LONGEST)))
+    # begin and half the length of each stretch
+    ahead = deque((2.0 * k * half_length / count, half_length / count) for k in range(count))
+    looks = fine = 0
     unproven: Unproven | None = None
     proven: list[tuple[float, np.ndarray]] = []
     while ahead:
@@ -86,7 +87,7 @@ def _walk(
                 if half <= DOUBTFUL and hits(middle):
                     return MotionProof(middle, None, np.empty((0, len(middle))), looks)
                 if half > (COARSE if unproven or fine > MOST_FINE else FINEST):
-                    left += _parts(begin, half, half / PARTS)
+                    left += (begin, 0.5 * half), (begin + half, 0.5 * half)
                     continue
                 if unproven is None or 2.0 * half > unproven.length:
                     unproven = Unproven(2.0 * half, middle, hull)
@@ -94,12 +95,6 @@ def _walk(
         ahead.extendleft(reversed(left))
     order = np.argsort([half for half, _ in proven], kind="stable")
     return MotionProof(None, unproven, np.array([proven[k][1] for k in order]), looks)
-
-
-def _parts(begin: float, half: float, aim: float) -> list[tuple[float, float]]:
-    """A stretch, by its begin and half its length, in parts of at most half length `aim` [rad]."""
-    count = max(1, int(np.ceil(half / aim)))
-    return [(begin + 2.0 * k * half / count, half / count) for k in range(count)]
 
 
 class _Polyline:
@@ -113,10 +108,9 @@ class _Polyline:
         self.length = float(self._along[-1])
 
     def stretches(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Middles (k, n) of stretches (k, 2), begin and half length; and their ends with all states
-        between them.
+        """Middles (k, n) of stretches (k, 2), begin and half length, and their hulls.
 
-        The latter as (k, c, n): shorter ones repeat their end.
+        Hulls (k, c, n) are the ends with all states between them; shorter ones repeat their end.
         """
         states, along = self._states, self._along
         if len(states) == 1:

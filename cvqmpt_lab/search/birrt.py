@@ -1,15 +1,16 @@
-"""Algorithm 3 of the paper: a bidirectional RRT on the constraint manifold, with samples of any
-distribution.
+"""Algorithm 3 of the paper: a bidirectional RRT on the constraint manifold.
 
     repeat until the trees meet or the budget is spent:
-        q_rand <- sample(q)                                  the predicted mixture, or uniform: then
-        this is CBiRRT q_a <- ConstrainedExtend(T_a, NearestNode(T_a, q_rand), q_rand) q_b <-
-        ConstrainedExtend(T_b, NearestNode(T_b, q_rand), q_rand) if ConstrainedExtend(T_b, q_b, q_a)
-        reaches q_a: return Path(T_a, q_a, T_b, q_b) Swap(T_a, T_b)
+        q_rand <- sample(q)
+        q_a <- ConstrainedExtend(T_a, NearestNode(T_a, q_rand), q_rand)
+        q_b <- ConstrainedExtend(T_b, NearestNode(T_b, q_rand), q_rand)
+        if ConstrainedExtend(T_b, q_b, q_a) reaches q_a:
+            return Path(T_a, q_a, T_b, q_b)
+        Swap(T_a, T_b)
 
-Every state is projected (F(q) = 0, paper, Algorithm 1) and checked. A path found is then checked at
-fine resolution; a motion that grazes an obstacle between its states is cut out of its tree, and the
-search goes on.
+Samples come from any distribution; with the uniform one this is CBiRRT. Every state is projected
+(F(q) = 0, paper, Algorithm 1) and checked. A path found is then checked at fine resolution; a motion
+that hits an obstacle between its states is cut out of its tree, and the search goes on.
 """
 
 import time
@@ -70,19 +71,9 @@ def plant(start: np.ndarray, goals: np.ndarray, capacity: int) -> Trees:
     return trees
 
 
-def enlarged(trees: Trees) -> Trees:
-    """The same trees with twice the capacity."""
-    nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
-    parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
-    return trees._replace(
-        nodes=nodes, parent=parent, nearest=enlarged_index(trees.nearest, nodes.shape[1])
-    )
-
-
 @kernel(inline="source")
 def extend(space, nodes, parent, size, which, origin, target, reach):
-    """ConstrainedExtend: extend from node origin towards target (n,), adding every state to the
-    tree.
+    """ConstrainedExtend: extend from node origin towards target (n,), adding every state.
 
     reach: longest extension [rad]. Returns the index of the last node, and whether the target was
         reached.
@@ -117,9 +108,12 @@ def grow(
 ):
     """Grow both trees towards samples[first:] (m, n) until they meet.
 
-    reach: longest extension towards a sample [rad]. Returns GROWING (samples used up), CONNECTED
-        (trees.meeting holds the nodes) or FULL (capacity used up), and the index of the next unused
-        sample.
+    reach: longest extension towards a sample [rad].
+
+    Returns
+    -------
+        GROWING (samples used up), CONNECTED (trees.meeting holds the nodes) or FULL (capacity used
+        up), and the index of the next unused sample.
     """
     reserve = trees.nodes.shape[1] // 4
     nodes, parent, size = trees.nodes, trees.parent, trees.size
@@ -159,8 +153,7 @@ def extract_path(
     out: Annotated[np.ndarray, "longest n"],
     origin: Annotated[np.ndarray, "int64 longest 2"],
 ):
-    """Write the states from start root to goal root into out (k, n), their (tree, node) into origin
-    (k, 2); return k.
+    """Write the states of the path into out (k, n), their (tree, node) into origin; return k.
 
     out and origin have as many rows as both trees have nodes.
     """
@@ -198,7 +191,7 @@ def remove_subtree(trees, which, root):
 def remove_child_of_segment(
     trees: Trees, origin: Annotated[np.ndarray, "int64 longest 2"], segment: int
 ):
-    """Cut the motion between path states segment and segment + 1; origin (k, 2) is extract_path's."""
+    """Cut the motion from path state segment to the next; origin is from `extract_path`."""
     later_in_start_tree = origin[segment + 1, 0] == 0
     if later_in_start_tree:
         remove_subtree(trees, 0, origin[segment + 1, 1])
@@ -208,19 +201,18 @@ def remove_child_of_segment(
         remove_subtree(trees, 1, trees.meeting[1])
 
 
-FIRST_CAPACITY = 4096  # nodes of a tree at first
-FIRST_BATCH, LARGEST_BATCH = 16, 256  # samples drawn at once
-CLOCK_BATCH = 16  # samples used before the clock is read, where a budget has seconds
-
-
 @dataclass(frozen=True)
 class BiRRT:
-    """Bidirectional tree growth on the manifold."""
+    """The bidirectional tree of Algorithm 3."""
 
     # [rad] between neighbouring nodes; a found path is refined to the space's own step
     step: float = 0.15
     # [rad] longest extension towards a sample; chosen on the tuning environments
     reach: float = 1.0
+    first_capacity: int = 4096  # nodes of a tree at first
+    first_batch: int = 16  # samples drawn at once; doubled up to the largest batch
+    largest_batch: int = 256
+    clock_batch: int = 16  # samples used before the clock is read, where a budget has seconds
 
     def search(
         self,
@@ -235,9 +227,9 @@ class BiRRT:
         began = time.perf_counter()
         deadline = np.inf if budget.seconds is None else began + budget.seconds
         before = space.counters
-        trees = plant(start, goals, FIRST_CAPACITY)
+        trees = plant(start, goals, self.first_capacity)
         status, path = PlanStatus.TIMEOUT, None
-        used, batch = 0, FIRST_BATCH
+        used, batch = 0, self.first_batch
         while path is None:
             if time.perf_counter() >= deadline:
                 break
@@ -247,7 +239,7 @@ class BiRRT:
                 break
             samples = distribution.sample(rng, count)
             trees, path = self._use(space, trees, samples, deadline)
-            used, batch = used + count, min(2 * batch, LARGEST_BATCH)
+            used, batch = used + count, min(2 * batch, self.largest_batch)
         return PlanResult(
             status=PlanStatus.SOLVED if path is not None else status,
             path=path,
@@ -262,18 +254,19 @@ class BiRRT:
         )
 
     def _use(self, space: ConstrainedSpace, trees: Trees, samples: np.ndarray, deadline: float):
-        """Grow with one batch until the deadline;
-        the trees, and a path that passed the fine check or None.
-        """
+        """Grow with one batch until the deadline; the trees, and a path that passed the fine check."""
         arrays = space.arrays._replace(step=self.step)
-        most = len(samples) if deadline == np.inf else CLOCK_BATCH
+        most = len(samples) if deadline == np.inf else self.clock_batch
         first = 0
         while first < len(samples) and time.perf_counter() < deadline:
             part = samples[: first + most]
-            status, first = grow(arrays, trees, part, first, self.reach)
+            status, first = grow.unchecked(arrays, trees, part, first, self.reach)
             space.reraise()
             if status == FULL:
-                trees = enlarged(trees)
+                nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
+                parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
+                nearest = enlarged_index(trees.nearest, nodes.shape[1])
+                trees = trees._replace(nodes=nodes, parent=parent, nearest=nearest)
             elif status == CONNECTED:
                 path = checked_tree_path(space, trees)
                 space.reraise()
@@ -287,8 +280,8 @@ def checked_tree_path(space: ConstrainedSpace, trees: Trees) -> JointPath | None
     capacity = int(trees.size.sum())
     states = np.empty((capacity, trees.nodes.shape[2]))
     origin = np.empty((capacity, 2), dtype=np.int64)
-    count = extract_path(trees, states, origin)
+    count = extract_path.unchecked(trees, states, origin)
     path, bad = space.checked_path(states[:count])
     if path is None:
-        remove_child_of_segment(trees, origin, bad)
+        remove_child_of_segment.unchecked(trees, origin, bad)
     return path

@@ -158,7 +158,7 @@ def simplify(
         if settings.seconds is not None and time.perf_counter() - began > settings.seconds:
             break
         picks = _picks(rng, tried, min(ROUND, settings.attempts - tried))
-        count = shortcut(space.arrays, states, count, picks, detour)
+        count = shortcut.unchecked(space.arrays, states, count, picks, detour)
         space.reraise()
         tried += len(picks)
         shorter = JointPath(states[:count]).length

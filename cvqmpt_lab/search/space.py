@@ -1,16 +1,13 @@
-"""A problem's planning space:
-limits, projection and state checks, counted, for every planner alike.
-"""
+"""The planning space of a problem: projection and state checks, counted, the same for all planners."""
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
+from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
-from cvqmpt_lab.collision.geometry import swing
 from cvqmpt_lab.constraints.project import projection_scratch
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
@@ -31,15 +28,15 @@ BACKENDS = ("compiled", "exact")
 
 
 class StateCheck:
-    """A Python function ``valid(q) -> bool`` that compiled code calls by address, on the shared
-    array `query`.
+    """A Python function ``valid(q) -> bool`` that compiled code calls by address.
 
-    An exception inside it cannot cross compiled code: it is kept, the state counts as invalid, and
-    `reraise` throws it once the kernel has returned. The object must outlive its use.
+    The configuration is in `query`. An exception cannot cross compiled code: it is kept in `error`,
+    and the state counts as invalid. The object must outlive its use.
     """
 
-    def __init__(self, valid: Callable[[np.ndarray], bool] | None, query: np.ndarray) -> None:
+    def __init__(self, valid: Callable[[np.ndarray], bool] | None, n: int) -> None:
         self.error: BaseException | None = None
+        self.query = query = np.zeros(n)
 
         def call() -> bool:
             if valid is None or self.error is not None:
@@ -53,33 +50,32 @@ class StateCheck:
         self._callback = ctypes.CFUNCTYPE(ctypes.c_bool)(call)
         self.address: int = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
 
-    def reraise(self) -> None:
-        """Throw what the function threw, if it did."""
-        if self.error is not None:
-            error, self.error = self.error, None
-            raise error
-
 
 @dataclass(frozen=True)
 class SpaceSettings:
-    """How finely motions are walked and checked."""
+    """Step sizes and tolerances of a planning space."""
 
-    step: float = 0.05  # between neighbouring states [rad], the paper's 0.05
+    step: float = 0.05  # between neighbouring states [rad], as in the paper
     resolution: float = 0.01  # of the exact backend's last check of a motion [rad]
     margin: float = 1e-4  # kept from obstacles [m]
-    # by which bounds are tightened [m, rad]: motions between states on the rim stay inside
+    # by which bounds are tightened [m, rad]: motions between states at the bounds stay inside
     inset: float = 1e-3
     tolerance: float = TOLERANCE  # on |F| after projection [m, rad]
     max_iterations: int = MAX_ITERATIONS  # newton steps per projection
 
 
 class ConstrainedSpace:
-    """Compiled arrays of a problem, with one counter for all who use them."""
+    """Compiled arrays of a problem, and counters of the work done with them.
 
-    doubtful: tuple[str, ...]
-    """Names of the problem's configurations that the (conservative) state check blocks although the
-    meshes allow them; within `kernels.DOUBT` of these, exact checks have the last word.
+    Args:
+        problem: the planning problem.
+        backend: state checks are "compiled", or "exact" by coal; all else is the same code.
+        settings: step sizes and tolerances.
     """
+
+    # names of start and goals that the (conservative) state check blocks although the meshes allow
+    # them; within `kernels.DOUBT` of these, exact checks decide
+    doubtful: tuple[str, ...]
 
     def __init__(
         self,
@@ -87,29 +83,40 @@ class ConstrainedSpace:
         backend: str = "compiled",
         settings: SpaceSettings | None = None,
     ) -> None:
-        """backend: state checks are "compiled", or "exact" by coal;
-        projection and tree growth are the same code.
-        """
         if backend not in BACKENDS:
             raise UnknownChoiceError("backend", backend, BACKENDS)
         settings = settings or SpaceSettings()
-        self.problem, self.robot, self.backend, self.settings = (
-            problem,
-            problem.robot,
-            backend,
-            settings,
-        )
+        robot, n = problem.robot, problem.robot.dof
+        self.problem, self.robot, self.backend, self.settings = problem, robot, backend, settings
         exact = problem.collision_checker(settings.margin) if backend == "exact" else None
-        self._check, query = _callback(exact, problem.robot.dof)
-        self.arrays = _arrays(problem, settings, exact is not None, self._check.address, query)
+        self._check = _callback(exact, n)
+        regions = stack_regions(robot, problem.constraint, settings.inset)
+        reach = reach_with(robot, problem.attachments)
+        self.arrays = kernels.Space(
+            kinematics=robot.kinematics,
+            regions=regions,
+            robot=robot_arrays(robot, problem.attachments),
+            scene=scene_arrays(problem.scene, reach, problem.clearance),
+            tolerance=settings.tolerance,
+            max_iterations=settings.max_iterations,
+            step=settings.step,
+            resolution=settings.resolution,
+            margin=settings.margin,
+            exact=exact is not None,
+            check=self._check.address,
+            query=self._check.query,
+            doubtful=np.empty((0, n)),
+            swing=robot_swing(robot, problem.attachments),
+            counters=np.zeros(5, dtype=np.int64),
+            state=np.zeros(n),
+            scratch=projection_scratch(n, regions),
+        )
         check_arrays(self.arrays)
-        self._shape = (problem.robot.dof,)
+        self._shape = (n,)
         self.doubtful = self._find_doubtful()
 
     def _find_doubtful(self) -> tuple[str, ...]:
-        """Names of start and goals that state checks block but the meshes allow;
-        exact checks are used near them.
-        """
+        """Find `doubtful`, and let exact checks decide near them."""
         blocked = {
             label: q for label, q in self.problem.labelled_configurations() if not self.valid(q)
         }
@@ -118,27 +125,35 @@ class ConstrainedSpace:
             return ()
         checker = self.problem.collision_checker()
         doubtful = {label: q for label, q in blocked.items() if not checker.in_collision(q)}
-        self._check, query = _callback(checker, self.robot.dof)
-        near = np.array(list(doubtful.values())).reshape(-1, self.robot.dof)
-        self.arrays = self.arrays._replace(check=self._check.address, query=query, doubtful=near)
+        self._check = _callback(checker, self.robot.dof)
+        self.arrays = self.arrays._replace(
+            check=self._check.address,
+            query=self._check.query,
+            doubtful=np.array(list(doubtful.values())).reshape(-1, self.robot.dof),
+        )
         return tuple(doubtful)
 
     @property
     def counters(self) -> Counters:
         """Work done in this space so far."""
-        return Counters(*(int(c) for c in self.arrays.counters))
+        return Counters(*self.arrays.counters.tolist())
 
     def counters_since(self, before: Counters) -> Counters:
         """Work done since an earlier reading."""
+        now = self.counters
         return Counters(
-            *(now - then for now, then in zip(astuple(self.counters), astuple(before), strict=True))
+            now.projections - before.projections,
+            now.newton_iterations - before.newton_iterations,
+            now.state_checks - before.state_checks,
+            now.iterations - before.iterations,
+            now.clearances - before.clearances,
         )
 
     def reraise(self) -> None:
-        """Throw what a Python state check threw inside compiled code, if anything (Ctrl-C
-        included).
-        """
-        self._check.reraise()
+        """Raise what a Python state check raised inside compiled code, Ctrl-C included."""
+        if self._check.error is not None:
+            error, self._check.error = self._check.error, None
+            raise error
 
     def unconstrained(self) -> "ConstrainedSpace":
         """The same world without its constraint; work done there is counted here."""
@@ -180,9 +195,7 @@ class ConstrainedSpace:
         return residual, jacobian
 
     def _require_configuration(self, q: np.ndarray) -> None:
-        """The check that `jit.entry` makes, for calls per state:
-        InvalidInputError unless q is one configuration.
-        """
+        """InvalidInputError unless q is one configuration; faster than the check of `jit.entry`."""
         if q.shape != self._shape or q.dtype != np.float64:
             raise InvalidInputError(
                 f"a configuration of {self.robot.name} is an array ({self.robot.dof},) of float64; "
@@ -190,10 +203,14 @@ class ConstrainedSpace:
             )
 
     def checked_path(self, states: np.ndarray) -> tuple[JointPath | None, int]:
-        """The path through states (m, n), refined where straight motions leave the manifold, if it
-        is free.
+        """Refine a path where straight motions leave the manifold, and check it.
 
-        Otherwise None, and the index of the first segment that fails at the fine resolution.
+        Args:
+            states: (m, n) [rad or m].
+
+        Returns
+        -------
+            The path and -1, or None and the index of the first segment that fails.
         """
         states = np.ascontiguousarray(states)
         capacity = 8 * len(states) + 4 * int(JointPath(states).length / self.settings.step) + 64
@@ -203,66 +220,31 @@ class ConstrainedSpace:
         return (JointPath(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
 
 
-def _arrays(
-    problem: PlanningProblem, settings: SpaceSettings, exact: bool, check: int, query: np.ndarray
-) -> kernels.Space:
-    """The problem in plain arrays; check, query:
-    address of the exact check, and the array it reads.
-    """
-    kinematics, n = problem.robot.kinematics, problem.robot.dof
-    regions = stack_regions(problem.robot, problem.constraint, settings.inset)
-    robot = robot_arrays(problem.robot, problem.attachments)
-    return kernels.Space(
-        kinematics=kinematics,
-        regions=regions,
-        robot=robot,
-        scene=scene_arrays(
-            problem.scene, reach_with(problem.robot, problem.attachments), problem.clearance
-        ),
-        tolerance=settings.tolerance,
-        max_iterations=settings.max_iterations,
-        step=settings.step,
-        resolution=settings.resolution,
-        margin=settings.margin,
-        exact=exact,
-        check=check,
-        query=query,
-        doubtful=np.empty((0, n)),
-        swing=swing(kinematics, robot),
-        counters=np.zeros(5, dtype=np.int64),
-        state=np.zeros(n),
-        scratch=projection_scratch(n, regions),
-    )
-
-
-def _callback(checker: CollisionChecker | None, n: int) -> tuple[StateCheck, np.ndarray]:
-    """A checker of n joints as compiled code calls it, and the array through which it is asked."""
-    query = np.zeros(n)
-    valid = None if checker is None else lambda q: not checker.in_collision(q)
-    return StateCheck(valid, query), query
-
-
-# The direct motion between two states: straight in joints, projected on the manifold, free of
-# collision.
-COARSE_STEP = 0.15
-"""Between neighbouring states of the first check [rad], as in `BiRRT`;
-the path is then refined to the space's step.
-"""
+def _callback(checker: CollisionChecker | None, n: int) -> StateCheck:
+    """An exact checker of n joints as compiled code calls it."""
+    return StateCheck(None if checker is None else lambda q: not checker.in_collision(q), n)
 
 
 def direct_motion(
-    space: ConstrainedSpace, origin: np.ndarray, target: np.ndarray
+    space: ConstrainedSpace, origin: np.ndarray, target: np.ndarray, coarse_step: float = 0.15
 ) -> JointPath | None:
-    """The motion from origin to target (n,), both on the manifold, or None when there is none.
+    """The direct motion between two states: projected midpoints, from coarse to fine.
 
-    Projected midpoints from coarse to fine, so that most failures cost a few states; a motion more
-    than twice as long as straight is none. What is found is checked at the space's fine resolution.
+    Most failures cost a few states. A motion more than DEVIATION times as long as straight is none.
+    What is found is checked at the space's fine resolution.
+
+    Args:
+        space: the planning space.
+        origin: (n,), on the manifold [rad or m].
+        target: (n,), on the manifold [rad or m].
+        coarse_step: between neighbouring states before the refinement [rad], as in `BiRRT`.
     """
-    origin, target = (np.ascontiguousarray(q, dtype=float) for q in (origin, target))
+    origin = np.ascontiguousarray(origin, dtype=float)
+    target = np.ascontiguousarray(target, dtype=float)
     straight = float(np.linalg.norm(target - origin))
-    out = np.empty((2 * int(straight / COARSE_STEP) + 2, len(origin)))
-    arrays = space.arrays._replace(step=COARSE_STEP)
-    count = bisect_motion(arrays, origin, target, max(DEVIATION * straight, COARSE_STEP), out)
+    out = np.empty((2 * int(straight / coarse_step) + 2, len(origin)))
+    arrays = space.arrays._replace(step=coarse_step)
+    count = bisect_motion(arrays, origin, target, max(DEVIATION * straight, coarse_step), out)
     space.reraise()
     if count == 0:
         return None

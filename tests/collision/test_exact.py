@@ -9,8 +9,7 @@ import pytest
 
 from cvqmpt_lab.benchmarks.door_task import door_world
 from cvqmpt_lab.benchmarks.place_task import carried_can
-from cvqmpt_lab.collision import exact
-from cvqmpt_lab.collision.exact import ROUNDING, CollisionChecker
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
@@ -113,7 +112,7 @@ def test_the_clearance_is_the_least_of_all_pairs_whatever_was_asked_before(panda
     states = panda.random_configurations(np.random.default_rng(9), 120)
     found = [checker.nearest(q) for q in states]
     least = [least_of_all_pairs(checker, q) for q in states]
-    assert [near.distance for near in found] == pytest.approx(least, abs=2.0 * ROUNDING)
+    assert [near.distance for near in found] == pytest.approx(least, abs=2e-6)
     assert {near.distance > 0.0 for near in found} == {True, False}
     assert [checker.nearest(q) for q in states[::-1]] == found[::-1]
 
@@ -183,7 +182,7 @@ def test_balls_around_pieces_change_no_proof(name, monkeypatch):
     hulls = states[:, None] + rng.normal(0.0, 0.02, (400, 2, robot.dof))
     proven = []
     for few in (0, 100_000):
-        monkeypatch.setattr(exact, "FEW_PAIRS", few)
+        monkeypatch.setattr(CollisionChecker, "few_pairs", few)
         proven.append(checker.clear_of_itself(states, hulls))
     assert (proven[0] == proven[1]).all() and 20 < proven[0].sum() < 380
 

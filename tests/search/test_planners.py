@@ -272,19 +272,19 @@ def test_states_given_to_ompl_leave_no_memory_behind(problem, manifold):
     assert in_use() - before < 9 * 2000
 
 
-def test_state_check_keeps_its_error_until_asked():
-    query, calls = np.zeros(7), []
+def test_a_space_raises_the_error_of_its_state_check_once(problem):
+    space, calls = ConstrainedSpace(problem), []
 
     def fail(q):
         calls.append(q)
         raise ValueError("no answer")
 
-    check = StateCheck(fail, query)
+    space._check = check = StateCheck(fail, 7)
     assert not check._callback() and not check._callback()
-    assert len(calls) == 1 and calls[0] is query
+    assert len(calls) == 1 and calls[0] is check.query
     with pytest.raises(ValueError, match="no answer"):
-        check.reraise()
-    check.reraise()
+        space.reraise()
+    space.reraise()
 
 
 def test_checked_path_names_the_bad_segment(problem, solution):
