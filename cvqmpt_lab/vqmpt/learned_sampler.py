@@ -29,8 +29,7 @@ from cvqmpt_lab.search.planner_interface import (
     widened,
 )
 from cvqmpt_lab.search.result import PlanStatus, Timings
-from cvqmpt_lab.search.roadmap import Roadmap
-from cvqmpt_lab.search.roadmap import linked_roadmap
+from cvqmpt_lab.search.roadmap import Roadmap, linked_roadmap
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings
 from cvqmpt_lab.vqmpt.codebook import (
