@@ -23,7 +23,6 @@ COMMANDS = {
     "problems": "list or export the problems of a suite, or write one to start from",
     "scan": "make a clean cloud or a scene of depth images or clouds",
     "ik": "find configurations for a pose or region, for a problem file",
-    "calibrate": "find where a depth camera stands, from the arm that it sees",
     "robot": "show what is understood of a robot's description, or list the arms that have a name",
     "check-tables": "re-run a tiny profile and compare with the committed expectations",
     "data": "make training paths",
@@ -33,6 +32,11 @@ COMMANDS = {
     "warmup": "compile all kernels ahead of time",
     "doctor": "tell what is installed here, what is missing and how to get it",
     "completion": "print what makes a shell complete commands, options and names",
+}
+
+REMOVED = {  # commands, and what is there instead of them
+    "calibrate": "calibrate with easy_handeye or MoveIt's hand-eye calibration, then give the "
+    "camera's pose to cvqmpt scan or plan with --extrinsics CAM.json",
 }
 
 # Small networks are several times slower on many threads, and runs share the cores already.
@@ -107,6 +111,8 @@ def parser_with(filled: Collection[str]) -> Parser:
 
 def _parsed(argv: list[str]) -> argparse.Namespace:
     asked = next((word for word in argv if word in COMMANDS), None)
+    if argv and argv[0] in REMOVED:
+        raise InvalidInputError(f"{argv[0]} was removed; {REMOVED[argv[0]]}")
     if asked != "train":
         for variable in THREADS:
             os.environ.setdefault(variable, "1")

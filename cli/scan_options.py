@@ -126,7 +126,7 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
     """The lines a person reads."""
     names = ", ".join(path.name for path in files)
     yield (
-        f"scan        {names}: {made.steps[0].before} points, {made.unseen} pixels or rows "
+        f"scan        {names}: {made.steps[0].before} points, {made.dropped} pixels or rows "
         f"without one"
     )
     if made.levelled is not None:
