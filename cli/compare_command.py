@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from paper_tables.compare_runs import clear, compared, comparison_lines
-from paper_tables.suite_tables import directory_rows
+from paper_tables.suites import directory_rows
 from paper_tables.writers import text_lines
 
 EXAMPLES = ("cvqmpt compare runs/before runs/after",)

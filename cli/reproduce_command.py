@@ -16,10 +16,10 @@ from cvqmpt_lab.files import write_text
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.warm_up import compile_kernels
-from experiments.everything import PROFILES, amounts, planners_of
+from experiments.amounts import PROFILES, parts_of, planners_of
 from experiments.figures.paper import reproduce_figure
 from experiments.run import Experiment, default_jobs, executor_for, run_experiment
-from paper_tables.suite_tables import render_directory
+from paper_tables.suites import render_directory
 
 ALL = "all"
 HISTOGRAM = ("histogram", 30)  # the figure that is part of all, and of how many problems
@@ -118,25 +118,14 @@ def _reproduce_all(args: argparse.Namespace) -> int:
             f"{given[0]} does not go with 'all', whose amounts are fixed; --profile small runs "
             f"less, or name one suite"
         )
-    chosen, out, jobs = (
-        amounts(args.profile),
-        args.out or Path("runs/all"),
-        args.jobs or default_jobs(),
-    )
+    parts, out = parts_of(args.profile), args.out or Path("runs/all")
+    jobs = args.jobs or default_jobs()
     compile_kernels(log)
-    for amount in chosen:
-        folder = out / amount.folder
-        command = [
-            *amount.command,
-            "--profile",
-            args.profile,
-            "--jobs",
-            str(jobs),
-            "--out",
-            str(folder),
-        ]
-        with executor_for(amount.experiment, jobs) as executor:
-            run_experiment(amount.experiment, folder, executor, command, ProgressBar(amount.folder))
+    for name, experiment, command in parts:
+        folder = out / name
+        command += ["--profile", args.profile, "--jobs", str(jobs), "--out", str(folder)]
+        with executor_for(experiment, jobs) as executor:
+            run_experiment(experiment, folder, executor, command, ProgressBar(name))
         render_directory(folder)
     figure, count = HISTOGRAM
     folder = out / figure

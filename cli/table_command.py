@@ -5,7 +5,7 @@ from pathlib import Path
 
 from cli.options import writable_file
 from paper_tables.ompl_log import write_ompl_log
-from paper_tables.suite_tables import render_directory
+from paper_tables.suites import render_directory
 
 EXAMPLES = (
     "cvqmpt table runs/place-task",

@@ -1,9 +1,10 @@
-"""The factorial table:
-what predictor, Gaussians, update and cloud of a learned sampler are worth, each by itself.
+"""The factorial experiment: what predictor, Gaussians, update and cloud of a learned sampler are
+worth, each by itself. Products of them plan beside the same search with uniform samples.
 """
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 from cvqmpt_lab.results.row import ResultRow
@@ -22,12 +23,19 @@ from paper_tables.measures import (
     share_of,
     solved,
 )
-from paper_tables.paper_numbers import PublishedValue
-from paper_tables.table_engine import Column
-from paper_tables.writers import Lines, text_lines
+from paper_tables.table_engine import Column, SuiteTable
+from paper_tables.writers import Lines, Sections, text_lines
 
 # in their order in the table; no planner has predictor graph any more, but committed rows do
 PREDICTORS = ("transformer", "published", "graph", "random", "oracle")
+_UNIFORM = "uniform=0.15"  # the share that wide Gaussians have, for decoded ones
+_PRODUCTS = (
+    *product(("transformer", "random", "oracle"), GAUSSIANS, UPDATES),
+    *product(("transformer",), GAUSSIANS, UPDATES, CLOUDS[1:]),
+    *product(("transformer", "random"), ("decoded",), UPDATES, (_UNIFORM,)),
+    ("transformer", "wide", "projected", "all-beams"),
+)
+PLANNERS = (REFERENCE, *(PREFIX + "+".join(words) for words in _PRODUCTS))
 # columns of rows
 FACTORS = ("predictor", "gaussians", "update", "cloud", "uniform_share", "sequences")
 COMPARED: Mapping[str, Value] = {
@@ -139,38 +147,61 @@ CONTRASTS = (
 )
 
 
-def factorial_table(
-    rows: Iterable[ResultRow], published: Sequence[PublishedValue]
-) -> table.Rendered:
+class FactorialTable(SuiteTable):
     """Every product, by predictor, then the contrasts."""
-    runs = table.suite_runs(rows)
-    groups = sorted(runs.groups.items(), key=lambda item: _place(item[1][0]))
-    found = [
-        table.entry(name, own, runs, COLUMNS, group=(own[0].predictor or "uniform samples",))
-        for name, own in groups
-    ]
-    contrasts = [
-        item for contrast in CONTRASTS if (item := contrast.entry(runs)).measured["work"].n
-    ]
-    suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
-    lines, told = table.group_lines(found, ["predictor"]), _contrast_lines(contrasts)
-    short = [[line[0], *line[2:4]] for line in told]
-    brief = [[line[0], line[1].removeprefix(PREFIX), *line[2:]] for line in lines]
-    return table.Rendered(
-        size=size,
-        sections={
-            "Products": lines,
-            "Contrasts": told,
-            "Fallbacks": table.count_lines(found, "fallbacks"),
-            "Failures": table.count_lines(found, "failures"),
-            "Notes": [*NOTES, f"By name: {_names()}.", *table.seed_notes(runs)],
-        },
-        latex=table.latex_groups(
-            f"{size}: products of predictor, Gaussians and update. {NOTES[0]}", suite, lines
-        ),
-        csv=table.csv_of(suite, [*found, *contrasts]),
-        brief=[*table.brief_groups(brief, [1, *range(3, len(lines[0]))]), "", *text_lines(short)],
-    )
+
+    columns = COLUMNS
+    notes = NOTES
+
+    def entries(self) -> Iterator[table.Entry]:
+        """Products, then contrasts that have pairs."""
+        for name, own in sorted(self.runs.groups.items(), key=lambda item: _place(item[1][0])):
+            group = (own[0].predictor or "uniform samples",)
+            yield table.entry(name, own, self.runs, COLUMNS, group=group)
+        contrasts = (contrast.entry(self.runs) for contrast in CONTRASTS)
+        yield from (item for item in contrasts if item.measured["work"].n)
+
+    @property
+    def counted(self) -> Sequence[table.Entry]:
+        """Products."""
+        return [item for item in self.found if item.group]
+
+    def shown(self) -> Sections:
+        """Products and contrasts."""
+        products = table.group_lines(self.counted, ["predictor"])
+        return {"Products": products, "Contrasts": self._contrast_lines()}
+
+    def _contrast_lines(self) -> Lines:
+        lines = [["the first / the second", "problems", *COMPARED]]
+        for item in self.found:
+            if not item.group:
+                pairs = str(item.measured["work"].n)
+                lines.append([item.planner, pairs, *map(item.cell, COMPARED)])
+        return lines
+
+    def footnotes(self) -> Iterable[str]:
+        """Products that planners are named after, and seeds."""
+        named = (
+            f"{name} is {choice.predictor}, {choice.gaussians}, {choice.update}, {choice.sequences}"
+            for name, choice in NAMED.items()
+        )
+        return [f"By name: {', '.join(named)}.", *table.seed_notes(self.runs)]
+
+    @property
+    def latex(self) -> str:
+        """Products."""
+        caption = f"{self.size}: products of predictor, Gaussians and update. {NOTES[0]}"
+        return table.latex_groups(caption, self.suite, self.shown()["Products"])  # type: ignore[arg-type]
+
+    @property
+    def brief(self) -> list[str]:
+        """Products without intervals, and contrasts by work."""
+        sections = self.shown()
+        lines = [
+            [line[0], line[1].removeprefix(PREFIX), *line[2:]] for line in sections["Products"]
+        ]
+        contrasts = text_lines([[line[0], *line[2:4]] for line in sections["Contrasts"]])
+        return [*table.brief_groups(lines, [1, *range(3, len(lines[0]))]), "", *contrasts]
 
 
 def _place(row: ResultRow) -> tuple[int, ...]:
@@ -189,21 +220,4 @@ def _place(row: ResultRow) -> tuple[int, ...]:
         GAUSSIANS.index(row.gaussians),
         UPDATES.index(row.update),
         CLOUDS.index(row.cloud),
-    )
-
-
-def _contrast_lines(contrasts: Sequence[table.Entry]) -> Lines:
-    cells = (
-        [item.planner, str(item.measured["work"].n), *map(item.cell, COMPARED)]
-        for item in contrasts
-    )
-    return [["the first / the second", "problems", *COMPARED], *cells]
-
-
-def _names() -> str:
-    """Products that planners are named after."""
-    parts = ({**vars(choice), "planner": name} for name, choice in NAMED.items())
-    return ", ".join(
-        f"{p['planner']} is {p['predictor']}, {p['gaussians']}, {p['update']}, {p['sequences']}"
-        for p in parts
     )

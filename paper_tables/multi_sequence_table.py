@@ -4,15 +4,14 @@ A row is one planned phase. Times of a task are sums over its phases: those that
 all.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
 from paper_tables import table_engine as table
 from paper_tables.measures import Measure, mean_of, median_of, share_of, solved
-from paper_tables.paper_numbers import PublishedValue
-from paper_tables.table_engine import BriefColumn, Column
-from paper_tables.writers import Lines, number
+from paper_tables.table_engine import BriefColumn, Column, Entry, SuiteTable
+from paper_tables.writers import Lines, Sections, number
 
 # that a time sums over
 PHASES: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}
@@ -147,63 +146,71 @@ NOTES = (
 )
 
 
-def multi_sequence_table(
-    rows: Iterable[ResultRow], published: Sequence[PublishedValue]
-) -> table.Rendered:
-    """Table II for both sets of phases, the breakdown by phase, fallbacks, failures and notes.
-
-    Planners that were not run are left out. InvalidInputError for rows that are no phases.
+class TaskTable(SuiteTable):
+    """The paper's Table II for both sets of phases, the breakdown by phase, fallbacks, failures and
+    notes. InvalidInputError for rows that are no phases.
     """
-    runs = table.suite_runs(rows, published)
-    names = [split_problem(row.problem) for row in runs.rows]
-    phases = [phase for _, phase in sorted({(name.number, name.phase) for name in names})]
-    tasks, by_phase, in_csv = [], [], []
-    for name, own in runs.groups.items():
-        tasks.append(table.entry(name, own, runs, TASK_COLUMNS, published))
-        parts = [
-            table.entry(
-                name,
-                reached(own, phase),
-                runs,
-                PHASE_COLUMNS,
-                group=(phase,),
-                suffix=f"_in_{phase}",
-            )
-            for phase in phases
-        ]
-        by_phase += parts
-        in_csv += [tasks[-1], *parts]
-    by_phase.sort(key=lambda item: phases.index(item.group[0]))
-    size, suite = f"{len({name.task for name in names})} tasks", runs.rows[0].suite
-    sections = {
-        **{f"{size}, {text}": _time_lines(tasks, part) for part, text in PARTS.items()},
-        "By phase (medians over the runs that reached it)": table.group_lines(
-            by_phase, ["phase"], "n"
-        ),
-        "Fallbacks": table.count_lines(tasks, "fallbacks"),
-        "Failures": table.count_lines(tasks, "failures"),
-        "Notes": [*NOTES, *table.seed_notes(runs), *table.published_notes(runs, published)],
-    }
-    caption = f"Multi-sequence task, {size}, {PARTS['paper']}. {NOTES[2]} {NOTES[3]}"
-    return table.Rendered(
-        size=size,
-        sections=sections,
-        latex=table.latex_planners(caption, suite, tasks, HEADLINES),
-        csv=table.csv_of(suite, in_csv),
-        brief=table.brief_lines(tasks, BRIEF),
-    )
 
+    columns = TASK_COLUMNS
+    notes = NOTES
 
-def _time_lines(found: Sequence[table.Entry], part: str) -> Lines:
-    """Solved tasks and every time; the paper's beside those of its own phases."""
-    header = ["planner", "tasks run", "solved [%]"]
-    lines = [header, *([item.title, str(item.n_runs), item.cell("solved")] for item in found)]
-    for time, label in TIMES.items():
-        header += (
-            [f"{label} [s]: paper", "ours, mean"] if part == "paper" else [f"{label} [s]: mean"]
-        )
-        header.append("median")
-        for line, item in zip(lines[1:], found, strict=True):
-            line += [item.paper_cell(time)] if part == "paper" else []
-            line += [item.cell(time_metric(time, part, statistic)) for statistic in STATISTICS]
-    return lines
+    def entries(self) -> Iterator[Entry]:
+        """Every planner's tasks, then its phases."""
+        names = {split_problem(row.problem) for row in self.runs.rows}
+        self.tasks = len({name.task for name in names})
+        self.phases = [phase for _, phase in sorted({(name.number, name.phase) for name in names})]
+        for name, own in self.runs.groups.items():
+            yield table.entry(name, own, self.runs, TASK_COLUMNS, self.published)
+            for phase in self.phases:
+                rows, names = reached(own, phase), {"group": (phase,), "suffix": f"_in_{phase}"}
+                yield table.entry(name, rows, self.runs, PHASE_COLUMNS, **names)
+
+    @property
+    def size(self) -> str:
+        """How much was run."""
+        return f"{self.tasks} tasks"
+
+    @property
+    def counted(self) -> Sequence[Entry]:
+        """Tasks."""
+        return [item for item in self.found if not item.group]
+
+    def shown(self) -> Sections:
+        """Times of tasks, by what they sum over, and of phases."""
+        phases = [item for item in self.found if item.group]
+        phases.sort(key=lambda item: self.phases.index(item.group[0]))
+        title = "By phase (medians over the runs that reached it)"
+        return {
+            **{f"{self.size}, {text}": self._time_lines(part) for part, text in PARTS.items()},
+            title: table.group_lines(phases, ["phase"], "n"),
+        }
+
+    def _time_lines(self, part: str) -> Lines:
+        """Solved tasks and every time; the paper's beside those of its own phases."""
+        ours = part == "paper"
+        header = ["planner", "tasks run", "solved [%]"]
+        for label in TIMES.values():
+            paper = [f"{label} [s]: paper", "ours, mean"]
+            header += [*(paper if ours else [f"{label} [s]: mean"]), "median"]
+        lines = [header]
+        for item in self.counted:
+            lines.append([item.title, str(item.n_runs), item.cell("solved")])
+            for time in TIMES:
+                lines[-1] += [item.paper_cell(time)] if ours else []
+                lines[-1] += [item.cell(time_metric(time, part, name)) for name in STATISTICS]
+        return lines
+
+    def footnotes(self) -> Iterable[str]:
+        """Seeds, and notes on the paper's numbers."""
+        return [*table.seed_notes(self.runs), *table.published_notes(self.runs, self.published)]
+
+    @property
+    def latex(self) -> str:
+        """The paper's layout, planners as columns."""
+        caption = f"Multi-sequence task, {self.size}, {PARTS['paper']}. {NOTES[2]} {NOTES[3]}"
+        return table.latex_planners(caption, self.suite, self.counted, HEADLINES)
+
+    @property
+    def brief(self) -> list[str]:
+        """A line a planner."""
+        return table.brief_lines(self.counted, BRIEF)

@@ -1,8 +1,8 @@
-"""The engine of every suite's table:
-planners as lines, columns by declaration, the paper's numbers beside ours.
+"""The engine of every suite's table: planners as lines, columns by declaration, the paper's
+numbers beside ours; all as Markdown, LaTeX, csv and lines for a terminal.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
@@ -24,8 +24,6 @@ from paper_tables.writers import (
     number,
     text_lines,
 )
-
-CSV_COLUMNS = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")
 
 
 @dataclass(frozen=True)
@@ -81,20 +79,86 @@ class Entry:
         return self.published[metric].value if metric in self.published else "–"
 
 
-@dataclass(frozen=True)
-class Rendered:
-    """The table of one suite in all its forms."""
+class SuiteTable:
+    """The table of the rows of one suite. A subclass says what is measured of whom (`columns`,
+    `entries`), and what of it is shown (`shown`, `latex`, `brief`).
 
-    size: str  # how much was run, as in "20 problems"
-    sections: Sections
-    latex: str
-    csv: str
-    brief: list[str]  # lines for a terminal
+    Args:
+        rows: of one suite; InvalidInputError without rows, or with those of several suites.
+        published: the paper's numbers.
+    """
+
+    columns: Mapping[str, Column]
+    notes: Sequence[str] = ()
+    counts: Sequence[str] = ("fallbacks", "failures")  # sections that count texts of rows
+
+    def __init__(self, rows: Iterable[ResultRow], published: Sequence[PublishedValue] = ()) -> None:
+        self.runs, self.published = suite_runs(rows, published), published
+        self.suite = self.runs.rows[0].suite
+        self.problems = len({row.problem for row in self.runs.rows})
+        self.found = list(self.entries())  # in the order of the csv
+
+    @property
+    def size(self) -> str:
+        """How much was run."""
+        return f"{self.problems} problems"
+
+    def entries(self) -> Iterator[Entry]:
+        """Every planner on all its rows."""
+        for name, rows in self.runs.groups.items():
+            yield entry(name, rows, self.runs, self.columns, self.published)
+
+    @property
+    def counted(self) -> Sequence[Entry]:
+        """Whose fallbacks and failures are listed."""
+        return self.found
+
+    def shown(self) -> Sections:
+        """The sections of numbers, by title."""
+        return {self.size: column_lines(self.found, self.columns)}
+
+    def footnotes(self) -> Iterable[str]:
+        """Notes that depend on the rows."""
+        return seed_notes(self.runs)
+
+    @property
+    def sections(self) -> Sections:
+        """All sections, by title; empty ones are left out where they are written."""
+        counts = {what.capitalize(): count_lines(self.counted, what) for what in self.counts}
+        return {**self.shown(), **counts, "Notes": [*self.notes, *self.footnotes()]}
 
     @property
     def markdown(self) -> str:
         """All sections."""
         return writers.markdown(self.sections)
+
+    @property
+    def latex(self) -> str:
+        """The numbers for a paper."""
+        raise NotImplementedError
+
+    @property
+    def brief(self) -> list[str]:
+        """Lines for a terminal."""
+        raise NotImplementedError
+
+    @property
+    def csv(self) -> str:
+        """Long form, full precision; undefined is empty, failures make ``inf``."""
+        header = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")
+        return csv_text([header, *self._csv_lines()])
+
+    def _csv_lines(self) -> Iterator[Sequence[object]]:
+        for item in self.found:
+            for name, column in item.columns.items():
+                paper = item.published.get(column.published or "")
+                if paper:
+                    cells = (item.planner, "paper", paper.value, "", "", "")
+                    yield (self.suite, name, paper.unit, *cells)
+            for name, ours in item.measured.items():
+                unit, numbers = item.columns[name].unit, (ours.estimate, ours.low, ours.high)
+                metric = name + item.suffix
+                yield (self.suite, metric, unit, item.planner, "ours", *numbers, ours.n)
 
 
 # ---------------------------------------------------------------- from rows to numbers
@@ -165,13 +229,6 @@ def entry(
         group=group,
         suffix=suffix,
     )
-
-
-def entries(
-    runs: SuiteRuns, columns: Mapping[str, Column], published: Sequence[PublishedValue] = ()
-) -> list[Entry]:
-    """Every planner on all its rows."""
-    return [entry(name, rows, runs, columns, published) for name, rows in runs.groups.items()]
 
 
 def _n_runs(rows: Iterable[ResultRow]) -> int:
@@ -330,20 +387,3 @@ def latex_groups(caption: str, suite: str, lines: Lines) -> str:
     return latex_table(
         caption, suite, [[header], *(list(part) for _, part in groupby(rest, itemgetter(0)))]
     )
-
-
-def csv_of(suite: str, found: Iterable[Entry]) -> str:
-    """Long form (`CSV_COLUMNS`), full precision; undefined is empty, failures make ``inf``."""
-    lines: list[Sequence[object]] = [CSV_COLUMNS]
-    for item in found:
-        for name, column in item.columns.items():
-            value = item.published.get(column.published or "")
-            if value:
-                lines.append(
-                    (suite, name, value.unit, item.planner, "paper", value.value, "", "", "")
-                )
-        for name, ours in item.measured.items():
-            numbers = (ours.estimate, ours.low, ours.high, ours.n)
-            metric, unit = name + item.suffix, item.columns[name].unit
-            lines.append((suite, metric, unit, item.planner, "ours", *numbers))
-    return csv_text(lines)
