@@ -10,7 +10,7 @@ from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.scene.scene import Attachment
 
 if TYPE_CHECKING:
-    from cvqmpt_lab.tasks.solve_task import TaskSolution
+    from cvqmpt_lab.tasks.solve import TaskSolution
 
 RECORDING = ".rrd"
 FILM = ".gif"

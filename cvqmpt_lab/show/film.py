@@ -36,7 +36,7 @@ from cvqmpt_lab.show.picture import (
     with_load,
 )
 from cvqmpt_lab.show.task_frames import Frame, moving_poses, shown, solved_frames
-from cvqmpt_lab.tasks.solve_task import TaskSolution
+from cvqmpt_lab.tasks.solve import TaskSolution
 
 FRAMES = 48  # of one path
 VIEWS = 6  # of its states that the viewpoint is chosen for
