@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.options import ProgressBar, writable_file
+from cli.options import FLAG, Options, ProgressBar, option, writable_file
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.scene.scene import Attachment
@@ -17,14 +17,21 @@ FILM = ".gif"
 PAGE = ".html"
 
 
-def add_show(parser: argparse.ArgumentParser) -> None:
-    """--picture, --save and --view."""
-    shown = parser.add_argument_group("pictures")
-    still = "a still picture: start, goal and the way between; of a task, the end of each phase"
-    shown.add_argument("--picture", type=Path, metavar="P.png", help=still)
-    film = "a page for a browser, a rerun recording, or a film"
-    shown.add_argument("--save", type=Path, metavar="RUN.html|rrd|gif", help=film)
-    shown.add_argument("--view", action="store_true", help="open the rerun viewer; needs a display")
+SHOW: Options = {
+    "pictures": {
+        "--picture": option(
+            "a still picture: start, goal and the way between; of a task, the end of each phase",
+            type=Path,
+            metavar="P.png",
+        ),
+        "--save": option(
+            "a page for a browser, a rerun recording, or a film",
+            type=Path,
+            metavar="RUN.html|rrd|gif",
+        ),
+        "--view": option("open the rerun viewer; needs a display", **FLAG),
+    }
+}
 
 
 def check_show(args: argparse.Namespace) -> None:
