@@ -15,35 +15,20 @@ from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     "plan": ("plan", "plan one problem and print a short report"),
     "certify": ("certify", "judge a path or trajectory, or every path of a run again"),
-    "reproduce": (
-        "reproduce",
-        "run a suite of problems or tasks and write its rows and tables",
-    ),
+    "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),
     "figure": ("figure", "make a figure of the paper, with its numbers"),
-    "claims": (
-        "tables",
-        "judge every claim of the paper by rows, and write the page that says so",
-    ),
-    "report": (
-        "tables",
-        "write one html file about results: verdicts, tables, plots, rows",
-    ),
+    "claims": ("tables", "judge every claim of the paper by rows, and write the page that says so"),
+    "report": ("tables", "write one html file about results: verdicts, tables, plots, rows"),
     "compare": ("tables", "say what changed between two runs of the same problems"),
     "table": ("tables", "render the tables of a results directory"),
-    "problems": (
-        "problems",
-        "list or export the problems of a suite, or write one to start from",
-    ),
+    "problems": ("problems", "list or export the problems of a suite, or write one to start from"),
     "scan": ("scan", "make a clean cloud or a scene of depth images or clouds"),
     "ik": ("ik", "find configurations for a pose or region, for a problem file"),
     "robot": (
         "robot",
         "show what is understood of a robot's description, or list the arms that have a name",
     ),
-    "check-tables": (
-        "tables",
-        "re-run a tiny profile and compare with the committed expectations",
-    ),
+    "check-tables": ("tables", "re-run a tiny profile and compare with the committed expectations"),
     "data": ("data", "make training paths"),
     "train": ("train", "train the dictionary, the sequence model or MPNet"),
     "model": ("model", "show weights, convert published ones"),
@@ -53,10 +38,7 @@ COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     ),
     "warmup": ("setup", "compile all kernels ahead of time"),
     "doctor": ("setup", "tell what is installed here, what is missing and how to get it"),
-    "completion": (
-        "setup",
-        "print what makes a shell complete commands, options and names",
-    ),
+    "completion": ("setup", "print what makes a shell complete commands, options and names"),
 }
 
 REMOVED = {  # commands, and what is there instead of them
@@ -88,6 +70,13 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Refuse the command line."""
         raise InvalidInputError(f"{message}; {self.prog} --help lists what can be given")
+
+    def format_help(self) -> str:
+        """The help of a command, with its examples."""
+        command = self.prog.partition(" ")[2]
+        if command:
+            self.epilog = "\n  ".join(["examples:", *examples_of(command)])
+        return super().format_help()
 
 
 class Version(argparse.Action):
@@ -137,7 +126,6 @@ def parser_with(filled: Collection[str]) -> Parser:
             from cli.options import add_options
 
             add_options(sub, command_named(name)[1])
-            sub.epilog = "examples:\n" + "\n".join("  " + line for line in examples_of(name))
     return parser
 
 
