@@ -87,7 +87,7 @@ def _reproduce_all(args: argparse.Namespace) -> int:
     if given:
         raise InvalidInputError(
             f"{given[0]} does not go with 'all', whose amounts are fixed; --profile small runs "
-            f"less, or name one suite"
+            "less, or name one suite"
         )
     parts, out = parts_of(args.profile), args.out or Path("runs/all")
     jobs = args.jobs or default_jobs()

@@ -2,7 +2,7 @@
 worth, each by itself. Products of them plan beside the same search with uniform samples.
 """
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import product
 from typing import NamedTuple
@@ -23,11 +23,13 @@ from paper_tables.measures import (
     share_of,
     solved,
 )
+from paper_tables.paper_numbers import PublishedValue
 from paper_tables.table_engine import Column, SuiteTable
-from paper_tables.writers import Lines, Sections, text_lines
+from paper_tables.writers import text_lines
 
 # in their order in the table; no planner has predictor graph any more, but committed rows do
 PREDICTORS = ("transformer", "published", "graph", "random", "oracle")
+CONTRAST_HEAD = ["the first / the second", "problems", "work", "projections", "length", "G"]
 _UNIFORM = "uniform=0.15"  # the share that wide Gaussians have, for decoded ones
 _PRODUCTS = (
     *product(("transformer", "random", "oracle"), GAUSSIANS, UPDATES),
@@ -59,25 +61,21 @@ SEEING_DECODED, SEEING_WIDE = {**SEEING, **DECODED}, {**SEEING, **WIDE}
 SAME: Mapping[str, object] = {"uniform_share": 0.15}
 NOTES = (
     f"Work (projections and state checks), projections, length and G: over those of {REFERENCE}, "
-    f"geometric mean of the "
-    "ratio over problems that both solved, bootstrap interval [95 %]. Solved: certified, Wilson "
-    "interval.",
+    "geometric mean of the ratio over problems that both solved, bootstrap interval [95 %]. "
+    "Solved: certified, Wilson interval.",
     "G = F(q)^T F(q): mean over 256 fixed draws of what is sampled, inside the joint limits, "
     "before projection.",
     "Time: median with failures as infinite; encoding the cloud is in it, goal inverse kinematics "
     "is not.",
     "Work counts the projections of means, not the gradient of Algorithm 2 (F and its Jacobian at "
-    "16 draws a code and "
-    "step, five steps, and F at 64 more), which is in the time.",
+    "16 draws a code and step, five steps, and F at 64 more), which is in the time.",
     "Contrasts: the first over the second, all else equal; every product that both sides have is "
-    "paired by problem and "
-    "seed, and a problem counts once. Intervals are not corrected for their number. Wide and "
-    "decoded are compared at "
-    "15 % uniform samples. Runs that one side failed are left out, which flatters the side that "
-    "fails more.",
+    "paired by problem and seed, and a problem counts once. Intervals are not corrected for their "
+    "number. Wide and decoded are compared at 15 % uniform samples. Runs that one side failed are "
+    "left out, which flatters the side that fails more.",
     "The transformer also chooses the three goals that Gaussians lie around; graph and random "
-    "codes have the nearest. "
-    "The oracle's work includes the path without constraint that its codes are of.",
+    "codes have the nearest. The oracle's work includes the path without constraint that its "
+    "codes are of.",
 )
 
 
@@ -147,61 +145,37 @@ CONTRASTS = (
 )
 
 
-class FactorialTable(SuiteTable):
+def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
     """Every product, by predictor, then the contrasts."""
-
-    columns = COLUMNS
-    notes = NOTES
-
-    def entries(self) -> Iterator[table.Entry]:
-        """Products, then contrasts that have pairs."""
-        for name, own in sorted(self.runs.groups.items(), key=lambda item: _place(item[1][0])):
-            group = (own[0].predictor or "uniform samples",)
-            yield table.entry(name, own, self.runs, COLUMNS, group=group)
-        contrasts = (contrast.entry(self.runs) for contrast in CONTRASTS)
-        yield from (item for item in contrasts if item.measured["work"].n)
-
-    @property
-    def counted(self) -> Sequence[table.Entry]:
-        """Products."""
-        return [item for item in self.found if item.group]
-
-    def shown(self) -> Sections:
-        """Products and contrasts."""
-        products = table.group_lines(self.counted, ["predictor"])
-        return {"Products": products, "Contrasts": self._contrast_lines()}
-
-    def _contrast_lines(self) -> Lines:
-        lines = [["the first / the second", "problems", *COMPARED]]
-        for item in self.found:
-            if not item.group:
-                pairs = str(item.measured["work"].n)
-                lines.append([item.planner, pairs, *map(item.cell, COMPARED)])
-        return lines
-
-    def footnotes(self) -> Iterable[str]:
-        """Products that planners are named after, and seeds."""
-        named = (
-            f"{name} is {choice.predictor}, {choice.gaussians}, {choice.update}, {choice.sequences}"
-            for name, choice in NAMED.items()
-        )
-        return [f"By name: {', '.join(named)}.", *table.seed_notes(self.runs)]
-
-    @property
-    def latex(self) -> str:
-        """Products."""
-        caption = f"{self.size}: products of predictor, Gaussians and update. {NOTES[0]}"
-        return table.latex_groups(caption, self.suite, self.shown()["Products"])  # type: ignore[arg-type]
-
-    @property
-    def brief(self) -> list[str]:
-        """Products without intervals, and contrasts by work."""
-        sections = self.shown()
-        lines = [
-            [line[0], line[1].removeprefix(PREFIX), *line[2:]] for line in sections["Products"]
-        ]
-        contrasts = text_lines([[line[0], *line[2:4]] for line in sections["Contrasts"]])
-        return [*table.brief_groups(lines, [1, *range(3, len(lines[0]))]), "", *contrasts]
+    runs = table.suite_runs(rows)
+    groups = sorted(runs.groups.items(), key=lambda item: _place(item[1][0]))
+    found = [
+        table.entry(name, own, runs, COLUMNS, group=(own[0].predictor or "uniform samples",))
+        for name, own in groups
+    ]
+    compared = [contrast.entry(runs) for contrast in CONTRASTS]
+    contrasts = [item for item in compared if item.measured["work"].n]
+    lines, told = table.group_lines(found, ["predictor"]), [CONTRAST_HEAD]
+    for item in contrasts:
+        pairs = str(item.measured["work"].n)
+        told.append([item.planner, pairs, *map(item.cell, COMPARED)])
+    named = (
+        f"{name} is {choice.predictor}, {choice.gaussians}, {choice.update}, {choice.sequences}"
+        for name, choice in NAMED.items()
+    )
+    notes = [*NOTES, f"By name: {', '.join(named)}.", *table.seed_notes(runs)]
+    suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
+    caption = f"{size}: products of predictor, Gaussians and update. {NOTES[0]}"
+    short = [[line[0], line[1].removeprefix(PREFIX), *line[2:]] for line in lines]
+    brief = table.brief_groups(short, [1, *range(3, len(lines[0]))])
+    return SuiteTable(
+        suite,
+        size,
+        [*found, *contrasts],
+        {"Products": lines, "Contrasts": told, **table.counted(found), "Notes": notes},
+        table.latex_groups(caption, suite, lines),
+        [*brief, "", *text_lines([[line[0], *line[2:4]] for line in told])],
+    )
 
 
 def _place(row: ResultRow) -> tuple[int, ...]:

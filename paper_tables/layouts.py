@@ -4,6 +4,8 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from operator import attrgetter
+from typing import Any
 
 from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE, ResultRow, split_problem
 from paper_tables import table_engine as table
@@ -13,6 +15,7 @@ from paper_tables.measures import (
     REFERENCE,
     STATE_CHECK_COST,
     VALUES,
+    SuiteRuns,
     mean_of,
     median_of,
     ratio_to,
@@ -109,39 +112,30 @@ METHOD_NOTES = (
     "Accuracy: certified paths / runs, Wilson interval; a path that fails its certificate is a "
     "failure.",
     "Time: total wall time, goal inverse kinematics and networks included, making point clouds "
-    "not. Median over "
-    "all runs with failures counted as infinite, order-statistic interval; the mean, because the "
-    "paper gives "
-    "means, leaves failures out (bootstrap interval).",
+    "not. Median over all runs with failures counted as infinite, order-statistic interval; the "
+    "mean, because the paper gives means, leaves failures out (bootstrap interval).",
     "Vertices: median and mean over solved runs. Path length: final path, Euclidean in joint "
-    "space; "
-    "raw length: before simplification; both over the jointly solved runs.",
+    "space; raw length: before simplification; both over the jointly solved runs.",
     "Projections, Newton iterations, state checks: medians over all runs with failures counted as "
-    "infinite; work is "
-    "projections and state checks. Approximate checks, no part of it: states whose clearance was "
-    "read from a distance "
-    "field. Time, scene known: without goal inverse kinematics and without encoding the scene's "
-    "cloud; scene new: with "
-    "encoding it, where rows are of runs that did. Making the checker's obstacles and distance "
-    "grid, as all planners "
+    "infinite; work is projections and state checks. Approximate checks, no part of it: states "
+    "whose clearance was read from a distance field. Time, scene known: without goal inverse "
+    "kinematics and without encoding the scene's cloud; scene new: with encoding it, where rows "
+    "are of runs that did. Making the checker's obstacles and distance grid, as all planners "
     "need, and a roadmap for a robot that had none is in nobody's time. atlas-rrt and tb-rrt "
-    "project inside OMPL's "
-    "charts, where Newton iterations are counted and projections are not: their work is too low.",
+    "project inside OMPL's charts, where Newton iterations are counted and projections are not: "
+    "their work is too low.",
     f"Time / {BASELINE}: geometric mean of the ratio over problems solved by both, bootstrap "
-    f"interval.",
+    "interval.",
     "By fallback: runs whose path did not come the way the planner's name promises; they count as "
     "its own.",
     f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms a state check (PyBullet, see bench "
-    f"paper-check), "
-    f"{1e3 * PROJECTION_COST:g} ms a projection (Newton's method in Python; a lower bound), "
-    f"networks as measured "
-    "here, goals and simplification left out. Median with failures as infinite; ratios as above.",
+    f"paper-check), {1e3 * PROJECTION_COST:g} ms a projection (Newton's method in Python; a lower "
+    "bound), networks as measured here, goals and simplification left out. Median with failures "
+    "as infinite; ratios as above.",
     "Easy and hard: hard are runs of problems in the top third by the work (projections + state "
-    "checks) of "
-    f"{REFERENCE} with uniform samples, median over its other seeds. Ratios are geometric means "
-    f"over problems "
-    "that both solved, bootstrap intervals; time includes goal inverse kinematics, which is the "
-    "same for all.",
+    f"checks) of {REFERENCE} with uniform samples, median over its other seeds. Ratios are "
+    "geometric means over problems that both solved, bootstrap intervals; time includes goal "
+    "inverse kinematics, which is the same for all.",
 )
 SENSED: Mapping[str, Column] = {  # only of scanned scenes
     "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
@@ -156,154 +150,122 @@ SENSED: Mapping[str, Column] = {  # only of scanned scenes
 }
 SENSED_NOTES = (
     "Planners know the map alone. Certified in the map: as elsewhere; free in truth: a second "
-    "certificate, in the "
-    "scene that was scanned, Wilson interval over the paths certified in the map.",
+    "certificate, in the scene that was scanned, Wilson interval over the paths certified in the "
+    "map.",
     "Images to map: reading depth images, intrinsics and extrinsics, removing the robot, "
-    "outliers, and the rest. "
-    "Images to certificate: everything until the path is certified in the map, everything "
-    "counted. Medians.",
+    "outliers, and the rest. Images to certificate: everything until the path is certified in the "
+    "map, everything counted. Medians.",
     "The paper's scenes, starts and goals are not published: its numbers are of other problems, "
     "on a real robot.",
 )
 
 
-class PlaceTable(SuiteTable):
+def place_table(
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue] = (), sensed: bool = False
+) -> SuiteTable:
     """The paper's Table I: headlines beside the paper's numbers, effort, comparisons, time curve,
     fallbacks, failures and notes.
+
+    sensed: the scenes were scanned: map and truth come first.
     """
-
-    columns = COLUMNS
-    notes = METHOD_NOTES
-    first = FIRST
-
-    def __init__(self, rows: Iterable[ResultRow], published: Sequence[PublishedValue] = ()) -> None:
-        # rows that say so are of planners that join states of rollouts
-        by_rollouts = partial(_said, BY_ROLLOUTS)
-        rows = list(rows)
-        self.rolled = {row.planner for row in rows if by_rollouts(row)}
-        if self.rolled:
-            self.columns = {**self.columns, **ROLLOUTS}
-        super().__init__(rows, published)
-
-    def shown(self) -> Sections:
-        """All tables of numbers."""
-        found, split = self.found, self.runs.split
-        slowest = max(row.t_total_s or 0.0 for row in self.runs.rows)
-        times = list(CURVE)[: sum(time < slowest for time in CURVE_TIMES) + 1]
-        rollouts = [item for item in found if item.planner.partition(" [")[0] in self.rolled]
-        return {
-            f"{self.problems} problems": self._first_lines(),
-            **self.more_tables(),
-            **{
-                f"{COLUMNS[next(iter(ours.values()))].label}, the paper's and ours": (
-                    self._paper_lines(metric)
-                )
-                for metric, ours in HEADLINES.items()
-            },
-            "Effort (medians)": table.column_lines(found, EFFORT),
-            "Solved by rollouts alone, no tree grown between their states": (
-                table.column_lines(rollouts, ("accuracy", *ROLLOUTS)) if rollouts else []
-            ),
-            "At the paper's cost of work": table.column_lines(found, PAPER_COST),
-            f"Against {REFERENCE}": self._split_lines() if split.easy else [],
-            "Solved within a time, % of runs": table.column_lines(found, times),
-        }
-
-    def more_tables(self) -> Sections:
-        """Tables behind the first one."""
-        return {}
-
-    @property
-    def sections(self) -> Sections:
-        """All sections, and notes on the paper's numbers."""
-        title = "Notes on the paper's numbers (all but accuracy are means)"
-        return {**super().sections, title: table.published_notes(self.runs, self.published)}
-
-    @property
-    def latex(self) -> str:
-        """The paper's layout, planners as columns."""
-        caption = f"{self.suite}, {self.problems} problems: the paper's values and ours. "
-        notes = " ".join((*METHOD_NOTES[:4], *self.footnotes()))
-        return table.latex_planners(caption + notes, self.suite, self.found, HEADLINES)
-
-    @property
-    def brief(self) -> list[str]:
-        """The first table, and who fell back."""
-        return [*text_lines(self._first_lines()), *table.fallback_lines(self.found)]
-
-    def _first_lines(self) -> Lines:
-        """What a reader looks for first:
-        estimates, and the work against the same search with uniform samples.
-        """
-        ratio = split_metric("work_ratio", "all")
-        lines = [["planner", *self.first, f"work / {REFERENCE}"]]
-        for item in self.found:
-            estimates = [number(item.measured[name].estimate) for name in self.first.values()]
-            against = "–" if item.planner == REFERENCE else item.cell(ratio)
-            lines.append([item.planner, *estimates, against])
-        return lines
-
-    def _paper_lines(self, metric: str) -> Lines:
-        """The paper's number of a metric, ours as medians over all runs and, since the paper gives
-        means, as means.
-        """
-        ours = HEADLINES[metric]
-        lines = [["planner", "paper", *ours]]
-        for item in self.found:
-            lines.append([item.title, item.paper_cell(metric), *map(item.cell, ours.values())])
-        return lines
-
-    def _split_lines(self) -> Lines:
-        """Ratios on all, easy and hard problems, for every planner but the one they are against."""
-        lines = [["planner", "runs", *(label for label, _ in RATIOS.values())]]
-        for item in self.found:
-            for part in PARTS if item.planner != REFERENCE else ():
-                runs = f"{part} ({len(self.runs.split.parts[part])})"
-                cells = (item.cell(split_metric(name, part)) for name in RATIOS)
-                lines.append([item.planner, runs, *cells])
-        return lines
-
-    def footnotes(self) -> Iterator[str]:
-        """What must be known of these rows."""
-        runs = self.runs
-        names = ", ".join(runs.solving) or "no planner"
-        yield (
-            f"Jointly solved: {len(runs.joint)} runs (problem and seed), each solved by all of "
-            f"{names}."
+    runs = table.suite_runs(rows, published)
+    by_rollouts = partial(_said, BY_ROLLOUTS)
+    rolled = {name for name, own in runs.groups.items() if any(map(by_rollouts, own))}
+    columns = {**COLUMNS, **(SENSED if sensed else {}), **(ROLLOUTS if rolled else {})}
+    found = table.entries(runs, columns, published)
+    rollouts = [item for item in found if item.planner in rolled]
+    slowest = max(row.t_total_s or 0.0 for row in runs.rows)
+    times = list(CURVE)[: sum(time < slowest for time in CURVE_TIMES) + 1]
+    suite, problems = runs.rows[0].suite, len({row.problem for row in runs.rows})
+    footnotes = [*METHOD_NOTES, *_footnotes(runs)]
+    first = _first_lines(found, {**FIRST, "true [%]": "free_in_truth"} if sensed else FIRST)
+    papers = {
+        f"{COLUMNS[next(iter(ours.values()))].label}, the paper's and ours": (
+            _paper_lines(found, metric, ours)
         )
-        silent = sorted(name for name in runs.groups if name not in runs.solving)
-        if silent:
-            yield f"Solved nothing, so left out of the jointly solved set: {', '.join(silent)}."
-        if len({frozenset(row.problem for row in rows) for rows in runs.groups.values()}) > 1:
-            yield "The planners did not all run the same problems: their columns do not compare."
-        yield from table.seed_notes(runs)
-        if len({row.seed for row in runs.rows if row.planner == REFERENCE}) == 1:
-            yield (
-                f"One seed of {REFERENCE}: a problem on which it was unlucky counts as hard, so "
-                f"every other planner's ratios look better on hard problems, and worse on easy "
-                f"ones, than several seeds would show."
-            )
+        for metric, ours in HEADLINES.items()
+    }
+    sections: Sections = {
+        f"{problems} problems": first,
+        "In the map and in truth": table.column_lines(found, SENSED) if sensed else [],
+        **papers,
+        "Effort (medians)": table.column_lines(found, EFFORT),
+        "Solved by rollouts alone, no tree grown between their states": (
+            table.column_lines(rollouts, ("accuracy", *ROLLOUTS)) if rollouts else []
+        ),
+        "At the paper's cost of work": table.column_lines(found, PAPER_COST),
+        f"Against {REFERENCE}": _split_lines(found, runs) if runs.split.easy else [],
+        "Solved within a time, % of runs": table.column_lines(found, times),
+        **table.counted(found),
+        "Notes": footnotes,
+        "Notes on the paper's numbers (all but accuracy are means)": table.published_notes(
+            runs, published
+        ),
+        "Notes on scanned scenes": SENSED_NOTES if sensed else [],
+    }
+    caption = f"{suite}, {problems} problems: the paper's values and ours. "
+    caption += " ".join((*METHOD_NOTES[:4], *footnotes[len(METHOD_NOTES) :]))
+    return SuiteTable(
+        suite,
+        f"{problems} {'scenes' if sensed else 'problems'}",
+        found,
+        sections,
+        table.latex_planners(caption, suite, found, HEADLINES),
+        [*text_lines(first), *table.fallback_lines(found)],
+    )
 
 
-class SensedTable(PlaceTable):
-    """The same of scanned scenes: map and truth come first."""
+def _first_lines(found: Sequence[Entry], columns: Mapping[str, str]) -> Lines:
+    """What a reader looks for first:
+    estimates, and the work against the same search with uniform samples.
+    """
+    ratio = split_metric("work_ratio", "all")
+    lines = [["planner", *columns, f"work / {REFERENCE}"]]
+    for item in found:
+        estimates = [number(item.measured[name].estimate) for name in columns.values()]
+        against = "–" if item.planner == REFERENCE else item.cell(ratio)
+        lines.append([item.planner, *estimates, against])
+    return lines
 
-    columns: Mapping[str, Column] = {**COLUMNS, **SENSED}
-    first: Mapping[str, str] = {**FIRST, "true [%]": "free_in_truth"}
 
-    @property
-    def size(self) -> str:
-        """How much was run."""
-        return f"{self.problems} scenes"
+def _paper_lines(found: Sequence[Entry], metric: str, ours: Mapping[str, str]) -> Lines:
+    """The paper's number of a metric, ours as medians over all runs and, since the paper gives
+    means, as means.
+    """
+    lines = [["planner", "paper", *ours]]
+    for item in found:
+        lines.append([item.title, item.paper_cell(metric), *map(item.cell, ours.values())])
+    return lines
 
-    def more_tables(self) -> Sections:
-        """Paths certified in the map, and free in truth."""
-        return {"In the map and in truth": table.column_lines(self.found, SENSED)}
 
-    @property
-    def sections(self) -> Sections:
-        """All sections, and notes on scanned scenes."""
-        return {**super().sections, "Notes on scanned scenes": SENSED_NOTES}
+def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
+    """Ratios on all, easy and hard problems, for every planner but the one they are against."""
+    lines = [["planner", "runs", *(label for label, _ in RATIOS.values())]]
+    for item in found:
+        for part in PARTS if item.planner != REFERENCE else ():
+            cells = (item.cell(split_metric(name, part)) for name in RATIOS)
+            lines.append([item.planner, f"{part} ({len(runs.split.parts[part])})", *cells])
+    return lines
+
+
+def _footnotes(runs: SuiteRuns) -> Iterator[str]:
+    """What must be known of these rows."""
+    names = ", ".join(runs.solving) or "no planner"
+    yield (
+        f"Jointly solved: {len(runs.joint)} runs (problem and seed), each solved by all of {names}."
+    )
+    silent = sorted(name for name in runs.groups if name not in runs.solving)
+    if silent:
+        yield f"Solved nothing, so left out of the jointly solved set: {', '.join(silent)}."
+    if len({frozenset(row.problem for row in rows) for rows in runs.groups.values()}) > 1:
+        yield "The planners did not all run the same problems: their columns do not compare."
+    yield from table.seed_notes(runs)
+    if len({row.seed for row in runs.rows if row.planner == REFERENCE}) == 1:
+        yield (
+            f"One seed of {REFERENCE}: a problem on which it was unlucky counts as hard, so every "
+            "other planner's ratios look better on hard problems, and worse on easy ones, than "
+            "several seeds would show."
+        )
 
 
 # ---------------------------------------------------------------- by group
@@ -319,16 +281,13 @@ CONSTRAINT_NOTES = (
     "No constraint was seen in training. Scenes are held out; all planners get the same start and "
     "goals.",
     "Solved: certified, Wilson interval. Ratios to uniform samples: geometric mean over problems "
-    "that both solved, "
-    "bootstrap interval; work is projections and state checks, time is without goal inverse "
-    "kinematics.",
+    "that both solved, bootstrap interval; work is projections and state checks, time is without "
+    "goal inverse kinematics.",
     "Upright: the hand's yaw and place are free. Fixed orientation: its place. Plane, line: its "
-    "origin stays there, it "
-    "turns freely. Arc: it turns with a crank. Tray: level within 0.02 rad, with a tray. Pouring: "
-    "a can in the hand is "
-    "tipped about one axis. Door: the shelf's door hangs on its hinge and in the hand. Each of "
-    "its doors makes another "
-    "robot, whose dictionary's roadmap (`roadmap-cvq`) is made in 0.2 s before the clock starts.",
+    "origin stays there, it turns freely. Arc: it turns with a crank. Tray: level within 0.02 "
+    "rad, with a tray. Pouring: a can in the hand is tipped about one axis. Door: the shelf's "
+    "door hangs on its hinge and in the hand. Each of its doors makes another robot, whose "
+    "dictionary's roadmap (`roadmap-cvq`) is made in 0.2 s before the clock starts.",
     "Whether a problem has a solution is not known: an arm without obstacles gets to a goal by a "
     "short search.",
 )
@@ -340,61 +299,37 @@ ARM_NOTES = (
 )
 
 
-class GroupTable(SuiteTable):
+def group_table(
+    rows: Iterable[ResultRow],
+    published: Sequence[PublishedValue],
+    what: str = "constraint",
+    notes: Sequence[str] = CONSTRAINT_NOTES,
+) -> SuiteTable:
     """A line for each group and planner, in the order of the suite, then all groups together;
-    ratios are within the group.
+    ratios are within the group. what: a group, in the singular.
     """
-
-    columns = GROUP_COLUMNS
-    what = "constraint"  # a group, in the singular
-    notes = CONSTRAINT_NOTES
-
-    def entries(self) -> Iterator[Entry]:
-        """By group, then by planner."""
-        ordered = sorted(self.runs.rows, key=lambda row: split_problem(row.problem).number)
-        self.groups = list(dict.fromkeys(split_problem(row.problem).phase for row in ordered))
-        for group in (*self.groups, "all"):
-            for planner, own in self.runs.groups.items():
-                rows = [r for r in own if group in ("all", split_problem(r.problem).phase)]
-                names = {"group": (group,), "suffix": f"_under_{group}"}
-                yield table.entry(planner, rows, self.runs, self.columns, **names)
-
-    @property
-    def counted(self) -> Sequence[Entry]:
-        """The groups together."""
-        return [item for item in self.found if item.group == ("all",)]
-
-    def shown(self) -> Sections:
-        """All lines."""
-        return {f"By {self.what}": table.group_lines(self.found, [self.what])}
-
-    def footnotes(self) -> Iterable[str]:
-        """None."""
-        return ()
-
-    @property
-    def size(self) -> str:
-        """How much was run."""
-        return f"{self.problems} problems, {len(self.groups)} {self.what}s"
-
-    @property
-    def latex(self) -> str:
-        """All lines."""
-        lines = table.group_lines(self.found, [self.what])
-        return table.latex_groups(f"{self.size}. {self.notes[1]}", self.suite, lines)
-
-    @property
-    def brief(self) -> list[str]:
-        """All lines without intervals."""
-        lines = table.group_lines(self.found, [self.what])
-        return table.brief_groups(lines, range(len(lines[0])))
-
-
-class ArmTable(GroupTable):
-    """The same by arm."""
-
-    what = "arm"
-    notes = ARM_NOTES
+    runs = table.suite_runs(rows)
+    ordered = sorted(
+        map(split_problem, {row.problem for row in runs.rows}), key=attrgetter("number")
+    )
+    groups = list(dict.fromkeys(name.phase for name in ordered))
+    found = []
+    for group in (*groups, "all"):
+        for planner, own in runs.groups.items():
+            part = [row for row in own if group in ("all", split_problem(row.problem).phase)]
+            names: dict[str, Any] = {"group": (group,), "suffix": f"_under_{group}"}
+            found.append(table.entry(planner, part, runs, GROUP_COLUMNS, **names))
+    lines = table.group_lines(found, [what])
+    size, suite = f"{len(ordered)} problems, {len(groups)} {what}s", runs.rows[0].suite
+    together = table.counted([item for item in found if item.group == ("all",)])
+    return SuiteTable(
+        suite,
+        size,
+        found,
+        {f"By {what}": lines, **together, "Notes": notes},
+        table.latex_groups(f"{size}. {notes[1]}", suite, lines),
+        table.brief_groups(lines, range(len(lines[0]))),
+    )
 
 
 # ---------------------------------------------------------------- beside external planners
@@ -417,56 +352,38 @@ PEER_BRIEF = (
 )
 PEER_NOTES = (
     "Estimate [95 % interval]. Every planner has one thread, the same convex pieces of the robot, "
-    "the same obstacles "
-    "and pairs of pieces, its own collision checker; what it loads for a robot and a scene is "
-    "loaded before.",
+    "the same obstacles and pairs of pieces, its own collision checker; what it loads for a robot "
+    "and a scene is loaded before.",
     "Path found: the planner returned a path in time. Certified: the path, as it was returned, "
-    "also keeps constraint, "
-    "limits and obstacles between its states; Wilson intervals.",
+    "also keeps constraint, limits and obstacles between its states; Wilson intervals.",
     "Time: wall clock around the whole call, for ours with shortening, for theirs with their own; "
-    "the certificate is "
-    "left out. Median with runs that are not certified as infinite, order-statistic interval.",
+    "the certificate is left out. Median with runs that are not certified as infinite, "
+    "order-statistic interval.",
     f"Ratios to {REFERENCE}: geometric mean over problems that both solved, paired by problem and "
-    f"seed, "
-    "bootstrap interval.",
+    "seed, bootstrap interval.",
     "Length: of certified paths, Euclidean in joint space.",
     "What favours ours: roboplan and sscbirrt bound roll, pitch and yaw, and get a box of nine "
-    "tenths of what fits "
-    "into the problem's bounds at any roll; HPP keeps the hand upright exactly; its time holds "
-    "its random shortcuts, "
-    "as sscbirrt's holds its smoothing; roboplan has no shortening that knows constraints. "
-    "roboplan and sscbirrt check "
-    "states 0.05 rad apart, as they are set up by their makers; their refused paths collide.",
+    "tenths of what fits into the problem's bounds at any roll; HPP keeps the hand upright "
+    "exactly; its time holds its random shortcuts, as sscbirrt's holds its smoothing; roboplan "
+    "has no shortening that knows constraints. roboplan and sscbirrt check states 0.05 rad apart, "
+    "as they are set up by their makers; their refused paths collide.",
     "Extension length of roboplan, validation and shortcuts of HPP were chosen on problems that "
     "are not in this table.",
 )
 
 
-class PeerTable(SuiteTable):
+def peer_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
     """Paths, time and length of every planner, failures and notes."""
-
-    columns = PEER_COLUMNS
-    notes = PEER_NOTES
-    counts = ("failures",)
-
-    def entries(self) -> Iterator[Entry]:
-        """Every planner; the paper's numbers are of other problems."""
-        for name, rows in self.runs.groups.items():
-            yield table.entry(name, rows, self.runs, self.columns)
-
-    def footnotes(self) -> Iterable[str]:
-        """What made the planners, and how many seeds there are."""
-        external = (row for row in self.runs.rows if row.vertices is None and row.sampler_used)
-        made = sorted({f"{row.planner}: {row.sampler_used}" for row in external})
-        return [*made, *table.seed_notes(self.runs)]
-
-    @property
-    def latex(self) -> str:
-        """Planners as columns."""
-        shown = {name: {"": name} for name in self.columns}
-        return table.latex_planners(" ".join(self.notes), self.suite, self.found, shown)
-
-    @property
-    def brief(self) -> list[str]:
-        """A line a planner."""
-        return table.brief_lines(self.found, PEER_BRIEF)
+    runs = table.suite_runs(rows, published)
+    suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
+    found = table.entries(runs, PEER_COLUMNS)
+    external = (row for row in runs.rows if row.vertices is None and row.sampler_used)
+    made = sorted({f"{row.planner}: {row.sampler_used}" for row in external})
+    sections: Sections = {
+        size: table.column_lines(found, PEER_COLUMNS),
+        "Failures": table.count_lines(found, "failures"),
+        "Notes": [*PEER_NOTES, *made, *table.seed_notes(runs)],
+    }
+    shown = {name: {"": name} for name in PEER_COLUMNS}
+    latex = table.latex_planners(" ".join(PEER_NOTES), suite, found, shown)
+    return SuiteTable(suite, size, found, sections, latex, table.brief_lines(found, PEER_BRIEF))

@@ -55,7 +55,8 @@ def paper_cost(row: ResultRow) -> float | None:
     if row.n_projections is None or row.n_state_checks is None:
         return None
     search = row.n_projections * PROJECTION_COST + row.n_state_checks * STATE_CHECK_COST
-    return search + network_time(row)
+    networks = (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
+    return search + networks
 
 
 def own_time(row: ResultRow) -> float | None:

@@ -4,8 +4,9 @@ rows become a table. Its problems stand under the same name in `cvqmpt_lab.bench
 Tables of a results directory are written in the paper's layout: Markdown, LaTeX and csv.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,10 +15,10 @@ from cvqmpt_lab.files import write_text
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
-from paper_tables import factorial_table
-from paper_tables.factorial_table import FactorialTable
-from paper_tables.layouts import ArmTable, GroupTable, PeerTable, PlaceTable, SensedTable
-from paper_tables.multi_sequence_table import TaskTable
+from paper_tables.factorial_table import PLANNERS as PRODUCTS
+from paper_tables.factorial_table import factorial_table
+from paper_tables.layouts import ARM_NOTES, group_table, peer_table, place_table
+from paper_tables.multi_sequence_table import task_table
 from paper_tables.paper_numbers import PublishedValue, read_published
 from paper_tables.table_engine import SuiteTable, rows_of_one_suite
 
@@ -59,7 +60,8 @@ class Suite:
     title: str
     planners: tuple[str, ...] = ALL  # run unless others are named
     amounts: tuple[Amount, ...] = ()
-    table: type[SuiteTable] = PlaceTable
+    # of its rows and the paper's numbers
+    table: Callable[..., SuiteTable] = place_table
     # file in ``published`` and environment there of the paper's numbers
     paper: tuple[str, str] | None = None
 
@@ -117,19 +119,19 @@ SUITES: Mapping[str, Suite] = {
         title="Eight kinds of constraints, zero-shot, in held-out scenes",
         planners=SOME,
         amounts=(Amount(cutoff=5.0), Amount(profile="small", problems=8, cutoff=2.0)),
-        table=GroupTable,
+        table=group_table,
     ),
     "factorial": Suite(
         title="Factorial: predictor x Gaussians x update, place task",
-        planners=factorial_table.PLANNERS,
+        planners=PRODUCTS,
         amounts=(Amount(seeds=3, cutoff=3.0),),
-        table=FactorialTable,
+        table=factorial_table,
     ),
     "factorial-constraints": Suite(
         title="Factorial: predictor x Gaussians x update, eight kinds of constraints",
-        planners=factorial_table.PLANNERS,
+        planners=PRODUCTS,
         amounts=(Amount(cutoff=2.0),),
-        table=FactorialTable,
+        table=factorial_table,
     ),
     # no shipped weights fit the arm with the door as its eighth joint
     "open-door": Suite(
@@ -144,13 +146,13 @@ SUITES: Mapping[str, Suite] = {
             Amount(seeds=3, cutoff=5.0),
             Amount(profile="small", problems=20, cutoff=2.0),
         ),
-        table=ArmTable,
+        table=partial(group_table, what="arm", notes=ARM_NOTES),
     ),
     # the last three planners are entry points, see `experiments.peers`; not everybody has them
     "peers": Suite(
         title="Planners of others, place task with a single goal",
         planners=("birrt", "roadmap", "roadmap-cvq", "roboplan", "sscbirrt", "hpp"),
-        table=PeerTable,
+        table=peer_table,
     ),
     "sensor": Suite(
         title="Scanned scenes, hand upright: planned in the map, judged in truth",
@@ -159,7 +161,7 @@ SUITES: Mapping[str, Suite] = {
             Amount(seeds=3, late=True),
             Amount(profile="small", problems=2, cutoff=2.0),
         ),
-        table=SensedTable,
+        table=partial(place_table, sensed=True),
         paper=("place_task.csv", "Physical robot"),
     ),
     "multi-sequence": Suite(
@@ -169,7 +171,7 @@ SUITES: Mapping[str, Suite] = {
             Amount(late=True),
             Amount(profile="small", problems=2, cutoff=2.0, planners=SOME),
         ),
-        table=TaskTable,
+        table=task_table,
         paper=("multi_sequence.csv", "Multi-sequence task"),
     ),
 }

@@ -2,7 +2,7 @@
 numbers beside ours; all as Markdown, LaTeX, csv and lines for a terminal.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
@@ -79,53 +79,16 @@ class Entry:
         return self.published[metric].value if metric in self.published else "–"
 
 
+@dataclass(frozen=True)
 class SuiteTable:
-    """The table of the rows of one suite. A subclass says what is measured of whom (`columns`,
-    `entries`), and what of it is shown (`shown`, `latex`, `brief`).
+    """The table of the rows of one suite in all its forms."""
 
-    Args:
-        rows: of one suite; InvalidInputError without rows, or with those of several suites.
-        published: the paper's numbers.
-    """
-
-    columns: Mapping[str, Column]
-    notes: Sequence[str] = ()
-    counts: Sequence[str] = ("fallbacks", "failures")  # sections that count texts of rows
-
-    def __init__(self, rows: Iterable[ResultRow], published: Sequence[PublishedValue] = ()) -> None:
-        self.runs, self.published = suite_runs(rows, published), published
-        self.suite = self.runs.rows[0].suite
-        self.problems = len({row.problem for row in self.runs.rows})
-        self.found = list(self.entries())  # in the order of the csv
-
-    @property
-    def size(self) -> str:
-        """How much was run."""
-        return f"{self.problems} problems"
-
-    def entries(self) -> Iterator[Entry]:
-        """Every planner on all its rows."""
-        for name, rows in self.runs.groups.items():
-            yield entry(name, rows, self.runs, self.columns, self.published)
-
-    @property
-    def counted(self) -> Sequence[Entry]:
-        """Whose fallbacks and failures are listed."""
-        return self.found
-
-    def shown(self) -> Sections:
-        """The sections of numbers, by title."""
-        return {self.size: column_lines(self.found, self.columns)}
-
-    def footnotes(self) -> Iterable[str]:
-        """Notes that depend on the rows."""
-        return seed_notes(self.runs)
-
-    @property
-    def sections(self) -> Sections:
-        """All sections, by title; empty ones are left out where they are written."""
-        counts = {what.capitalize(): count_lines(self.counted, what) for what in self.counts}
-        return {**self.shown(), **counts, "Notes": [*self.notes, *self.footnotes()]}
+    suite: str
+    size: str  # how much was run, as in "20 problems"
+    found: Sequence[Entry]  # in the order of the csv
+    sections: Sections
+    latex: str
+    brief: list[str]  # lines for a terminal
 
     @property
     def markdown(self) -> str:
@@ -133,32 +96,26 @@ class SuiteTable:
         return writers.markdown(self.sections)
 
     @property
-    def latex(self) -> str:
-        """The numbers for a paper."""
-        raise NotImplementedError
-
-    @property
-    def brief(self) -> list[str]:
-        """Lines for a terminal."""
-        raise NotImplementedError
-
-    @property
     def csv(self) -> str:
         """Long form, full precision; undefined is empty, failures make ``inf``."""
         header = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")
-        return csv_text([header, *self._csv_lines()])
-
-    def _csv_lines(self) -> Iterator[Sequence[object]]:
+        lines: list[Sequence[object]] = [header]
         for item in self.found:
             for name, column in item.columns.items():
                 paper = item.published.get(column.published or "")
                 if paper:
                     cells = (item.planner, "paper", paper.value, "", "", "")
-                    yield (self.suite, name, paper.unit, *cells)
+                    lines.append((self.suite, name, paper.unit, *cells))
             for name, ours in item.measured.items():
                 unit, numbers = item.columns[name].unit, (ours.estimate, ours.low, ours.high)
                 metric = name + item.suffix
-                yield (self.suite, metric, unit, item.planner, "ours", *numbers, ours.n)
+                lines.append((self.suite, metric, unit, item.planner, "ours", *numbers, ours.n))
+        return csv_text(lines)
+
+
+def counted(found: Sequence[Entry]) -> Sections:
+    """The sections of fallbacks and failures."""
+    return {what.capitalize(): count_lines(found, what) for what in ("fallbacks", "failures")}
 
 
 # ---------------------------------------------------------------- from rows to numbers
@@ -231,6 +188,13 @@ def entry(
     )
 
 
+def entries(
+    runs: SuiteRuns, columns: Mapping[str, Column], published: Sequence[PublishedValue] = ()
+) -> list[Entry]:
+    """Every planner on all its rows."""
+    return [entry(name, rows, runs, columns, published) for name, rows in runs.groups.items()]
+
+
 def _n_runs(rows: Iterable[ResultRow]) -> int:
     return len({(row.item, row.seed) for row in rows})
 
@@ -267,8 +231,7 @@ def seed_notes(runs: SuiteRuns) -> Iterable[str]:
     if most > 1:
         yield (
             "Several seeds: a problem counts once in every number and interval, with its median, "
-            "its mean or its share "
-            "over seeds; ratios pair runs by problem and seed."
+            "its mean or its share over seeds; ratios pair runs by problem and seed."
         )
     fewer = [f"{name} {count}" for name, count in seeds.items() if count < most]
     if fewer:

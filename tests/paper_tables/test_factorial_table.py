@@ -11,7 +11,7 @@ import pytest
 from made_rows import a_failure, a_row
 
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
-from paper_tables.factorial_table import CONTRASTS, PLANNERS, FactorialTable
+from paper_tables.factorial_table import CONTRASTS, PLANNERS, factorial_table
 
 FACTOR = {
     "transformer": 0.5,
@@ -42,7 +42,7 @@ def rows_of(planners, make=a_row, problems=5):
 
 
 def test_contrasts_are_of_one_choice_all_else_equal():
-    told = FactorialTable(rows_of(PLANNERS), ())
+    told = factorial_table(rows_of(PLANNERS), ())
     lines = {line[0]: line[1:] for line in told.sections["Contrasts"][1:]}
     assert lines.keys() == {c.title for c in CONTRASTS if c.other != "graph"}  # only in old rows
     expected = {"transformer / random codes, wide": "0.500", "own / other cloud, decoded": "0.333"}
@@ -62,7 +62,7 @@ def test_contrasts_without_a_side_are_left_out_and_failures_are_no_pair():
     some = ("birrt", "cvq:random+decoded+none", "cvq:random+decoded+projected")
     rows = [*rows_of(some[:2]), *rows_of(some[2:], problems=3)]
     rows += [row for row in rows_of(some[2:], a_failure) if row.problem in "34"]
-    told = FactorialTable(rows, ())
+    told = factorial_table(rows, ())
     assert [line[:2] for line in told.sections["Contrasts"][1:]] == [
         ["projected / none, all decoded", "3"]
     ]
