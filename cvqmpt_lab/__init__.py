@@ -36,7 +36,7 @@ _HOME = {
     "SceneObject": "scene.scene",
     "solve": "pipeline",
     "solve_many": "pipeline",
-    "solve_task": "tasks.solve",
+    "solve_task": "tasks.solve_task",
     "Sphere": "scene.shapes",
     "Task": "tasks.task",
     "TaskSpaceRegion": "constraints.task_space_region",

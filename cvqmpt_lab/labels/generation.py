@@ -19,9 +19,9 @@ from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.training.dataset import SCHEMA
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
-    SCHEMA,
     SHARDS_FOLDER,
     IndexRow,
     finished_shards,

@@ -28,13 +28,14 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.motion import edge_verdicts, motion_free
 from cvqmpt_lab.search.roadmap import Roadmap, spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.training.dataset import VALIDATION_EVERY
+from cvqmpt_lab.training.dataset import VALIDATION_EVERY, read_labels
 from cvqmpt_lab.training.shards import (
+    LABEL_ARRAYS,
     LINKS,
     ROADMAP_FILE,
     RoadmapGraph,
+    joined,
     packed_shard,
-    read_roadmap_shards,
 )
 from cvqmpt_lab.vqmpt.learned_sampler import dictionary_roadmap
 from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
@@ -95,18 +96,15 @@ class RoadmapRecipe(SceneRecipe):
 
     def card(self, out: Path) -> str:
         """Counts, shares and lengths by family, of both splits."""
-        shards = read_roadmap_shards(out)
-        graph = shards[0].graph
-        names = ("family", "scene_seed", "cost", "straight", "differs")
-        family, seed, cost, straight, differs = (
-            np.concatenate([shard.arrays[name] for shard in shards]) for name in names
-        )
-        family_of_path = np.concatenate(
-            [s.arrays["family"][s.arrays["path_scene"]] for s in shards]
-        )
-        codes = np.concatenate([np.diff(shard.arrays["code_start"]) for shard in shards])
-        each = [(shard, scene) for shard in shards for scene in range(len(shard.arrays["family"]))]
-        free = np.array([(s.node_free(k).mean(), s.edge_free(k).mean()) for s, k in each])
+        graph, shards = read_labels(out)
+        arrays = joined(shards, LABEL_ARRAYS)
+        family, seed, cost = arrays["family"], arrays["scene_seed"], arrays["cost"]
+        family_of_path = family[arrays["path_scene"]]
+        codes, detour = np.diff(arrays["code_start"]), cost / arrays["straight"]
+        shares = []
+        for name, items in (("node_free", graph.nodes), ("edge_free", graph.edges)):
+            shares.append(np.unpackbits(arrays[name], axis=1, count=len(items)).mean(axis=1))
+        nodes_free, edges_free = shares
 
         def row(name: str, families: Sequence[int]) -> str:
             own, paths = np.isin(family, families), np.isin(family_of_path, families)
@@ -114,12 +112,10 @@ class RoadmapRecipe(SceneRecipe):
             start = f"| {name} | {own.sum()} | {validate.sum()} "
             if not solved.any():
                 return f"{start}| - | - | {paths.sum()} | - | - | - | - |"
-            nodes, edges = free[own].mean(axis=0)
             return (
-                f"{start}| {nodes:.2f} | {edges:.2f} | {paths.sum()} | "
-                f"{100 * (~solved[paths]).mean():.0f} % | "
-                f"{100 * differs[solved].mean():.0f} % | "
-                f"{(cost[solved] / straight[solved]).mean():.2f} | "
+                f"{start}| {nodes_free[own].mean():.2f} | {edges_free[own].mean():.2f} | "
+                f"{paths.sum()} | {100 * (~solved[paths]).mean():.0f} % | "
+                f"{100 * arrays['differs'][solved].mean():.0f} % | {detour[solved].mean():.2f} | "
                 f"{codes[solved].mean():.1f} |"
             )
 

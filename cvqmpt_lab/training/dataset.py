@@ -1,12 +1,10 @@
-"""A dataset of training paths in memory: scenes as shapes, paths as waypoints of 16 bits a joint,
-split in two.
+"""Datasets in memory: scenes as shapes, with paths as waypoints or as labels on a roadmap.
 
 Joints u are normalised to [0, 1] between the limits. Scenes whose seed is divisible by 20 validate,
 the others train; twins, second labels of a path, do neither. `shards` describes the folder on disk.
 """
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -20,20 +18,19 @@ from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     FULL_SCALE,
     INDEX_FILE,
+    LABEL_ARRAYS,
+    PATH_ARRAYS,
     ROADMAP_FILE,
-    SCHEMA,
-    RoadmapShard,
-    read_index,
-    read_roadmap_shards,
-    read_shard,
+    SCENE_ARRAYS,
+    RoadmapGraph,
+    joined,
+    read_shards,
 )
 from cvqmpt_lab.vqmpt.config import SerialChain
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 
+SCHEMA = 1
 VALIDATION_EVERY = 20  # scenes whose seed is divisible by it validate
-ROADMAP_SPACING = 0.13  # [rad] between waypoints at most, as in other datasets
-# of each labelled scene, the first that were found: all of them would not fit into memory
-ROADMAP_PATHS = 40
 
 SplitName = Literal["train", "validation"]
 
@@ -63,6 +60,11 @@ class Scenes:
     def __len__(self) -> int:
         return len(self.seed)
 
+    @property
+    def validate(self) -> np.ndarray:
+        """Which scenes (s,) validate, bool."""
+        return self.seed % VALIDATION_EVERY == 0
+
     def shapes(self, scene: int) -> Shapes:
         """Those of one scene."""
         rows = slice(int(self.shape_start[scene]), int(self.shape_start[scene + 1]))
@@ -89,12 +91,14 @@ class Paths:
         return unpacked(self.waypoints[self.start[path] : self.start[path + 1]])
 
     def counts(self, paths: np.ndarray) -> np.ndarray:
-        """Waypoints of each path."""
+        """Waypoints (b,) of each path."""
         return self.start[paths + 1] - self.start[paths]
 
     def padded(self, paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Normalised joints (b, t, n) float32 of paths (b,), the last waypoint repeated, and their
-        counts (b,).
+        """Waypoints of paths (b,), of which shorter ones repeat their last.
+
+        Returns:
+            Normalised joints (b, t, n) float32, and the counts (b,) of each path's own waypoints.
         """
         counts = self.counts(paths)
         place = np.minimum(np.arange(counts.max()), counts[:, None] - 1)
@@ -109,13 +113,14 @@ def unpacked(joints: np.ndarray) -> np.ndarray:
 def with_few_trivial(
     paths: Paths, rows: np.ndarray, share: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Rows in which at most this share is of trivial paths;
-    which of those stay is drawn, order is kept.
+    """Rows (k,) in their order, of which at most this share is of trivial paths.
+
+    Which trivial ones stay is drawn. Where all are trivial, all stay.
     """
     trivial = paths.trivial[rows]
     others = int((~trivial).sum())
     most = int(share / (1.0 - share) * others) if share < 1.0 else len(rows)
-    if others == 0 or trivial.sum() <= most:  # nothing but straight lines is better than nothing
+    if others == 0 or trivial.sum() <= most:
         return rows
     kept = ~trivial
     kept[rng.choice(np.flatnonzero(trivial), most, replace=False)] = True
@@ -123,8 +128,8 @@ def with_few_trivial(
 
 
 @dataclass(frozen=True, eq=False)
-class PathDataset:
-    """An opened dataset."""
+class TrainingData:
+    """What all datasets have."""
 
     folder: Path
     robot: RobotSignature
@@ -132,14 +137,26 @@ class PathDataset:
     chain: SerialChain | None  # kinematics for link positions; None when the description has none
     sha256: str  # of the description and the index, which holds those of the shards
     scenes: Scenes
+    path_scene: np.ndarray  # (p,) int64: row of each path's scene
+
+    def split(self, name: SplitName) -> np.ndarray:
+        """Rows of the paths that train or validate."""
+        if name not in get_args(SplitName):
+            raise UnknownChoiceError("split", name, get_args(SplitName))
+        validates = self.scenes.validate[self.path_scene]
+        return np.flatnonzero(validates == (name == "validation"))
+
+
+@dataclass(frozen=True, eq=False)
+class PathDataset(TrainingData):
+    """A dataset of paths."""
+
     paths: Paths
 
     def split(self, name: SplitName) -> np.ndarray:
         """Rows of the paths that train or validate, without twins."""
-        if name not in get_args(SplitName):
-            raise UnknownChoiceError("split", name, get_args(SplitName))
-        validates = self.scenes.seed[self.paths.scene] % VALIDATION_EVERY == 0
-        return np.flatnonzero((validates == (name == "validation")) & (self.paths.twin_of < 0))
+        rows = super().split(name)
+        return rows[self.paths.twin_of[rows] < 0]
 
     def require_splits(self) -> None:
         """Raise InvalidInputError unless there is a path to train on and one to validate with."""
@@ -147,13 +164,11 @@ class PathDataset:
             if len(self.split(name)) == 0:
                 raise InvalidInputError(
                     f"{self.folder} has no {name} path (scene seeds divisible by "
-                    f"{VALIDATION_EVERY} validate); "
-                    "generate more scenes"
+                    f"{VALIDATION_EVERY} validate); generate more scenes"
                 )
 
     def thinned(self, spacing: float | None) -> "PathDataset":
-        """The dataset with fewer waypoints: both ends of each path, and the first waypoint after
-        every `spacing` [rad].
+        """The dataset with fewer waypoints: both ends of each path, and one every `spacing` [rad].
 
         None keeps all; InvalidInputError for a spacing that is not positive.
         """
@@ -185,32 +200,119 @@ class PathDataset:
         return replace(self, paths=replace(paths, start=start, waypoints=paths.waypoints[kept]))
 
 
+@dataclass(frozen=True, eq=False)
+class RoadmapLabels:
+    """What of a roadmap with N nodes and E edges is free in each of s scenes.
+
+    Links are the straight motions from e configurations to the nodes nearest to each.
+    """
+
+    graph: RoadmapGraph
+    node_bits: np.ndarray  # (s, N/8) uint8: packed bits, 1 where the node is free
+    edge_bits: np.ndarray  # (s, E/8) uint8, likewise
+    link_start: np.ndarray  # (s + 1,) int64: ranges into the ends of links
+    link_end: np.ndarray  # (e, n) uint16: configurations, u times FULL_SCALE
+    link_code: np.ndarray  # (e, LINKS) uint16: the nodes near each
+    link_free: np.ndarray  # (e, LINKS) bool
+
+    def free(self, scenes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which nodes (k, N) and edges (k, E) are free in scenes (k,), bool."""
+        nodes = np.unpackbits(self.node_bits[scenes], axis=1, count=len(self.graph.nodes))
+        edges = np.unpackbits(self.edge_bits[scenes], axis=1, count=len(self.graph.edges))
+        return nodes.astype(bool), edges.astype(bool)
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceDataset(TrainingData):
+    """A dataset of code sequences h_1 ... h_l from starts to goals."""
+
+    ends: np.ndarray  # (p, 2, n) uint16: start and goal, u times FULL_SCALE
+    code_start: np.ndarray  # (p + 1,) int64: ranges into the codes
+    codes: np.ndarray  # (c,) of all paths
+    roadmap: RoadmapLabels | None  # None where sequences are those of encoded paths
+
+    def configurations(self, joints: np.ndarray) -> np.ndarray:
+        """Configurations (..., n) float32 [rad or m] of stored joints: lower + u (upper - lower)."""
+        lower, upper = np.array(self.robot.lower), np.array(self.robot.upper)
+        return (lower + joints / FULL_SCALE * (upper - lower)).astype(np.float32)
+
+
 def open_dataset(folder: Path) -> PathDataset:
-    """Read a whole dataset into memory; of roadmap labels some paths of each scene.
+    """Read a dataset's paths into memory; of labels on a roadmap some paths of each scene.
 
     InvalidInputError names the file that is missing, damaged or of another schema.
     """
-    folder = Path(folder)
-    robot, families, chain = read_dataset_description(folder)
-    joints = len(robot.lower)
-    if (folder / ROADMAP_FILE).exists():
-        shards = [_path_arrays(shard, robot) for shard in read_roadmap_shards(folder)]
+    header = _header(folder)
+    if holds_labels(folder):
+        graph, labels = read_labels(folder)
+        shards = [_path_arrays(shard, graph, header["robot"]) for shard in labels]
     else:
-        shards = [read_shard(folder, row, joints, len(families)) for row in read_index(folder)]
-    digest = hashlib.sha256(
-        read_bytes(folder / DESCRIPTION_FILE) + read_bytes(folder / INDEX_FILE)
-    ).hexdigest()
-    return PathDataset(
-        folder, robot, families, chain, digest, together_scenes(shards), _paths(shards)
+        sizes = {"families": len(header["families"]), "n": len(header["robot"].lower)}
+        shards = read_shards(folder, PATH_ARRAYS, sizes)
+    arrays = joined(shards, PATH_ARRAYS)
+    paths = Paths(
+        scene=arrays["path_scene"],
+        start=arrays["path_start"],
+        waypoints=arrays["waypoints"],
+        trivial=arrays["trivial"],
+        twin_of=arrays["twin_of"],
+        length=arrays["length"],
+        straight=arrays["straight"],
+    )
+    return PathDataset(**header, scenes=_scenes(arrays), path_scene=paths.scene, paths=paths)
+
+
+def open_labels(folder: Path) -> SequenceDataset:
+    """Read a dataset's labels on a roadmap into memory; pairs without a path are left out.
+
+    InvalidInputError names the file that is missing, damaged or of another kind.
+    """
+    header = _header(folder)
+    if not holds_labels(folder):
+        raise InvalidInputError(
+            f"{folder} holds paths, not labels on a roadmap; make those: cvqmpt data generate "
+            f"--labels roadmap"
+        )
+    graph, shards = read_labels(folder)
+    arrays = joined(shards, LABEL_ARRAYS)
+    count = np.diff(arrays["code_start"])
+    found = np.isfinite(arrays["cost"]) & (count > 0)
+    return SequenceDataset(
+        **header,
+        scenes=_scenes(arrays),
+        path_scene=arrays["path_scene"][found],
+        ends=arrays["ends"][found],
+        code_start=np.concatenate([[0], np.cumsum(count[found])]),
+        codes=arrays["codes"][np.repeat(found, count)],
+        roadmap=RoadmapLabels(
+            graph,
+            arrays["node_free"],
+            arrays["edge_free"],
+            arrays["link_start"],
+            arrays["link_end"],
+            arrays["link_code"],
+            arrays["link_free"],
+        ),
     )
 
 
-def read_dataset_description(
-    folder: Path,
-) -> tuple[RobotSignature, tuple[str, ...], SerialChain | None]:
-    """Robot, families and kinematics of a dataset;
-    InvalidInputError where its description is missing or malformed.
-    """
+def holds_labels(folder: Path) -> bool:
+    """Whether a dataset holds labels on a roadmap, not paths."""
+    return (Path(folder) / ROADMAP_FILE).exists()
+
+
+def read_labels(folder: Path) -> tuple[RoadmapGraph, list[dict[str, np.ndarray]]]:
+    """The roadmap of a dataset of labels, and the arrays of its shards."""
+    graph, header = RoadmapGraph.read(folder), _header(folder)
+    sizes = {"families": len(header["families"]), "n": graph.nodes.shape[1]}
+    for name, items in (("N", graph.nodes), ("E", graph.edges)):
+        sizes |= {name: len(items), f"{name}/8": -(-len(items) // 8)}
+    return graph, read_shards(folder, LABEL_ARRAYS, sizes)
+
+
+def _header(folder: Path) -> dict[str, Any]:
+    """Fields of `TrainingData` that are in a dataset's description."""
+    folder = Path(folder)
     path = folder / DESCRIPTION_FILE
     if not path.exists():
         raise InvalidInputError(
@@ -221,104 +323,65 @@ def read_dataset_description(
         raise InvalidInputError(
             f"{path}: schema is {description.get('schema')!r}; this version reads {SCHEMA}"
         )
-    robot = _robot(description, path)
+    ours = {"robot": "name", "kinematics_digest": "kinematics"}
+    names = ("robot", "lower", "upper", "joints", "kinematics_digest")
+    signature = {ours.get(name, name): description[name] for name in names if name in description}
+    robot = from_plain(RobotSignature, signature, f"{path}: ")
     families = from_plain(tuple[str, ...], description.get("families"), f"{path}: families")
     if not families:
         raise InvalidInputError(f"{path}: families is empty; it must name one at least")
-    joints, chain = len(robot.lower), None
+    chain = None
     if description.get("kinematics") is not None:
         chain = from_plain(SerialChain, description["kinematics"], f"{path}: kinematics")
-        if len(chain.rotation) != joints:
+        if len(chain.rotation) != len(robot.lower):
             raise InvalidInputError(
-                f"{path}: kinematics has {len(chain.rotation)} joints, lower {joints}"
+                f"{path}: kinematics has {len(chain.rotation)} joints, lower {len(robot.lower)}"
             )
-    return robot, families, chain
+    files = read_bytes(path) + read_bytes(folder / INDEX_FILE)
+    digest = hashlib.sha256(files).hexdigest()
+    header = {"folder": folder, "robot": robot, "families": families}
+    return header | {"chain": chain, "sha256": digest}
 
 
-def _robot(description: Mapping[str, Any], path: Path) -> RobotSignature:
-    known = {"robot": "name", "lower": "lower", "upper": "upper", "joints": "joints"}
-    known["kinematics_digest"] = "kinematics"
-    named = {ours: description[theirs] for theirs, ours in known.items() if theirs in description}
-    return from_plain(RobotSignature, named, f"{path}: ")
+def _scenes(arrays: dict[str, np.ndarray]) -> Scenes:
+    size, pose = arrays["shape_size"].astype(np.float32), arrays["shape_pose"].astype(np.float32)
+    shapes = Shapes(arrays["shape_kind"], size, pose)
+    return Scenes(arrays["family"], arrays["scene_seed"], arrays["shape_start"], shapes)
 
 
-def together_scenes(shards: list[dict[str, np.ndarray]]) -> Scenes:
-    """All scenes, rows counted through."""
-    size, pose = (
-        together(shards, name).astype(np.float32) for name in ("shape_size", "shape_pose")
-    )
-    return Scenes(
-        family=together(shards, "family"),
-        seed=together(shards, "scene_seed"),
-        shape_start=together_ranges(shards, "shape_start", "shape_kind"),
-        shape=Shapes(together(shards, "shape_kind"), size, pose),
-    )
+def _path_arrays(
+    labels: dict[str, np.ndarray],
+    graph: RoadmapGraph,
+    robot: RobotSignature,
+    spacing: float = 0.13,
+    most: int = 40,
+) -> dict[str, np.ndarray]:
+    """A shard of labels on a roadmap as one of paths, waypoints at most `spacing` [rad] apart.
 
-
-def _paths(shards: list[dict[str, np.ndarray]]) -> Paths:
-    """All paths, rows counted through."""
-    return Paths(
-        scene=together_rows(shards, "path_scene", "scene_seed"),
-        start=together_ranges(shards, "path_start", "waypoints"),
-        waypoints=together(shards, "waypoints"),
-        trivial=together(shards, "trivial").astype(bool),
-        twin_of=together_rows(shards, "twin_of", "path_scene"),
-        length=together(shards, "length"),
-        straight=together(shards, "straight"),
-    )
-
-
-def together(shards: list[dict[str, np.ndarray]], name: str) -> np.ndarray:
-    """An array of all shards."""
-    return np.concatenate([shard[name] for shard in shards])
-
-
-def _offsets(shards: list[dict[str, np.ndarray]], items: str) -> list[int]:
-    """How many items there are before each shard, and in all."""
-    return np.cumsum([0, *(len(shard[items]) for shard in shards)]).tolist()
-
-
-def together_rows(shards: list[dict[str, np.ndarray]], name: str, items: str) -> np.ndarray:
-    """Rows of items, counted through; -1 stays."""
-    parts = zip(shards, _offsets(shards, items), strict=False)
-    return np.concatenate(
-        [np.where(s[name] < 0, -1, s[name].astype(np.int64) + o) for s, o in parts]
-    )
-
-
-def together_ranges(shards: list[dict[str, np.ndarray]], name: str, items: str) -> np.ndarray:
-    """Where each range of items begins, and where the last ends."""
-    offsets = _offsets(shards, items)
-    starts = [s[name][:-1].astype(np.int64) + o for s, o in zip(shards, offsets, strict=False)]
-    return np.concatenate([*starts, offsets[-1:]])
-
-
-def _path_arrays(shard: RoadmapShard, robot: RobotSignature) -> dict[str, np.ndarray]:
-    """Arrays of paths, as `shards` describes them, of labels on a roadmap; pairs without a path are
-    left out.
-
-    A path goes from its start through the nodes that its codes name to its goal, straight along
-    each edge.
+    A path leads from its start straight to each of its nodes and to its goal. Of each scene the
+    first `most` paths are taken: all of them would not fit into memory.
     """
-    lower, upper, labels = np.array(robot.lower), np.array(robot.upper), shard.arrays
+    lower, upper = np.array(robot.lower), np.array(robot.upper)
     rows = np.flatnonzero(np.isfinite(labels["cost"]))
-    scene = labels["path_scene"][rows]  # in ascending order
-    rows = rows[np.arange(len(rows)) - np.searchsorted(scene, scene) < ROADMAP_PATHS]
-    corners, first = _corners(shard, rows, lower, upper)
+    # in ascending order
+    scene = labels["path_scene"][rows]
+    rows = rows[np.arange(len(rows)) - np.searchsorted(scene, scene) < most]
+    corners, first = _corners(labels, rows, graph.nodes, lower, upper)
     step = np.diff(corners, axis=0, append=corners[-1:])
-    parts = np.maximum(np.ceil(np.linalg.norm(step, axis=1) / ROADMAP_SPACING), 1).astype(int)
-    parts[first[1:] - 1] = 1  # a goal leads nowhere
+    parts = np.maximum(np.ceil(np.linalg.norm(step, axis=1) / spacing), 1).astype(int)
+    # a goal leads nowhere
+    parts[first[1:] - 1] = 1
     begins = np.cumsum(parts) - parts
     share = (np.arange(parts.sum()) - begins.repeat(parts)) / parts.repeat(parts)
     q = corners.repeat(parts, 0) + share[:, None] * step.repeat(parts, 0)
     u = np.clip((q - lower) / (upper - lower), 0.0, 1.0)
-    shapes = ("shape_start", "shape_kind", "shape_size", "shape_pose")
-    return {name: labels[name] for name in ("family", "scene_seed", *shapes)} | {
+    scenes = {name: labels[name] for name in SCENE_ARRAYS}
+    return scenes | {
         "path_scene": labels["path_scene"][rows],
+        "straight": labels["straight"][rows],
         "path_start": np.append(begins, len(q))[first].astype(np.int32),
         "waypoints": np.rint(u * FULL_SCALE).astype(np.uint16),
         "length": labels["cost"][rows],
-        "straight": labels["straight"][rows],
         # only pairs whose straight motion is blocked are labelled
         "trivial": np.zeros(len(rows), bool),
         "twin_of": np.full(len(rows), -1, np.int32),
@@ -326,19 +389,25 @@ def _path_arrays(shard: RoadmapShard, robot: RobotSignature) -> dict[str, np.nda
 
 
 def _corners(
-    shard: RoadmapShard, rows: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    labels: dict[str, np.ndarray],
+    rows: np.ndarray,
+    nodes: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Start, nodes and goal (c, n) [rad] of one path after the other, and where those of each begin
-    (p + 1,).
+    """Start, nodes and goal (c, n) [rad] of one path after the other.
+
+    Returns:
+        These, and where those of each path begin (p + 1,).
     """
-    labels, count = shard.arrays, np.diff(shard.arrays["code_start"])[rows]
+    count = np.diff(labels["code_start"])[rows]
     first = np.concatenate([[0], np.cumsum(count + 2)])
-    corners = np.empty((first[-1], shard.graph.nodes.shape[1]))
+    corners = np.empty((first[-1], nodes.shape[1]))
     ends = lower + labels["ends"][rows] / FULL_SCALE * (upper - lower)
     corners[first[:-1]], corners[first[1:] - 1] = ends[:, 0], ends[:, 1]
     inside = np.ones(len(corners), bool)
     inside[first[:-1]] = inside[first[1:] - 1] = False
     place = np.arange(count.sum()) - (np.cumsum(count) - count).repeat(count)
     codes = labels["codes"][labels["code_start"][rows].astype(int).repeat(count) + place]
-    corners[inside] = shard.graph.nodes[codes]
+    corners[inside] = nodes[codes]
     return corners, first

@@ -1,6 +1,6 @@
-"""MPNet: learn to propose the next waypoint q_{t+1} from q_t, the goal and the encoded cloud z.
+"""MPNet: learn to propose the next waypoint q_(t+1) from q_t, the goal and the encoded cloud z.
 
-The loss is the mean over all steps, both ways, and joints of |g(q_t, q_goal, z) - q_{t+1}|^2. All
+The loss is the mean over all steps, both ways, and joints of |g(q_t, q_goal, z) - q_(t+1)|^2. All
 examples of a batch count, unlike in the published code.
 """
 
@@ -11,9 +11,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from cvqmpt_lab.training.batches import SceneBatchSettings
+from cvqmpt_lab.training.batches import BaseTurn, SceneBatches, SceneBatchSettings, other_scenes
 from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.stage_base import Means, OptimizerSettings, SceneStage
+from cvqmpt_lab.training.stage import Means, OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet
@@ -28,7 +28,7 @@ class MPNetSettings:
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(rate=3e-4))
 
 
-class MPNetStage(SceneStage):
+class MPNetStage(Stage):
     """Training of an `MPNet`."""
 
     selection = "validation_squared_error"
@@ -42,26 +42,36 @@ class MPNetStage(SceneStage):
         device: torch.device,
     ) -> None:
         """Prepare to train on a dataset; raises InvalidInputError where that is impossible."""
-        super().__init__(dataset, settings.batches, settings.optimizer, seed, device)
+        super().__init__(settings.optimizer, seed, device)
+        dataset.require_splits()
+        self.dataset: PathDataset = dataset.thinned(settings.batches.spacing)
+        self._settings = settings.batches
+        self._turn = BaseTurn(self.dataset, settings.batches.turn_base)
+        self._validation = SceneBatches.for_validation(self.dataset, settings.batches, seed)
         self.module = self.network = MPNet(config).to(device)
+
+    def batches(self, epoch: int) -> SceneBatches:
+        """Batches of an epoch."""
+        return SceneBatches.of_epoch(self.dataset, self._settings, self._turn, self.seed, epoch)
 
     def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Mean squared error over joints of all steps of all paths, both ways."""
         return {"loss": self._squared_error(batch, batch["cloud"], stochastic=True)}
 
     def validate(self) -> dict[str, float | None]:
-        """Error on held-out scenes with their own cloud, and with the cloud of another scene;
-        no dropout.
-        """
+        """Error on held-out scenes with their own cloud and with another scene's; no dropout."""
         means = Means()
-        for batch, clouds in self.held_out():
+        for index in range(len(self._validation)):
+            batch = self.tensors(self._validation[index])
+            clouds = {"": batch["cloud"]}
+            others = other_scenes(batch["scene"].cpu().numpy())
+            if others is not None:
+                clouds["wrong_cloud_"] = batch["cloud"][others]
             for prefix, cloud in clouds.items():
                 error = self._squared_error(batch, cloud, stochastic=False)
                 means.add(f"{prefix}squared_error", float(error), 1)
-        return {
-            name: means.values().get(name)
-            for name in ("squared_error", "wrong_cloud_squared_error")
-        }
+        names = ("squared_error", "wrong_cloud_squared_error")
+        return {name: means.values().get(name) for name in names}
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> MPNetCheckpoint:
         """The network as it stands."""

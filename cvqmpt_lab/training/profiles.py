@@ -6,25 +6,21 @@ from pathlib import Path
 import torch
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.training.batches import SceneBatchSettings
-from cvqmpt_lab.training.dataset import PathDataset, open_dataset
+from cvqmpt_lab.training.batches import RoadmapSettings, SceneBatchSettings
+from cvqmpt_lab.training.clouds import CloudSettings, CropSettings
+from cvqmpt_lab.training.dataset import PathDataset, open_dataset, open_labels
+from cvqmpt_lab.training.dictionary_stage import DictionaryStage, Stage1Settings
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage
-from cvqmpt_lab.training.published_stage import PublishedSizes, PublishedStage
-from cvqmpt_lab.training.roadmap_dataset import open_roadmap_dataset
-from cvqmpt_lab.training.roadmap_stage import RoadmapSettings, RoadmapStage
-from cvqmpt_lab.training.stage1 import Stage1, Stage1Settings
-from cvqmpt_lab.training.stage2 import Stage2, Stage2Settings
-from cvqmpt_lab.training.stage_base import OptimizerSettings, Stage
-from cvqmpt_lab.training.training_clouds import CloudSettings, CropSettings
-from cvqmpt_lab.training.transformer_stage import TransformerStage
+from cvqmpt_lab.training.sequence_networks import PublishedSizes, PublishedStage, TransformerStage
+from cvqmpt_lab.training.sequence_stage import SequenceStage, open_sequences
+from cvqmpt_lab.training.stage import OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt import config as sizes
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint
 from cvqmpt_lab.vqmpt.scene_arrays import LONGEST
-from cvqmpt_lab.vqmpt.weights import VQ_MPT, checkpoint_folder, resolve_model
+from cvqmpt_lab.vqmpt.weights import VQ_MPT, resolve_model
 
 MODELS = {
     "stage1": "model",
-    "stage2": "model",
     "mpnet": "mpnet_model",
     "transformer": "transformer_model",
     "published": "published_model",
@@ -41,7 +37,6 @@ class Profile:
     model: sizes.ModelConfig  # joints and features are the dataset's, see `model_for`
     mpnet_model: sizes.MPNetConfig
     stage1: Stage1Settings
-    stage2: Stage2Settings | None  # None where the model is of a kind without a sequence model
     mpnet: MPNetSettings
     transformer_model: sizes.SceneTransformerSizes = field(
         default_factory=sizes.SceneTransformerSizes
@@ -51,10 +46,6 @@ class Profile:
     published: RoadmapSettings = field(default_factory=RoadmapSettings)
 
     def __post_init__(self) -> None:
-        if (self.stage2 is None) != (self.model.sequence is None):
-            raise InvalidInputError(
-                "give stage2 to a model with a sequence, and null to one without"
-            )
         if self.mpnet.batches.cloud.points != self.mpnet_model.n_points:
             raise InvalidInputError("mpnet.batches.cloud.points must equal mpnet_model.n_points")
 
@@ -63,8 +54,7 @@ class Profile:
         if self.link_features and dataset.chain is None:
             raise InvalidInputError(
                 f"profile {self.name!r} takes link positions, but {dataset.folder} has no "
-                f"kinematics; "
-                "set link_features to false"
+                f"kinematics; set link_features to false"
             )
         feature_dim = dataset.chain.feature_dim if self.link_features and dataset.chain else 0
         return replace(self.model, joint_dim=len(dataset.robot.lower), feature_dim=feature_dim)
@@ -72,45 +62,39 @@ class Profile:
     def stage(
         self, name: str, data: Path, dictionary: Path | None, seed: int, device: torch.device
     ) -> Stage:
-        """A stage, ready to be trained on a folder of data; dictionary: folder of stage 1.
+        """A stage, ready to be trained on a folder of data.
+
+        Args:
+            name: of `MODELS`.
+            data: folder of the dataset.
+            dictionary: folder of a training of stage 1, for sequence models.
+            seed: of all that is drawn.
+            device: to train on.
 
         InvalidInputError or UnknownChoiceError: no such stage, or data, dictionary and model do not
         fit each other.
         """
         if name not in MODELS:
             raise UnknownChoiceError("stage", name, MODELS)
-        if dictionary is not None and name not in ("stage2", "transformer", "published"):
-            raise InvalidInputError(f"{name} takes no dictionary; leave it out")
-        if name in ("transformer", "published"):
-            words = load_checkpoint(resolve_model(dictionary, VQ_MPT))
-            labels = open_roadmap_dataset(data)
-            made: RoadmapStage
-            if name == "published":
-                made = PublishedStage(
-                    labels, words, self.published, self.published_model, seed, device
-                )
-            else:
-                made = TransformerStage(
-                    labels, words, self.transformer, self.transformer_model, seed, device
-                )
-            return made.require_splits()
-        dataset = open_dataset(data)
-        if name == "stage1":
-            return Stage1(dataset, self.model_for(dataset), self.stage1, seed, device)
-        if name == "mpnet":
-            network = replace(self.mpnet_model, joint_dim=len(dataset.robot.lower))
-            return MPNetStage(dataset, network, self.mpnet, seed, device)
-        if self.stage2 is None:
-            own = ", ".join(name for name, one in PROFILES.items() if one.stage2 is not None)
-            raise InvalidInputError(
-                f"profile {self.name!r} has no stage2; profiles with one: {own}"
-            )
-        if dictionary is None:
-            raise InvalidInputError(
-                "stage2 needs the dictionary that stage1 trained; name its folder"
-            )
-        words = load_checkpoint(checkpoint_folder(dictionary) or dictionary)
-        return Stage2(dataset, words, self.model_for(dataset), self.stage2, seed, device)
+        if name in ("stage1", "mpnet"):
+            if dictionary is not None:
+                raise InvalidInputError(f"{name} takes no dictionary; leave it out")
+            paths = open_dataset(data)
+            if name == "stage1":
+                model = self.model_for(paths)
+                return DictionaryStage(paths, model, self.stage1, seed, device)
+            network = replace(self.mpnet_model, joint_dim=len(paths.robot.lower))
+            return MPNetStage(paths, network, self.mpnet, seed, device)
+        words = load_checkpoint(resolve_model(dictionary, VQ_MPT))
+        made: SequenceStage
+        if name == "transformer":
+            settings, model_sizes = self.transformer, self.transformer_model
+            made = TransformerStage(open_labels(data), words, settings, model_sizes, seed, device)
+        else:
+            sequences, published = open_sequences(data, words), self.published_model
+            made = PublishedStage(sequences, words, self.published, published, seed, device)
+        made.require_splits()
+        return made
 
 
 def _compact() -> Profile:
@@ -139,7 +123,6 @@ def _compact() -> Profile:
             restart_epochs=7,
             optimizer=OptimizerSettings(rate=2e-3, schedule="cosine", clip=1000.0),
         ),
-        stage2=None,
         mpnet=MPNetSettings(
             epochs=10,
             # clouds have n_points points, too
@@ -223,7 +206,6 @@ def _smoke() -> Profile:
             validation_paths=100,
             optimizer=quick,
         ),
-        stage2=Stage2Settings(epochs=3, batches=batches, optimizer=quick),
         mpnet=replace(_compact().mpnet, epochs=3, batches=replace(batches, spacing=0.5)),
         transformer_model=sizes.SceneTransformerSizes(
             width=32, layers=2, heads=2, groups=32, group_size=8, values=4, edge_width=16, links=12
@@ -254,8 +236,7 @@ def _published() -> Profile:
             batch=64,
             optimizer=OptimizerSettings(rate=0.2 * 512**-0.5 * 20000**-0.5, warmup=20000),
         ),
-        stage2=Stage2Settings(epochs=20, batches=batches, optimizer=warmed),
-        published=RoadmapSettings(optimizer=warmed),
+        published=RoadmapSettings(cloud=cloud, optimizer=warmed),
         mpnet=MPNetSettings(
             epochs=200,
             batches=replace(batches, spacing=0.5, cloud=replace(cloud, points=4120)),

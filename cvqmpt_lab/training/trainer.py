@@ -48,7 +48,7 @@ from cvqmpt_lab.files import (
 )
 from cvqmpt_lab.training.batches import batch_seed
 from cvqmpt_lab.training.profiles import MODELS, Profile
-from cvqmpt_lab.training.stage_base import Stage
+from cvqmpt_lab.training.stage import Stage
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.weights import (
     TRAINED_FOLDER,

@@ -32,7 +32,6 @@ from cvqmpt_lab.vqmpt.dictionary import (
 from cvqmpt_lab.vqmpt.point_encoder import PointCloudEncoder
 
 START_TOKEN = -1.0  # every entry of the vector that stands between the context and the first code
-MOST_PREFIXES = 40  # training samples taken of one sequence
 
 Scene = tuple[Tensor, Tensor]
 """Scene tokens (s, m, d_model), padded to the scene with most of them, and which are no padding (s,
@@ -90,7 +89,7 @@ class SceneContext(nn.Module):
 
 
 class AutoRegressiveModel(nn.Module):
-    """Transformer without position code whose visible tokens all attend to each other."""
+    """Transformer without position code whose tokens all attend to each other."""
 
     def __init__(self, n_classes: int, sizes: TransformerConfig) -> None:
         super().__init__()
@@ -98,14 +97,12 @@ class AutoRegressiveModel(nn.Module):
         self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
         self.class_pred = nn.Linear(sizes.d_model, n_classes)
 
-    def forward(self, tokens: Tensor, read: Tensor, visible: Tensor | None = None) -> Tensor:
-        """Logits (b, n_classes) at token read (b,) of tokens (b, t, d_model);
-        visible (b, t) hides padding.
-        """
+    def forward(self, tokens: Tensor) -> Tensor:
+        """Logits (b, n_classes) of what follows tokens (b, t, d_model), read at the last one."""
         *before, last = self.layer_stack
         for layer in before:
-            tokens = layer(tokens, visible)
-        token = last(tokens, visible, tokens[torch.arange(len(tokens)), read][:, None])
+            tokens = layer(tokens)
+        token = last(tokens, read=tokens[:, -1:])
         return self.class_pred(self.layer_norm(token[:, 0]))
 
 
@@ -151,25 +148,22 @@ class PublishedSequenceModel(nn.Module):
         ends = torch.stack((start, goal), 1).view(len(scene[0]), 2 * times, -1)
         return self.context.context_encoder(ends, *scene).view(len(start), 2, -1)
 
-    def prefix_logits(
-        self, context: Tensor, codes: Tensor, quantizer: Quantizer, lengths: Tensor | None = None
-    ) -> Tensor:
-        """Logits (b, n_classes) of what follows each prefix.
+    def prefix_logits(self, context: Tensor, codes: Tensor, quantizer: Quantizer) -> Tensor:
+        """Logits of what follows a prefix, of pi(h_j = i | h_1 ... h_(j-1), M).
 
-        context: (b, 2, d_model), of `encode_context`. codes: (b, t) int64, padded with any valid
-            code beyond
-        lengths: (b,), None for all t. quantizer: the dictionary's, frozen.
+        Args:
+            context: (b, 2, d_model) M, of `encode_context`.
+            codes: (b, t) int64, h_1 ... h_t.
+            quantizer: the dictionary's, frozen.
+
+        Returns:
+            (b, n_classes): the codes, the start token and the goal token.
         """
         with torch.no_grad():
             embedded = quantizer.lookup(codes)
-        embedded = self.enter(embedded)
         start_token = torch.full_like(context[:, :1], START_TOKEN)
-        tokens = torch.cat((context, start_token, embedded), dim=1)
-        if lengths is None:
-            last = torch.full((len(tokens),), tokens.shape[1] - 1, device=tokens.device)
-            return self.autoregressive(tokens, last)
-        visible = torch.arange(tokens.shape[1], device=tokens.device) < 3 + lengths[:, None]
-        return self.autoregressive(tokens, 2 + lengths, visible)
+        tokens = torch.cat((context, start_token, self.enter(embedded)), dim=1)
+        return self.autoregressive(tokens)
 
     @torch.inference_mode()
     def decoder(
@@ -215,13 +209,3 @@ class _PrefixDecoder:
         log_p = log_softmax(logits.float().cpu().numpy())
         log_p[:, -2] = -np.inf  # the start token
         return np.broadcast_to(np.arange(log_p.shape[1]), log_p.shape), log_p
-
-
-def prefix_lengths(count: int) -> Tensor:
-    """Lengths (p,) of the prefixes of `count` codes that are training samples; after the whole
-    follows the goal token.
-
-    Never more than 40 (published code): the first ones, of sequences of 80 and more every k-th.
-    """
-    every = max(1, (count + 1) // MOST_PREFIXES)
-    return torch.arange(0, count + 1, every)[:MOST_PREFIXES]

@@ -108,7 +108,7 @@ def test_help_of_train_needs_no_torch_and_names_what_the_profiles_have():
         "'--help'])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0 and "stage1, stage2, mpnet" in done.stdout, done.stderr
+    assert done.returncode == 0 and "stage1, mpnet, transformer" in done.stdout, done.stderr
     profiles = pytest.importorskip("cvqmpt_lab.training.profiles")
     assert tuple(profiles.MODELS) == STAGES and tuple(profiles.PROFILES) == PROFILE_NAMES
 

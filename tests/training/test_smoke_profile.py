@@ -15,27 +15,23 @@ from cvqmpt_lab.vqmpt.predictor import Predictor
 from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
 from cvqmpt_lab.vqmpt.weights import load_vq_mpt, robot_signature
 
-ROBOTS = ["--family kitchen-like", "--robot tiago-no-hand --base 0,0,-0.6 --family shelves"]
+ROBOTS = ["", "--robot tiago-no-hand --base 0,0,-0.6"]
 
 
 @pytest.mark.parametrize("robot_options", ROBOTS)
 def test_from_scenes_to_a_prediction(tmp_path, robot_options):
     """For the Panda and an arm of eight joints whose first one slides."""
-    data, stage1, stage2 = tmp_path / "data", tmp_path / "stage1", tmp_path / "stage2"
+    data, stage1, model = tmp_path / "data", tmp_path / "stage1", tmp_path / "model"
     # the first of each family validates
-    few = ["--scenes", "4", "--paths-per-scene", "4", "--seed", "9"]
-    assert (
-        main(["data", "generate", *few, "--jobs", "2", "--out", str(data), *robot_options.split()])
-        == 0
-    )
+    few = f"--scenes 4 --paths-per-scene 4 --seed 9 --family kitchen-like,shelves {robot_options}"
+    assert main(["data", "generate", *few.split(), "--jobs", "2", "--out", str(data)]) == 0
     common = ["--profile", "smoke", "--data", str(data), "--device", "cpu", "--epochs", "1"]
     assert main(["train", "stage1", *common, "--out", str(stage1)]) == 0
-    assert (
-        main(["train", "stage2", *common, "--dictionary", str(stage1), "--out", str(stage2)]) == 0
-    )
+    words = ["--dictionary", str(stage1), "--out", str(model)]
+    assert main(["train", "published", *common, *words]) == 0
 
     robot = robot_from_source(json.loads((data / "dataset.json").read_text())["recipe"]["robot"])
-    checkpoint = load_checkpoint(stage2 / "model", robot_signature(robot))
+    checkpoint = load_checkpoint(model / "model", robot_signature(robot))
     predictor = Predictor(stored(checkpoint), robot)
     rng = np.random.default_rng(0)
     cloud = rng.uniform(-0.8, 0.8, (400, 3))

@@ -21,7 +21,7 @@ from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.training.batches import batch_seed
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.profiles import PROFILES, Profile
-from cvqmpt_lab.training.stage_base import OptimizerSettings
+from cvqmpt_lab.training.stage import OptimizerSettings
 from cvqmpt_lab.training.trainer import open_folder, run_training
 from cvqmpt_lab.vqmpt.beam_search import beam_search
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, save_checkpoint
@@ -66,6 +66,11 @@ MPNET = {
 }
 WORDS = {"model.dictionary.transformer": SIZES, "model.dictionary.n_codes": 16}
 TINY = changed(PROFILES["compact"], {"name": "tiny", "stage1": STAGE1, **WORDS, **MPNET})
+LEVELS = {
+    "sa1": {"ratio": 0.5, "radius": 0.5, "widths": [8, 8]},
+    "sa2": {"ratio": 0.5, "radius": 0.9, "widths": [8, 16]},
+}
+SEQUENCE = {"transformer": SIZES, "context": SIZES}
 PUBLISHED = changed(
     SMOKE,
     {
@@ -73,12 +78,10 @@ PUBLISHED = changed(
         **WORDS,
         **MPNET,
         "model.dictionary.n_position": 200,
-        "model.point_cloud.sa1": {"ratio": 0.5, "radius": 0.5, "widths": [8, 8]},
-        "model.point_cloud.sa2": {"ratio": 0.5, "radius": 0.9, "widths": [8, 16]},
-        "model.sequence.transformer": SIZES,
-        "model.sequence.context": SIZES,
-        "stage2.epochs": 2,
-        "stage2.batches": FEW,
+        "model.point_cloud": LEVELS,
+        "model.sequence": SEQUENCE,
+        "published_model": {"point_cloud": LEVELS, "sequence": SEQUENCE},
+        "published": {"batches_per_epoch": 4, "paths": 4, "cloud": {"points": 48}},
     },
 )
 
@@ -136,33 +139,36 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
 
 
 @pytest.mark.parametrize("precision", ["float32", "bf16"])
-def test_stage_2_leaves_a_model_that_predicts(tmp_path, data, published_dictionary, precision):
-    profile = changed(PUBLISHED, {"stage2.precision": precision})
-    go("stage2", data, tmp_path / "s2", profile, dictionary=published_dictionary, epochs=1)
-    row = curves(tmp_path / "s2")[0]
-    for name in ("cross_entropy", "cross_entropy_cubes"):
-        assert float(row[f"validation_{name}"]) != float(row[f"validation_wrong_cloud_{name}"])
-    checkpoint = load_checkpoint(tmp_path / "s2" / "model")
+def test_the_authors_network_learns_from_paths(tmp_path, data, published_dictionary, precision):
+    profile = changed(PUBLISHED, {"published.precision": precision})
+    out = tmp_path / "out"
+    go("published", data, out, profile, dictionary=published_dictionary, epochs=1)
+    row = curves(out)[0]
+    own = float(row["validation_cross_entropy_all"])
+    assert own == float(row["validation_loss"])
+    assert own != float(row["validation_wrong_cloud_cross_entropy_all"])
+    checkpoint = load_checkpoint(out / "model")
     model, words = checkpoint.sequence_model, checkpoint.dictionary
-    for name, tensor in (
-        load_checkpoint(published_dictionary / "model").dictionary.state_dict().items()
-    ):
+    before = load_checkpoint(published_dictionary / "model").dictionary.state_dict()
+    for name, tensor in before.items():
         assert torch.equal(words.state_dict()[name], tensor)
     scene = model.encode_scene(torch.rand(1, 48, 3))
-    assert len(beam_search(model.decoder(words, scene, torch.rand(1, 7), torch.rand(1, 7)))) == 1
+    decoder = model.decoder(words, scene, torch.rand(1, 7), torch.rand(1, 7))
+    assert len(beam_search(decoder, published=True)) == 1
 
 
 @pytest.mark.parametrize(
-    ("stage", "at"), [("stage1", 1), ("stage1", 6), ("stage2", 6), ("mpnet", 1)]
+    ("stage", "at"), [("stage1", 1), ("stage1", 6), ("published", 6), ("mpnet", 1)]
 )
 def test_a_stopped_training_continues_on_the_same_curve(
     tmp_path, data, published_dictionary, stage, at
 ):
     options = (
-        {"dictionary": published_dictionary, "profile": PUBLISHED} if stage == "stage2" else {}
+        {"dictionary": published_dictionary, "profile": PUBLISHED} if stage == "published" else {}
     )
     whole = go(stage, data, tmp_path / "whole", **options)
-    at = min(at, whole.step // 2)  # within the first epoch, or at its end
+    # within the first epoch, or at its end
+    at = min(at, whole.step // 2)
 
     def stop(done, total, note):
         if done == at:
@@ -224,25 +230,14 @@ def test_what_does_not_fit_is_refused_before_anything_is_written(
     iiwa = RobotSignature("iiwa", words.robot.lower, words.robot.upper)
     save_checkpoint(tmp_path / "iiwa", dataclasses.replace(words, robot=iiwa))
     bare = write_dataset(tmp_path / "bare", kinematics=None)
+    dense, iiwa = changed(PUBLISHED, {"published_model.dense": True}), tmp_path / "iiwa"
     for message, stage, source, profile, words in (
-        (
-            r"'tiny' has no stage2; profiles with one: smoke, published",
-            "stage2",
-            data,
-            TINY,
-            dictionary,
-        ),
-        ("stage2 needs the dictionary", "stage2", data, PUBLISHED, None),
-        ("cannot read weights", "stage2", data, PUBLISHED, tmp_path / "nowhere"),
-        ("weights are for robot 'iiwa', not 'panda'", "stage2", data, PUBLISHED, tmp_path / "iiwa"),
-        (
-            "kind 'compact', the configuration of kind 'published'",
-            "stage2",
-            data,
-            PUBLISHED,
-            dictionary,
-        ),
+        ("no weights in", "published", data, PUBLISHED, tmp_path / "nowhere"),
+        ("weights are for robot 'iiwa', not 'panda'", "published", data, PUBLISHED, iiwa),
+        ("the dense loss needs labels on a roadmap", "published", data, dense, dictionary),
+        ("holds paths, not labels on a roadmap; make", "transformer", data, TINY, dictionary),
         ("stage1 takes no dictionary", "stage1", data, TINY, dictionary),
+        ("mpnet takes no dictionary", "mpnet", data, TINY, dictionary),
         ("unknown stage 'stage3'", "stage3", data, TINY, None),
         ("takes link positions", "stage1", bare, TINY, None),
     ):
@@ -318,8 +313,7 @@ def test_profiles_survive_json():
     for profile in PROFILES.values():
         assert from_plain(Profile, json.loads(json.dumps(to_plain(profile)))) == profile
     for name, value, message in (
-        ("stage2.batches.speed", 1, "speed is unknown"),
-        ("stage2", None, "null to one without"),
+        ("mpnet.batches.speed", 1, "speed is unknown"),
         ("mpnet_model.n_points", 7, "must equal"),
     ):
         with pytest.raises(InvalidInputError, match=message):
@@ -327,7 +321,7 @@ def test_profiles_survive_json():
 
 
 def test_rates():
-    published = PROFILES["published"].stage2.optimizer
+    published = PROFILES["published"].published.optimizer
     for step, factor in ((600, 600 * 2400**-1.5), (2400, 2400**-0.5), (9600, 9600**-0.5)):
         assert published.rate_at(step, 1) == pytest.approx(0.15 * 512**-0.5 * factor)
     cosine = OptimizerSettings(rate=1.0, warmup=10, schedule="cosine", final=0.1)
@@ -354,6 +348,7 @@ def test_the_command_line(tmp_path, capsys, data):
         "unknown device 'tpu'": [*common[:6], "--device", "tpu", "--out", out],
         "unknown profile 'big'": ["train", "stage1", "--profile", "big"],
         "unknown stage 'sequences'": ["train", "sequences", *common[2:6], "--out", out],
+        "train stage2 was removed: train published": ["train", "stage2", *common[2:6]],
         "cannot read": ["train", "stage1", "--config", str(tmp_path / "nowhere.json")],
     }.items():
         assert main(words) == 2

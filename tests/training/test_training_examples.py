@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial import cKDTree
+from small_models import compact_config, published_config, random_checkpoint
 from training_data import LOWER, UPPER, kinematics, write_dataset
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
@@ -23,14 +24,9 @@ from cvqmpt_lab.training.batches import (
     grouped_by_scene,
     turned,
 )
+from cvqmpt_lab.training.clouds import CloudSettings, CropSettings, measured_points, sample_cloud
 from cvqmpt_lab.training.dataset import Shapes, open_dataset
-from cvqmpt_lab.training.stage2 import code_sequences
-from cvqmpt_lab.training.training_clouds import (
-    CloudSettings,
-    CropSettings,
-    measured_points,
-    sample_cloud,
-)
+from cvqmpt_lab.training.sequence_stage import open_sequences
 from cvqmpt_lab.vqmpt.config import SerialChain
 from cvqmpt_lab.vqmpt.link_positions import LinkPositions
 
@@ -246,21 +242,21 @@ def test_batches_repeat_by_seed_differ_by_epoch_and_validate_on_held_out_paths(d
     assert ends <= held_out
 
 
-def sequence_one_by_one(codes, most, goal):
-    kept = [c for i, c in enumerate(codes) if i == 0 or codes[i - 1] != c]
-    return kept[:most], [*kept, goal][: most + 1]
-
-
-@pytest.mark.parametrize("most", [50, 3])
-def test_sequences_equal_a_loop_in_both_directions(most):
-    generator = torch.Generator().manual_seed(0)
-    codes = torch.randint(0, 3, (20, 12), generator=generator)
-    counts = torch.randint(2, 13, (20,), generator=generator)
-    found = code_sequences(codes, counts, most, 9)
-    for path in range(20):
-        known = codes[path, : counts[path]].tolist()
-        for row, way in ((2 * path, known), (2 * path + 1, known[::-1])):
-            kept, following = sequence_one_by_one(way, most, 9)
-            assert found.codes[row, : len(kept)].tolist() == kept
-            assert found.targets[row][found.visible[row]].tolist() == following
-            assert found.visible[row].sum() == len(following)
+@pytest.mark.parametrize("config", [compact_config, published_config])
+def test_sequences_of_paths_are_their_codes_without_repeats(dataset, panda, config):
+    model = random_checkpoint(panda, config())
+    found, paths = open_sequences(dataset.folder, model), dataset.paths
+    assert found.roadmap is None
+    by_ends = {}
+    for path in np.flatnonzero(paths.twin_of < 0).tolist():
+        ends = paths.waypoints[[paths.start[path], paths.start[path + 1] - 1]]
+        by_ends[ends.tobytes()] = path
+    links = LinkPositions(LOWER, UPPER, dataset.chain if model.config.feature_dim else None)
+    rows = [by_ends[ends.tobytes()] for ends in found.ends]
+    assert len(set(rows)) == len(rows) and 0 < paths.trivial[rows].mean() <= 0.15
+    for sequence, path in enumerate(rows):
+        u = torch.from_numpy(paths.joints(path))[None]
+        codes = model.dictionary.encode(links.configurations(u))[0].tolist()
+        kept = [c for i, c in enumerate(codes) if i == 0 or codes[i - 1] != c]
+        assert found.codes[slice(*found.code_start[sequence : sequence + 2])].tolist() == kept
+        assert found.path_scene[sequence] == paths.scene[path]

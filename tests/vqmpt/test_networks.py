@@ -9,8 +9,7 @@ from torch.nn import functional as F
 
 from cvqmpt_lab.codec.plain import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.training.stage1 import stage1_loss
-from cvqmpt_lab.training.stage2 import sequence_loss
+from cvqmpt_lab.training.dictionary_stage import stage1_loss
 from cvqmpt_lab.vqmpt.beam_search import beam_search
 from cvqmpt_lab.vqmpt.config import (
     DictionaryConfig,
@@ -184,22 +183,21 @@ def sequence_model():
     return PublishedSequenceModel(SMALL).eval()
 
 
-def test_prefix_logits_see_only_the_prefix_and_no_order(sequence_model):
+def test_prefix_logits_see_the_prefix_in_any_order(sequence_model):
     quantizer = Dictionary(SMALL).quantizer
     scene = sequence_model.encode_scene([torch.rand(20, 3)])
     context = sequence_model.encode_context(scene, torch.rand(2, 7), torch.rand(2, 7))
     codes = torch.tensor([[1, 2, 3], [4, 5, 6]])
-    padded = sequence_model.prefix_logits(context, codes, quantizer, torch.tensor([2, 3]))
-    assert context.shape == (2, 2, 16) and padded.shape == (2, 14)
-    alone = sequence_model.prefix_logits(context[:1], codes[:1, :2], quantizer)
-    torch.testing.assert_close(padded[:1], alone)
-    full = sequence_model.prefix_logits(context[1:], codes[1:], quantizer)
-    torch.testing.assert_close(padded[1:], full)
+    full = sequence_model.prefix_logits(context, codes, quantizer)
+    assert context.shape == (2, 2, 16) and full.shape == (2, 14)
+    alone = sequence_model.prefix_logits(context[1:], codes[1:], quantizer)
+    torch.testing.assert_close(full[1:], alone)
+    # no position code
     swapped = sequence_model.prefix_logits(context[1:], torch.tensor([[5, 4, 6]]), quantizer)
-    torch.testing.assert_close(full, swapped)  # no position code
+    torch.testing.assert_close(alone, swapped)
     start = sequence_model.prefix_logits(context, codes[:, :0], quantizer)
     tokens = torch.cat((context, torch.full((2, 1, 16), -1.0)), 1)
-    torch.testing.assert_close(start, sequence_model.autoregressive(tokens, torch.tensor([2, 2])))
+    torch.testing.assert_close(start, sequence_model.autoregressive(tokens))
 
 
 def test_context_tokens_ignore_each_other_and_padding(sequence_model):
@@ -237,19 +235,6 @@ def test_beam_search_scores_what_the_model_says(sequence_model):
             odds = logits.softmax(1) if path[:i] else logits.log_softmax(1)
             expected += float(odds[0, code])
         assert sequence.score == pytest.approx(expected, abs=1e-4)
-
-
-def test_sequence_loss_is_summed_over_prefixes_per_trajectory():
-    logits, targets = torch.randn(2, 3, 5), torch.tensor([[1, 2, 4], [0, 4, 0]])
-    visible = torch.tensor([[True, True, True], [True, True, False]])
-    picked = [
-        logits[b, p].log_softmax(0)[targets[b, p]]
-        for b in range(2)
-        for p in range(3)
-        if visible[b, p]
-    ]
-    loss = sequence_loss(logits[visible], targets[visible], 2)
-    torch.testing.assert_close(loss, -torch.stack(picked).sum() / 2)
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,16 @@
-"""Stage 1 of VQ-MPT: learn a dictionary of codes, each of which stands for a Gaussian over joint
-angles.
+"""Stage 1 of VQ-MPT: learn a dictionary of codes, each of which stands for a Gaussian over joints.
 
 A waypoint q is encoded to a latent z = f(q), which is replaced by the nearest code z_q of the
 dictionary and decoded to N(mu, Sigma), Sigma = L D L^T. The loss of trajectories q_1 ... q_T is,
-with sg the stopped gradient,
+with sg the stopped gradient, the mean over trajectories of the reconstruction
 
-    sum_t [ -log N(q_t | mu_t, Sigma_t) - w H(N(mu_t, Sigma_t)) ]                 mean over
-    trajectories + beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2                                  mean
-    over waypoints
+    sum_t [ -log N(q_t | mu_t, Sigma_t) - w H(N(mu_t, Sigma_t)) ],
 
-Its first line, the reconstruction, selects the best model; padding never counts.
+which selects the best model, and the mean over waypoints of
+
+    beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2.
+
+Padding never counts.
 """
 
 from collections.abc import Mapping
@@ -21,12 +22,12 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import Dataset
 
-from cvqmpt_lab.training.batches import batch_seed
+from cvqmpt_lab.training.batches import BaseTurn, batch_seed
 from cvqmpt_lab.training.dataset import PathDataset, unpacked, with_few_trivial
-from cvqmpt_lab.training.stage_base import OptimizerSettings, PathStage
+from cvqmpt_lab.training.stage import OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import ModelConfig, require_sizes
-from cvqmpt_lab.vqmpt.dictionary import Dictionary, DictionaryOutput, Quantized
+from cvqmpt_lab.vqmpt.dictionary import Dictionary, DictionaryOutput
 from cvqmpt_lab.vqmpt.link_positions import LinkPositions
 
 
@@ -70,34 +71,30 @@ def stage1_loss(
     commitment: float,
     entropy_weight: float = 0.1,
 ) -> Stage1Loss:
-    """Loss of the module's docstring, of waypoints u (b, t, n), normalised; visible (b, t) is False
-    where padded.
+    """Loss of the module's docstring.
 
-    commitment and entropy_weight are beta and w.
+    Args:
+        output: the dictionary's, of waypoints u.
+        u: (b, t, n) normalised joints.
+        visible: (b, t) bool, False where padded.
+        commitment: beta.
+        entropy_weight: w.
     """
     nll = -torch.where(visible, output.gaussians.log_prob(u), 0.0).sum() / len(u)
     negative_entropy = -torch.where(visible, output.gaussians.entropy(), 0.0).sum() / len(u)
     reconstruction = nll + entropy_weight * negative_entropy
-    quantization = quantization_loss(output.quantized, visible, commitment)
+    z, z_q = output.quantized.latent, output.quantized.quantized
+    to_code = (z_q.detach() - z).square().sum(-1)
+    to_latent = (z_q - z.detach()).square().sum(-1)
+    quantization = (commitment * to_code + to_latent)[visible].mean()
     return Stage1Loss(reconstruction + quantization, reconstruction, quantization)
-
-
-def quantization_loss(quantized: Quantized, visible: Tensor, commitment: float) -> Tensor:
-    """Sum beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2 on latents, mean over visible (b, t)
-    waypoints.
-    """
-    z, z_q = quantized.latent, quantized.quantized
-    per_waypoint = commitment * (z_q.detach() - z).square().sum(-1) + (
-        z_q - z.detach()
-    ).square().sum(-1)
-    return per_waypoint[visible].mean()
 
 
 class _Waypoints(Dataset):
     """Batches of unrelated waypoints, (batch, row, n)."""
 
     def __init__(
-        self, stage: "Stage1", epoch: int, paths: np.ndarray, rng: np.random.Generator
+        self, stage: "DictionaryStage", epoch: int, paths: np.ndarray, rng: np.random.Generator
     ) -> None:
         self._stage, self._epoch = stage, epoch
         counts = stage.dataset.paths.counts(paths)
@@ -125,7 +122,7 @@ class _Trajectories(Dataset):
     """Batches of whole paths, padded, (batch, t, n)."""
 
     def __init__(
-        self, stage: "Stage1", epoch: int, paths: np.ndarray, rng: np.random.Generator
+        self, stage: "DictionaryStage", epoch: int, paths: np.ndarray, rng: np.random.Generator
     ) -> None:
         self._stage, self._epoch = stage, epoch
         self._paths = rng.permutation(paths)
@@ -154,11 +151,14 @@ class _Trainee(nn.Module):
         self.register_buffer("uses", torch.zeros(config.dictionary.n_codes, dtype=torch.int64))
 
 
-class Stage1(PathStage):
+class DictionaryStage(Stage):
     """Training of a `Dictionary`."""
 
-    module: _Trainee
     selection = "validation_reconstruction"
+    # codes are restarted by what one process has seen
+    many_processes = False
+    module: _Trainee
+    dataset: PathDataset
 
     def __init__(
         self,
@@ -169,9 +169,10 @@ class Stage1(PathStage):
         device: torch.device,
     ) -> None:
         """Prepare to train on a dataset; raises InvalidInputError where that is impossible."""
-        super().__init__(
-            dataset, settings.spacing, settings.turn_base, settings.optimizer, seed, device
-        )
+        super().__init__(settings.optimizer, seed, device)
+        dataset.require_splits()
+        self.dataset = dataset.thinned(settings.spacing)
+        self.turn = BaseTurn(self.dataset, settings.turn_base)
         self.config, self.settings = config, settings
         self.module = _Trainee(config).to(device)
         robot, chain = self.dataset.robot, self.dataset.chain if config.feature_dim else None
@@ -186,13 +187,9 @@ class Stage1(PathStage):
         wanted = 2 * self.config.dictionary.n_codes
         with torch.no_grad():
             for index in range(len(batches)):
-                batch = batches[index]
-                u, visible = (
-                    torch.from_numpy(batch[name]).to(self.device) for name in ("u", "visible")
-                )
-                latents.append(
-                    self.module.dictionary.encoder(self._links.configurations(u))[visible]
-                )
+                batch = self.tensors(batches[index])
+                z = self.module.dictionary.encoder(self._links.configurations(batch["u"]))
+                latents.append(z[batch["visible"]])
                 if sum(len(part) for part in latents) >= wanted:
                     break
         every = torch.ones(self.config.dictionary.n_codes, dtype=torch.bool, device=self.device)

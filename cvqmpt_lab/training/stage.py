@@ -1,19 +1,17 @@
-"""What a training trains: a module with its optimizer, batches, losses and validation;
-`trainer` runs it.
-"""
+"""What a training trains: a module with its optimizer, batches, losses and validation."""
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.utils.data import Dataset
 
-from cvqmpt_lab.training.batches import BaseTurn, SceneBatches, SceneBatchSettings, other_scenes
-from cvqmpt_lab.training.dataset import PathDataset
+from cvqmpt_lab.training.dataset import TrainingData
 from cvqmpt_lab.vqmpt.checkpoint import Trained
 
 
@@ -45,7 +43,11 @@ class OptimizerSettings:
         )
 
     def rate_at(self, step: int, total: int) -> float:
-        """Rate of step 1, 2, ... of `total`."""
+        """Rate of step t = 1, 2, ... of T = total, with w steps of warmup and peak r.
+
+        r t / w until w; then r sqrt(w / t), or r (f + (1 - f) (1 + cos(pi x)) / 2) with
+        x = (t - w) / (T - w) and f = final, or r.
+        """
         warmup = max(self.warmup, 1)
         if step <= warmup or self.schedule == "constant":
             return self.rate * min(1.0, step / warmup)
@@ -58,13 +60,12 @@ class OptimizerSettings:
 
 
 class Stage(ABC):
-    """One of the trainings."""
+    """One of the trainings; `trainer` runs it."""
 
     selection: ClassVar[str]  # the column of the curves whose least value is the best model
-    many_processes: ClassVar[bool] = False  # whether steps depend on gradients alone
+    many_processes: ClassVar[bool] = True  # whether steps depend on gradients alone
     module: nn.Module  # what the optimizer changes and the state keeps
-
-    dataset: Any  # PathDataset or RoadmapDataset
+    dataset: TrainingData
 
     def __init__(self, optimizer: OptimizerSettings, seed: int, device: torch.device) -> None:
         self.optimizer, self.seed, self.device = optimizer, seed, device
@@ -75,9 +76,7 @@ class Stage(ABC):
 
     @abstractmethod
     def batches(self, epoch: int) -> Dataset:
-        """Batches of an epoch:
-        dictionaries of arrays, each a function of seed, epoch and its number.
-        """
+        """Batches of an epoch: arrays by name, each a function of seed, epoch and its number."""
 
     @abstractmethod
     def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -94,64 +93,9 @@ class Stage(ABC):
     def checkpoint(self, metadata: Mapping[str, Any]) -> Trained:
         """The model as it stands, to be saved."""
 
-
-class PathStage(Stage):
-    """A training on paths."""
-
-    dataset: PathDataset
-
-    def __init__(
-        self,
-        dataset: PathDataset,
-        spacing: float | None,
-        turn_base: bool,
-        optimizer: OptimizerSettings,
-        seed: int,
-        device: torch.device,
-    ) -> None:
-        """Prepare to train on waypoints `spacing` [rad] apart;
-        InvalidInputError without paths of both splits.
-        """
-        super().__init__(optimizer, seed, device)
-        dataset.require_splits()
-        self.dataset = dataset.thinned(spacing)
-        self.turn = BaseTurn(self.dataset, turn_base)
-
-
-class SceneStage(PathStage):
-    """A training on paths with the clouds of their scenes."""
-
-    many_processes = True
-
-    def __init__(
-        self,
-        dataset: PathDataset,
-        batches: SceneBatchSettings,
-        optimizer: OptimizerSettings,
-        seed: int,
-        device: torch.device,
-    ) -> None:
-        super().__init__(dataset, batches.spacing, batches.turn_base, optimizer, seed, device)
-        self._settings = batches
-        self._validation = SceneBatches.for_validation(self.dataset, batches, seed)
-
-    def batches(self, epoch: int) -> SceneBatches:
-        """Batches of an epoch."""
-        return SceneBatches.of_epoch(self.dataset, self._settings, self.turn, self.seed, epoch)
-
-    def held_out(self) -> Iterator[tuple[dict[str, Tensor], dict[str, Tensor]]]:
-        """Batches of held-out scenes, and clouds (s, points, 3) by prefix:
-        its own and another scene's, if any.
-        """
-        for index in range(len(self._validation)):
-            arrays = self._validation[index]
-            batch = {
-                name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()
-            }
-            clouds, others = {"": batch["cloud"]}, other_scenes(arrays["scene"])
-            if others is not None:
-                clouds["wrong_cloud_"] = batch["cloud"][others]
-            yield batch, clouds
+    def tensors(self, arrays: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
+        """A batch's arrays on the stage's device."""
+        return {name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()}
 
 
 class Means:
@@ -161,12 +105,12 @@ class Means:
         self._sums: dict[str, tuple[float, float]] = {}
 
     def add(self, name: str, total: float, count: float) -> None:
-        """Take in a sum over `count` values."""
+        """Add a sum over `count` values."""
         earlier = self._sums.get(name, (0.0, 0.0))
         self._sums[name] = earlier[0] + total, earlier[1] + count
 
     def values(self) -> dict[str, float | None]:
-        """Each mean; None where nothing tells it."""
+        """Each mean; None for a sum over no value."""
         return {
             name: total / count if count else None for name, (total, count) in self._sums.items()
         }
