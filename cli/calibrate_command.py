@@ -8,9 +8,8 @@ import numpy as np
 from cli.motion_options import configuration
 from cli.options import writable_file
 from cli.robot_options import add_robot, chosen_robot
-from cvqmpt_lab.codec.plain import to_text
 from cvqmpt_lab.errors import whole_number
-from cvqmpt_lab.files import write_text
+from cvqmpt_lab.files import json_text, write_text
 from cvqmpt_lab.sensing.calibration import calibrate
 from cvqmpt_lab.sensing.camera_files import read_extrinsics
 from cvqmpt_lab.sensing.depth import read_capture
@@ -59,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     )
     for doubt in found.doubts:
         print(f"not trusted: {doubt}")
-    text = to_text({"T_world_camera": found.T_world_camera.tolist()}) + "\n"
+    text = json_text({"T_world_camera": found.T_world_camera.tolist()}) + "\n"
     if found.doubts or args.out is None:
         print(text, end="")
     else:

@@ -11,12 +11,12 @@ import numpy as np
 
 from cli.motion_options import pose_region
 from cli.options import positive_int
-from cvqmpt_lab.codec.plain import from_plain, located, mapping, to_text
+from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidInputError, whole_number
-from cvqmpt_lab.files import json_object, read_json_object
+from cvqmpt_lab.errors import InvalidInputError, located, mapping, whole_number
+from cvqmpt_lab.files import json_object, json_text, read_json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
 
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     configurations = found.configurations.tolist()
     if args.json:
         print(
-            to_text({"joints": list(problem.robot.joint_names), "configurations": configurations})
+            json_text({"joints": list(problem.robot.joint_names), "configurations": configurations})
         )
     else:
         print("\n".join(json.dumps(q) for q in configurations))

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_torch
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.vqmpt.weights import (

@@ -8,7 +8,7 @@ import numpy as np
 from cli.options import log, numbers
 from cli.robot_options import chosen_robot
 from cli.scan_options import scan_of, scan_report, scene_of
-from cvqmpt_lab.codec.plain import field_kinds, from_plain
+from cvqmpt_lab.codec import field_kinds, from_plain
 from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError

@@ -13,7 +13,7 @@ from cli.options import log
 from cli.plan_report import as_json, solution_data
 from cli.planner_options import budget
 from cli.show_options import show_solution
-from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.planners import planner_named

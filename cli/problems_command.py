@@ -6,14 +6,14 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+import cvqmpt_lab
 from cli.options import ProgressBar, positive_int, writable_file
 from cli.robot_options import add_robot, robot_source
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SUITES
-from cvqmpt_lab.codec.json_schema import FOLDER
-from cvqmpt_lab.codec.plain import to_plain, to_text
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.files import make_folder, read_text, write_text
+from cvqmpt_lab.files import json_text, make_folder, read_text, write_text
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.urdf import read_urdf
@@ -80,8 +80,9 @@ def _new(args: argparse.Namespace) -> int:
     kind, made_for = ("task", task_template) if args.task else ("problem", template)
     made = made_for(robot_source(args) or {"name": "panda"})
     schema = made["$schema"]
-    write_text(writable_file(path), to_text({**made, "name": path.stem}) + "\n")
-    write_text(path.parent / schema, read_text(FOLDER / schema))
+    write_text(writable_file(path), json_text({**made, "name": path.stem}) + "\n")
+    schemas = Path(cvqmpt_lab.__file__).parent / "schemas"
+    write_text(path.parent / schema, read_text(schemas / schema))
     print(
         f"{path} written, and {schema} for editors; plan it with: cvqmpt plan --{kind}-file {path}"
     )
@@ -97,7 +98,7 @@ def _import(args: argparse.Namespace) -> int:
     if path.exists():
         raise InvalidInputError(f"{path} is there already; name another file with --out")
     scene, frame = read_moveit_scene(source)
-    write_text(writable_file(path), to_text(to_plain(scene)) + "\n")
+    write_text(writable_file(path), json_text(to_plain(scene)) + "\n")
     seen = f"frame {frame!r}" if frame else "the file's frame"
     print(
         f"{path} written: {len(scene.objects)} objects; {seen} is taken for the robot's base frame"
@@ -125,7 +126,7 @@ def _export(args: argparse.Namespace) -> int:
         comment = {}
         if args.goals and isinstance(problem, PlanningProblem) and problem.goal_region is not None:
             problem, comment = with_sampled_goals(problem)[0], {"_comment": GOALS_WIN}
-        text = to_text({**comment, **problem.to_dict()}) + "\n"
+        text = json_text({**comment, **problem.to_dict()}) + "\n"
         write_text(args.out / f"{args.what}-{index:03d}.json", text)
     return 0
 

@@ -10,8 +10,7 @@ from typing import Any
 
 from cli.options import not_negative, numbers
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
-from cvqmpt_lab.codec.plain import mapping
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, mapping
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source

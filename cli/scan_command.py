@@ -9,9 +9,9 @@ from cli.motion_options import configuration
 from cli.options import writable_file
 from cli.robot_options import add_robot, chosen_robot
 from cli.scan_options import add_scan, scan_of, scan_report, scene_of
-from cvqmpt_lab.codec.plain import to_plain, to_text
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.files import write_text
+from cvqmpt_lab.files import json_text, write_text
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cloud_files import WRITERS, write_cloud
 from cvqmpt_lab.sensing.scan import Arm, refuse_touching
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     print("\n".join(scan_report(made, args.files)))
     for path in args.out:
         if path.suffix == SCENE:
-            write_text(path, to_text(to_plain(scene)) + "\n")
+            write_text(path, json_text(to_plain(scene)) + "\n")
         else:
             write_cloud(path, made.points)
         print(f"written to {path}")

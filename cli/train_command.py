@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.options import ProgressBar, log, own_command, positive, positive_int
-from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError, require_torch, whole_number
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance

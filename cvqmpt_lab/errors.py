@@ -4,12 +4,14 @@ with code 2.
 Failing to plan is a result (`PlanStatus`), never an exception.
 """
 
+import contextlib
 import difflib
 import importlib.util
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from numbers import Integral
 from pathlib import Path
+from typing import Any
 
 LISTED = 60  # choices that a message lists at most
 LONGEST = 120  # characters of a value that a message shows
@@ -93,6 +95,40 @@ def require_kind(what: str, value: object, kind: type, cure: str = "") -> None:
     if not isinstance(value, kind):
         found = f"{what} is a {type(value).__name__}, {shown(value)}"
         raise InvalidInputError(f"{found}; it must be a {kind.__name__}{cure and f': {cure}'}")
+
+
+@contextlib.contextmanager
+def located(where: str) -> Iterator[None]:
+    """Put `where` in front of the message of an error raised inside."""
+    try:
+        yield
+    except CvqmptError as error:
+        if not where:
+            raise
+        kind = type(error) if isinstance(error, InvalidInputError) else InvalidInputError
+        raise kind(f"{where}: {error}") from error
+
+
+def unique(names: Iterable[str], where: str) -> None:
+    """Refuse a name that occurs twice."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise InvalidInputError(f"{where}: {shown(name)} occurs twice; names must be unique")
+        seen.add(name)
+
+
+def at(where: str, field: str) -> str:
+    """The place of a field for errors, as `object.field`."""
+    return f"{where}.{field}" if where and not where.endswith(" ") else f"{where}{field}"
+
+
+def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
+    """Return a json object; refuse anything else, naming its fields."""
+    if not isinstance(value, Mapping):
+        must = f"an object with {fields}" if fields else "an object"
+        raise InvalidInputError(f"{where or 'this'} is {shown(value)}; it must be {must}")
+    return value
 
 
 def torch_installed() -> bool:

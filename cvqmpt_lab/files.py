@@ -272,3 +272,67 @@ def finite(value: Any) -> Any:
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     return [finite(item) for item in value] if isinstance(value, list) else value
+
+
+def json_text(plain: Any, indent: int = 0, line: int = 120) -> str:
+    """Json text; rows of numbers, matrices of poses and what else fits stand on one line."""
+    flat = json.dumps(plain, allow_nan=False)
+    if not isinstance(plain, dict | list) or len(flat) + indent <= line or _is_row(plain):
+        return flat
+    heads = (
+        [f"{json.dumps(key)}: " for key in plain] if isinstance(plain, dict) else [""] * len(plain)
+    )
+    items = plain.values() if isinstance(plain, dict) else plain
+    lines = [head + json_text(item, indent + 1) for head, item in zip(heads, items, strict=True)]
+    brackets, pad = "{}" if isinstance(plain, dict) else "[]", "\n" + " " * (indent + 1)
+    return brackets[0] + pad + f",{pad}".join(lines) + pad[:-1] + brackets[1]
+
+
+def _is_row(plain: Any) -> bool:
+    """Whether it is a list of numbers, or a small matrix."""
+    if not isinstance(plain, list):
+        return False
+    rows = [item for item in plain if not isinstance(item, float | int | None)]
+    small = (
+        all(isinstance(row, list) and _is_row(row) for row in rows) and sum(map(len, rows)) <= 16
+    )
+    return not rows or (small and len(rows) == len(plain))
+
+
+def yaml_value(text: str) -> Any:
+    """Dicts, lists, text and numbers of a yaml text; no tags, no aliases (a few of which grow
+    without end), no key twice. yaml's own errors for what is no yaml.
+    """
+    import yaml  # planning without such files need not pay for it
+
+    class Loader(yaml.SafeLoader):
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                raise InvalidInputError("it has an alias (*name); write the value out")
+            return super().compose_node(parent, index)
+
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict:
+            keys = [self.construct_object(key) for key, _ in node.value]
+            twice = next((key for k, key in enumerate(keys) if key in keys[:k]), None)
+            if twice is not None:
+                raise InvalidInputError(f"key {twice!r} occurs twice")
+            return super().construct_mapping(node, deep)
+
+    # 1e-3 too
+    number = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
+    return yaml.load(text, Loader)
+
+
+def differences(recorded: object, asked: object, name: str = "") -> list[str]:
+    """Describe every setting in which two json values differ, nested ones by dotted name."""
+    if not (isinstance(recorded, dict) and isinstance(asked, dict)):
+        return (
+            []
+            if recorded == asked
+            else [f"{name} was {json.dumps(recorded)}, now {json.dumps(asked)}"]
+        )
+    found = []
+    for key in sorted(recorded.keys() | asked.keys()):
+        found += differences(recorded.get(key), asked.get(key), f"{name}.{key}" if name else key)
+    return found

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import LARGEST, TURN, Array, FloatArray, Schema
-from cvqmpt_lab.codec.plain import from_plain
+from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.values import LARGEST, TURN, Array, FloatArray
 
 ORTHONORMAL = 1e-6 + 1e-5 * np.eye(3)  # how far R R^T of a rotation matrix may be from the identity
 MATRIX = Array((4, 4), "numbers, or {xyz, rpy} or {xyz, quaternion}")
@@ -83,8 +83,6 @@ class Placement:
 class PoseForm:
     """A matrix, or a position with angles or a quaternion."""
 
-    title = "pose"
-
     def read(self, value: Any, where: str) -> FloatArray:
         """A read-only rigid pose (4, 4)."""
         if isinstance(value, Mapping):
@@ -110,10 +108,6 @@ class PoseForm:
             if np.array_equal(value[:3, :3], np.eye(3))
             else value.tolist()
         )
-
-    def schema(self, of: Schema) -> dict[str, Any]:
-        """Either."""
-        return {"oneOf": [of(Placement), MATRIX.schema(of)]}
 
 
 Pose = Annotated[FloatArray, PoseForm()]

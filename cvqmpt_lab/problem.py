@@ -21,17 +21,17 @@ pose is {"xyz", "rpy"}, {"xyz", "quaternion"} or a 4x4 matrix. Goals are drawn f
 only if no goals are given.
 """
 
+from __future__ import annotations  # so `help` shows forms by their names
+
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import TURN, Condition, FloatArray, Name, OneOrMore, Schema
-from cvqmpt_lab.codec.plain import Document, mapping, unique
+from cvqmpt_lab.codec import Document, OneOrMore
 from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region, why_none
 from cvqmpt_lab.constraints.named import Region
@@ -41,15 +41,14 @@ from cvqmpt_lab.constraints.task_space_region import (
     RegionConstraint,
     TaskSpaceRegionChain,
 )
-from cvqmpt_lab.errors import InvalidProblemError
+from cvqmpt_lab.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.robot.mechanism import ArticulatedObject
-from cvqmpt_lab.robot.named_states import StateForm, StatesForm, numbers_of
+from cvqmpt_lab.robot.named_states import State, numbers_of
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.source import ARTICULATED, NamedRobot, UrdfRobot, seen_from
 from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
 from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.scene.units import refuse_far, refuse_far_poses, report_out_of_reach
+from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name
 
 MOST_REGIONS = 32  # of one constraint
 MOST_CLEARANCE = 0.2  # [m]
@@ -69,18 +68,8 @@ class RobotForm:
         """Its source."""
         return value.source
 
-    def schema(self, of: Schema) -> dict[str, Any]:
-        """An arm by name, or a URDF; either with an articulated object."""
-        door = {"anyOf": [{"type": "null"}, of(ArticulatedObject)]}
-        kinds = [of(NamedRobot), of(UrdfRobot)]
-        return {
-            "anyOf": [
-                {**kind, "properties": {**kind["properties"], ARTICULATED: door}} for kind in kinds
-            ]
-        }
 
-
-class GoalsForm(StatesForm):
+class GoalsForm(Array):
     """Configurations, perhaps none."""
 
     def read(self, value: Any, where: str) -> FloatArray:
@@ -90,13 +79,13 @@ class GoalsForm(StatesForm):
         )
 
 
+RobotOfSource = Annotated[Robot, RobotForm()]
+States = Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")]
+Regions = Annotated[tuple[Region, ...], OneOrMore(Region)]
 Clearance = Annotated[
     float,
     Condition(
-        float,
-        lambda x: 0.0 <= x <= MOST_CLEARANCE,
-        f"a distance from 0 to {MOST_CLEARANCE:g} [m]",
-        {"minimum": 0, "maximum": MOST_CLEARANCE},
+        float, lambda x: 0.0 <= x <= MOST_CLEARANCE, f"a distance from 0 to {MOST_CLEARANCE:g} [m]"
     ),
 ]
 
@@ -106,20 +95,17 @@ class PlanningProblem(Document):
     """One constrained motion planning problem."""
 
     SCHEMA: ClassVar[str] = "cvqmpt-problem/1"
+    with_named_files = staticmethod(with_files_read)
 
     name: Name  # What it is called in results
-    robot: Annotated[Robot, RobotForm()]  # What moves; n is the number of its joints
+    robot: RobotOfSource  # What moves; n is the number of its joints
     scene: NamedScene  # What it must not touch
-    start: Annotated[FloatArray, StateForm((None,), "numbers [rad or m]")] = field(
-        default_factory=lambda: np.empty(0)
-    )
-    """(n,) [rad or m], drawn from `start_region` if empty."""
-    goals: Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")] = field(
-        default_factory=lambda: np.empty((0, 0))
-    )
-    """(k, n) [rad or m], drawn from `goal_region` if there are none."""
+    # (n,) [rad or m], drawn from `start_region` if empty
+    start: State = field(default_factory=lambda: np.empty(0))
+    # (k, n) [rad or m], drawn from `goal_region` if there are none
+    goals: States = field(default_factory=lambda: np.empty((0, 0)))
     # Regions that the end effector must stay in
-    constraint: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
+    constraint: Regions = ()
     attachments: tuple[Attachment, ...] = ()  # What the hand carries
     goal_region: Region | None = None  # End-effector poses that count as a goal
     # End-effector poses from which the start is drawn, within the constraint
@@ -127,8 +113,7 @@ class PlanningProblem(Document):
     # That robot and what it carries keep from obstacles [m]; planned and certified
     clearance: Clearance = 0.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         self._check_regions()
         if (len(self.start) == 0) == (self.start_region is None):
             raise InvalidProblemError(
@@ -152,14 +137,6 @@ class PlanningProblem(Document):
             f"constraint  {bounds_text(self.constraint)}\n"
             f"start       {' '.join(f'{x:.3f}' for x in self.start)}"
         )
-
-    @classmethod
-    def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """Json with the clouds and meshes of its scene, and the robot's files as seen from the
-        folder.
-        """
-        data = with_files_read(data, folder)
-        return data | {"robot": seen_from(folder, data["robot"])} if "robot" in data else data
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
@@ -253,7 +230,7 @@ class PlanningProblem(Document):
         """The constraint as a function F(q)."""
         return RegionConstraint(self.robot, self.constraint)
 
-    def with_goals(self, goals: np.ndarray) -> "PlanningProblem":
+    def with_goals(self, goals: np.ndarray) -> PlanningProblem:
         """The same problem with goal configurations (k, n)."""
         return replace(self, goals=goals)
 

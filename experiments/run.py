@@ -10,8 +10,13 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
-from cvqmpt_lab.codec.plain import located
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, whole_number
+from cvqmpt_lab.errors import (
+    CvqmptError,
+    InvalidInputError,
+    UnknownChoiceError,
+    located,
+    whole_number,
+)
 from cvqmpt_lab.external import is_external
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import is_removed, planner_named, require_fit

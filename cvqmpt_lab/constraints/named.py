@@ -6,19 +6,27 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import Angle, Condition, Schema
-from cvqmpt_lab.codec.plain import COMMENT, at, field_kinds, from_plain, located, mapping, to_plain
+from cvqmpt_lab.codec import COMMENT, field_kinds, from_plain, to_plain
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     TaskSpaceRegion,
     TaskSpaceRegionChain,
     upright,
 )
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, nearest, shown
+from cvqmpt_lab.errors import (
+    InvalidInputError,
+    UnknownChoiceError,
+    at,
+    located,
+    mapping,
+    nearest,
+    shown,
+)
 from cvqmpt_lab.poses import Placement, Pose, pose
+from cvqmpt_lab.values import Angle, Condition
 
 Vector = tuple[float, float, float]
-Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more", {"minimum": 0})]
+Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")]
 
 
 @dataclass(frozen=True)
@@ -144,8 +152,6 @@ def _along(point: Vector, direction: Vector) -> np.ndarray:
 class RegionForm:
     """A region, one that hangs on a frame of the robot when it has a "base", or one of `NAMED`."""
 
-    title = "region"
-
     def read(self, value: Any, where: str) -> TaskSpaceRegion:
         """Make the region, in full."""
         if isinstance(value, TaskSpaceRegion):
@@ -173,16 +179,6 @@ class RegionForm:
     def write(self, value: TaskSpaceRegion) -> Any:
         """The region in full."""
         return to_plain(value)
-
-    def schema(self, of: Schema) -> dict[str, Any]:
-        """Schema of regions in full and by name."""
-        regions = [of(TaskSpaceRegion), of(TaskSpaceRegionChain)]
-        for name, kind in NAMED.items():
-            first = next(iter(field_kinds(kind).values()))
-            contents = {name: {"anyOf": [of(first), of(kind)]}, COMMENT: {}}
-            form = {"type": "object", "properties": contents, "required": [name]}
-            regions.append({**form, "additionalProperties": False})
-        return {"anyOf": regions}
 
 
 Region = Annotated[TaskSpaceRegion, RegionForm()]

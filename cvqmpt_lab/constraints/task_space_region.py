@@ -2,6 +2,8 @@
 paper, section IV-A).
 """
 
+from __future__ import annotations  # so `help` shows forms by their names
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -9,13 +11,13 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import TURN, FloatArray, Name, Schema, numbers
-from cvqmpt_lab.codec.plain import Checked
+from cvqmpt_lab.codec import Checked
 from cvqmpt_lab.constraints.project import project, projection_scratch
 from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.errors import InvalidInputError, shown
 from cvqmpt_lab.poses import Pose, rotation_matrices
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.values import TURN, FloatArray, Name, numbers
 
 TOLERANCE = 1e-4  # on |F|, OMPL's default
 MAX_ITERATIONS = 50  # Newton steps, OMPL's default
@@ -65,16 +67,8 @@ class BoundsForm:
         """Rows, infinite bounds as null."""
         return [[None if np.isinf(bound) else float(bound) for bound in row] for row in value]
 
-    def schema(self, of: Schema) -> dict[str, Any]:
-        """Six pairs of numbers or null."""
-        pair = {
-            "type": "array",
-            "items": {"type": ["number", "null"]},
-            "minItems": 2,
-            "maxItems": 2,
-        }
-        rows = [{**pair, "title": row} for row in ROWS]
-        return {"type": "array", "prefixItems": rows, "minItems": 6, "maxItems": 6}
+
+Bounds = Annotated[FloatArray, BoundsForm()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +77,7 @@ class TaskSpaceRegion(Checked):
 
     T0_w: Pose  # (4, 4), pose of w in the world
     Tw_e: Pose  # (4, 4), pose of e in w when the displacement is zero
-    Bw: Annotated[FloatArray, BoundsForm()]
+    Bw: Bounds
     """(6, 2), lower and upper bounds of position x, y, z [m] and rotation vector x, y, z [rad];
     +-inf (null in json) leaves an entry free, a rotation entry also when it spans [-pi, pi].
     """

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import locked, make_folder, read_json_object, write_text
 from cvqmpt_lab.results.provenance import provenance

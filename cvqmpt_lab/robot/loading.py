@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.codec.plain import from_plain, mapping
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.errors import InvalidInputError, mapping
 from cvqmpt_lab.robot.hulls import link_geometry, replace_meshes_by_hulls
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (

@@ -3,6 +3,8 @@
 Planners and kernels treat the door as part of the arm: its pieces are links, its handle is a frame.
 """
 
+from __future__ import annotations  # so `help` shows forms by their names
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -10,12 +12,12 @@ from typing import Annotated, Literal
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.codec.forms import Array, FloatArray, Length, Name
-from cvqmpt_lab.codec.plain import Checked, to_plain, unique
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.codec import Checked, to_plain
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, unique
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume
 from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, kinematics_arrays
+from cvqmpt_lab.values import Array, FloatArray, Length, Name
 
 JOINT_MODELS = {"hinge": pin.JointModelRZ, "slider": pin.JointModelPZ}
 
@@ -28,8 +30,7 @@ class Part(Checked):
     T: Pose  # (4, 4), in the joint frame at value 0 for a piece that moves, else in the world
     vertices: Annotated[FloatArray, Array((None, 3), "corners [m]")]  # (n, 3), in its own frame [m]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         require_volume(self.vertices, f"part {self.name!r}")
 
 
@@ -49,8 +50,7 @@ class ArticulatedObject(Checked):
     velocity: Length = 1.0  # limit [rad/s or m/s]; only timing a path needs it
     acceleration: Length = 2.0  # limit [rad/s^2 or m/s^2]; only timing a path needs it
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         what = f"articulated object {self.name!r}"
         if not self.lower < self.upper:
             raise InvalidInputError(

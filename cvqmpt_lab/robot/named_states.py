@@ -3,30 +3,16 @@
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from cvqmpt_lab.codec.forms import Array, Schema
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 from cvqmpt_lab.files import read_text
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import read_source
+from cvqmpt_lab.values import Array, FloatArray
 
-
-class StateForm(Array):
-    """A configuration: numbers; in a file also {"joint": value} or the name of a group_state."""
-
-    def schema(self, of: Schema) -> dict[str, Any]:
-        """One of the three."""
-        named = {"type": "object", "additionalProperties": {"type": "number"}}
-        return {"anyOf": [super().schema(of), named, {"type": "string"}]}
-
-
-class StatesForm(Array):
-    """Several of them."""
-
-    def schema(self, of: Schema) -> dict[str, Any]:
-        """A list."""
-        return {"type": "array", "items": StateForm(self.shape[1:], self.what).schema(of)}
+State = Annotated[FloatArray, Array((None,), "numbers [rad or m]")]
+"""A configuration: numbers; in a file also {"joint": value} or the name of a group_state."""
 
 
 def numbers_of(robot: Robot, value: Any, where: str) -> Any:

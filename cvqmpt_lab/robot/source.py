@@ -11,11 +11,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
-from cvqmpt_lab.codec.forms import FloatArray, Schema, numbers
-from cvqmpt_lab.codec.plain import from_plain, located, mapping
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, mapping
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.urdf import collada_unit
+from cvqmpt_lab.values import FloatArray, numbers
 
 ARTICULATED = "articulated"
 WHERE = "robot"  # the field's name in errors
@@ -33,10 +33,6 @@ class PerJoint:
     def write(self, value: FloatArray) -> Any:
         """The same in json."""
         return value.tolist()
-
-    def schema(self, of: Schema) -> dict[str, Any]:
-        """Either."""
-        return {"oneOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

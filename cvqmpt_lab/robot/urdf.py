@@ -15,8 +15,7 @@ from numbers import Real
 from pathlib import Path
 from typing import NamedTuple
 
-from cvqmpt_lab.codec.plain import located
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, shown
 from cvqmpt_lab.files import read_text, require_regular_file
 
 TURN = 2.0 * math.pi  # [rad] a continuous joint turns by up to this much either way

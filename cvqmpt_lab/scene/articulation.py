@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.hulls import hull_vertices
@@ -13,6 +12,7 @@ from cvqmpt_lab.robot.mechanism import ArticulatedObject, Part
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
+from cvqmpt_lab.values import FloatArray
 
 # [m] pieces that come closer to the object somewhere on its path are part of its casing, ...
 REST_GAP = 1e-3

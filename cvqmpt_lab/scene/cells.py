@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.scene.shapes import Measured, OccupancyMap, PointCloud, require_resolution
+from cvqmpt_lab.values import FloatArray
 
 # clouds of more points are checked as boxes, which hold the balls and a little more
 MOST_BALLS = 1000

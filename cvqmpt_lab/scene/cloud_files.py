@@ -16,9 +16,9 @@ from typing import NamedTuple
 import lzf
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import read_bytes, write_bytes
+from cvqmpt_lab.values import FloatArray
 
 MOST_BYTES = 2**31  # of a file
 MOST_COLUMNS = 1000  # of a row

@@ -18,8 +18,8 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.scene.shapes import MIN_THICKNESS, check_volume, thickness
+from cvqmpt_lab.values import FloatArray
 
 MOST_PIECES = 48
 MOST_VERTICES = 120  # of a hull

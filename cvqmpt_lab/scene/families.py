@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, whole_number
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.kitchen import KitchenParameters, kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
+from cvqmpt_lab.values import FloatArray
 
 CUBE_EDGE = 0.2  # edge of the cubes [m]
 SPHERE_RADIUS = 0.15  # radius of the spheres [m]

@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass
 
-from cvqmpt_lab.codec.forms import Length
-from cvqmpt_lab.codec.plain import Checked
+from cvqmpt_lab.codec import Checked
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.values import Length
 
 WALL_CELLS = {"dagger": 2, "sektion": 3}  # cells of each row, counted from its right end (-y)
 
@@ -111,8 +111,7 @@ class KitchenParameters(Checked):
     drawer_handle_standoff: Length = 0.0345
     hitman_handle_drop: Length = 0.039  # bar axis below the front panel's upper edge
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         for fits, broken in _fitting_rules(self):
             if not fits:
                 raise InvalidInputError(f"KitchenParameters do not fit together: {broken}")

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.urdf import collada_unit
 from cvqmpt_lab.scene.cloud_files import check_lengths, file_bytes, kind_of, parsing
 from cvqmpt_lab.scene.convex import convex_pieces
+from cvqmpt_lab.values import FloatArray
 
 MOST_TRIANGLES = 200_000
 ROOM = 20.0  # [m] within which at least half of a mesh must lie

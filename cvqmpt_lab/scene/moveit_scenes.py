@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray, numbers
-from cvqmpt_lab.codec.plain import at, from_plain, located, mapping
-from cvqmpt_lab.codec.safe_yaml import yaml_value
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, at, located, mapping, shown
+from cvqmpt_lab.files import yaml_value
 from cvqmpt_lab.poses import Placement
 from cvqmpt_lab.robot.source import SCHEME, in_package
 from cvqmpt_lab.scene.cloud_files import file_bytes, kind_of, parsing
@@ -24,6 +23,7 @@ from cvqmpt_lab.scene.convex import convex_pieces
 from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, read_mesh
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
+from cvqmpt_lab.values import FloatArray, numbers
 
 LARGEST = 2**24  # [bytes] of a file
 SOLIDS = {"box": 3, "sphere": 1, "cylinder": 2}  # and the number of their sizes

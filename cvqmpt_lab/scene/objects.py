@@ -8,11 +8,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.kitchen_parameters import KitchenParameters
 from cvqmpt_lab.scene.scene import Articulation, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
+from cvqmpt_lab.values import FloatArray
 
 Span = tuple[float, float]
 

@@ -5,6 +5,8 @@ Poses are 4x4 arrays `T_world_x` that map points of frame x into the world frame
 base link frame. Lengths in [m], angles in [rad].
 """
 
+from __future__ import annotations  # so `help` shows forms by their names
+
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,11 +14,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray, Name, Schema
-from cvqmpt_lab.codec.plain import Checked, from_plain, to_plain, unique
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+from cvqmpt_lab.codec import Checked, from_plain, to_plain
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown, unique
 from cvqmpt_lab.poses import Pose, pose
 from cvqmpt_lab.scene.shapes import OccupancyMap, Shape
+from cvqmpt_lab.values import FloatArray, Name
 
 SHOWN = 8  # names of objects in the `repr` of a scene
 
@@ -44,8 +46,7 @@ class Articulation(Checked):
     # names of the objects it moves; the scene stores their poses at `value`
     moves: tuple[Name, ...]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if self.lower > self.upper:
             raise InvalidInputError(
                 f"articulation {self.name!r}: lower {self.lower} is above upper {self.upper}"
@@ -85,8 +86,7 @@ class Scene(Checked):
     articulations: tuple[Articulation, ...] = ()
     """Hinges and sliders; each object is moved by one of them at most."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         scene = f"scene {self.name!r}"
         unique(self.names, f"objects of {scene}")
         unique((item.name for item in self.articulations), f"articulations of {scene}")
@@ -141,11 +141,11 @@ class Scene(Checked):
         choices = [item.name for item in self.articulations]
         raise UnknownChoiceError(f"articulation of scene {self.name!r}", name, choices)
 
-    def with_objects(self, *objects: SceneObject) -> "Scene":
+    def with_objects(self, *objects: SceneObject) -> Scene:
         """Return a scene with these objects added at the end."""
         return replace(self, objects=self.objects + objects)
 
-    def without(self, *names: str) -> "Scene":
+    def without(self, *names: str) -> Scene:
         """Return a scene without these objects; articulations that then move nothing go too."""
         gone = {self[name].name for name in names}
         moves = (
@@ -159,7 +159,7 @@ class Scene(Checked):
             articulations=tuple(item for item in joints if item.moves),
         )
 
-    def with_joint(self, name: str, value: float) -> "Scene":
+    def with_joint(self, name: str, value: float) -> Scene:
         """Return a scene with the articulation `name` at `value` [rad] or [m], its objects
         re-posed.
 
@@ -206,12 +206,6 @@ class SceneForm:
         """In full."""
         return to_plain(value)
 
-    def schema(self, of: Schema) -> dict[str, Any]:
-        """Either."""
-        return {
-            "anyOf": [of(Scene), {"type": "string", "description": "json file that holds a scene"}]
-        }
-
 
 NamedScene = Annotated[Scene, SceneForm()]
 
@@ -224,8 +218,7 @@ class Attachment(Checked):
     shape: Shape  # the geometry, in the object frame
     T_hand_object: Pose  # (4, 4), pose of the shape in the end-effector frame [m]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if isinstance(self.shape, OccupancyMap):
             raise InvalidInputError(
                 f"attachment {self.name!r} is an occupancy map; what is carried is a solid or a "

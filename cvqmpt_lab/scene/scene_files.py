@@ -11,8 +11,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec.plain import from_plain, located
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.errors import located
 from cvqmpt_lab.files import read_json_object, require_regular_file
+from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import (
@@ -29,7 +31,8 @@ log = logging.getLogger(__name__)
 
 
 def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Json of a problem or task with the files read that its scene and attachments name.
+    """Json of a problem or task with the files read that its scene and attachments name, and the
+    paths of its robot's files made absolute.
 
     data: not changed; its scene may be the path of a json file; what is no object with a shape by
         path stays as it is.
@@ -42,6 +45,8 @@ def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
         read["scene"] = _scene(data["scene"], folder)
     if "attachments" in data:
         read["attachments"] = _expanded(data["attachments"], folder, "attachments")[0]
+    if "robot" in data:
+        read["robot"] = seen_from(folder, data["robot"])
     return read
 
 

@@ -4,6 +4,8 @@ occupancy maps.
 A shape lives in its own frame; `SceneObject` places it in the world. Lengths are in [m].
 """
 
+from __future__ import annotations  # so `help` shows forms by their names
+
 import itertools
 import math
 from dataclasses import dataclass
@@ -11,9 +13,9 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import LARGEST, Array, FloatArray, Length, Name, Padding, Tagged
-from cvqmpt_lab.codec.plain import Checked
+from cvqmpt_lab.codec import Checked, Tagged
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.values import LARGEST, Array, FloatArray, Length, Name, Padding
 
 Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]", LARGEST)]
 FINEST = 1e-3  # [m] edge of a map's cells, below which indices would be measuring noise
@@ -131,8 +133,7 @@ class ConvexMesh(Checked):
 
     vertices: Points  # (n, 3), four or more, not all in one plane [m]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         check_volume(self.vertices, "vertices")
 
 
@@ -143,8 +144,7 @@ class PointCloud(Checked):
     points: Points  # (n, 3), ball centres [m]
     radius: Length  # of every ball [m]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if len(self.points) == 0:
             raise InvalidInputError("PointCloud.points is empty: give one or more")
 
@@ -162,8 +162,7 @@ class OccupancyMap(Checked):
     resolution: Length = 0.02  # edge of every cube [m]
     padding: Padding = 0.0  # inflation radius of every cube, to all sides [m]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if len(self.cells) == 0:
             raise InvalidInputError(
                 "OccupancyMap.cells is empty: leave the object out of the scene"

@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 
-from cvqmpt_lab.codec.plain import at
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, at
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Measured, Sphere, bounding_radius
 

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.sensing.icp import Surface, arm_surface, point_to_plane_icp, small_motions
 from cvqmpt_lab.sensing.scan import Arm
+from cvqmpt_lab.values import FloatArray
 
 PIXEL = 0.01  # edge of a pixel of the depth picture [tangent]: a few measured points in each
 WIDEST = 0.2  # cosine of the angle from the middle of the cloud beyond which points are left out

@@ -12,14 +12,13 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import Condition, FloatArray, Length
-from cvqmpt_lab.codec.plain import Checked
+from cvqmpt_lab.codec import Checked
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.values import Condition, FloatArray, Length
 
 MOST_PIXELS = 2**14  # of a side of an image
 Pixels = Annotated[
-    int,
-    Condition(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels", {"minimum": 1}),
+    int, Condition(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels")
 ]
 
 
@@ -36,8 +35,7 @@ class Intrinsics(Checked):
     near: float = 0.0  # [m] virtual cameras look through nearer surfaces
     far: float = 1000.0  # [m] and do not see farther ones
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if not (0.0 <= self.cx < self.width and 0.0 <= self.cy < self.height):
             raise InvalidInputError(
                 f"intrinsics: principal point ({self.cx:g}, {self.cy:g}) is outside the image of "

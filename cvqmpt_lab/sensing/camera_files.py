@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import Array, FloatArray
-from cvqmpt_lab.codec.plain import from_plain, located, mapping
-from cvqmpt_lab.codec.safe_yaml import yaml_value
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import json_value
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.errors import InvalidInputError, located, mapping
+from cvqmpt_lab.files import json_value, yaml_value
 from cvqmpt_lab.poses import MATRIX, Placement, Pose
 from cvqmpt_lab.scene.cloud_files import file_bytes, kind_of, parsing
 from cvqmpt_lab.sensing.camera import Intrinsics
+from cvqmpt_lab.values import Array, FloatArray
 
 LARGEST = 2**16  # [bytes] of a file; calibrations take one thousand
 ROUNDED = 1e-3  # that a rotation matrix may be from orthonormal: three digits were written down

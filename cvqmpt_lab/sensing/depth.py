@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
-from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_bytes, write_text
 from cvqmpt_lab.scene.cloud_files import (
@@ -25,6 +24,7 @@ from cvqmpt_lab.scene.cloud_files import (
 from cvqmpt_lab.sensing.camera import Intrinsics
 from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.render import View
+from cvqmpt_lab.values import FloatArray
 
 MILLIMETRES = 0.001  # [m] of one unit of a 16-bit image, as depth cameras write them
 SIXTEEN_BITS = ("I;16", "I;16B", "I;16L")  # what Pillow calls them

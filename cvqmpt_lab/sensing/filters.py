@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import LinkGeometry, Robot
+from cvqmpt_lab.values import FloatArray
 
 # grids of at most this many cells a point are counted cell by cell, which needs no sorting
 DENSE = 8

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm
+from cvqmpt_lab.values import FloatArray
 
 # [m] samples deeper inside another piece of the arm are not part of its outer surface
 BURIED = -1e-3

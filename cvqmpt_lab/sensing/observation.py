@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.disk_cache import cached_arrays, sources_digest
 from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.latest import Latest

@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.cells import distinct, map_of_points
 from cvqmpt_lab.scene.shapes import OccupancyMap, require_resolution
 from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm
+from cvqmpt_lab.values import FloatArray
 
 MOST_CELLS = 1 << 27  # of the box in which unknown cells are searched; one byte each
 

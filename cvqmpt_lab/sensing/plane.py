@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.values import FloatArray
 
 TOLERANCE = 0.01  # [m] from a plane that counts as on it: table tops bend, and cameras err
 TRIPLES = 1000  # planes tried; one in a hundred lies on a table that is a fifth of the cloud

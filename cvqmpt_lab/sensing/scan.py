@@ -8,7 +8,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
@@ -28,6 +27,7 @@ from cvqmpt_lab.sensing.plane import (
     on_table,
     supporting_plane,
 )
+from cvqmpt_lab.values import FloatArray
 
 NEIGHBOURHOOD = 3.0  # voxels around a point in which its neighbours are counted
 RESOLUTION = 0.02  # edge of a map's cells [m]

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
@@ -15,6 +14,7 @@ from cvqmpt_lab.sensing.camera import Camera, Intrinsics, cameras_on_sphere
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.sensing.noise import DepthNoise, MaterialShares, measured
 from cvqmpt_lab.sensing.render import Ball, Cuboid, Polytope, Solid, SolidCylinder, View, view_of
+from cvqmpt_lab.values import FloatArray
 
 PUBLISHED_CAMERAS = cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0))
 

@@ -15,24 +15,24 @@ What is grasped is carried as the scene has it, shape and pose. Contact counts a
 an object a gap of 1 mm or more from what it stands on.
 """
 
+from __future__ import annotations  # so `help` shows forms by their names
+
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import FloatArray, Name, OneOrMore, Tagged
-from cvqmpt_lab.codec.plain import Checked, Document, located, mapping, unique
+from cvqmpt_lab.codec import Checked, Document, OneOrMore, Tagged
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, mapping, shown, unique
 from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.robot.named_states import StateForm, numbers_of
-from cvqmpt_lab.robot.source import seen_from
+from cvqmpt_lab.robot.named_states import State, numbers_of
 from cvqmpt_lab.scene.scene import Articulation, Attachment, NamedScene, Scene, SceneObject
 from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach
+from cvqmpt_lab.values import Name
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Move(Checked):
     through: Annotated[tuple[Region, ...], OneOrMore(Region)] = ()
 
     @property
-    def legs(self) -> tuple["Move", ...]:
+    def legs(self) -> tuple[Move, ...]:
         """Moves to each of the regions of `through`, "NAME/1" and so on, and the one to the goal."""
         stops = (
             replace(self, name=f"{self.name}/{k}", goal=region, through=())
@@ -136,11 +136,12 @@ class Task(Document):
     """A named sequence of phases of a robot in a scene."""
 
     SCHEMA: ClassVar[str] = "cvqmpt-task/1"
+    with_named_files = staticmethod(with_files_read)
 
     name: Name  # What it is called in results
     robot: Mapping[str, Any]  # What a problem file says of it
     scene: NamedScene  # At the beginning
-    start: Annotated[FloatArray, StateForm((None,), "numbers [rad or m]")]  # (n,) [rad or m]
+    start: State  # (n,) [rad or m]
     phases: tuple[Phase, ...]  # In their order
 
     def __repr__(self) -> str:
@@ -150,8 +151,7 @@ class Task(Document):
             f"phases      {', '.join(phase.name for phase in self.phases)}"
         )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         robot = robot_from_source(self.robot)
         object.__setattr__(self, "robot", robot.source)
         if self.start.shape != (robot.dof,):
@@ -187,18 +187,10 @@ class Task(Document):
         return task
 
     @property
-    def in_legs(self) -> "Task":
+    def in_legs(self) -> Task:
         """The same task with every move that goes through regions as several moves."""
         legs = (phase.legs if isinstance(phase, Move) else (phase,) for phase in self.phases)
         return replace(self, phases=tuple(leg for several in legs for leg in several))
-
-    @classmethod
-    def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """Json with the clouds and meshes of its scene, and the robot's files as seen from the
-        folder.
-        """
-        data = with_files_read(data, folder)
-        return data | {"robot": seen_from(folder, data["robot"])} if "robot" in data else data
 
 
 def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:

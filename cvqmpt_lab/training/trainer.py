@@ -35,9 +35,10 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader
 
-from cvqmpt_lab.codec.plain import differences, to_plain
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, whole_number
 from cvqmpt_lab.files import (
+    differences,
     locked,
     make_folder,
     read_bytes,

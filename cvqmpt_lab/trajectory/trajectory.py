@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import numbers
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
 from cvqmpt_lab.files import json_object, read_text, require_regular_file, write_text
+from cvqmpt_lab.values import numbers
 
 if TYPE_CHECKING:
     # half a second to import

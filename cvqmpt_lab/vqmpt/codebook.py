@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cvqmpt_lab.codec.plain import from_plain
+from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError, require_torch
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot

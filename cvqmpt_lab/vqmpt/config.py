@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 
-from cvqmpt_lab.codec.forms import Array, FloatArray
 from cvqmpt_lab.errors import InvalidInputError, shown
+from cvqmpt_lab.values import Array, FloatArray
 
 LARGEST = 1 << 16  # of any size; a larger one is a typing error
 MOST_LAYERS = 64

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cvqmpt_lab.codec.plain import from_plain, located
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.errors import InvalidInputError, located
 from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, filled
 from cvqmpt_lab.vqmpt.config import (

@@ -21,7 +21,7 @@ import safetensors.numpy
 from safetensors import SafetensorError
 
 import cvqmpt_lab
-from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file, write_bytes
 from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig

@@ -8,7 +8,8 @@ from command_line import refused
 
 from cli.main import main
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, place_problem
-from cvqmpt_lab.codec.plain import to_plain, to_text
+from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.files import json_text
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.scene.kitchen import kitchen
@@ -18,7 +19,7 @@ BUDGET = ("--planners", "birrt", "--iterations", "20000", "--jobs", "1")
 
 def changed(path, **fields):
     """Give a problem file other fields."""
-    path.write_text(to_text({**json.loads(path.read_text()), **fields}))
+    path.write_text(json_text({**json.loads(path.read_text()), **fields}))
 
 
 def reproduce(folder, out, *more):
@@ -37,7 +38,7 @@ def folder(tmp_path):
         place_problem(index).save(folder / f"{name}.json")
     changed(folder / "b2.json", name="first/2-carry", scene="room.json")
     room = to_plain(kitchen(door_angles={DOOR: DOOR_ANGLE}))
-    (folder / "room.json").write_text(to_text(room))
+    (folder / "room.json").write_text(json_text(room))
     changed(folder / "b10.json", name="second")
     for name in ("problem.schema.json", ".hidden.json", "notes.txt"):
         (folder / name).write_text("no problem")
@@ -78,7 +79,7 @@ def test_a_changed_file_is_not_mixed_with_earlier_rows_and_a_new_one_is_added(
     }
     capsys.readouterr()
     room = json.loads((folder / "room.json").read_text())
-    (folder / "room.json").write_text(to_text({**room, "name": "another room"}))
+    (folder / "room.json").write_text(json_text({**room, "name": "another room"}))
     again = ("reproduce", "--problems-dir", folder, *BUDGET, "--out", out)
     assert re.search(
         r'problem_files.first-2-carry was "[0-9a-f]{64}", now "[0-9a-f]{64}".*--out',

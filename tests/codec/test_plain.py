@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from cvqmpt_lab.codec.forms import Array, Length, Name, Tagged
-from cvqmpt_lab.codec.plain import Checked, Document, from_plain, to_plain
+from cvqmpt_lab.codec import Checked, Document, Tagged, from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.poses import Pose, pose
+from cvqmpt_lab.values import Array, Length, Name
 
 
 @dataclass(frozen=True, eq=False)

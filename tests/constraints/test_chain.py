@@ -19,7 +19,7 @@ from cvqmpt_lab.benchmarks.door_task import (
 )
 from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
 from cvqmpt_lab.constraints.named import Region

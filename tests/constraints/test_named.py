@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.errors import CvqmptError

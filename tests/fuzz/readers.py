@@ -26,7 +26,7 @@ from PIL import Image
 from properties.random_arms import random_urdf
 from training_data import write_dataset
 
-from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.motion_check import dry_run
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose

@@ -24,7 +24,7 @@ import pytest
 from command_line import run, run_here, start
 from made_rows import untimed
 
-from cvqmpt_lab.codec.plain import to_plain
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from properties.random_arms import ARMS, WIDTHS, arm, problem_around
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     TOLERANCE,

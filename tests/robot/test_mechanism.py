@@ -9,7 +9,7 @@ import pytest
 
 from cvqmpt_lab.benchmarks.door_task import BAR, GRIP, bar_pose, door_problem, door_world
 from cvqmpt_lab.benchmarks.place_task import DOOR
-from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import pose

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cvqmpt_lab.codec.plain import from_plain
+from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Scene

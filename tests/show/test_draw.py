@@ -55,9 +55,6 @@ def test_the_package_has_what_a_script_needs_and_help_is_readable():
     for kind in (cvqmpt_lab.PlanningProblem, cvqmpt_lab.Scene, cvqmpt_lab.Box):
         assert not re.search("Annotated| at 0x|<class", str(inspect.signature(kind)))
     text = pydoc.plain(pydoc.render_doc(cvqmpt_lab.PlanningProblem))
-    assert (
-        "start: ndarray = <factory>, goals: ndarray = <factory>, constraint: "
-        "tuple[TaskSpaceRegion, ...]" in text
-    )
+    assert "start: 'State' = <factory>, goals: 'States' = <factory>, constraint: 'Regions'" in text
     with pytest.raises(UnknownChoiceError, match="plain"):
         region("plain")

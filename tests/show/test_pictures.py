@@ -10,7 +10,7 @@ from rerun.chunk import RrdReader
 
 from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
 from cvqmpt_lab.benchmarks.place_task import DOOR
-from cvqmpt_lab.codec.plain import from_plain
+from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.show import film, task_frames

@@ -16,7 +16,7 @@ import torch
 from training_data import kinematics, write_dataset
 
 from cli.main import main
-from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.training.batches import batch_seed
 from cvqmpt_lab.training.dataset import open_dataset

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from small_models import compact_config, published_config, random_checkpoint
 from training_data import LOWER, UPPER, kinematics, write_dataset
 
-from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.path_labels import scene_shapes
 from cvqmpt_lab.scene.families import random_scene

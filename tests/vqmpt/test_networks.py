@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from cvqmpt_lab.codec.plain import from_plain, to_plain
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.training.dictionary_stage import stage1_loss
 from cvqmpt_lab.vqmpt.beam_search import beam_search

@@ -1,0 +1,306 @@
+"""Frozen dataclasses from json and back: the annotations of their fields say how they are read.
+
+Understood are numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses and
+`Annotated[T, form]`. A form has `read(value, where)`, which makes a T from json or checks one, and
+`write(value)`, its json. A field "_comment" is ignored in every object. Errors begin with the path
+of the field. The json schemas for editors are files of their own, `schemas/*.json`.
+"""
+
+import dataclasses
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache, partial
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
+
+import numpy as np
+
+from cvqmpt_lab.errors import (
+    InvalidInputError,
+    UnknownChoiceError,
+    at,
+    located,
+    mapping,
+    nearest,
+    shown,
+)
+from cvqmpt_lab.files import json_text, read_json_object, write_text
+from cvqmpt_lab.values import scalar
+
+Reader: TypeAlias = Callable[[Any, str], Any]
+COMMENT = "_comment"
+
+
+def from_plain(kind: Any, value: Any, where: str = "", complete: bool = False) -> Any:
+    """Make a value of type `kind` from json, or check one; errors begin with the field's path.
+
+    Args:
+        where: path of the value, which goes before the path in it.
+        complete: fields with a default must be given too.
+    """
+    return _reader(kind, complete)(value, where)
+
+
+def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
+    """Json of a value of type `kind` (None: its own).
+
+    Fields that have their default value are left out unless complete.
+    """
+    kind = type(value) if kind is None else kind
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
+    if value is None:
+        return None
+    if origin is Annotated:
+        return parts[1].write(value)
+    if origin in (types.UnionType, typing.Union):
+        return to_plain(value, parts[0], complete)
+    if origin is tuple:
+        kinds = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
+        return [to_plain(item, part, complete) for part, item in zip(kinds, value, strict=True)]
+    if dataclasses.is_dataclass(value):
+        plain, defaults = {}, {} if complete else field_defaults(type(value))
+        for name, part in field_kinds(type(value)).items():
+            item = getattr(value, name)
+            if name not in defaults or content_of(item) != content_of(defaults[name]):
+                plain[name] = to_plain(item, part, complete)
+        return plain
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+class Checked:
+    """Base of frozen dataclasses (eq=False) that check their fields once, when they are made from
+    json or by a call, and are compared by content.
+    """
+
+    def __post_init__(self) -> None:
+        name = getattr(self, "name", None)
+        where = type(self).__name__ + (f" {shown(name)}: " if isinstance(name, str) else "")
+        for name, read in _field_readers(type(self), False).items():
+            object.__setattr__(self, name, read(getattr(self, name), at(where, name)))
+        self._check()
+
+    def _check(self) -> None:
+        """Refuse fields that do not fit each other; each alone is right."""
+
+    def changed(self, **fields: Any) -> Self:
+        """A copy with other fields, which are known to be right: nothing is checked."""
+        return _made(type(self), {**_fields(self), **fields})
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash(self._content())
+
+    def _content(self) -> Any:
+        return content_of([*_fields(self).values()])
+
+
+class Document(Checked):
+    """A value that is saved as a json file, whose field "schema" names its format and version."""
+
+    SCHEMA: ClassVar[str]
+    OPTIONS: ClassVar[Mapping[str, str]] = {
+        "cvqmpt-problem/1": "--problem-file",
+        "cvqmpt-task/1": "--task-file",
+    }  # of `cvqmpt plan`, by schema
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its json, the schema first."""
+        return {"schema": self.SCHEMA, **to_plain(self)}
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Self:
+        """Inverse of `to_dict`; InvalidInputError names the path of the field that is wrong."""
+        fields = dict(mapping(data, "", ", ".join(("schema", *field_kinds(cls)))))
+        fields.pop("$schema", None)  # where editors look for the json schema
+        schema = fields.pop("schema", None)
+        if schema != cls.SCHEMA:
+            option = cls.OPTIONS.get(schema if isinstance(schema, str) else "")
+            cure = f": give it with {option}" if option else ""
+            raise InvalidInputError(
+                f"schema is {shown(schema)}{cure}; this version reads {cls.SCHEMA!r}"
+            )
+        return from_plain(cls, fields)
+
+    def save(self, path: Path | str) -> None:
+        """Write it as json that people can read."""
+        write_text(Path(path), json_text(self.to_dict()) + "\n")
+
+    @classmethod
+    def load(cls, path: Path | str, **changes: Any) -> Self:
+        """Read a file; errors name the file and the field. changes: fields to replace unless None."""
+        data = read_json_object(Path(path))
+        data |= {name: value for name, value in changes.items() if value is not None}
+        with located(f"{path}"):
+            return cls.from_dict(cls.with_named_files(data, Path(path).parent))
+
+    @classmethod
+    def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
+        """Json in which files that it names, by paths relative to a folder, are read."""
+        return data
+
+
+@cache
+def field_kinds(kind: Any) -> dict[str, Any]:
+    """The annotation of each field of a dataclass."""
+    hints = typing.get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.init}
+
+
+@cache
+def field_defaults(kind: Any) -> dict[str, Any]:
+    """The default of each field of a dataclass that has one."""
+    defaults = {}
+    for item in dataclasses.fields(kind):
+        if item.default is not dataclasses.MISSING:
+            defaults[item.name] = item.default
+        elif item.default_factory is not dataclasses.MISSING:
+            defaults[item.name] = item.default_factory()
+    return defaults
+
+
+# Forms of values.
+@dataclass(frozen=True)
+class Tagged:
+    """One of several dataclasses, chosen by a name in the json object with their fields."""
+
+    key: str
+    choices: Mapping[str, type]
+    # replaced when a file that has them is read
+    by_path: Mapping[str, type] = field(default_factory=dict)
+
+    def read(self, value: Any, where: str) -> Any:
+        """The dataclass that the name chooses."""
+        if type(value) in self.choices.values():
+            return value
+        listed = ", ".join(self.choices)
+        fields = dict(mapping(value, where, f"{self.key!r}, one of {listed}, and its fields"))
+        if self.key not in fields:
+            raise InvalidInputError(f"{at(where, self.key)} is missing; one of {listed}")
+        name = fields.pop(self.key)
+        if isinstance(name, str) and name in self.by_path:
+            raise InvalidInputError(
+                f"{at(where, self.key)} {name!r} names a file: load what names it from a file too"
+            )
+        if not isinstance(name, str) or name not in self.choices:
+            raise UnknownChoiceError(at(where, self.key), name, (*self.choices, *self.by_path))
+        return from_plain(self.choices[name], fields, where)
+
+    def write(self, value: Any) -> dict[str, Any]:
+        """Its name, then its fields."""
+        name = next(name for name, kind in self.choices.items() if type(value) is kind)
+        return {self.key: name, **to_plain(value)}
+
+
+@dataclass(frozen=True)
+class OneOrMore:
+    """Several values of a kind; json may hold a single one without the list."""
+
+    kind: Any
+
+    def read(self, value: Any, where: str) -> tuple:
+        """A tuple."""
+        if isinstance(value, Mapping):
+            return (from_plain(self.kind, value, where),)
+        return _tuple((self.kind, ...), False)(value, where)
+
+    def write(self, value: tuple) -> list:
+        """A list."""
+        return [to_plain(item, self.kind) for item in value]
+
+
+# Reading.
+def _reader(kind: Any, complete: bool) -> Reader:
+    """The function that reads a type: (json, its path) -> value."""
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
+    if origin is Annotated:
+        return parts[1].read
+    if origin in (types.UnionType, typing.Union):  # with None only
+        given = _reader(parts[0], complete)
+        return lambda value, where: None if value is None else given(value, where)
+    if origin is Literal:
+        return partial(_choice, parts)
+    if origin is tuple:
+        return _tuple(parts, complete)
+    if origin is Mapping:
+        return lambda value, where: dict(mapping(value, where))
+    if dataclasses.is_dataclass(kind):
+        return partial(_object, kind, complete)
+    return partial(scalar, kind)
+
+
+@cache
+def _field_readers(kind: Any, complete: bool) -> dict[str, Reader]:
+    return {name: _reader(part, complete) for name, part in field_kinds(kind).items()}
+
+
+def _object(kind: Any, complete: bool, value: Any, where: str) -> Any:
+    """A dataclass from a json object with its fields, or itself."""
+    if isinstance(value, kind):
+        return value
+    readers = _field_readers(kind, complete)
+    listed, defaults = ", ".join(readers), {} if complete else field_defaults(kind)
+    for name in mapping(value, where, listed):
+        if name not in readers and name != COMMENT:
+            raise InvalidInputError(
+                f"{at(where, shown(name)[1:-1])} is unknown{nearest(name, readers)}; "
+                f"fields: {listed}"
+            )
+    for name in readers:
+        if name not in value and name not in defaults:
+            raise InvalidInputError(f"{at(where, name)} is missing; fields: {listed}")
+    parts = {
+        name: read(value[name], at(where, name)) for name, read in readers.items() if name in value
+    }
+    with located(where):
+        if not issubclass(kind, Checked):
+            return kind(**parts)
+        made = _made(kind, {**field_defaults(kind), **parts})
+        made._check()
+        return made
+
+
+def _made(kind: Any, fields: dict[str, Any]) -> Any:
+    """An instance of a frozen dataclass whose fields have been read."""
+    made = object.__new__(kind)
+    vars(made).update(fields)
+    return made
+
+
+def _choice(choices: tuple, value: Any, where: str) -> Any:
+    if value not in choices:
+        raise UnknownChoiceError(where, value, choices)
+    return value
+
+
+def _tuple(parts: tuple[Any, ...], complete: bool) -> Reader:
+    """The reader of a tuple of fixed length, or of any when `parts` is (kind, ...)."""
+    each = [_reader(part, complete) for part in parts if part is not Ellipsis]
+    any_length = parts[-1] is Ellipsis
+
+    def read(value: Any, where: str) -> tuple:
+        if not isinstance(value, list | tuple | np.ndarray):
+            raise InvalidInputError(f"{where} is {shown(value)}; it must be a list")
+        if not any_length and len(value) != len(each):
+            raise InvalidInputError(f"{where} is {shown(value)}; it must be a list of {len(each)}")
+        readers = each * len(value) if any_length else each
+        return tuple(readers[k](item, f"{where}[{k}]") for k, item in enumerate(value))
+
+    return read
+
+
+# Comparing.
+def _fields(value: Any) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in field_kinds(type(value))}
+
+
+def content_of(value: Any) -> Any:
+    """What is compared and hashed."""
+    if isinstance(value, np.ndarray):
+        return value.shape if value.size else (), value.tobytes()
+    if isinstance(value, Mapping):
+        return tuple((name, content_of(part)) for name, part in value.items())
+    return tuple(map(content_of, value)) if isinstance(value, tuple | list) else value

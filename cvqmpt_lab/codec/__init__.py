@@ -1,1 +1,0 @@
-"""Dataclasses to json and back: values, files, forms and json schemas."""
