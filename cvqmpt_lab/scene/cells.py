@@ -1,6 +1,4 @@
-"""Point clouds and occupancy maps as boxes that hold them:
-the same boxes for the compiled checker and for coal.
-"""
+"""Point clouds and occupancy maps as boxes that hold them, for the compiled checker and for coal."""
 
 from typing import NamedTuple
 
@@ -12,8 +10,6 @@ from cvqmpt_lab.values import FloatArray
 # clouds of more points are checked as boxes, which hold the balls and a little more
 MOST_BALLS = 1000
 CELL = np.sqrt(2.0)  # edge of a cloud's cells, in radii of its balls
-MOST_CELLS_ACROSS = 60_000  # along an edge of a cloud; of finer ones the cells are made larger
-DENSE = 1 << 26  # grids of no more cells are searched as a whole: one byte a cell
 
 
 class Blocks(NamedTuple):
@@ -34,25 +30,25 @@ class Cells(NamedTuple):
 
 
 def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf) -> Blocks:
-    """Boxes that together hold a map or the balls of a cloud, within reach [m] of the parent's
-    origin.
+    """Boxes that together hold a map or the balls of a cloud, near the parent's origin.
 
     Of a map they are its cells. Of a small cloud they are its points, so that the inflated boxes
     are its balls. Points of a large one are gathered in cells, and a box reaches as far as its
     points: inflated, the boxes hold every ball, and none of their points is farther than sqrt(3)
     `CELL` radii from one.
+
+    Args:
+        shape: a cloud or a map.
+        T_parent_shape: (4, 4), its pose [m].
+        reach: [m] from the parent's origin, beyond which nothing matters.
     """
     if isinstance(shape, PointCloud):
         points, edge, half, padding = shape.points, CELL * shape.radius, 0.0, shape.radius
         if len(points) <= MOST_BALLS:
             return Blocks(points, points, padding)
     else:
-        points, edge, half, padding = (
-            shape.centres,
-            shape.resolution,
-            0.5 * shape.resolution,
-            shape.padding,
-        )
+        points, edge, padding = shape.centres, shape.resolution, shape.padding
+        half = 0.5 * edge
     # a coordinate each: many times as fast as rows of three
     columns = np.ascontiguousarray(points.T)
     if reach < np.inf:
@@ -65,13 +61,13 @@ def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf
     return Blocks(cells.least - half, cells.most + half, padding)
 
 
-def cells_with(columns: np.ndarray, edge: float) -> Cells:
-    """The cells [m] that hold points (3, m), m >= 1 [m], each once and in order.
+def cells_with(columns: np.ndarray, edge: float, most_across: int = 60_000) -> Cells:
+    """The cells of an edge [m] that hold points (3, m), m >= 1 [m], each once and in order.
 
-    They are larger where there would be more than `MOST_CELLS_ACROSS`.
+    They are larger where there would be more than most_across along an edge of the cloud.
     """
     first = columns.min(axis=1)
-    edge = max(edge, float(np.ptp(columns, axis=1).max()) / MOST_CELLS_ACROSS)
+    edge = max(edge, float(np.ptp(columns, axis=1).max()) / most_across)
     place = np.rint((columns - first[:, None]) * (1.0 / edge)).astype(np.int64)
     across = tuple(place.max(axis=1) + 1)
     keys = np.ravel_multi_index(tuple(place), across)
@@ -84,20 +80,21 @@ def cells_with(columns: np.ndarray, edge: float) -> Cells:
 
 
 def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -> OccupancyMap:
-    """The cells that hold some of points (m, 3), m >= 1 [m], of the grid through the origin;
-    see `OccupancyMap`.
-    """
+    """The cells of the grid through the origin that hold some of points (m, 3), m >= 1 [m]."""
     require_resolution(resolution)
     place = np.floor(points / resolution)
     first = place.min(axis=0)
     return OccupancyMap(distinct((place - first).astype(np.int64)) + first, resolution, padding)
 
 
-def distinct(index: np.ndarray) -> np.ndarray:
-    """Rows of an index (m, 3) of int64 >= 0, each once (k, 3), in order."""
+def distinct(index: np.ndarray, dense: int = 1 << 26) -> np.ndarray:
+    """Rows of an index (m, 3) of int64 >= 0, each once (k, 3), in order.
+
+    dense: grids of no more cells are searched as a whole: one byte a cell.
+    """
     across = tuple(index.max(axis=0) + 1)
     keys = np.ravel_multi_index(tuple(index.T), across)
-    if np.prod(across) <= DENSE:
+    if np.prod(across) <= dense:
         taken = np.zeros(across, dtype=bool)
         taken.ravel()[keys] = True
         keys = np.flatnonzero(taken)
@@ -113,7 +110,11 @@ def merged(cells: Cells) -> Cells:
     """
     boxes = _joined(cells, 2)
     for axis in (1, 0):
-        boxes = _joined(_in_order(boxes, axis), axis)
+        # those that follow each other along the axis stand beside each other
+        columns = [*(k for k in range(3) if k != axis), axis]
+        across = tuple(boxes.high[:, columns].max(axis=0))
+        order = np.argsort(np.ravel_multi_index(tuple(boxes.low[:, columns].T), across))
+        boxes = _joined(Cells(*(corners[order] for corners in boxes)), axis)
     return boxes
 
 
@@ -131,25 +132,14 @@ def _joined(boxes: Cells, axis: int) -> Cells:
     )
 
 
-def _in_order(boxes: Cells, axis: int) -> Cells:
-    """The boxes ordered so that those that follow each other along an axis stand beside each other."""
-    columns = [*(k for k in range(3) if k != axis), axis]
-    across = tuple(boxes.high[:, columns].max(axis=0))
-    order = np.argsort(np.ravel_multi_index(tuple(boxes.low[:, columns].T), across))
-    return Cells(*(corners[order] for corners in boxes))
-
-
 def seen_points(shape: Measured) -> FloatArray:
-    """Points (p, 3) [m] on what was measured, in its frame:
-    those of a cloud, middles of a map's outermost cells.
+    """Points (p, 3) [m] on what was measured, in its frame.
+
+    Those of a cloud; middles of a map's cells that have a neighbour that is none of them.
     """
     if isinstance(shape, PointCloud):
         return shape.points
-    return shape.centres[exposed(shape.cells.astype(np.int64))]
-
-
-def exposed(index: np.ndarray) -> np.ndarray:
-    """Whether each of the cells (k, 3) has a neighbour that is none of them, (k,) bool."""
+    index = shape.cells.astype(np.int64)
     from_one = index - index.min(axis=0) + 1
     across = tuple(from_one.max(axis=0) + 2)
     keys = np.ravel_multi_index(tuple(from_one.T), across)
@@ -159,4 +149,4 @@ def exposed(index: np.ndarray) -> np.ndarray:
     for step in (*steps, *-steps):
         place = np.searchsorted(taken, keys + step).clip(max=len(taken) - 1)
         inside &= taken[place] == keys + step
-    return ~inside
+    return shape.centres[~inside]

@@ -23,36 +23,28 @@ from cvqmpt_lab.values import FloatArray
 
 MOST_PIECES = 48
 MOST_VERTICES = 120  # of a hull
-MOST_SAMPLES = 400_000
-PLANES = 62  # of a hull that would have more vertices
-SLACK = 1e-9  # [m] that such a hull is larger, for rounding
-ENOUGH = 0.02  # share of the mesh's own hull that the pieces together may hold too much
-CELLS = 56  # of the grid along the mesh's longest side
-SAMPLES_PER_CELL = 20  # of the surface in a cell that it crosses
-# triangles by which cuts are compared: all of a piece that has few, else fewer
-SKETCH, COARSE = 600, 120
-# along each axis: evenly spread, and beside the largest faces across it
-EVEN_CUTS, FACE_CUTS = 3, 4
-# of a cell, by which rays pass the corners and edges of faces
-ASIDE = 1e-8 * np.array([0.0, 0.618, 0.414])
-FLAT = 1e-12  # area, in squares of its longest edge, of a triangle without area
-LEAST_FACE = 0.01  # share of a piece's surface, of faces beside which it is cut
-NUDGE = 1e-4  # of a piece's length, between a face and the cut beside it
-THROUGH_VOID = 0.05  # weight of what a cut opens, among cuts that make hulls equally small
-ACROSS = 0.99  # cosine between an axis and the normal of a face across it
 
 
 class FilledCells:
-    """Which cells of a grid a mesh fills; the centres of the outermost ones are where it ends."""
+    """Which cells of a grid a mesh fills; the centres of the outermost ones are where it ends.
 
-    def __init__(self, triangles: FloatArray, closed: bool) -> None:
+    Args:
+        triangles: (f, 3, 3) [m].
+        closed: whether they enclose a volume.
+        across: cells along the mesh's longest side.
+        per_cell: samples of the surface in a cell that it crosses.
+    """
+
+    def __init__(
+        self, triangles: FloatArray, closed: bool, across: int = 56, per_cell: int = 20
+    ) -> None:
         points = triangles.reshape(-1, 3)
         self._low, extent = points.min(axis=0), np.ptp(points, axis=0)
-        self._cell = float(extent.max()) / CELLS
+        self._cell = float(extent.max()) / across
         cells = np.ceil(extent / self._cell).astype(int) + 1
         area = float(trimesh.triangles.area(triangles).sum())
         surface = np.zeros(cells, dtype=bool)
-        samples = spread_points(triangles, int(SAMPLES_PER_CELL * area / self._cell**2) + 1)
+        samples = spread_points(triangles, int(per_cell * area / self._cell**2) + 1)
         surface[tuple(self._cells_of(samples, cells).T)] = True
         filled = ndimage.binary_fill_holes(surface)
         self._inside = filled & ~surface
@@ -61,7 +53,8 @@ class FilledCells:
         self._ends = [
             np.ascontiguousarray(end(axis=1).T[1:]) for end in (triangles.min, triangles.max)
         ]
-        if self._closed:  # correct the cells' volume by the mesh's own
+        if closed:
+            # correct the cells' volume by the mesh's own
             cells_volume = self._share.sum() * self._cell**3
             ratio = np.clip(abs(as_mesh(triangles).volume) / cells_volume, 0.5, 1.5)
             self._share = self._share * float(ratio)
@@ -104,17 +97,21 @@ class FilledCells:
         return area
 
     def holds(self, points: FloatArray) -> np.ndarray:
-        """Whether points (k, 3) are inside a closed mesh, to about 1e-9 of its size;
-        of an open one, well inside.
+        """Whether points (k, 3) are inside, to about 1e-9 of the mesh's size.
+
+        Of an open mesh: well inside.
         """
         if self._closed:
-            return np.array([self._encloses(point + ASIDE * self._cell) for point in points])
+            # rays pass the corners and edges of faces aside
+            aside = 1e-8 * np.array([0.0, 0.618, 0.414]) * self._cell
+            return np.array([self._encloses(point + aside) for point in points])
         return self._inside[tuple(self._cells_of(points, self._inside.shape).T)]
 
     def _encloses(self, point: FloatArray) -> bool:
-        """Whether the mesh winds around a point (3,): of the faces that a ray along x crosses,
-        fewer or more look its way than against it. Also where the same count along the whole line
-        is not 0: a ray has met an edge.
+        """Whether the mesh winds around a point (3,).
+
+        It does if of the faces that a ray along x crosses, fewer or more look its way than against
+        it. Also where the same count along the whole line is not 0: a ray has met an edge.
         """
         (y0, z0), (y1, z1) = self._ends
         near = (y0 < point[1]) & (y1 > point[1]) & (z0 < point[2]) & (z1 > point[2])
@@ -128,9 +125,8 @@ class FilledCells:
 
     def _cells_of(self, points: FloatArray, shape: np.ndarray | tuple[int, ...]) -> np.ndarray:
         """Indices (k, 3) of the cells with points (k, 3)."""
-        return np.clip(
-            np.round((points - self._low) / self._cell).astype(int), 0, np.array(shape) - 1
-        )
+        cells = np.round((points - self._low) / self._cell).astype(int)
+        return np.clip(cells, 0, np.array(shape) - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +142,8 @@ class Piece:
     def hull(self) -> FloatArray:
         """Vertices (k, 3) of its hull, the solid corners of the space included [m]."""
         corners = np.array(list(product(*zip(self.low, self.high, strict=True))))
-        return hull_of(
-            np.concatenate([self.triangles.reshape(-1, 3), corners[self.solid.holds(corners)]])
-        )
+        inside = corners[self.solid.holds(corners)]
+        return hull_of(np.concatenate([self.triangles.reshape(-1, 3), inside]))
 
     @cached_property
     def faces(self) -> ConvexHull:
@@ -160,15 +155,23 @@ class Piece:
         """How much of its hull is not solid [m^3]."""
         return max(0.0, self.faces.volume - self.solid.volume(self.low, self.high))
 
-    def halves(self) -> "list[Piece]":
-        """The two parts on the sides of the best cut; itself where no cut leaves something on both."""
+    def halves(self, through_void: float = 0.05) -> "list[Piece]":
+        """The two parts on the sides of the best cut; itself where no cut leaves something on both.
+
+        The best cut at x of an axis has the least
+
+            (V_below + V_above - through_void A l) / V,
+
+        with the volumes V of the hulls of both sides and of the piece, the area A that is opened of
+        what is not solid, and the length l of the piece along the axis.
+        """
         sketch, whole = self._sketch(), max(self.faces.volume, 1e-30)
         area = self.solid.voids(planes_around(self.faces), self.low, self.high)
         best, axis, at = np.inf, 0, 0.0
         for axis_now, at_now in self._cuts():
             sides = _sides(sketch, axis_now, at_now)
             void = area(axis_now, at_now) * (self.high - self.low)[axis_now]
-            cost = (sum(map(_volume, sides)) - THROUGH_VOID * void) / whole
+            cost = (sum(map(_volume, sides)) - through_void * void) / whole
             if min(map(len, sides)) > 0 and cost < best:
                 best, axis, at = cost, axis_now, at_now
         if not np.isfinite(best):
@@ -181,59 +184,79 @@ class Piece:
         ]
         return parts if all(len(part.triangles) for part in parts) else [self]
 
-    def _sketch(self) -> FloatArray:
-        """Some triangles (f, 3, 3): all, or the largest and some of the others."""
-        count = SKETCH if len(self.triangles) <= SKETCH else COARSE
+    def _sketch(self, few: int = 600, coarse: int = 120) -> FloatArray:
+        """Triangles (f, 3, 3) by which cuts are compared.
+
+        All where they are few; else a coarse number of the largest and of the others.
+        """
+        count = few if len(self.triangles) <= few else coarse
         order = np.argsort(-trimesh.triangles.area(self.triangles))
         rest = order[count // 2 :]
         return self.triangles[np.r_[order[: count // 2], rest[:: max(1, 2 * len(rest) // count)]]]
 
-    def _cuts(self) -> Iterator[tuple[int, float]]:
-        """Places worth cutting at: (axis, coordinate)."""
+    def _cuts(
+        self,
+        even: int = 3,
+        faces: int = 4,
+        least: float = 0.01,
+        across: float = 0.99,
+        nudge: float = 1e-4,
+    ) -> Iterator[tuple[int, float]]:
+        """Places worth cutting at: (axis, coordinate).
+
+        Args:
+            even: evenly spread ones along each axis.
+            faces: of the largest faces across an axis, beside which it is cut.
+            least: share of the piece's surface of such a face.
+            across: cosine between the axis and its normal.
+            nudge: share of the piece's length between a face and the cut beside it.
+        """
         points = self.triangles.reshape(-1, 3)
         low, length = points.min(axis=0), np.ptp(points, axis=0)
         a, b, c = np.moveaxis(self.triangles, 1, 0)
         twice = np.cross(b - a, c - a)
         area = np.linalg.norm(twice, axis=1)
-        for axis in np.flatnonzero(length > 4.0 * NUDGE * length.max()):
-            faces = np.abs(twice[:, axis]) > ACROSS * area
-            at, which = np.unique(np.round(self.triangles[faces, 0, axis], 6), return_inverse=True)
-            size = np.bincount(which, area[faces], len(at))
-            largest = [
-                at[k] for k in np.argsort(-size)[:FACE_CUTS] if size[k] > LEAST_FACE * area.sum()
-            ]
-            beside = [
-                face + side * NUDGE * length[axis] for face in largest for side in (-1.0, 1.0)
-            ]
-            evenly = low[axis] + length[axis] * np.arange(1, EVEN_CUTS + 1) / (EVEN_CUTS + 1)
-            inside = (cut for cut in (*beside, *evenly) if self.low[axis] < cut < self.high[axis])
-            yield from ((int(axis), float(cut)) for cut in inside)
+        for axis in np.flatnonzero(length > 4.0 * nudge * length.max()):
+            turned = np.abs(twice[:, axis]) > across * area
+            at, which = np.unique(np.round(self.triangles[turned, 0, axis], 6), return_inverse=True)
+            size = np.bincount(which, area[turned], len(at))
+            large = [k for k in np.argsort(-size)[:faces] if size[k] > least * area.sum()]
+            beside = [at[k] + side * nudge * length[axis] for k in large for side in (-1.0, 1.0)]
+            evenly = low[axis] + length[axis] * np.arange(1, even + 1) / (even + 1)
+            for cut in (*beside, *evenly):
+                if self.low[axis] < cut < self.high[axis]:
+                    yield int(axis), float(cut)
 
 
-def convex_pieces(triangles: FloatArray) -> tuple[FloatArray, ...]:
+def convex_pieces(triangles: FloatArray, enough: float = 0.02) -> tuple[FloatArray, ...]:
     """Cut a mesh into convex pieces.
 
-    triangles: (f, 3, 3), f >= 1, finite; closed or open, whichever way round [m]. Those without
-        area are left out.
+    Args:
+        triangles: (f, 3, 3), f >= 1, finite; closed or open, whichever way round [m]. Those without
+            area are left out.
+        enough: share of the mesh's own hull that the pieces together may hold too much.
 
-    Returns vertices (k, 3) of up to `MOST_PIECES` pieces, whose hulls together hold every triangle,
-    and all that a closed mesh encloses [m]. InvalidInputError where the mesh as a whole spans no
-    volume.
+    Returns:
+        Vertices (k, 3) of up to `MOST_PIECES` pieces, whose hulls together hold every triangle, and
+        all that a closed mesh encloses [m].
+
+    Raises InvalidInputError where the mesh as a whole spans no volume.
     """
     edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
-    without_points = triangles[edges.min(axis=1) > 0.0]  # flat ones among them can close a mesh
-    triangles = triangles[trimesh.triangles.area(triangles) > FLAT * edges.max(axis=1) ** 2]
+    # flat ones among them can close a mesh
+    without_points = triangles[edges.min(axis=1) > 0.0]
+    flat = 1e-12 * edges.max(axis=1) ** 2
+    triangles = triangles[trimesh.triangles.area(triangles) > flat]
     points = triangles.reshape(-1, 3)
     check_volume(points, "the corners of the mesh")
     closed = as_mesh(triangles).is_watertight or as_mesh(without_points).is_watertight
     whole = Piece(triangles, points.min(axis=0), points.max(axis=0), FilledCells(triangles, closed))
-    enough = ENOUGH * whole.faces.volume
-    parts, final = [whole], list[Piece]()  # final: those that cannot be cut
-    while (
-        parts
-        and len(parts) + len(final) < MOST_PIECES
-        and sum(part.excess for part in parts) > enough
-    ):
+    most = enough * whole.faces.volume
+    # final: those that cannot be cut
+    parts, final = [whole], list[Piece]()
+    while parts and len(parts) + len(final) < MOST_PIECES:
+        if sum(part.excess for part in parts) <= most:
+            break
         worst = max(parts, key=lambda part: part.excess)
         parts.remove(worst)
         halves = worst.halves()
@@ -276,9 +299,7 @@ def _volume(points: FloatArray) -> float:
 
 
 def hull_of(points: FloatArray) -> FloatArray:
-    """Vertices (k, 3) of the hull of points (n, 3), n >= 1, made `MIN_THICKNESS` thick where it is
-    thinner [m].
-    """
+    """Vertices (k, 3) of the hull of points (n, 3), n >= 1 [m]; `MIN_THICKNESS` thick at least."""
     if len(points) < 4 or thickness(points) < 2.0 * MIN_THICKNESS:
         points = _thickened(points)
     return points[ConvexHull(points).vertices]
@@ -287,8 +308,7 @@ def hull_of(points: FloatArray) -> FloatArray:
 def of_few_vertices(hull: ConvexHull) -> FloatArray:
     """Vertices (k, 3) of a hull, or of one of at most `MOST_VERTICES` that holds it [m].
 
-    Where that has more, its faces but `PLANES` of them are left out; those are moved outwards until
-    they hold it.
+    Where that has more, only some of its faces are kept, and moved outwards until they hold it.
     """
     vertices = hull.points[hull.vertices]
     if len(vertices) <= MOST_VERTICES:
@@ -297,28 +317,28 @@ def of_few_vertices(hull: ConvexHull) -> FloatArray:
     return corners[ConvexHull(corners).vertices]
 
 
-def planes_around(hull: ConvexHull) -> FloatArray:
-    """Planes (p, 4) around a hull: outward normals, and offsets [m];
-    of one with many vertices about `PLANES`.
+def planes_around(hull: ConvexHull, most: int = 62, slack: float = 1e-9) -> FloatArray:
+    """Planes (p, 4) around a hull: outward normals, and offsets [m].
+
+    Around one with many vertices about `most`, slack [m] further out for rounding.
     """
     if len(hull.vertices) <= MOST_VERTICES:
         return hull.equations
     normals, vertices = hull.equations[:, :3], hull.points[hull.vertices]
     chosen = [*np.eye(3), *-np.eye(3)]
     nearest = np.max(normals @ np.array(chosen).T, axis=1)
-    while len(chosen) < PLANES:  # the normal farthest from those chosen
+    while len(chosen) < most:
+        # the normal farthest from those chosen
         chosen.append(normals[np.argmin(nearest)])
         nearest = np.maximum(nearest, normals @ chosen[-1])
     planes = np.unique(np.array(chosen), axis=0)
-    reach = (vertices @ planes.T).max(axis=0) + SLACK
+    reach = (vertices @ planes.T).max(axis=0) + slack
     return np.c_[planes, -reach]
 
 
-def spread_points(triangles: FloatArray, count: int) -> FloatArray:
-    """Up to `MOST_SAMPLES` points (count, 3), spread over triangles (f, 3, 3) as evenly as their
-    areas.
-    """
-    count = min(count, MOST_SAMPLES)
+def spread_points(triangles: FloatArray, count: int, most: int = 400_000) -> FloatArray:
+    """Up to `most` points (count, 3), spread over triangles (f, 3, 3) as evenly as their areas."""
+    count = min(count, most)
     a, b, c = np.moveaxis(triangles, 1, 0)
     area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     k = np.arange(count)
@@ -336,7 +356,8 @@ def _thickened(points: FloatArray) -> FloatArray:
     turned = np.linalg.eigh(centred.T @ centred)[1].T
     low, high = (points @ turned.T).min(axis=0), (points @ turned.T).max(axis=0)
     gap = np.maximum(0.0, 2.0 * MIN_THICKNESS - (high - low)) / 2.0
-    if (gap[1:] > 0.0).any():  # no more than a line: a box around it
+    if (gap[1:] > 0.0).any():
+        # no more than a line: a box around it
         low, high = low - gap, high + gap
         return np.array(list(product(*zip(low, high, strict=True)))) @ turned
     return np.concatenate([points - gap[0] * turned[0], points + gap[0] * turned[0]])

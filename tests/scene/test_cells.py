@@ -8,7 +8,6 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.cells import (
     CELL,
-    MOST_CELLS_ACROSS,
     blocks_of,
     cells_with,
     distinct,
@@ -56,7 +55,7 @@ def test_boxes_hold_the_balls_of_a_cloud_and_little_more(shift, radius):
     )
     assert inside.any(axis=1).all()
     probes = blocks.low + rng.random(blocks.low.shape) * (blocks.high - blocks.low)
-    edge = max(CELL * radius, 2.0 / MOST_CELLS_ACROSS)
+    edge = max(CELL * radius, 2.0 / 60_000)
     assert cKDTree(points).query(probes)[0].max() < np.sqrt(3.0) * edge
 
 
@@ -71,7 +70,7 @@ def test_boxes_of_a_map_are_its_cells_in_reach():
 
 
 def test_a_map_with_many_cells_across_is_held_by_larger_ones():
-    cells = np.random.default_rng(2).integers(0, 2 * MOST_CELLS_ACROSS, (3000, 3)).astype(float)
+    cells = np.random.default_rng(2).integers(0, 2 * 60_000, (3000, 3)).astype(float)
     low, high, _ = blocks_of(OccupancyMap(cells, 0.1), np.eye(4))
     for corner in (0.1 * cells + 1e-6, 0.1 * cells + 0.1 - 1e-6):
         assert ((corner[:, None] > low) & (corner[:, None] < high)).all(axis=2).any(axis=1).all()
