@@ -24,6 +24,7 @@ from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
 
+ROUNDING = 1e-6  # [m] coal stops when a distance d is known to ROUNDING (1 + d)
 # [m] by which boxes in a broad phase are inflated: it reports obstacles that are that close
 INFLATIONS = (1e-3, 1e-2, 0.05, 0.25)
 
@@ -153,10 +154,10 @@ class CollisionChecker:
         return np.array([self._apart(*pair) for pair in zip(q, moved, strict=True)], dtype=bool)
 
     @staticmethod
-    def _needed(moved: np.ndarray, margin: float, rounding: float = 1e-6) -> np.ndarray:
+    def _needed(moved: np.ndarray, margin: float) -> np.ndarray:
         """Distances [m] that coal must report where points may have moved that far."""
-        # coal stops when a distance d is known to rounding (1 + d); it never reports less than d
-        return (moved + margin + rounding) * (1.0 + 2.0 * rounding)
+        # coal never reports less than the distance
+        return (moved + margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)
 
     def moved(self, q: np.ndarray, hull: np.ndarray) -> float:
         """Bound [m] on the motion of any point of the robot from q (n,) in a hull (c, n)."""
