@@ -6,46 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from cli.options import log, numbers, positive
-from cli.robot_options import add_problem, problem_asked, robot_source
+from cli.options import FLAG, Options, log, numbers, option, positive
+from cli.robot_options import PROBLEM, ROBOT, problem_asked, robot_source
 from cvqmpt_lab.certificate_record import differences, record, report_lines
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import dry_run
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.trajectory.trajectory import read_motion
-
-EXAMPLES = (
-    "cvqmpt certify path.csv place-task --problem 7",
-    "cvqmpt certify path.json --problem-file mine.json --json > certificate.json",
-    "cvqmpt certify path.json --problem-file mine.json --against certificate.json",
-    'cvqmpt certify motion.json place-task --problem 7 --current "0.1 -0.7 0 -2.3 0 1.6 0.8"',
-    "cvqmpt certify runs/place-task",
-    "cvqmpt certify runs/mine --problems-dir problems/",
-)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to judge, and against which problem."""
-    add = parser.add_argument
-    what = "states, or a trajectory with times, which is dry-run too; or the directory of a run"
-    add("path", type=Path, metavar="PATH.csv|PATH.json|DIR", help=what)
-    add_problem(parser)
-    folder = "with the directory of a run of problem files: their folder"
-    add("--problems-dir", type=Path, metavar="DIR", help=folder)
-    add(
-        "--current",
-        metavar="Q",
-        help="where the arm stands now, in quotes [rad]: the motion begins there",
-    )
-    start = "how far from there it may begin (0.01)"
-    add("--tolerance", type=positive, default=0.01, metavar="RAD", help=start)
-    add(
-        "--json",
-        action="store_true",
-        help="print one json object instead, with all that was compared",
-    )
-    earlier = "what --json printed of the same motion earlier, by another version: say what differs"
-    add("--against", type=Path, metavar="EARLIER.json", help=earlier)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -99,3 +66,30 @@ def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> i
         counted = ", ".join(f"{count} {what}" for what, count in summary.items())
         print(f"{counted}, {len(troubles)} unlike their rows")
     return 1 if troubles else 0
+
+
+OPTIONS: Options = {
+    "path": option(
+        "states, or a trajectory with times, which is dry-run too; or the directory of a run",
+        type=Path,
+        metavar="PATH.csv|PATH.json|DIR",
+    ),
+    **PROBLEM,
+    "another robot for --problem-file": ROBOT,
+    "--problems-dir": option(
+        "with the directory of a run of problem files: their folder", type=Path, metavar="DIR"
+    ),
+    "--current": option(
+        "where the arm stands now, in quotes [rad]: the motion begins there", metavar="Q"
+    ),
+    "--tolerance": option(
+        "how far from there it may begin (0.01)", type=positive, default=0.01, metavar="RAD"
+    ),
+    "--json": option("print one json object instead, with all that was compared", **FLAG),
+    "--against": option(
+        "what --json printed of the same motion earlier, by another version: say what differs",
+        type=Path,
+        metavar="EARLIER.json",
+    ),
+}
+COMMANDS = {"certify": (run, OPTIONS)}

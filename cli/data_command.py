@@ -4,8 +4,8 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from cli.options import ProgressBar, log, own_command, positive_int
-from cli.robot_options import add_robot, robot_source
+from cli.options import Options, ProgressBar, log, option, own_command, positive_int
+from cli.robot_options import ROBOT, robot_source
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.labels.generation import PANDA, SceneRecipe, Shard, generate
 from cvqmpt_lab.labels.path_labels import PathRecipe
@@ -15,47 +15,8 @@ from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Lost, local_processes
 from experiments.run import default_jobs
 
-EXAMPLES = (
-    "cvqmpt data generate --scenes 64 --paths-per-scene 8 --out data/small",
-    "cvqmpt data generate --robot ur5 --scenes 1000 --paths-per-scene 50 --out data/ur5",
-    "cvqmpt data generate --labels roadmap --scenes 20000 --out data/roadmap",
-    "cvqmpt data generate --labels roadmap --robot kinova --scenes 70 --paths-per-scene 4 --out "
-    "data/kinova",
-    "cvqmpt data generate --labels roadmap --robot ur5 --dictionary runs/ur5 --scenes 4000 --out "
-    "data/ur5-roadmap",
-    "cvqmpt data generate --scenes 4000 --paths-per-scene 75 --family shelves,table --seed 1 "
-    "--out data/furniture",
-)
 ACTIONS = ("generate",)
 LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": RoadmapRecipe}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """How much of what, and where to."""
-    add = parser.add_argument
-    add("action", help=", ".join(ACTIONS))
-    add("--scenes", type=positive_int, required=True, metavar="N", help="scenes in all")
-    tried = "paths tried per scene (50)"
-    add("--paths-per-scene", type=positive_int, default=50, metavar="M", help=tried)
-    family = f"of {', '.join(FAMILIES)} (all, in turn)"
-    add("--family", default=",".join(FAMILIES), metavar="A,B", help=family)
-    labels = "near-shortest paths, or free nodes and edges of a roadmap, and shortest paths (paths)"
-    add("--labels", default="paths", help=f"{' or '.join(LABELS)}: {labels}")
-    dictionary = (
-        "labels roadmap: --out of `cvqmpt train stage1` (the shipped; free "
-        "configurations of other arms)"
-    )
-    add("--dictionary", "--model", metavar="DIR", help=dictionary)
-    add("--seed", type=int, default=0, help="another seed, other scenes and paths (0)")
-    add(
-        "--jobs",
-        type=positive_int,
-        default=default_jobs(),
-        metavar="J",
-        help="processes (one a core)",
-    )
-    add("--out", type=Path, required=True, metavar="DIR", help="folder; continued if it exists")
-    add_robot(parser, "another robot than the Panda")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -86,3 +47,32 @@ def run(args: argparse.Namespace) -> int:
     print((args.out / "README.md").read_text())
     print(f"{paths} paths in {args.out}")
     return 0
+
+
+OPTIONS: Options = {
+    "action": option(", ".join(ACTIONS)),
+    "--scenes": option("scenes in all", type=positive_int, required=True, metavar="N"),
+    "--paths-per-scene": option(
+        "paths tried per scene (50)", type=positive_int, default=50, metavar="M"
+    ),
+    "--family": option(
+        f"of {', '.join(FAMILIES)} (all, in turn)", default=",".join(FAMILIES), metavar="A,B"
+    ),
+    "--labels": option(
+        f"{' or '.join(LABELS)}: near-shortest paths, or free nodes and edges of a roadmap, and "
+        f"shortest paths (paths)",
+        default="paths",
+    ),
+    "--dictionary --model": option(
+        "labels roadmap: --out of `cvqmpt train stage1` (the shipped; free configurations of other "
+        "arms)",
+        metavar="DIR",
+    ),
+    "--seed": option("another seed, other scenes and paths (0)", type=int, default=0),
+    "--jobs": option(
+        "processes (one a core)", type=positive_int, default=default_jobs(), metavar="J"
+    ),
+    "--out": option("folder; continued if it exists", type=Path, required=True, metavar="DIR"),
+    "another robot than the Panda": ROBOT,
+}
+COMMANDS = {"data": (run, OPTIONS)}

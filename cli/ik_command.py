@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cli.motion_options import pose_region
-from cli.options import positive_int
+from cli.options import EXACTLY_ONE_OF, FLAG, Options, option, positive_int
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
@@ -19,29 +19,6 @@ from cvqmpt_lab.errors import InvalidInputError, located, mapping, whole_number
 from cvqmpt_lab.files import json_object, json_text, read_json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.loading import robot_from_source
-
-EXAMPLES = (
-    "cvqmpt ik --problem-file mine.json --pose '0.5 0.1 0.4 3.14 0 0'",
-    "cvqmpt ik --problem-file mine.json --region goal_region --count 20 --json",
-    """cvqmpt ik --problem-file mine.json --region '{"pose": {"at": {"xyz": [0.5, 0, 0.4]}, "yaw": 3.15}}'""",
-)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Problem, where the end effector shall be, how many."""
-    given = "robot, scene, constraint and attachments; start and goals may still be missing"
-    parser.add_argument("--problem-file", type=Path, metavar="P.json", required=True, help=given)
-    where = parser.add_mutually_exclusive_group(required=True)
-    pose = "end-effector pose in the world: [m], roll, pitch, yaw [rad]"
-    where.add_argument("--pose", metavar="'X Y Z R P Y'", help=pose)
-    where.add_argument(
-        "--region", help="as in a problem file; or goal_region or start_region of the file"
-    )
-    parser.add_argument(
-        "--count", type=positive_int, default=1, metavar="N", help="how many at most (1)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (0)")
-    parser.add_argument("--json", action="store_true", help="print one json object")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -89,3 +66,23 @@ def _region(args: argparse.Namespace, data: dict) -> TaskSpaceRegion:
         with located(f"{args.problem_file}"):
             return from_plain(Region, data[args.region], args.region)
     return from_plain(Region, json_object(args.region, "--region"), "--region")
+
+
+OPTIONS: Options = {
+    "--problem-file": option(
+        "robot, scene, constraint and attachments; start and goals may still be missing",
+        type=Path,
+        metavar="P.json",
+        required=True,
+    ),
+    EXACTLY_ONE_OF: {
+        "--pose": option(
+            "end-effector pose in the world: [m], roll, pitch, yaw [rad]", metavar="'X Y Z R P Y'"
+        ),
+        "--region": option("as in a problem file; or goal_region or start_region of the file"),
+    },
+    "--count": option("how many at most (1)", type=positive_int, default=1, metavar="N"),
+    "--seed": option("seed of all randomness (0)", type=int, default=0),
+    "--json": option("print one json object", **FLAG),
+}
+COMMANDS = {"ik": (run, OPTIONS)}

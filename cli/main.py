@@ -1,4 +1,4 @@
-"""`cvqmpt`: one subcommand a file; each has add_arguments(parser) and run(args) -> exit code."""
+"""`cvqmpt`: a module has its commands in COMMANDS: run(args) -> exit code, and a table of options."""
 
 import argparse
 import importlib
@@ -7,32 +7,43 @@ import os
 import re
 import sys
 from collections.abc import Collection
+from pathlib import Path
 from typing import Any, NoReturn
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 
-COMMANDS = {
-    "plan": "plan one problem and print a short report",
-    "certify": "judge a path or trajectory, or every path of a run again",
-    "reproduce": "run a suite of problems or tasks and write its rows and tables",
-    "figure": "make a figure of the paper, with its numbers",
-    "claims": "judge every claim of the paper by rows, and write the page that says so",
-    "report": "write one html file about results: verdicts, tables, plots, rows",
-    "compare": "say what changed between two runs of the same problems",
-    "table": "render the tables of a results directory",
-    "problems": "list or export the problems of a suite, or write one to start from",
-    "scan": "make a clean cloud or a scene of depth images or clouds",
-    "ik": "find configurations for a pose or region, for a problem file",
-    "calibrate": "find where a depth camera stands, from the arm that it sees",
-    "robot": "show what is understood of a robot's description, or list the arms that have a name",
-    "check-tables": "re-run a tiny profile and compare with the committed expectations",
-    "data": "make training paths",
-    "train": "train the dictionary, the sequence model or MPNet",
-    "model": "show weights, convert published ones",
-    "bench": "measure the stages of planning, and a state check of the paper's simulator",
-    "warmup": "compile all kernels ahead of time",
-    "doctor": "tell what is installed here, what is missing and how to get it",
-    "completion": "print what makes a shell complete commands, options and names",
+COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
+    "plan": ("plan", "plan one problem and print a short report"),
+    "certify": ("certify", "judge a path or trajectory, or every path of a run again"),
+    "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),
+    "figure": ("figure", "make a figure of the paper, with its numbers"),
+    "claims": ("tables", "judge every claim of the paper by rows, and write the page that says so"),
+    "report": ("tables", "write one html file about results: verdicts, tables, plots, rows"),
+    "compare": ("tables", "say what changed between two runs of the same problems"),
+    "table": ("tables", "render the tables of a results directory"),
+    "problems": ("problems", "list or export the problems of a suite, or write one to start from"),
+    "scan": ("scan", "make a clean cloud or a scene of depth images or clouds"),
+    "ik": ("ik", "find configurations for a pose or region, for a problem file"),
+    "robot": (
+        "robot",
+        "show what is understood of a robot's description, or list the arms that have a name",
+    ),
+    "check-tables": ("tables", "re-run a tiny profile and compare with the committed expectations"),
+    "data": ("data", "make training paths"),
+    "train": ("train", "train the dictionary, the sequence model or MPNet"),
+    "model": ("model", "show weights, convert published ones"),
+    "bench": (
+        "setup",
+        "measure the stages of planning, and a state check of the paper's simulator",
+    ),
+    "warmup": ("setup", "compile all kernels ahead of time"),
+    "doctor": ("setup", "tell what is installed here, what is missing and how to get it"),
+    "completion": ("setup", "print what makes a shell complete commands, options and names"),
+}
+
+REMOVED = {  # commands, and what is there instead of them
+    "calibrate": "calibrate with easy_handeye or MoveIt's hand-eye calibration, then give the "
+    "camera's pose to cvqmpt scan or plan with --extrinsics CAM.json",
 }
 
 # Small networks are several times slower on many threads, and runs share the cores already.
@@ -50,9 +61,7 @@ cvqmpt COMMAND --help tells the rest."""
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse whose errors are ours: one line, without the usage;
-    -0.1,0.2 is a value and no option.
-    """
+    """argparse whose errors are ours, one line without the usage; -0.1,0.2 is a value."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -61,6 +70,13 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Refuse the command line."""
         raise InvalidInputError(f"{message}; {self.prog} --help lists what can be given")
+
+    def format_help(self) -> str:
+        """The help of a command, with its examples."""
+        command = self.prog.partition(" ")[2]
+        if command:
+            self.epilog = "\n  ".join(["examples:", *examples_of(command)])
+        return super().format_help()
 
 
 class Version(argparse.Action):
@@ -74,14 +90,22 @@ class Version(argparse.Action):
         parser.exit()
 
 
-def _module(command: str):
-    return importlib.import_module(f"cli.{command.replace('-', '_')}_command")
+def command_named(name: str) -> tuple[Any, Any]:
+    """What runs a command, and its options, see `options.add_options`; imports its module."""
+    module = importlib.import_module(f"cli.{COMMANDS[name][0]}_command")
+    return module.COMMANDS[name]
+
+
+def examples_of(command: str) -> list[str]:
+    """The examples of a command's help."""
+    import tomllib  # for helps alone
+
+    text = (Path(__file__).parent / "examples.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)[command]
 
 
 def parser_with(filled: Collection[str]) -> Parser:
-    """The whole command line, with the options of some subcommands:
-    only they pay for their imports.
-    """
+    """The whole command line, with the options of some subcommands, which are imported."""
     parser = Parser(
         prog="cvqmpt",
         description="Constrained motion planning with learned sampling dictionaries: plan, "
@@ -91,7 +115,7 @@ def parser_with(filled: Collection[str]) -> Parser:
     )
     parser.add_argument("--version", action=Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name, summary in COMMANDS.items():
+    for name, (_, summary) in COMMANDS.items():
         sub = commands.add_parser(
             name,
             help=summary,
@@ -99,14 +123,16 @@ def parser_with(filled: Collection[str]) -> Parser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         if name in filled:
-            module = _module(name)
-            sub.epilog = "examples:\n" + "\n".join("  " + line for line in module.EXAMPLES)
-            module.add_arguments(sub)
+            from cli.options import add_options
+
+            add_options(sub, command_named(name)[1])
     return parser
 
 
 def _parsed(argv: list[str]) -> argparse.Namespace:
     asked = next((word for word in argv if word in COMMANDS), None)
+    if argv and argv[0] in REMOVED:
+        raise InvalidInputError(f"{argv[0]} was removed; {REMOVED[argv[0]]}")
     if asked != "train":
         for variable in THREADS:
             os.environ.setdefault(variable, "1")
@@ -123,7 +149,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run a subcommand; errors of the package become one line and exit code 2."""
     try:
         args = _parsed(sys.argv[1:] if argv is None else argv)
-        code = _module(args.command).run(args)
+        code = command_named(args.command)[0](args)
         sys.stdout.flush()
         return code
     except CvqmptError as error:

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from cli.options import FLAG, Options, option
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_torch
 from cvqmpt_lab.robot.loading import robot_from_source
@@ -18,33 +19,9 @@ from cvqmpt_lab.vqmpt.weights import (
     weights_digest,
 )
 
-EXAMPLES = (
-    "cvqmpt model info",
-    "cvqmpt model info --model runs/published",
-    "cvqmpt model info --model mpnet --json",
-    "cvqmpt model import --dictionary-dir model1 --ar-dir stage2/model1 --out runs/published",
-)
 ACTIONS = ("info", "import")
 # metadata that it shows
 SUMMARY = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to do, with which folders."""
-    add = parser.add_argument
-    add(
-        "action",
-        help=f"{' or '.join(ACTIONS)} published VQ-MPT folders (MPNet's cannot be: train it)",
-    )
-    add(
-        "--model",
-        metavar="DIR",
-        help=f"info: {', '.join(SHIPPED)}, or the folder of a model (vq_mpt)",
-    )
-    add("--json", action="store_true", help="info: everything, as json")
-    add("--dictionary-dir", type=Path, metavar="DIR", help="import: published stage 1")
-    add("--ar-dir", type=Path, metavar="DIR", help="import: published stage 2")
-    add("--out", type=Path, metavar="DIR", help="import: folder to write, new or empty")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -135,3 +112,18 @@ def _summary(found: dict[str, Any]) -> list[str]:
         "",
         f"sizes and training in full: cvqmpt model info --model {found['folder']} --json",
     ]
+
+
+OPTIONS: Options = {
+    "action": option(
+        f"{' or '.join(ACTIONS)} published VQ-MPT folders (MPNet's cannot be: train it)"
+    ),
+    "--model": option(
+        f"info: {', '.join(SHIPPED)}, or the folder of a model (vq_mpt)", metavar="DIR"
+    ),
+    "--json": option("info: everything, as json", **FLAG),
+    "--dictionary-dir": option("import: published stage 1", type=Path, metavar="DIR"),
+    "--ar-dir": option("import: published stage 2", type=Path, metavar="DIR"),
+    "--out": option("import: folder to write, new or empty", type=Path, metavar="DIR"),
+}
+COMMANDS = {"model": (run, OPTIONS)}

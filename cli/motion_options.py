@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from cli.options import log, numbers
+from cli.options import REPEATED, Options, log, numbers, option
 from cli.robot_options import chosen_robot
 from cli.scan_options import scan_of, scan_report, scene_of
 from cvqmpt_lab.codec import field_kinds, from_plain
@@ -23,19 +23,23 @@ from cvqmpt_lab.sensing.scan import Arm, Scan, refuse_touching
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
-def add_motion(parser: argparse.ArgumentParser) -> None:
-    """--start, --goal, --goal-pose and --constraint."""
-    motion = parser.add_argument_group(
-        "a motion through what --cloud shows, instead of a suite or a file"
-    )
-    add = motion.add_argument
-    many: dict[str, Any] = {"action": "append", "default": []}
-    add("--start", metavar="Q", help="configuration, numbers separated by commas [rad or m]")
-    add("--goal", metavar="Q", **many, help="configuration to reach; repeatable: any of them")
-    pose = "end-effector pose to reach instead: [m], roll, pitch, yaw [rad]"
-    add("--goal-pose", metavar="X,Y,Z,R,P,Y", help=pose)
-    kinds = f"{', '.join(NAMED)} (the first two as at the start), or a region as json; repeatable"
-    add("--constraint", metavar="NAME[=VALUE]|JSON", **many, help=kinds)
+MOTION: Options = {
+    "a motion through what --cloud shows, instead of a suite or a file": {
+        "--start": option("configuration, numbers separated by commas [rad or m]", metavar="Q"),
+        "--goal": option(
+            "configuration to reach; repeatable: any of them", metavar="Q", **REPEATED
+        ),
+        "--goal-pose": option(
+            "end-effector pose to reach instead: [m], roll, pitch, yaw [rad]",
+            metavar="X,Y,Z,R,P,Y",
+        ),
+        "--constraint": option(
+            f"{', '.join(NAMED)} (the first two as at the start), or a region as json; repeatable",
+            metavar="NAME[=VALUE]|JSON",
+            **REPEATED,
+        ),
+    }
+}
 
 
 def motion_given(args: argparse.Namespace) -> bool:

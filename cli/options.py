@@ -8,11 +8,29 @@ import math
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import require_regular_file
+
+# A table of options: by names (`-v --verbose`) what argparse's add_argument takes. Under a title it
+# holds another table, whose options are shown as a group.
+Options = Mapping[str, Mapping[str, Any]]
+ONE_OF, EXACTLY_ONE_OF = "one of", "exactly one of"  # titles of options that exclude each other
+REPEATED: Mapping[str, Any] = {"action": "append", "default": []}
+FLAG: Mapping[str, Any] = {"action": "store_true"}
+
+
+def option(text: str, **settings: Any) -> dict[str, Any]:
+    """An option of a table: its help, and what else argparse's add_argument takes."""
+    return {"help": text, **settings}
+
+
+WEIGHTS: Options = {
+    "--model": option("folder of the planner's weights (those of the package)", metavar="DIR")
+}
 
 
 def positive_int(text: str) -> int:
@@ -49,11 +67,16 @@ def own_command() -> list[str]:
     return ["cvqmpt", *sys.argv[1:]]
 
 
-def add_model(parser: argparse.ArgumentParser) -> None:
-    """--model."""
-    parser.add_argument(
-        "--model", metavar="DIR", help="folder of the planner's weights (those of the package)"
-    )
+def add_options(parser: Any, options: Options) -> None:
+    """Add options to an argparse parser, or to a group of one."""
+    for names, settings in options.items():
+        if names in (ONE_OF, EXACTLY_ONE_OF):
+            required = names == EXACTLY_ONE_OF
+            add_options(parser.add_mutually_exclusive_group(required=required), settings)
+        elif all(isinstance(setting, Mapping) for setting in settings.values()):
+            add_options(parser.add_argument_group(names), settings)
+        else:
+            parser.add_argument(*names.split(), **settings)
 
 
 def writable_file(path: Path) -> Path:

@@ -6,13 +6,13 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from cli.motion_options import add_motion, arm_of, motion_given, motion_problem, scanned
-from cli.options import add_model, log, writable_file
+from cli.motion_options import MOTION, arm_of, motion_given, motion_problem, scanned
+from cli.options import FLAG, REPEATED, WEIGHTS, Options, log, option, writable_file
 from cli.plan_report import as_json, report, solution_data
-from cli.planner_options import add_budget, add_optimize, budget, optimize_budget
-from cli.robot_options import add_problem, problem_asked, refuse_robot, with_clearance
-from cli.scan_options import add_scan
-from cli.show_options import add_show, check_show, show_solution
+from cli.planner_options import BUDGET, budget, optimize_budget, optimize_option
+from cli.robot_options import PROBLEM, ROBOT, problem_asked, refuse_robot, with_clearance
+from cli.scan_options import SCAN
+from cli.show_options import SHOW, check_show, show_solution
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import write_text
@@ -23,50 +23,7 @@ from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import warm_up
 
-EXAMPLES = (
-    "cvqmpt plan place-task --problem 7 --planner roadmap-cvq --optimize 0.05 --picture plan.png "
-    "--save plan.gif",
-    "cvqmpt plan --problem-file mine.json --robot ur5 --trajectory motion.json --speed 0.2",
-    "cvqmpt plan --task-file task.json --trajectory motions/ --save task.html",
-    "cvqmpt plan --cloud scan.pcd --extrinsics cam.json --start 0,0,0,-2,0,2,0 --goal "
-    "1,0,0,-2,0,2,0",
-)
-
 OPTIMIZE = 0.05  # [s] after a first path, unless --optimize says otherwise
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Problem, planner, budget, and where to show it."""
-    add = parser.add_argument
-    add_problem(parser, "another robot for --problem-file, or for --start and --goal")
-    task = "a task of several phases instead, planned phase by phase"
-    add("--task-file", type=Path, metavar="T.json", help=task)
-    chosen = "roadmap, for a task or a held mechanism birrt"
-    add("--planner", help=f"one of {', '.join(PLANNERS)}, or package.module:planner ({chosen})")
-    add_model(parser)
-    cloud = (
-        "obstacles of --start and --goal; beside a suite or file what a network is shown; "
-        "repeatable"
-    )
-    kinds = "SCAN.pcd|ply|npy|xyz|png"
-    add("--cloud", type=Path, action="append", default=[], metavar=kinds, help=cloud)
-    add("--scene", type=Path, metavar="S.json", help="obstacles of --start and --goal, not --cloud")
-    add("--seed", type=int, default=0, help="seed of all randomness (0)")
-    add("--json", action="store_true", help="print one json object instead of the report")
-    add("-v", "--verbose", action="store_true", help="say on standard error what happens inside")
-    add_motion(parser)
-    add_scan(parser)
-    add_budget(parser)
-    add_optimize(parser, OPTIMIZE)
-    add_show(parser)
-    add("--save-path", type=Path, metavar="PATH.csv", help="write the path's states as csv")
-    timed = (
-        "write the path as the fastest motion in time, json for ROS; of a task a folder: a "
-        "file a phase"
-    )
-    add("--trajectory", type=Path, metavar="OUT.csv|OUT.json|DIR", help=timed)
-    share = "share of the joints' limits that --trajectory uses (0.1)"
-    add("--speed", type=float, metavar="FACTOR", help=share)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -92,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     warm_up(problem, method, args.backend, log)
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
-    more = optimize_budget(args)
+    more = optimize_budget(args, OPTIMIZE)
     solution = solve(
         problem,
         method,
@@ -175,3 +132,44 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
         f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "
         f"{motion.deviation:.1e} rad off the path, certified; written to {args.trajectory}"
     )
+
+
+OPTIONS: Options = {
+    **PROBLEM,
+    "another robot for --problem-file, or for --start and --goal": ROBOT,
+    "--task-file": option(
+        "a task of several phases instead, planned phase by phase", type=Path, metavar="T.json"
+    ),
+    "--planner": option(
+        f"one of {', '.join(PLANNERS)}, or package.module:planner (roadmap, for a task or a held "
+        f"mechanism birrt)"
+    ),
+    **WEIGHTS,
+    "--cloud": option(
+        "obstacles of --start and --goal; beside a suite or file what a network is shown; "
+        "repeatable",
+        type=Path,
+        metavar="SCAN.pcd|ply|npy|xyz|png",
+        **REPEATED,
+    ),
+    "--scene": option("obstacles of --start and --goal, not --cloud", type=Path, metavar="S.json"),
+    "--seed": option("seed of all randomness (0)", type=int, default=0),
+    "--json": option("print one json object instead of the report", **FLAG),
+    "-v --verbose": option("say on standard error what happens inside", **FLAG),
+    **MOTION,
+    **SCAN,
+    **BUDGET,
+    **optimize_option(f"; {OPTIMIZE:g}, 0 for none"),
+    **SHOW,
+    "--save-path": option("write the path's states as csv", type=Path, metavar="PATH.csv"),
+    "--trajectory": option(
+        "write the path as the fastest motion in time, json for ROS; of a task a folder: a file a "
+        "phase",
+        type=Path,
+        metavar="OUT.csv|OUT.json|DIR",
+    ),
+    "--speed": option(
+        "share of the joints' limits that --trajectory uses (0.1)", type=float, metavar="FACTOR"
+    ),
+}
+COMMANDS = {"plan": (run, OPTIONS)}

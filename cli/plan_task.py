@@ -19,7 +19,7 @@ from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW
-from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
+from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import PHASES, Phase, PlannedPhase, Task
 from cvqmpt_lab.trajectory.timing import TimingSettings
 from cvqmpt_lab.trajectory.trajectory import save_trajectory

@@ -2,20 +2,19 @@
 
 import argparse
 
-from cli.options import not_negative, positive, positive_int
+from cli.options import Options, not_negative, option, positive, positive_int
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
 
-
-def add_budget(parser: argparse.ArgumentParser) -> None:
-    """--cutoff, --iterations and --backend."""
-    parser.add_argument("--cutoff", type=positive, metavar="S", help="give up after S seconds (10)")
-    repeatable = "give up after N iterations: repeatable bit for bit"
-    parser.add_argument("--iterations", type=positive_int, metavar="N", help=repeatable)
-    backends = f"collision backend: {', '.join(BACKENDS)} (compiled)"
-    parser.add_argument("--backend", default="compiled", help=backends)
+BUDGET: Options = {
+    "--cutoff": option("give up after S seconds (10)", type=positive, metavar="S"),
+    "--iterations": option(
+        "give up after N iterations: repeatable bit for bit", type=positive_int, metavar="N"
+    ),
+    "--backend": option(f"collision backend: {', '.join(BACKENDS)} (compiled)", default="compiled"),
+}
 
 
 def budget(args: argparse.Namespace) -> Budget:
@@ -24,22 +23,20 @@ def budget(args: argparse.Namespace) -> Budget:
     return Budget(seconds=seconds, iterations=args.iterations)
 
 
-def add_optimize(parser: argparse.ArgumentParser, default: float | None = None) -> None:
-    """--optimize."""
-    more = (
+def optimize_option(usual: str = "") -> Options:
+    """--optimize; usual: what the help says of its default."""
+    text = (
         "spend S seconds more on a shorter path (iterations, where only --iterations bounds "
         "the run)"
     )
-    usual = f"; {default:g}, 0 for none" if default else ""
-    parser.add_argument("--optimize", type=not_negative, metavar="S", help=more + usual)
-    parser.set_defaults(usual_optimize=default)
+    return {"--optimize": option(text + usual, type=not_negative, metavar="S")}
 
 
-def optimize_budget(args: argparse.Namespace) -> Budget | None:
-    """What --optimize asks for, in the unit that bounds the run."""
+def optimize_budget(args: argparse.Namespace, usual: float | None = None) -> Budget | None:
+    """What --optimize asks for, in the unit that bounds the run; `usual` [s] where it is left out."""
     if args.optimize is None and args.cutoff is None and args.iterations is not None:
         return None  # a run that repeats
-    seconds = args.usual_optimize if args.optimize is None else args.optimize
+    seconds = usual if args.optimize is None else args.optimize
     if not seconds:
         return None
     if args.iterations is None or args.cutoff is not None:
@@ -47,8 +44,7 @@ def optimize_budget(args: argparse.Namespace) -> Budget | None:
     if args.optimize != int(args.optimize):
         raise InvalidInputError(
             f"--optimize {args.optimize:g}: a run of --iterations {args.iterations} knows no "
-            f"clock; give a whole "
-            "number of iterations, or --cutoff beside it"
+            f"clock; give a whole number of iterations, or --cutoff beside it"
         )
     return Budget(iterations=int(args.optimize))
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import cvqmpt_lab
-from cli.options import ProgressBar, positive_int, writable_file
-from cli.robot_options import add_robot, robot_source
+from cli.options import FLAG, Options, ProgressBar, option, positive_int, writable_file
+from cli.robot_options import ROBOT, robot_source
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.codec import to_plain
@@ -19,34 +19,9 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.tasks.task import Task
 
-EXAMPLES = (
-    "cvqmpt problems list place-task --problems 5",
-    "cvqmpt problems export place-task --out problems/",
-    "cvqmpt problems new mine.json --robot panda",
-    "cvqmpt problems new drawer.json --task",
-    "cvqmpt problems import shelf.scene --out shelf.json",
-)
 GOALS_WIN = (
     "The goals are used as they are; take them out, and new ones are drawn from goal_region."
 )
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Action, suite or file, how many, where to."""
-    add = parser.add_argument
-    add("action", help=", ".join(ACTIONS))
-    what = "with new: the file to write; with import: a scene of MoveIt (scene, yaml)"
-    add("what", help=f"suite: {', '.join(SUITES)}; {what}")
-    add("--problems", type=positive_int, metavar="N", help="only the first N (all)")
-    out = "folder for the json files (with export); the file to write (with import)"
-    add("--out", type=Path, metavar="DIR|S.json", help=out)
-    add(
-        "--goals",
-        action="store_true",
-        help="write sampled goals beside the goal region (with export)",
-    )
-    add("--task", action="store_true", help="a task of several phases, a drawer to open (with new)")
-    add_robot(parser, "robot of the new problem (the panda)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,9 +36,9 @@ def run(args: argparse.Namespace) -> int:
         "task": "new",
         "urdf": "new",
     }
-    for option, action in goes_with.items():
-        if getattr(args, option) and args.action not in action:
-            raise InvalidInputError(f"--{option} goes with {action}, not with {args.action}")
+    for name, action in goes_with.items():
+        if getattr(args, name) and args.action not in action:
+            raise InvalidInputError(f"--{name} goes with {action}, not with {args.action}")
     return ACTIONS[args.action](args)
 
 
@@ -156,3 +131,20 @@ ACTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "new": _new,
     "import": _import,
 }
+OPTIONS: Options = {
+    "action": option(", ".join(ACTIONS)),
+    "what": option(
+        f"suite: {', '.join(SUITES)}; with new: the file to write; with import: a scene of MoveIt "
+        f"(scene, yaml)"
+    ),
+    "--problems": option("only the first N (all)", type=positive_int, metavar="N"),
+    "--out": option(
+        "folder for the json files (with export); the file to write (with import)",
+        type=Path,
+        metavar="DIR|S.json",
+    ),
+    "--goals": option("write sampled goals beside the goal region (with export)", **FLAG),
+    "--task": option("a task of several phases, a drawer to open (with new)", **FLAG),
+    "robot of the new problem (the panda)": ROBOT,
+}
+COMMANDS = {"problems": (run, OPTIONS)}

@@ -5,21 +5,34 @@ rows, tables, verdicts and a report.
 import argparse
 from pathlib import Path
 
-from cli.claims_command import PAGE_NAME, pages_of, verdict_lines
-from cli.options import ProgressBar, add_model, log, own_command, positive_int
-from cli.planner_options import add_budget, add_optimize, budget, optimize_budget, planner_list
-from cli.report_command import write_report
-from cli.table_command import show_tables
+from cli.options import (
+    ONE_OF,
+    WEIGHTS,
+    Options,
+    ProgressBar,
+    log,
+    option,
+    own_command,
+    positive_int,
+)
+from cli.planner_options import (
+    BUDGET,
+    budget,
+    optimize_budget,
+    optimize_option,
+    planner_list,
+)
+from cli.tables_command import page_of, show_tables, verdict_lines, write_report
 from cvqmpt_lab.benchmarks.suite import SUITES, Suite, folder_suite, suite_named
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.warm_up import compile_kernels
-from experiments.everything import PROFILES, amounts, planners_of
+from experiments.amounts import PROFILES, parts_of, planners_of
 from experiments.figures.paper import reproduce_figure
 from experiments.run import Experiment, default_jobs, executor_for, run_experiment
-from paper_tables.suite_tables import render_directory
+from paper_tables.suites import render_directory
 
 ALL = "all"
 HISTOGRAM = ("histogram", 30)  # the figure that is part of all, and of how many problems
@@ -34,48 +47,6 @@ FIXED = (
     "optimize",
 )
 """Options that profiles of all suites decide."""
-EXAMPLES = (
-    "cvqmpt reproduce all --profile small --out runs/all-small",
-    "cvqmpt reproduce place-task --problems 20 --seeds 1 --out runs/small",
-    "cvqmpt reproduce place-task-with-can --planners birrt,ompl-projected --cutoff 10 --out "
-    "runs/can",
-    "cvqmpt reproduce --problems-dir problems/ --planners birrt,roadmap --out runs/mine",
-    "cvqmpt reproduce place-task --seeds 5 --dask tcp://head:8786 --out runs/cluster",
-)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Suite, how much of it, with which planners, and where to."""
-    add = parser.add_argument
-    add("suite", nargs="?", help=f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}")
-    folder = (
-        "or a folder of problem files (*.json), by their names; the suite is called like the folder"
-    )
-    add("--problems-dir", type=Path, metavar="DIR", help=folder)
-    takes = "on two cores two hours, three minutes (full)"
-    add("--profile", default="full", help=f"of {ALL}: {', '.join(PROFILES)}; {takes}")
-    add(
-        "--problems",
-        type=positive_int,
-        metavar="N",
-        help="only the first N problems or tasks (all)",
-    )
-    add("--seeds", type=positive_int, metavar="K", help="seeds 0 to K-1 (1)")
-    add(
-        "--planners",
-        type=planner_list,
-        metavar="A,B",
-        help=f"of {', '.join(PLANNERS)}, an entry point, package.module:planner (all that can)",
-    )
-    add_model(parser)
-    add_budget(parser)
-    add_optimize(parser)
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--jobs", type=positive_int, metavar="J", help="processes (one a core)")
-    where.add_argument(
-        "--dask", metavar="ADDRESS", help="a Dask scheduler that runs it: tcp://HOST:8786"
-    )
-    add("--out", type=Path, metavar="DIR", help="where results go (runs/SUITE)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -116,36 +87,58 @@ def _reproduce_all(args: argparse.Namespace) -> int:
     if given:
         raise InvalidInputError(
             f"{given[0]} does not go with 'all', whose amounts are fixed; --profile small runs "
-            f"less, or name one suite"
+            "less, or name one suite"
         )
-    chosen, out, jobs = (
-        amounts(args.profile),
-        args.out or Path("runs/all"),
-        args.jobs or default_jobs(),
-    )
+    parts, out = parts_of(args.profile), args.out or Path("runs/all")
+    jobs = args.jobs or default_jobs()
     compile_kernels(log)
-    for amount in chosen:
-        folder = out / amount.folder
-        command = [
-            *amount.command,
-            "--profile",
-            args.profile,
-            "--jobs",
-            str(jobs),
-            "--out",
-            str(folder),
-        ]
-        with executor_for(amount.experiment, jobs) as executor:
-            run_experiment(amount.experiment, folder, executor, command, ProgressBar(amount.folder))
+    for name, experiment, command in parts:
+        folder = out / name
+        command += ["--profile", args.profile, "--jobs", str(jobs), "--out", str(folder)]
+        with executor_for(experiment, jobs) as executor:
+            run_experiment(experiment, folder, executor, command, ProgressBar(name))
         render_directory(folder)
     figure, count = HISTOGRAM
     folder = out / figure
     if not (folder / PROVENANCE_FILE).is_file():
         command = ["cvqmpt", "figure", figure, "--problems", str(count), "--out", str(folder)]
         reproduce_figure(figure, folder, command, range(count))
-    for path, text in pages_of(out).items():
-        write_text(path, text)
+    page = out / "claims.md"
+    write_text(page, page_of(out))
     print("\n".join(verdict_lines(out)))
-    print(f"every claim, its numbers and commands: {out / PAGE_NAME}")
+    print(f"every claim, its numbers and commands: {page}")
     print(f"report, for a browser: {write_report(out)}")
     return 0
+
+
+OPTIONS: Options = {
+    "suite": option(f"what to reproduce: {', '.join(SUITES)}; or all of it: {ALL}", nargs="?"),
+    "--problems-dir": option(
+        "or a folder of problem files (*.json), by their names; the suite is called like the "
+        "folder",
+        type=Path,
+        metavar="DIR",
+    ),
+    "--profile": option(
+        f"of {ALL}: {', '.join(PROFILES)}; on two cores two hours, three minutes (full)",
+        default="full",
+    ),
+    "--problems": option(
+        "only the first N problems or tasks (all)", type=positive_int, metavar="N"
+    ),
+    "--seeds": option("seeds 0 to K-1 (1)", type=positive_int, metavar="K"),
+    "--planners": option(
+        f"of {', '.join(PLANNERS)}, an entry point, package.module:planner (all that can)",
+        type=planner_list,
+        metavar="A,B",
+    ),
+    **WEIGHTS,
+    **BUDGET,
+    **optimize_option(),
+    ONE_OF: {
+        "--jobs": option("processes (one a core)", type=positive_int, metavar="J"),
+        "--dask": option("a Dask scheduler that runs it: tcp://HOST:8786", metavar="ADDRESS"),
+    },
+    "--out": option("where results go (runs/SUITE)", type=Path, metavar="DIR"),
+}
+COMMANDS = {"reproduce": (run, OPTIONS)}

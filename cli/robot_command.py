@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cli.options import writable_file
-from cli.robot_options import add_robot_options, robot_options
+from cli.options import FLAG, Options, option, writable_file
+from cli.robot_options import ROBOT_DETAILS, robot_options
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.robot.loading import robot_from_source
@@ -20,29 +20,8 @@ from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
 
-EXAMPLES = (
-    "cvqmpt robot",
-    "cvqmpt robot ur5 --picture ur5.png",
-    "cvqmpt robot arm.urdf --package-dir ~/ros/src --json",
-    "cvqmpt robot arm.urdf --end-effector tool --srdf-out arm.srdf",
-)
 TRIED = 200  # random configurations, of which the share free of self-collision is printed
 NAMES = 8  # listed of many; --json lists all
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The robot, and what to write of it."""
-    add = parser.add_argument
-    add("robot", nargs="?", metavar="URDF_OR_NAME", help="none: the names are listed")
-    add_robot_options(parser)
-    add("--json", action="store_true", help="print everything as one json object")
-    add("--picture", type=Path, metavar="FILE.png", help="draw its collision pieces")
-    add(
-        "--srdf-out",
-        type=Path,
-        metavar="ARM.srdf",
-        help="write the pairs of links that are not checked",
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -157,3 +136,15 @@ def _few(names: list[str]) -> str:
     return ", ".join(names[:NAMES]) + (
         f", ... (--json lists {len(names)})" if len(names) > NAMES else ""
     )
+
+
+OPTIONS: Options = {
+    "robot": option("none: the names are listed", nargs="?", metavar="URDF_OR_NAME"),
+    **ROBOT_DETAILS,
+    "--json": option("print everything as one json object", **FLAG),
+    "--picture": option("draw its collision pieces", type=Path, metavar="FILE.png"),
+    "--srdf-out": option(
+        "write the pairs of links that are not checked", type=Path, metavar="ARM.srdf"
+    ),
+}
+COMMANDS = {"robot": (run, OPTIONS)}

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cli.options import not_negative, numbers
+from cli.options import REPEATED, Options, not_negative, numbers, option
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.errors import InvalidInputError, mapping
 from cvqmpt_lab.files import read_json_object
@@ -17,32 +17,42 @@ from cvqmpt_lab.robot.loading import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.tasks.task import Task
 
-
-def add_robot(parser: argparse.ArgumentParser, title: str) -> None:
-    """--robot, --urdf and the options of both, under a title."""
-    robot = parser.add_argument_group(title)
-    name = "an arm by name: panda, ur5, xarm7, ...; cvqmpt robot lists them"
-    robot.add_argument("--robot", metavar="NAME", help=name)
-    robot.add_argument("--urdf", type=Path, metavar="ARM.urdf", help="an arm of hinges and sliders")
-    add_robot_options(robot)
-
-
-def add_robot_options(robot: Any) -> None:
-    """What may be said of a robot, whichever way it is named."""
-    add = robot.add_argument
-    many: dict[str, Any] = {"action": "append", "default": []}
-    add("--end-effector", metavar="FRAME", help="its frame that constraint and goals speak of")
-    add("--srdf", type=Path, metavar="ARM.srdf", help="file with link pairs not to check")
-    meshes = "where package:// meshes lie, beside ROS_PACKAGE_PATH; repeatable"
-    add("--package-dir", type=Path, **many, metavar="DIR", help=meshes)
-    add("--lock", **many, metavar="JOINT=VALUE", help="fix a joint [rad or m]; repeatable")
-    add(
-        "--base",
-        metavar="X,Y,Z[,R,P,Y]",
-        help="where its base stands [m], roll, pitch and yaw [rad]",
-    )
-    limits = "acceleration limits, one a joint or one for all [rad/s^2]; --trajectory needs them"
-    add("--acceleration", metavar="A[,A...]", help=limits)
+ROBOT_DETAILS: Options = {  # what may be said of a robot, whichever way it is named
+    "--end-effector": option("its frame that constraint and goals speak of", metavar="FRAME"),
+    "--srdf": option("file with link pairs not to check", type=Path, metavar="ARM.srdf"),
+    "--package-dir": option(
+        "where package:// meshes lie, beside ROS_PACKAGE_PATH; repeatable",
+        type=Path,
+        metavar="DIR",
+        **REPEATED,
+    ),
+    "--lock": option("fix a joint [rad or m]; repeatable", metavar="JOINT=VALUE", **REPEATED),
+    "--base": option(
+        "where its base stands [m], roll, pitch and yaw [rad]", metavar="X,Y,Z[,R,P,Y]"
+    ),
+    "--acceleration": option(
+        "acceleration limits, one a joint or one for all [rad/s^2]; --trajectory needs them",
+        metavar="A[,A...]",
+    ),
+}
+ROBOT: Options = {
+    "--robot": option(
+        "an arm by name: panda, ur5, xarm7, ...; cvqmpt robot lists them", metavar="NAME"
+    ),
+    "--urdf": option("an arm of hinges and sliders", type=Path, metavar="ARM.urdf"),
+    **ROBOT_DETAILS,
+}
+PROBLEM: Options = {
+    "suite": option(f"suite of the problem or task: {', '.join(SUITES)}", nargs="?"),
+    "--problem": option("index in the suite (0)", type=int, default=0, metavar="I"),
+    "--problem-file": option("a problem of your own instead", type=Path, metavar="P.json"),
+    "--clearance": option(
+        "that robot and what it carries keep from obstacles; planned for and certified (0, or "
+        "the file's)",
+        type=not_negative,
+        metavar="M",
+    ),
+}
 
 
 def robot_source(
@@ -85,7 +95,7 @@ def chosen_robot(args: argparse.Namespace) -> Robot:
 
 
 def robot_options(args: argparse.Namespace) -> dict[str, Any]:
-    """The options of `add_robot_options` that were given, as fields of a problem file's robot."""
+    """The options of `ROBOT_DETAILS` that were given, as fields of a problem file's robot."""
     options: dict[str, Any] = {}
     if args.end_effector is not None:
         options["end_effector"] = args.end_effector
@@ -122,27 +132,6 @@ def _locked_joint(text: str) -> tuple[str, float]:
             f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]"
         )
     return joint, number
-
-
-def add_problem(
-    parser: argparse.ArgumentParser, robot: str = "another robot for --problem-file"
-) -> None:
-    """The suite, --problem, --problem-file and the options of its robot, under that title."""
-    parser.add_argument(
-        "suite", nargs="?", help=f"suite of the problem or task: {', '.join(SUITES)}"
-    )
-    parser.add_argument(
-        "--problem", type=int, default=0, metavar="I", help="index in the suite (0)"
-    )
-    parser.add_argument(
-        "--problem-file", type=Path, metavar="P.json", help="a problem of your own instead"
-    )
-    clear = (
-        "that robot and what it carries keep from obstacles; planned for and certified (0, or "
-        "the file's)"
-    )
-    parser.add_argument("--clearance", type=not_negative, metavar="M", help=clear)
-    add_robot(parser, robot)
 
 
 def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:

@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 
 from cli.motion_options import configuration
-from cli.options import writable_file
-from cli.robot_options import add_robot, chosen_robot
-from cli.scan_options import add_scan, scan_of, scan_report, scene_of
+from cli.options import REPEATED, Options, option, writable_file
+from cli.robot_options import ROBOT, chosen_robot
+from cli.scan_options import SCAN, scan_of, scan_report, scene_of
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.files import json_text, write_text
@@ -17,26 +17,7 @@ from cvqmpt_lab.scene.cloud_files import WRITERS, write_cloud
 from cvqmpt_lab.sensing.scan import Arm, refuse_touching
 from cvqmpt_lab.show.picture import draw_world
 
-EXAMPLES = (
-    "cvqmpt scan scan.pcd --level table --picture scan.png",
-    "cvqmpt scan depth.png --intrinsics lens.yaml --extrinsics pose.json --arm-at 0,0,0,-2,0,2,0 "
-    "--out clean.pcd",
-    "cvqmpt scan left.pcd right.pcd --extrinsics left.json --extrinsics right.json --plane box "
-    "--out scene.json",
-)
 SCENE = ".json"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Files, cameras, filters, the robot, where to."""
-    add = parser.add_argument
-    kinds = "clouds (pcd, ply, npy, xyz) or depth images (png, npy)"
-    add("files", nargs="+", type=Path, metavar="FILE", help=kinds)
-    out = "the cleaned cloud, or as json a scene for plan --scene; repeatable"
-    add("--out", type=Path, action="append", default=[], metavar="OUT.pcd|ply|npy|json", help=out)
-    add("--picture", type=Path, metavar="P.png", help="what is left, and the robot")
-    add_scan(parser)
-    add_robot(parser, "the robot whose points go (panda)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -64,3 +45,23 @@ def run(args: argparse.Namespace) -> int:
         draw_world(PlanningProblem("scan", robot, scene, start=q, goals=q[None]), args.picture)
         print(f"picture written to {args.picture}")
     return 0
+
+
+OPTIONS: Options = {
+    "files": option(
+        "clouds (pcd, ply, npy, xyz) or depth images (png, npy)",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+    ),
+    "--out": option(
+        "the cleaned cloud, or as json a scene for plan --scene; repeatable",
+        type=Path,
+        metavar="OUT.pcd|ply|npy|json",
+        **REPEATED,
+    ),
+    "--picture": option("what is left, and the robot", type=Path, metavar="P.png"),
+    **SCAN,
+    "the robot whose points go (panda)": ROBOT,
+}
+COMMANDS = {"scan": (run, OPTIONS)}

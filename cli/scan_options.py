@@ -2,13 +2,12 @@
 
 import argparse
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from cli.options import numbers, positive
+from cli.options import REPEATED, Options, numbers, option, positive
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import PointCloud
@@ -19,61 +18,76 @@ from cvqmpt_lab.sensing.plane import CAMERA_UP
 from cvqmpt_lab.sensing.scan import RESOLUTION, Arm, Scan, ScanSettings, scan
 
 CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
-FRAME = (
-    "pose of the camera in the robot's base frame, x right, y down, z ahead: 4x4, xyz + "
-    "quaternion or rpy, ROS's "
-    "translation + rotation; without, points are in the base frame"
-)
-
-
-def add_scan(parser: argparse.ArgumentParser) -> None:
-    """Cameras, filters, obstacles."""
-    usual = ScanSettings()
-    metres: dict[str, Any] = {"type": positive, "metavar": "M"}
-    file: dict[str, Any] = {
-        "action": "append",
-        "default": [],
-        "type": Path,
-        "metavar": "F.json|yaml",
-    }
-    group = parser.add_argument_group(
-        "cameras of the scan; options are repeated in the order of the files"
-    )
-    add: Callable[..., argparse.Action] = group.add_argument
-    add(
-        "--intrinsics",
-        **file,
-        help="of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info",
-    )
-    add("--extrinsics", **file, help=FRAME)
-    add("--scale", **metres, help="[m] of a unit (1; of a 16-bit image 0.001)")
-    add("--level", choices=("table",), help="find the table, put it level: without --extrinsics")
-    add("--front", metavar="X,Y,Z", help="where --level puts the table's near edge (0.3,0,0) [m]")
-    add = parser.add_argument_group("filters of the scan").add_argument
-    add("--crop", metavar=",".join(CORNERS), help="keep what lies between two corners [m] (all)")
-    add("--voxel", **metres, default=usual.voxel, help=f"edge of voxels ({usual.voxel})")
-    margin = f"points this near to the arm are the arm ({usual.robot_margin})"
-    add("--robot-margin", type=float, default=usual.robot_margin, metavar="M", help=margin)
-    add("--arm-at", metavar="Q", help="configuration of the arm when the scan was taken")
-    few = f"points with fewer within three voxels go ({usual.neighbours})"
-    add("--neighbours", type=int, default=usual.neighbours, metavar="N", help=few)
-    planes = ("keep", "box", "remove")
-    add("--plane", choices=planes, default="keep", help="the points of the supporting plane (keep)")
-    add = parser.add_argument_group("obstacles made of the scan").add_argument
-    add("--map", **metres, default=RESOLUTION, help=f"edge of the cells of a map ({RESOLUTION})")
-    add("--padding", type=float, default=0.0, metavar="M", help="inflation radius of the cells (0)")
-    ways = ("free", "occupied")
-    add(
-        "--unknown",
-        choices=ways,
-        default="free",
-        help="cells that no ray of a camera crossed (free)",
-    )
-    add("--radius", **metres, help="balls around the points instead; 0.87 voxels cover all")
+USUAL = ScanSettings()
+SCAN: Options = {
+    "cameras of the scan; options are repeated in the order of the files": {
+        "--intrinsics": option(
+            "of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info",
+            type=Path,
+            metavar="F.json|yaml",
+            **REPEATED,
+        ),
+        "--extrinsics": option(
+            "pose of the camera in the robot's base frame, x right, y down, z ahead: 4x4, xyz + "
+            "quaternion or rpy, ROS's translation + rotation; without, points are in the base frame",
+            type=Path,
+            metavar="F.json|yaml",
+            **REPEATED,
+        ),
+        "--scale": option("[m] of a unit (1; of a 16-bit image 0.001)", type=positive, metavar="M"),
+        "--level": option("find the table, put it level: without --extrinsics", choices=("table",)),
+        "--front": option(
+            "where --level puts the table's near edge (0.3,0,0) [m]", metavar="X,Y,Z"
+        ),
+    },
+    "filters of the scan": {
+        "--crop": option("keep what lies between two corners [m] (all)", metavar=",".join(CORNERS)),
+        "--voxel": option(
+            f"edge of voxels ({USUAL.voxel})", type=positive, default=USUAL.voxel, metavar="M"
+        ),
+        "--robot-margin": option(
+            f"points this near to the arm are the arm ({USUAL.robot_margin})",
+            type=float,
+            default=USUAL.robot_margin,
+            metavar="M",
+        ),
+        "--arm-at": option("configuration of the arm when the scan was taken", metavar="Q"),
+        "--neighbours": option(
+            f"points with fewer within three voxels go ({USUAL.neighbours})",
+            type=int,
+            default=USUAL.neighbours,
+            metavar="N",
+        ),
+        "--plane": option(
+            "the points of the supporting plane (keep)",
+            choices=("keep", "box", "remove"),
+            default="keep",
+        ),
+    },
+    "obstacles made of the scan": {
+        "--map": option(
+            f"edge of the cells of a map ({RESOLUTION})",
+            type=positive,
+            default=RESOLUTION,
+            metavar="M",
+        ),
+        "--padding": option(
+            "inflation radius of the cells (0)", type=float, default=0.0, metavar="M"
+        ),
+        "--unknown": option(
+            "cells that no ray of a camera crossed (free)",
+            choices=("free", "occupied"),
+            default="free",
+        ),
+        "--radius": option(
+            "balls around the points instead; 0.87 voxels cover all", type=positive, metavar="M"
+        ),
+    },
+}
 
 
 def scan_of(args: argparse.Namespace, files: Sequence[Path], arm: Arm | None) -> Scan:
-    """Read and clean the files as the options of `add_scan` say; arm: as it stood then."""
+    """Read and clean the files as the options of `SCAN` say; arm: as it stood then."""
     if args.level and args.extrinsics:
         raise InvalidInputError("--level and --extrinsics: give one of the two")
     if args.front and not args.level:
@@ -126,7 +140,7 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
     """The lines a person reads."""
     names = ", ".join(path.name for path in files)
     yield (
-        f"scan        {names}: {made.steps[0].before} points, {made.unseen} pixels or rows "
+        f"scan        {names}: {made.steps[0].before} points, {made.dropped} pixels or rows "
         f"without one"
     )
     if made.levelled is not None:

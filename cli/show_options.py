@@ -4,41 +4,48 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.options import ProgressBar, writable_file
-from cvqmpt_lab.errors import UnknownChoiceError
+from cli.options import FLAG, Options, ProgressBar, option, writable_file
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.scene.scene import Attachment
 
 if TYPE_CHECKING:
-    from cvqmpt_lab.tasks.solve_task import TaskSolution
+    from cvqmpt_lab.tasks.solve import TaskSolution
 
 RECORDING = ".rrd"
-FILMS = (".gif", ".mp4")
+FILM = ".gif"
 PAGE = ".html"
 
 
-def add_show(parser: argparse.ArgumentParser) -> None:
-    """--picture, --save and --view."""
-    shown = parser.add_argument_group("pictures")
-    still = "a still picture: start, goal and the way between; of a task, the end of each phase"
-    shown.add_argument("--picture", type=Path, metavar="P.png", help=still)
-    film = "a page for a browser, a rerun recording, or a film (mp4 where ffmpeg is installed)"
-    shown.add_argument("--save", type=Path, metavar="RUN.html|rrd|gif|mp4", help=film)
-    shown.add_argument("--view", action="store_true", help="open the rerun viewer; needs a display")
+SHOW: Options = {
+    "pictures": {
+        "--picture": option(
+            "a still picture: start, goal and the way between; of a task, the end of each phase",
+            type=Path,
+            metavar="P.png",
+        ),
+        "--save": option(
+            "a page for a browser, a rerun recording, or a film",
+            type=Path,
+            metavar="RUN.html|rrd|gif",
+        ),
+        "--view": option("open the rerun viewer; needs a display", **FLAG),
+    }
+}
 
 
 def check_show(args: argparse.Namespace) -> None:
     """Refuse before planning what would fail after it."""
     for path in filter(None, (args.save, args.picture)):
         writable_file(path)
-    if args.save is not None and args.save.suffix not in (PAGE, RECORDING):
-        if args.save.suffix not in FILMS:
-            raise UnknownChoiceError(
-                f"--save {args.save}: suffix", args.save.suffix, (PAGE, RECORDING, *FILMS)
-            )
-        from cvqmpt_lab.show.film import check_film
-
-        check_film(args.save)
+    known = (PAGE, RECORDING, FILM)
+    if args.save is not None and args.save.suffix == ".mp4":
+        raise InvalidInputError(
+            f"--save {args.save}: mp4 was removed; save {args.save.stem}.gif and convert it: "
+            f"ffmpeg -i {args.save.stem}.gif {args.save.name}"
+        )
+    if args.save is not None and args.save.suffix not in known:
+        raise UnknownChoiceError(f"--save {args.save}: suffix", args.save.suffix, known)
     if args.view:
         from cvqmpt_lab.show.viewer import check_viewer
 
@@ -64,7 +71,7 @@ def show_solution(
         else:
             what = f"picture of {', '.join(draw_task(solution, args.picture))}"
         lines.append(f"{what} written to {args.picture}")
-    if args.save and args.save.suffix in FILMS:
+    if args.save and args.save.suffix == FILM:
         from cvqmpt_lab.show.film import film_solution, film_task
 
         if isinstance(solution, Solution):

@@ -7,7 +7,17 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.options import ProgressBar, log, own_command, positive, positive_int
+from cli.options import (
+    FLAG,
+    ONE_OF,
+    Options,
+    ProgressBar,
+    log,
+    option,
+    own_command,
+    positive,
+    positive_int,
+)
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError, require_torch, whole_number
 from cvqmpt_lab.files import read_json_object
@@ -24,59 +34,6 @@ REMOVED = {
     "the same --data and --dictionary",
 }
 PROFILE_NAMES = ("smoke", "compact", "published")
-EXAMPLES = (
-    "cvqmpt train stage1 --profile compact --data data/paths --out runs/dictionary",
-    "cvqmpt train transformer --data data/ur5-roadmap --dictionary runs/ur5 --out "
-    "runs/ur5-transformer",
-    "cvqmpt train published --data data/roadmap --out runs/published --minutes 60",
-    "cvqmpt train published --profile published --data data/paths --dictionary runs/published "
-    "--out runs/model",
-    "cvqmpt train stage1 --profile compact --print-config > mine.json",
-)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to train, on what, how long and where to."""
-    add = parser.add_argument
-    add("stage", help=f"what to train: {', '.join(STAGES)}")
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument(
-        "--profile", default="compact", help=f"of {', '.join(PROFILE_NAMES)} (compact)"
-    )
-    how.add_argument(
-        "--config", type=Path, metavar="FILE", help="a profile of your own, see --print-config"
-    )
-    add("--print-config", action="store_true", help="print the profile as json and stop")
-    add(
-        "--data",
-        type=Path,
-        metavar="DIR",
-        help="what `cvqmpt data generate` wrote",
-    )
-    add(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="for state, curves and model/; continued if it is there",
-    )
-    add(
-        "--dictionary",
-        type=Path,
-        metavar="DIR",
-        help="transformer (from labels), published (the authors' architecture, from paths or "
-        "labels): --out of stage1 (the shipped)",
-    )
-    add("--seed", type=int, default=0, metavar="S", help="repeatable on a CPU (0)")
-    add("--epochs", type=positive_int, metavar="N", help="in all (the profile's)")
-    add("--minutes", type=positive, metavar="M", help="stop and save after M minutes")
-    add("--device", default="auto", help="cpu, cuda, or auto (auto)")
-    add(
-        "--workers",
-        type=int,
-        default=0,
-        metavar="J",
-        help="processes that prepare batches (0: none)",
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -127,3 +84,31 @@ def _profile(args: argparse.Namespace) -> "Profile":
     if args.config is None:
         return profile_named(args.profile)
     return from_plain(Profile, read_json_object(args.config), "profile")
+
+
+OPTIONS: Options = {
+    "stage": option(f"what to train: {', '.join(STAGES)}"),
+    ONE_OF: {
+        "--profile": option(f"of {', '.join(PROFILE_NAMES)} (compact)", default="compact"),
+        "--config": option("a profile of your own, see --print-config", type=Path, metavar="FILE"),
+    },
+    "--print-config": option("print the profile as json and stop", **FLAG),
+    "--data": option("what `cvqmpt data generate` wrote", type=Path, metavar="DIR"),
+    "--out": option(
+        "for state, curves and model/; continued if it is there", type=Path, metavar="DIR"
+    ),
+    "--dictionary": option(
+        "transformer (from labels), published (the authors' architecture, from paths or labels): "
+        "--out of stage1 (the shipped)",
+        type=Path,
+        metavar="DIR",
+    ),
+    "--seed": option("repeatable on a CPU (0)", type=int, default=0, metavar="S"),
+    "--epochs": option("in all (the profile's)", type=positive_int, metavar="N"),
+    "--minutes": option("stop and save after M minutes", type=positive, metavar="M"),
+    "--device": option("cpu, cuda, or auto (auto)", default="auto"),
+    "--workers": option(
+        "processes that prepare batches (0: none)", type=int, default=0, metavar="J"
+    ),
+}
+COMMANDS = {"train": (run, OPTIONS)}

@@ -36,7 +36,7 @@ _HOME = {
     "SceneObject": "scene.scene",
     "solve": "pipeline",
     "solve_many": "pipeline",
-    "solve_task": "tasks.solve_task",
+    "solve_task": "tasks.solve",
     "Sphere": "scene.shapes",
     "Task": "tasks.task",
     "TaskSpaceRegion": "constraints.task_space_region",

@@ -175,8 +175,7 @@ def compare(
     changed = ", ".join(f"{name} {expected.made_with.get(name)} -> {here[name]}" for name in other)
     mode = (
         f"by bounds, not bit for bit, since {changed}: reasons equal; per planner counts within a "
-        f"factor "
-        f"{COUNT_FACTOR:g} and lengths within {LENGTH_SHARE:.0%}"
+        f"factor {COUNT_FACTOR:g} and lengths within {LENGTH_SHARE:.0%}"
     )
     return mode, differences + _unequal(pairs, ("fail_reason",)) + _out_of_bounds(pairs)
 

@@ -16,7 +16,7 @@ from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, RunKey, one_line, phase_problem
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.tasks.solve_task import PhaseOutcome, TaskSolution, solve_task
+from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 
 DRAWS = 256  # of a sampling distribution, whose G is told

@@ -98,7 +98,7 @@ def _start(*words: str) -> Measured:
     seconds = []
     for _ in range(8):
         began = time.perf_counter()
-        command = [Path(sys.executable).with_name("cvqmpt"), *words]
+        command = [str(Path(sys.executable).with_name("cvqmpt")), *words]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         seconds.append(time.perf_counter() - began)
     return measured(f"start: cvqmpt {' '.join(words)}", seconds[1:], "s")

@@ -11,9 +11,8 @@ from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, read_rows
 from paper_tables.judging import Effect, Ruling, Verdict, effects_of, overall, reduction, rulings
 from paper_tables.measures import Rows, pair_of
 from paper_tables.multi_sequence_table import task_rows
-from paper_tables.paper_numbers import read_published
 from paper_tables.statements import CLAIMS, PREDICTED, Claim
-from paper_tables.suite_tables import table_of
+from paper_tables.suites import suite_of
 
 
 class Evidence(NamedTuple):
@@ -65,10 +64,9 @@ def _effects(claim: Claim, evidence: Evidence | None) -> list[Effect]:
     if evidence is None or not evidence.rows:
         return []
     suite, rows = evidence.rows[0].suite, evidence.rows
-    paper = table_of(suite).paper
     if suite == "multi-sequence":
         rows = task_rows(rows, PAPER_PHASES)
-    return effects_of(claim, rows, read_published(*paper) if paper else ())
+    return effects_of(claim, rows, suite_of(suite).published)
 
 
 def updated_codes(claim: Claim, folder: Path) -> Effect:

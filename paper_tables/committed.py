@@ -13,7 +13,7 @@ from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from paper_tables.paper_numbers import PUBLISHED
-from paper_tables.suite_tables import render_directory
+from paper_tables.suites import render_directory
 
 RESULTS = PUBLISHED.parent / "results"
 CELL_SEPARATORS = {".md": "|", ".tex": "&"}

@@ -1,9 +1,10 @@
-"""The factorial table:
-what predictor, Gaussians, update and cloud of a learned sampler are worth, each by itself.
+"""The factorial experiment: what predictor, Gaussians, update and cloud of a learned sampler are
+worth, each by itself. Products of them plan beside the same search with uniform samples.
 """
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 from cvqmpt_lab.results.row import ResultRow
@@ -23,11 +24,20 @@ from paper_tables.measures import (
     solved,
 )
 from paper_tables.paper_numbers import PublishedValue
-from paper_tables.table_engine import Column
-from paper_tables.writers import Lines, text_lines
+from paper_tables.table_engine import Column, SuiteTable
+from paper_tables.writers import text_lines
 
 # in their order in the table; no planner has predictor graph any more, but committed rows do
 PREDICTORS = ("transformer", "published", "graph", "random", "oracle")
+CONTRAST_HEAD = ["the first / the second", "problems", "work", "projections", "length", "G"]
+_UNIFORM = "uniform=0.15"  # the share that wide Gaussians have, for decoded ones
+_PRODUCTS = (
+    *product(("transformer", "random", "oracle"), GAUSSIANS, UPDATES),
+    *product(("transformer",), GAUSSIANS, UPDATES, CLOUDS[1:]),
+    *product(("transformer", "random"), ("decoded",), UPDATES, (_UNIFORM,)),
+    ("transformer", "wide", "projected", "all-beams"),
+)
+PLANNERS = (REFERENCE, *(PREFIX + "+".join(words) for words in _PRODUCTS))
 # columns of rows
 FACTORS = ("predictor", "gaussians", "update", "cloud", "uniform_share", "sequences")
 COMPARED: Mapping[str, Value] = {
@@ -51,25 +61,21 @@ SEEING_DECODED, SEEING_WIDE = {**SEEING, **DECODED}, {**SEEING, **WIDE}
 SAME: Mapping[str, object] = {"uniform_share": 0.15}
 NOTES = (
     f"Work (projections and state checks), projections, length and G: over those of {REFERENCE}, "
-    f"geometric mean of the "
-    "ratio over problems that both solved, bootstrap interval [95 %]. Solved: certified, Wilson "
-    "interval.",
+    "geometric mean of the ratio over problems that both solved, bootstrap interval [95 %]. "
+    "Solved: certified, Wilson interval.",
     "G = F(q)^T F(q): mean over 256 fixed draws of what is sampled, inside the joint limits, "
     "before projection.",
     "Time: median with failures as infinite; encoding the cloud is in it, goal inverse kinematics "
     "is not.",
     "Work counts the projections of means, not the gradient of Algorithm 2 (F and its Jacobian at "
-    "16 draws a code and "
-    "step, five steps, and F at 64 more), which is in the time.",
+    "16 draws a code and step, five steps, and F at 64 more), which is in the time.",
     "Contrasts: the first over the second, all else equal; every product that both sides have is "
-    "paired by problem and "
-    "seed, and a problem counts once. Intervals are not corrected for their number. Wide and "
-    "decoded are compared at "
-    "15 % uniform samples. Runs that one side failed are left out, which flatters the side that "
-    "fails more.",
+    "paired by problem and seed, and a problem counts once. Intervals are not corrected for their "
+    "number. Wide and decoded are compared at 15 % uniform samples. Runs that one side failed are "
+    "left out, which flatters the side that fails more.",
     "The transformer also chooses the three goals that Gaussians lie around; graph and random "
-    "codes have the nearest. "
-    "The oracle's work includes the path without constraint that its codes are of.",
+    "codes have the nearest. The oracle's work includes the path without constraint that its "
+    "codes are of.",
 )
 
 
@@ -139,9 +145,7 @@ CONTRASTS = (
 )
 
 
-def factorial_table(
-    rows: Iterable[ResultRow], published: Sequence[PublishedValue]
-) -> table.Rendered:
+def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
     """Every product, by predictor, then the contrasts."""
     runs = table.suite_runs(rows)
     groups = sorted(runs.groups.items(), key=lambda item: _place(item[1][0]))
@@ -149,27 +153,28 @@ def factorial_table(
         table.entry(name, own, runs, COLUMNS, group=(own[0].predictor or "uniform samples",))
         for name, own in groups
     ]
-    contrasts = [
-        item for contrast in CONTRASTS if (item := contrast.entry(runs)).measured["work"].n
-    ]
+    compared = [contrast.entry(runs) for contrast in CONTRASTS]
+    contrasts = [item for item in compared if item.measured["work"].n]
+    lines, told = table.group_lines(found, ["predictor"]), [CONTRAST_HEAD]
+    for item in contrasts:
+        pairs = str(item.measured["work"].n)
+        told.append([item.planner, pairs, *map(item.cell, COMPARED)])
+    named = (
+        f"{name} is {choice.predictor}, {choice.gaussians}, {choice.update}, {choice.sequences}"
+        for name, choice in NAMED.items()
+    )
+    notes = [*NOTES, f"By name: {', '.join(named)}.", *table.seed_notes(runs)]
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
-    lines, told = table.group_lines(found, ["predictor"]), _contrast_lines(contrasts)
-    short = [[line[0], *line[2:4]] for line in told]
-    brief = [[line[0], line[1].removeprefix(PREFIX), *line[2:]] for line in lines]
-    return table.Rendered(
-        size=size,
-        sections={
-            "Products": lines,
-            "Contrasts": told,
-            "Fallbacks": table.count_lines(found, "fallbacks"),
-            "Failures": table.count_lines(found, "failures"),
-            "Notes": [*NOTES, f"By name: {_names()}.", *table.seed_notes(runs)],
-        },
-        latex=table.latex_groups(
-            f"{size}: products of predictor, Gaussians and update. {NOTES[0]}", suite, lines
-        ),
-        csv=table.csv_of(suite, [*found, *contrasts]),
-        brief=[*table.brief_groups(brief, [1, *range(3, len(lines[0]))]), "", *text_lines(short)],
+    caption = f"{size}: products of predictor, Gaussians and update. {NOTES[0]}"
+    short = [[line[0], line[1].removeprefix(PREFIX), *line[2:]] for line in lines]
+    brief = table.brief_groups(short, [1, *range(3, len(lines[0]))])
+    return SuiteTable(
+        suite,
+        size,
+        [*found, *contrasts],
+        {"Products": lines, "Contrasts": told, **table.counted(found), "Notes": notes},
+        table.latex_groups(caption, suite, lines),
+        [*brief, "", *text_lines([[line[0], *line[2:4]] for line in told])],
     )
 
 
@@ -189,21 +194,4 @@ def _place(row: ResultRow) -> tuple[int, ...]:
         GAUSSIANS.index(row.gaussians),
         UPDATES.index(row.update),
         CLOUDS.index(row.cloud),
-    )
-
-
-def _contrast_lines(contrasts: Sequence[table.Entry]) -> Lines:
-    cells = (
-        [item.planner, str(item.measured["work"].n), *map(item.cell, COMPARED)]
-        for item in contrasts
-    )
-    return [["the first / the second", "problems", *COMPARED], *cells]
-
-
-def _names() -> str:
-    """Products that planners are named after."""
-    parts = ({**vars(choice), "planner": name} for name, choice in NAMED.items())
-    return ", ".join(
-        f"{p['planner']} is {p['predictor']}, {p['gaussians']}, {p['update']}, {p['sequences']}"
-        for p in parts
     )

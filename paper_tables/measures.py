@@ -8,7 +8,7 @@ on the machine. Seeds of one problem are not independent: everywhere a problem c
 import math
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter, truediv
+from operator import attrgetter
 from statistics import fmean, median
 from typing import Literal, NamedTuple
 
@@ -55,7 +55,8 @@ def paper_cost(row: ResultRow) -> float | None:
     if row.n_projections is None or row.n_state_checks is None:
         return None
     search = row.n_projections * PROJECTION_COST + row.n_state_checks * STATE_CHECK_COST
-    return search + network_time(row)
+    networks = (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
+    return search + networks
 
 
 def own_time(row: ResultRow) -> float | None:
@@ -177,12 +178,11 @@ def paired_ratio(
     value: Value,
     pair: Callable[[ResultRow], Hashable] = problem_key,
 ) -> Interval:
-    """Geometric mean of value against the baseline's, over `paired_values`, with a bootstrap
-    interval.
+    """Geometric mean of value against the baseline's, over the problems that both solved (see
+    `paired_values`), with a bootstrap interval.
     """
-    return geometric_mean_interval(
-        [found.ratio for found in paired_values(rows, baseline, value, pair)]
-    )
+    found = _paired(rows, baseline, value, pair)
+    return geometric_mean_interval([_ratio(values) for values in found.values()])
 
 
 class Pair(NamedTuple):
@@ -198,9 +198,8 @@ class Pair(NamedTuple):
 
 def pair_of(problem: str, values: Sequence[tuple[float, float]]) -> Pair:
     """The pair of a problem's seeds, or codes: positive values of the one and the other."""
-    own, other = zip(*values, strict=True)
-    logs = list(map(math.log, map(truediv, own, other)))
-    return Pair(problem, fmean(own), fmean(other), math.exp(fmean(logs)))
+    own, other = (fmean(column) for column in zip(*values, strict=True))
+    return Pair(problem, own, other, _ratio(values))
 
 
 def paired_values(
@@ -214,13 +213,30 @@ def paired_values(
 
     Values that are not positive have no ratio and are left out.
     """
+    found = _paired(rows, baseline, value, pair)
+    return [pair_of(problem, values) for problem, values in found.items()]
+
+
+def _paired(
+    rows: Iterable[ResultRow],
+    baseline: Iterable[ResultRow],
+    value: Value,
+    pair: Callable[[ResultRow], Hashable],
+) -> dict[str, list[tuple[float, float]]]:
+    """Values of both, of every pair of runs, by problem."""
     reference = {pair(row): value(row) for row in baseline if row.solved}
     found: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
         own, other = value(row) if row.solved else None, reference.get(pair(row))
-        if own and other and min(own, other) > 0.0:
+        if own and other and own > 0.0 < other:
             found.setdefault(row.problem, []).append((own, other))
-    return [pair_of(problem, values) for problem, values in found.items()]
+    return found
+
+
+def _ratio(values: Sequence[tuple[float, float]]) -> float:
+    """Geometric mean of the ratios: exp(mean(log(own / other)))."""
+    logs = [math.log(own / other) for own, other in values]
+    return math.exp(math.fsum(logs) / len(logs))
 
 
 # ---------------------------------------------------------------- easy and hard problems

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
 from paper_tables import table_engine as table
-from paper_tables.measures import Measure, mean_of, median_of, share_of, solved
+from paper_tables.measures import Measure, Rows, SuiteRuns, mean_of, median_of, share_of, solved
 from paper_tables.paper_numbers import PublishedValue
-from paper_tables.table_engine import BriefColumn, Column
+from paper_tables.table_engine import BriefColumn, Column, Entry, SuiteTable
 from paper_tables.writers import Lines, number
 
 # that a time sums over
@@ -58,16 +58,6 @@ def _task_row(group: Sequence[ResultRow], phases: Collection[str] | None) -> Res
         if failed is None
         else None,
     )
-
-
-def reached(rows: Iterable[ResultRow], phase: str) -> list[ResultRow]:
-    """Rows of a phase that was tried."""
-    return [
-        row
-        for row in rows
-        if split_problem(row.problem).phase == phase
-        and row.fail_reason is not FailReason.NOT_REACHED
-    ]
 
 
 def of_tasks(measure: Measure, phases: Collection[str] | None = None) -> Measure:
@@ -130,16 +120,13 @@ NOTES = (
     "A task counts as solved when every phase has a certified path that could be timed; Wilson "
     "interval.",
     "Planning: wall time of goals, networks, search and simplification, attempts that were taken "
-    "back included. "
-    "Mean over solved tasks (bootstrap interval), because the paper gives means; median with "
-    "failures as infinite.",
+    "back included. Mean over solved tasks (bootstrap interval), because the paper gives means; "
+    "median with failures as infinite.",
     "Execution: duration of the fastest motion within a tenth of the joints' velocity and "
-    "acceleration limits, at rest "
-    "between phases. The paper's is the wall clock of a simulated controller following waypoints: "
-    "only ratios compare.",
+    "acceleration limits, at rest between phases. The paper's is the wall clock of a simulated "
+    "controller following waypoints: only ratios compare.",
     "The paper replays a stored motion to open the door; here it is planned, as is the straight "
-    "way to the can. "
-    "Both are outside the first table's times and inside the second's.",
+    "way to the can. Both are outside the first table's times and inside the second's.",
     "The final pose of the can is drawn for every task; in the published code a side effect makes "
     "it the same in all.",
     "Fallbacks: phases whose path did not come the way the planner's name promises; they count as "
@@ -147,32 +134,19 @@ NOTES = (
 )
 
 
-def multi_sequence_table(
-    rows: Iterable[ResultRow], published: Sequence[PublishedValue]
-) -> table.Rendered:
-    """Table II for both sets of phases, the breakdown by phase, fallbacks, failures and notes.
-
-    Planners that were not run are left out. InvalidInputError for rows that are no phases.
+def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
+    """The paper's Table II for both sets of phases, the breakdown by phase, fallbacks, failures and
+    notes. InvalidInputError for rows that are no phases.
     """
     runs = table.suite_runs(rows, published)
-    names = [split_problem(row.problem) for row in runs.rows]
+    names = {split_problem(row.problem) for row in runs.rows}
     phases = [phase for _, phase in sorted({(name.number, name.phase) for name in names})]
-    tasks, by_phase, in_csv = [], [], []
+    found, tasks, by_phase = [], [], []
     for name, own in runs.groups.items():
         tasks.append(table.entry(name, own, runs, TASK_COLUMNS, published))
-        parts = [
-            table.entry(
-                name,
-                reached(own, phase),
-                runs,
-                PHASE_COLUMNS,
-                group=(phase,),
-                suffix=f"_in_{phase}",
-            )
-            for phase in phases
-        ]
+        parts = [_phase_entry(name, own, runs, phase) for phase in phases]
         by_phase += parts
-        in_csv += [tasks[-1], *parts]
+        found += [tasks[-1], *parts]
     by_phase.sort(key=lambda item: phases.index(item.group[0]))
     size, suite = f"{len({name.task for name in names})} tasks", runs.rows[0].suite
     sections = {
@@ -180,30 +154,35 @@ def multi_sequence_table(
         "By phase (medians over the runs that reached it)": table.group_lines(
             by_phase, ["phase"], "n"
         ),
-        "Fallbacks": table.count_lines(tasks, "fallbacks"),
-        "Failures": table.count_lines(tasks, "failures"),
+        **table.counted(tasks),
         "Notes": [*NOTES, *table.seed_notes(runs), *table.published_notes(runs, published)],
     }
     caption = f"Multi-sequence task, {size}, {PARTS['paper']}. {NOTES[2]} {NOTES[3]}"
-    return table.Rendered(
-        size=size,
-        sections=sections,
-        latex=table.latex_planners(caption, suite, tasks, HEADLINES),
-        csv=table.csv_of(suite, in_csv),
-        brief=table.brief_lines(tasks, BRIEF),
-    )
+    latex = table.latex_planners(caption, suite, tasks, HEADLINES)
+    return SuiteTable(suite, size, found, sections, latex, table.brief_lines(tasks, BRIEF))
 
 
-def _time_lines(found: Sequence[table.Entry], part: str) -> Lines:
+def _phase_entry(planner: str, rows: Rows, runs: SuiteRuns, phase: str) -> Entry:
+    """Of the rows of a phase that was tried."""
+    tried = [
+        row
+        for row in rows
+        if split_problem(row.problem).phase == phase
+        and row.fail_reason is not FailReason.NOT_REACHED
+    ]
+    return table.entry(planner, tried, runs, PHASE_COLUMNS, group=(phase,), suffix=f"_in_{phase}")
+
+
+def _time_lines(found: Sequence[Entry], part: str) -> Lines:
     """Solved tasks and every time; the paper's beside those of its own phases."""
-    header = ["planner", "tasks run", "solved [%]"]
-    lines = [header, *([item.title, str(item.n_runs), item.cell("solved")] for item in found)]
-    for time, label in TIMES.items():
-        header += (
-            [f"{label} [s]: paper", "ours, mean"] if part == "paper" else [f"{label} [s]: mean"]
-        )
-        header.append("median")
-        for line, item in zip(lines[1:], found, strict=True):
-            line += [item.paper_cell(time)] if part == "paper" else []
-            line += [item.cell(time_metric(time, part, statistic)) for statistic in STATISTICS]
+    ours = part == "paper"
+    lines = [["planner", "tasks run", "solved [%]"]]
+    for label in TIMES.values():
+        paper = [f"{label} [s]: paper", "ours, mean"]
+        lines[0] += [*(paper if ours else [f"{label} [s]: mean"]), "median"]
+    for item in found:
+        lines.append([item.title, str(item.n_runs), item.cell("solved")])
+        for time in TIMES:
+            lines[-1] += [item.paper_cell(time)] if ours else []
+            lines[-1] += [item.cell(time_metric(time, part, name)) for name in STATISTICS]
     return lines

@@ -9,7 +9,7 @@ from typing import Any
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import FailReason, ResultRow
-from paper_tables.suite_tables import directory_rows
+from paper_tables.suites import directory_rows
 
 STATUSES = (
     "Unknown status", "Invalid start", "Invalid goal", "Unrecognized goal type", "Timeout", "Approximate solution",

@@ -36,9 +36,9 @@ from paper_tables.judging import (
     verdict_lines,
 )
 from paper_tables.measures import REFERENCE, VALUES, Rows, paired_ratio, work
-from paper_tables.paper_numbers import PUBLISHED, read_published
+from paper_tables.paper_numbers import PUBLISHED
 from paper_tables.statements import CBIRRT, CVQ, OPT, READING, STEPS
-from paper_tables.suite_tables import SuiteTable, table_of
+from paper_tables.suites import Suite, suite_of, table_of
 from paper_tables.table_engine import by_planner
 from paper_tables.writers import Lines, Sections, change, markdown_table
 
@@ -271,15 +271,14 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
     """Everything that the report says of a results directory."""
     rows, name = evidence.rows, evidence.folder.name
     suite = rows[0].suite if rows else name
-    table = table_of(suite) if rows else SuiteTable(f"Figure {name}")
-    published = read_published(*table.paper) if table.paper else ()
-    groups = by_planner(rows, published)
+    table = suite_of(suite) if rows else Suite(title=f"Figure {name}")
+    groups = by_planner(rows, table.published)
     filed = digests_in(evidence.record, "problem_files")
     problem = "--problem-file FILE" if filed else f"{suite} --problem PROBLEM"
     return {
         "name": name,
         "title": table.title if name == suite else f"{name}: {table.title}",
-        "blocks": _blocks(table.render(rows, published).sections) if rows else [],
+        "blocks": _blocks(table_of(rows).sections) if rows else [],
         "planners": list(groups),
         "plots": _plots(groups) if rows else {},
         "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},

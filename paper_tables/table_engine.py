@@ -1,5 +1,5 @@
-"""The engine of every suite's table:
-planners as lines, columns by declaration, the paper's numbers beside ours.
+"""The engine of every suite's table: planners as lines, columns by declaration, the paper's
+numbers beside ours; all as Markdown, LaTeX, csv and lines for a terminal.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,8 +24,6 @@ from paper_tables.writers import (
     number,
     text_lines,
 )
-
-CSV_COLUMNS = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")
 
 
 @dataclass(frozen=True)
@@ -82,19 +80,42 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Rendered:
-    """The table of one suite in all its forms."""
+class SuiteTable:
+    """The table of the rows of one suite in all its forms."""
 
+    suite: str
     size: str  # how much was run, as in "20 problems"
+    found: Sequence[Entry]  # in the order of the csv
     sections: Sections
     latex: str
-    csv: str
     brief: list[str]  # lines for a terminal
 
     @property
     def markdown(self) -> str:
         """All sections."""
         return writers.markdown(self.sections)
+
+    @property
+    def csv(self) -> str:
+        """Long form, full precision; undefined is empty, failures make ``inf``."""
+        header = ("suite", "metric", "unit", "planner", "source", "value", "low", "high", "n")
+        lines: list[Sequence[object]] = [header]
+        for item in self.found:
+            for name, column in item.columns.items():
+                paper = item.published.get(column.published or "")
+                if paper:
+                    cells = (item.planner, "paper", paper.value, "", "", "")
+                    lines.append((self.suite, name, paper.unit, *cells))
+            for name, ours in item.measured.items():
+                unit, numbers = item.columns[name].unit, (ours.estimate, ours.low, ours.high)
+                metric = name + item.suffix
+                lines.append((self.suite, metric, unit, item.planner, "ours", *numbers, ours.n))
+        return csv_text(lines)
+
+
+def counted(found: Sequence[Entry]) -> Sections:
+    """The sections of fallbacks and failures."""
+    return {what.capitalize(): count_lines(found, what) for what in ("fallbacks", "failures")}
 
 
 # ---------------------------------------------------------------- from rows to numbers
@@ -210,8 +231,7 @@ def seed_notes(runs: SuiteRuns) -> Iterable[str]:
     if most > 1:
         yield (
             "Several seeds: a problem counts once in every number and interval, with its median, "
-            "its mean or its share "
-            "over seeds; ratios pair runs by problem and seed."
+            "its mean or its share over seeds; ratios pair runs by problem and seed."
         )
     fewer = [f"{name} {count}" for name, count in seeds.items() if count < most]
     if fewer:
@@ -330,20 +350,3 @@ def latex_groups(caption: str, suite: str, lines: Lines) -> str:
     return latex_table(
         caption, suite, [[header], *(list(part) for _, part in groupby(rest, itemgetter(0)))]
     )
-
-
-def csv_of(suite: str, found: Iterable[Entry]) -> str:
-    """Long form (`CSV_COLUMNS`), full precision; undefined is empty, failures make ``inf``."""
-    lines: list[Sequence[object]] = [CSV_COLUMNS]
-    for item in found:
-        for name, column in item.columns.items():
-            value = item.published.get(column.published or "")
-            if value:
-                lines.append(
-                    (suite, name, value.unit, item.planner, "paper", value.value, "", "", "")
-                )
-        for name, ours in item.measured.items():
-            numbers = (ours.estimate, ours.low, ours.high, ours.n)
-            metric, unit = name + item.suffix, item.columns[name].unit
-            lines.append((suite, metric, unit, item.planner, "ours", *numbers))
-    return csv_text(lines)

@@ -77,7 +77,8 @@ GOOD = {
     "b.ply": ply(POINTS),
     "big.ply": ply(POINTS, "binary_big_endian"),
     "mesh.ply": ply(POINTS, tail="element face 1\nproperty list uchar int vertex_indices\n")
-    + bytes(13),
+    + bytes([3])
+    + bytes(12),
     "a.npy": npy(POINTS),
     "single.npy": npy(POINTS.astype("f4")),
     "image.npy": npy(np.dstack([POINTS.reshape(8, 5, 3), np.zeros((8, 5))])),

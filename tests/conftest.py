@@ -13,7 +13,7 @@ from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.robot.loading import load_robot, robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.tasks.solve_task import solve_task
+from cvqmpt_lab.tasks.solve import solve_task
 
 DATA = Path(__file__).parent / "data"
 

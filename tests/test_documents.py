@@ -3,7 +3,6 @@ examples and quick commands are run.
 """
 
 import ast
-import importlib
 import re
 import shlex
 from pathlib import Path
@@ -12,7 +11,7 @@ import nbformat
 import pytest
 
 import cvqmpt_lab
-from cli.main import COMMANDS, main, parser_with
+from cli.main import COMMANDS, examples_of, main, parser_with
 from cvqmpt_lab.trajectory.timing import time_path
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
@@ -50,8 +49,7 @@ def test_commands_on_pages_are_understood(page):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_examples_in_helps_are_understood(command):
-    examples = importlib.import_module(f"cli.{command.replace('-', '_')}_command").EXAMPLES
-    found = list(commands_of("```\n{}\n```".format("\n".join(examples))))
+    found = list(commands_of("```\n{}\n```".format("\n".join(examples_of(command)))))
     assert found and all(words[0] == command for words in found)
     for words in found:
         parser_with([command]).parse_args(words)

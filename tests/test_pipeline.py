@@ -17,7 +17,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.tasks.solve_task import solve_task
+from cvqmpt_lab.tasks.solve import solve_task
 
 ENOUGH = Budget(iterations=20_000)
 

@@ -74,7 +74,7 @@ def upright_problem(
     if pair is None:
         reason = (
             f"no two upright states {clear} m from everything in {scene.name} with a blocked "
-            f"straight motion"
+            "straight motion"
         )
         return UnsolvableProblem(name, reason)
     return replace(problem, start=pair[0], goals=pair[1][None])

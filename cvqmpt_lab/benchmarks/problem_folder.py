@@ -46,8 +46,7 @@ def read_folder(folder: Path) -> dict[str, FiledProblem]:
         if problem.name in found:
             raise InvalidInputError(
                 f"{found[problem.name].path} and {path} are both named {problem.name!r}, and rows "
-                f"go by names: "
-                "give one of them another 'name'"
+                "go by names: give one of them another 'name'"
             )
         found[problem.name] = FiledProblem(problem, path, _digest(path, data, problem))
     if not found:
@@ -82,7 +81,7 @@ def _named_as_in_rows(problem: PlanningProblem, path: Path) -> PlanningProblem:
     if one_line(name) != name:
         raise InvalidInputError(
             f"{path}: name {name!r} cannot stand in a table: no =, +, - or @ first, no blanks "
-            f"around or in a row"
+            "around or in a row"
         )
     return problem if name == problem.name else replace(problem, name=name)
 

@@ -49,8 +49,8 @@ class Suite:
         """Problem or task `index`; InvalidInputError names the valid range."""
         if index not in self.problems:
             raise InvalidInputError(
-                f"unknown problem {index} of suite {self.name}; valid indices: "
-                f"{self.problems[0]} to {self.problems[-1]}"
+                f"unknown problem {index} of suite {self.name}; valid indices: {self.problems[0]} "
+                f"to {self.problems[-1]}"
             )
         return self.make(index)
 
@@ -142,7 +142,7 @@ def folder_suite(folder: Path) -> Suite:
     if path.name in SUITES or not path.name:
         raise InvalidInputError(
             f"folder {path}: its rows would be called {path.name!r}, as a suite of ours; give it "
-            f"another name"
+            "another name"
         )
     problems = {name: filed.problem for name, filed in found.items()}
     digests = {name: filed.digest for name, filed in found.items()}
@@ -160,8 +160,8 @@ def suite_named(name: str) -> Suite:
         return _FOLDERS.get(name) or folder_suite(Path(name))
     if name == "sensor-robustness":
         raise InvalidInputError(
-            "suite sensor-robustness was removed, its last table is in docs/training_log.md; suite "
-            "sensor plans from noisy cameras"
+            "suite sensor-robustness was removed, its last table is in docs/training_log.md; "
+            "suite sensor plans from noisy cameras"
         )
     if name not in SUITES:
         raise UnknownChoiceError("suite", name, SUITES)

@@ -160,7 +160,7 @@ class ProvenanceFile:
         if not self.path.is_file():
             raise RunStoreError(
                 f"{self.directory} has no {PROVENANCE_FILE}, so its runs cannot be traced; use "
-                f"another --out"
+                "another --out"
             )
         try:
             record = read_json_object(self.path)
@@ -197,7 +197,7 @@ class ProvenanceFile:
         if found:
             raise RunStoreError(
                 f"{self.directory} holds runs of another configuration ({'; '.join(found)}); use "
-                f"another --out"
+                "another --out"
             )
 
     def add_continuation(self, session: Mapping[str, object]) -> None:

@@ -162,12 +162,12 @@ class ResultRow:
         if self.solved and not self.certified:
             raise InvalidInputError(
                 f"solved is True but certified is {self.certified}; a path without a certificate "
-                f"is a failure"
+                "is a failure"
             )
         if self.solved is not (self.fail_reason is None):
             raise InvalidInputError(
                 f"solved is {self.solved} but fail_reason is {self.fail_reason}; give one to "
-                f"failures only"
+                "failures only"
             )
 
     @property
@@ -216,7 +216,7 @@ class _Column(NamedTuple):
         if not text or not text.isprintable() or text.startswith(FORMULA):
             raise InvalidInputError(
                 f"{self.name} is {text!r}; it must be one non-empty line that does not begin like "
-                f"a formula"
+                "a formula"
             )
         if self.name == "schema" and text != SCHEMA:
             raise InvalidInputError(f"schema is {text!r}; this version reads and writes {SCHEMA!r}")
@@ -312,9 +312,9 @@ def _parse_header(path: Path, fields: list[str]) -> int:
     ):
         if found != expected:
             raise RunStoreError(
-                f"{path}, line 1, column {index}: expected {expected}, found {shown(found)[1:-1]}; "
-                f"the file is not a table of runs of this version (schema {SCHEMA}), use another "
-                f"--out"
+                f"{path}, line 1, column {index}: expected {expected}, found "
+                f"{shown(found)[1:-1]}; the file is not a table of runs of this version (schema "
+                f"{SCHEMA}), use another --out"
             )
     return len(known)
 

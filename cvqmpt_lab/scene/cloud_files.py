@@ -1,17 +1,16 @@
 """Point clouds from files and to files: PCD, PLY, NPY, lines of numbers.
 
-A header is believed only as far as the file's size bears it out: counts are compared with what the
-file can hold before anything is read, and with what was read afterwards. Memory stays within a
-small multiple of the file's size.
+Counts in a header are compared with the size of the file before anything of that size is made.
 """
 
 import contextlib
 import io
 import math
+import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 import lzf
 import numpy as np
@@ -20,61 +19,47 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import read_bytes, write_bytes
 from cvqmpt_lab.values import FloatArray
 
-MOST_BYTES = 2**31  # of a file
-MOST_COLUMNS = 1000  # of a row
-LONGEST_HEADER = 1_000_000  # [bytes]
-EXPANSION = 300  # bytes at most that LZF makes of one
-FARTHEST = 1000.0  # [m] that a coordinate may be from the origin
-ROOM = 50.0  # [m] within which at least half of all points must lie
-SPECK = 1e-3  # [m] that the whole must exceed in some direction
-WHOLE = {(kind, size): f"{kind.lower()}{size}" for kind in "IU" for size in (1, 2, 4, 8)}
-PCD_TYPES = {("F", 4): "f4", ("F", 8): "f8"} | WHOLE
-PLY_TYPES = {
-    **{"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4"},
-    **{"int8": "i1", "int16": "i2", "int32": "i4", "uint8": "u1", "uint16": "u2", "uint32": "u4"},
-    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
-}
-PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-NPY_HEADERS = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """What one camera or file holds, in its own frame."""
+
+    points: FloatArray  # (m, 3), all finite [m]
+    dropped: int = 0  # points or pixels left out because they hold no finite point
+    # (4, 4), pose of that frame; default: the robot's base frame
+    T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))
+
+    @property
+    def in_world(self) -> FloatArray:
+        """The points (m, 3) in the robot's base frame [m], `R p + t`."""
+        return self.points @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]
 
 
-class CloudRead(NamedTuple):
-    """A cloud as a file holds it."""
+def read_cloud(path: Path | str, scale: float = 1.0) -> Cloud:
+    """Read the points of a file; its suffix says what it is (see `READERS`).
 
-    points: FloatArray  # (m, 3), m >= 1, all finite [m]
-    dropped: int  # points left out because a coordinate was not finite
+    Args:
+        path: of the file.
+        scale: length of one unit of the file [m].
 
+    Returns: the finite points, and how many were not finite.
 
-class Column(NamedTuple):
-    """A number of each row."""
-
-    name: str
-    kind: str  # as numpy writes it, without byte order: "f4"
-
-
-def read_cloud(path: Path | str, scale: float = 1.0) -> CloudRead:
-    """Read the points of a file, whose suffix says what it is (see `READERS`); scale: [m] of one
-    unit of the file.
-
-    InvalidInputError for a file that cannot be read, contradicts itself, has no finite point, or is
-    evidently not in metres.
+    Raises InvalidInputError for a file that cannot be read, contradicts itself, has no finite
+    point, or is evidently not in metres.
     """
     path = Path(path)
     reader = READERS[kind_of(path, READERS, "cloud")]
     data = file_bytes(path, "cloud")
     with parsing(path, "cloud"), np.errstate(over="ignore", invalid="ignore"):
         points = scale * reader(data).astype(np.float64)
-    # 5 times as fast as by rows
+    # one axis after the other: 5 times as fast as by rows
     finite = np.logical_and.reduce([np.isfinite(axis) for axis in points.T])
     if not finite.any():
         raise InvalidInputError(
             f"cloud {path}: none of its {len(points)} points is finite; give one that has some"
         )
     check_lengths(points[finite], f"cloud {path}")
-    return CloudRead(points[finite], int(len(points) - finite.sum()))
+    return Cloud(points[finite], int(len(points) - finite.sum()))
 
 
 def write_cloud(path: Path | str, points: FloatArray) -> None:
@@ -86,18 +71,18 @@ def write_cloud(path: Path | str, points: FloatArray) -> None:
     write_bytes(path, write(np.ascontiguousarray(points, dtype="<f4")))
 
 
-def file_bytes(path: Path, what: str) -> bytes:
-    """The content of a regular file; a pipe, a folder or one beyond `MOST_BYTES` is refused."""
+def file_bytes(path: Path, what: str, most: int = 2**31) -> bytes:
+    """The content of a regular file; a pipe, a folder or one of more than `most` bytes is refused."""
     if path.exists() and not path.is_file():
         raise InvalidInputError(f"cannot read {what} {path}: it is no regular file")
-    if path.exists() and path.stat().st_size > MOST_BYTES:
+    if path.exists() and path.stat().st_size > most:
         raise InvalidInputError(
-            f"cannot read {what} {path}: more than {MOST_BYTES} bytes; make it smaller"
+            f"cannot read {what} {path}: more than {most} bytes; make it smaller"
         )
     return read_bytes(path, what)
 
 
-def kind_of(path: Path, kinds: Mapping[str, object], what: str) -> str:
+def kind_of(path: Path, kinds: Collection[str], what: str) -> str:
     """The suffix of a file, in small letters; UnknownChoiceError unless it is one of `kinds`."""
     suffix = path.suffix.lower()
     if suffix not in kinds:
@@ -117,54 +102,61 @@ def parsing(path: Path, what: str) -> Iterator[None]:
         raise InvalidInputError(f"{what} {path}: {said}") from error
 
 
-def check_lengths(points: FloatArray, what: str, room: float = ROOM) -> None:
-    """Refuse points (m, 3) [m], m >= 1, that cannot be metres: the message says which unit they may
-    be in.
+def check_lengths(
+    points: FloatArray,
+    what: str,
+    room: float = 50.0,
+    farthest: float = 1000.0,
+    speck: float = 1e-3,
+) -> None:
+    """Refuse points (m, 3) [m], m >= 1, that cannot be metres; errors name the likely unit.
 
-    room: [m] within which at least half of them must lie.
+    Args:
+        points: (m, 3) [m].
+        what: they are, for errors.
+        room: distance from the origin within which at least half of them must lie [m].
+        farthest: that one may be from the origin [m].
+        speck: length that all together must exceed along some axis [m].
     """
     off = np.maximum.reduce([np.abs(axis) for axis in points.T])
     largest, middling = float(off.max()), float(np.median(off))
-    if largest > FARTHEST:
+    if largest > farthest:
         raise InvalidInputError(
             f"{what}: point {int(np.argmax(off))} is {largest:.3g} m off the origin, more than "
-            f"{FARTHEST:g}; "
-            "scale or remove it (millimetres: scale 0.001)"
+            f"{farthest:g}; scale or remove it (millimetres: scale 0.001)"
         )
     if middling > room:
         raise InvalidInputError(
             f"{what}: half of it is more than {middling:.3g} m off the origin: no metres? give a "
-            f"scale "
-            "(millimetres: 0.001), or move it to the robot"
+            "scale (millimetres: 0.001), or move it to the robot"
         )
     extent = max(float(np.ptp(axis)) for axis in points.T)
-    if len(points) > 1 and extent < SPECK:
+    if len(points) > 1 and extent < speck:
         raise InvalidInputError(
             f"{what}: all of it lies within {1e3 * extent:.3g} mm: no metres? give a scale "
-            f"(kilometres: 1000)"
+            "(kilometres: 1000)"
         )
 
 
 def read_array(data: bytes) -> np.ndarray:
-    """The array of a NPY file, read-only, without the memory that a wrong header asks for.
+    """The array of a NPY file of version 1 or 2, read-only.
 
-    InvalidInputError or numpy's ValueError for a file that is damaged, of an unknown version, or of
-    Python objects.
+    Raises InvalidInputError or ValueError where it is damaged or holds Python objects.
     """
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
-    if version not in NPY_HEADERS:
+    if version not in ((1, 0), (2, 0)):
         raise InvalidInputError(f"NPY version {version} is not known; write version 1 or 2")
-    shape, by_column, kind = NPY_HEADERS[version](stream)
+    read_header = getattr(np.lib.format, f"read_array_header_{version[0]}_0")
+    shape, by_column, kind = read_header(stream)
     if kind.hasobject:
         raise InvalidInputError("it holds Python objects, which may run code; write plain numbers")
     if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(data) - stream.tell():
         raise InvalidInputError(
             f"its header says shape {shape} of {kind}, the file holds another size"
         )
-    return np.frombuffer(data, kind, offset=stream.tell()).reshape(
-        shape, order="F" if by_column else "C"
-    )
+    array = np.frombuffer(data, kind, offset=stream.tell())
+    return array.reshape(shape, order="F" if by_column else "C")
 
 
 def _read_npy(data: bytes) -> np.ndarray:
@@ -172,7 +164,7 @@ def _read_npy(data: bytes) -> np.ndarray:
     array = read_array(data)
     if array.dtype.names is not None:
         names = array.dtype.names
-        return _points([Column(name, "") for name in names], lambda k: array[names[k]].reshape(-1))
+        return np.stack([array[names[k]].reshape(-1) for k in _axes_among(names)], axis=1)
     if array.dtype.kind not in "fiu" or array.ndim < 2 or array.shape[-1] < 3:
         raise InvalidInputError(
             f"it has shape {array.shape} of {array.dtype}; give numbers of shape (m, 3)"
@@ -187,165 +179,102 @@ def _read_lines(data: bytes) -> np.ndarray:
 
 def _read_pcd(data: bytes) -> np.ndarray:
     """Points (m, 3) as the Point Cloud Library writes them: ascii, binary, or compressed by LZF."""
-    header, at = _pcd_header(data)
-    columns, count = _pcd_columns(header), int(header["POINTS"][0])
-    width, height = int(header.get("WIDTH", [str(count)])[0]), int(header.get("HEIGHT", ["1"])[0])
-    if count < 0 or width * height != count:
-        raise InvalidInputError(f"its header says {count} points, but {width} x {height}")
-    body, form = data[at:], header["DATA"][0].lower()
-    if form == "ascii":
-        return _from_text(body.decode("ascii"), columns, count)
-    if form == "binary":
-        if body[count * _row_bytes(columns) :].strip(b"\0\n"):  # pages are filled up with zeros
-            raise InvalidInputError(f"its header says {count} points, but the file holds more")
-        return _from_rows(body, columns, count, "<")
-    if form == "binary_compressed":
-        return _unpacked(body, columns, count)
-    raise InvalidInputError(f"its DATA is {form!r}; known: ascii, binary, binary_compressed")
-
-
-def _pcd_header(data: bytes) -> tuple[dict[str, list[str]], int]:
-    """The header's words by their key, and where the points begin."""
-    header: dict[str, list[str]] = {}
-    at = 0
-    while "DATA" not in header:
-        end = data.find(b"\n", at, at + LONGEST_HEADER)
-        if end < 0:
-            raise InvalidInputError("its header has no line DATA: no PCD, or cut short")
-        key, *words = data[at:end].decode("utf-8").split() or [""]
-        at = end + 1
-        if key and not key.startswith("#"):
-            header[key] = words
+    top = re.match(rb"(?s).{0,99999}?^DATA[^\n]*\n", data, re.MULTILINE)
+    if top is None:
+        raise InvalidInputError("its header has no line DATA: no PCD, or cut short")
+    words = [line.split() for line in top[0].decode("utf-8").splitlines()]
+    header = {line[0]: line[1:] for line in words if line}
     missing = [key for key in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA") if not header.get(key)]
     if missing:
         raise InvalidInputError(f"its header has no {missing[0]}")
-    return header, at
-
-
-def _pcd_columns(header: Mapping[str, Sequence[str]]) -> list[Column]:
-    """The numbers of each row; a field of several has several of one name."""
-    fields, kinds, sizes = header["FIELDS"], header["TYPE"], [int(word) for word in header["SIZE"]]
-    counts = [int(word) for word in header.get("COUNT", ["1"] * len(fields))]
-    if not len(fields) == len(kinds) == len(sizes) == len(counts):
+    names, count, body = header["FIELDS"], int(header["POINTS"][0]), data[top.end() :]
+    repeats = [int(word) for word in header.get("COUNT", ["1"] * len(names))]
+    if not len(names) == len(header["TYPE"]) == len(header["SIZE"]) == len(repeats):
+        raise InvalidInputError("FIELDS, SIZE, TYPE and COUNT of its header differ in length")
+    fields = zip(header["TYPE"], header["SIZE"], repeats, strict=True)
+    try:
+        row = np.dtype([(str(k), f"<{t.lower()}{s}", (n,)) for k, (t, s, n) in enumerate(fields)])
+    except (TypeError, ValueError) as error:
         raise InvalidInputError(
-            "its header's FIELDS, SIZE, TYPE and COUNT have not the same length"
-        )
-    if min(counts) < 1 or sum(counts) > MOST_COLUMNS:
+            f"TYPE, SIZE or COUNT of its header has no meaning: {error}"
+        ) from error
+    form = header["DATA"][0].lower()
+    axes = _axes_among([name if n == 1 else "" for name, n in zip(names, repeats, strict=True)])
+    if form == "ascii":
+        if any(n != 1 for n in repeats):
+            raise InvalidInputError("it is ascii with a COUNT other than 1; write it as binary")
+        points = _numbers(body.decode("ascii"), axes)
+    elif form == "binary":
+        points = _from_rows(body, row, axes, count)
+    elif form == "binary_compressed":
+        points = _unpacked(body, row, axes, count)
+    else:
+        raise InvalidInputError(f"its DATA is {form!r}; known: ascii, binary, binary_compressed")
+    if len(points) != count:
+        raise InvalidInputError(f"its header says {count} points, the file holds {len(points)}")
+    return points
+
+
+def _from_rows(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np.ndarray:
+    """Points (m, 3) of binary rows, of which x, y and z are the fields `axes`."""
+    if not 0 <= count * row.itemsize <= len(body):
         raise InvalidInputError(
-            f"its header's COUNT is {counts}; give 1 or more, {MOST_COLUMNS} together"
+            f"its header says {count} points, the file holds "
+            f"{len(body) // max(1, row.itemsize)}: cut short?"
         )
-    for kind, size in zip(kinds, sizes, strict=True):
-        if (kind, size) not in PCD_TYPES:
-            raise InvalidInputError(f"its header's TYPE {kind} of SIZE {size} does not exist")
-    described = zip(fields, kinds, sizes, counts, strict=True)
-    columns = (
-        (Column(name, PCD_TYPES[kind, size]), count) for name, kind, size, count in described
-    )
-    return [column for column, count in columns for _ in range(count)]
+    rows = np.frombuffer(body, row, count)
+    return np.concatenate([rows[str(k)].astype(np.float64) for k in axes], axis=1)
 
 
-def _unpacked(body: bytes, columns: Sequence[Column], count: int) -> np.ndarray:
-    """Points of a compressed body, which holds one column after the other."""
-    if len(body) < 8:
-        raise InvalidInputError("its compressed points are cut short")
+def _unpacked(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np.ndarray:
+    """Points (m, 3) of a compressed body, which holds one field after the other."""
     packed, unpacked = (int(size) for size in np.frombuffer(body, "<u4", 2))
-    row = _row_bytes(columns)
-    if unpacked != count * row or packed > len(body) - 8 or unpacked > EXPANSION * packed:
+    # LZF makes at most 300 bytes of one
+    if unpacked != count * row.itemsize or packed > len(body) - 8 or unpacked > 300 * packed:
         raise InvalidInputError(
-            f"its header says {count} points of {row} bytes, its compressed part {unpacked} bytes "
-            f"in {packed} "
-            f"of {len(body) - 8}"
+            f"its header says {count} points of {row.itemsize} bytes, its compressed part "
+            f"{unpacked} bytes in {packed} of {len(body) - 8}"
         )
     raw = lzf.decompress(body[8 : 8 + packed], unpacked) if unpacked else b""
     if raw is None or len(raw) != unpacked:
         raise InvalidInputError("its compressed points cannot be unpacked")
-    begins = count * np.cumsum([0, *(np.dtype(column.kind).itemsize for column in columns)])
-    return _points(
-        columns, lambda k: np.frombuffer(raw, f"<{columns[k].kind}", count, int(begins[k]))
-    )
+    assert row.fields is not None
+    columns = [row.fields[str(k)] for k in axes]
+    found = [np.frombuffer(raw, kind.base, count, count * at) for kind, at, *_ in columns]
+    return np.stack(found, axis=1).astype(np.float64)
 
 
 def _read_ply(data: bytes) -> np.ndarray:
-    """Points (m, 3) of the element "vertex", which must come first and hold plain numbers;
-    others are not read.
-    """
-    end = data.find(b"end_header", 0, LONGEST_HEADER)
-    begin = data.find(b"\n", end) + 1
-    if not data.startswith(b"ply") or end < 0 or begin == 0:
-        raise InvalidInputError("it does not begin with a PLY header: no PLY, or cut short")
-    form, columns, count = _ply_vertices(
-        [line.split() for line in data[:end].decode("utf-8").splitlines()]
-    )
-    body = data[begin:]
-    if form == "ascii":
-        lines = body.decode("ascii").split("\n", count)[:count] if 0 <= count <= len(body) else []
-        return _from_text("\n".join(lines), columns, count)
-    return _from_rows(body, columns, count, PLY_ORDERS[form])
+    """Points (m, 3) of the element "vertex" of a PLY file, which must hold nothing but numbers."""
+    # it takes a second to import, which other clouds need not pay
+    import trimesh
 
-
-def _ply_vertices(lines: Sequence[Sequence[str]]) -> tuple[str, list[Column], int]:
-    """The format, the columns of the element "vertex" and how many there are."""
-    form = next((line[1] for line in lines if line[:1] == ["format"] and len(line) > 1), "")
-    if form not in PLY_ORDERS:
-        raise InvalidInputError(f"its format is {form!r}; known: {', '.join(PLY_ORDERS)}")
-    elements = [k for k, line in enumerate(lines) if line[:1] == ["element"]]
-    if not elements or lines[elements[0]][1:2] != ["vertex"] or len(lines[elements[0]]) != 3:
-        raise InvalidInputError("its first element is not 'vertex'")
-    first, last = (*elements, len(lines))[:2]
-    columns = []
-    for line in lines[first + 1 : last]:
-        if line[:1] == ["property"]:
-            if len(line) != 3 or line[1] not in PLY_TYPES:
-                raise InvalidInputError(
-                    f"its property {' '.join(line[1:])!r} of 'vertex' is no plain number"
-                )
-            columns.append(Column(line[2], PLY_TYPES[line[1]]))
-    if len(columns) > MOST_COLUMNS:
+    form = re.match(rb"ply\s+format (ascii|binary_little_endian|binary_big_endian) ", data)
+    said = re.search(rb"element vertex (-?\d+)\s(?s:.{0,999999}?)end_header", data[:1_000_000])
+    if form is None or said is None:
+        raise InvalidInputError("it does not begin with a PLY header of ascii or binary vertices")
+    try:
+        loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
+        points = np.asarray(getattr(loaded, "vertices", np.empty((0, 3))), dtype=np.float64)
+    except (ValueError, KeyError, TypeError, IndexError) as error:
         raise InvalidInputError(
-            f"its element 'vertex' has {len(columns)} properties; {MOST_COLUMNS} at most"
+            f"its vertices x, y, z cannot be read ({error}): cut short, or no plain numbers?"
+        ) from error
+    if len(points) != int(said[1]):
+        raise InvalidInputError(
+            f"its header says {int(said[1])} points, the file holds {len(points)}"
         )
-    return form, columns, int(lines[first][2])
+    return points
 
 
-def _points(columns: Sequence[Column], values: Callable[[int], np.ndarray]) -> np.ndarray:
-    """The columns x, y and z as points (m, 3); values gives column k."""
-    return np.stack([values(k).astype(np.float64) for k in _places(columns)], axis=1)
-
-
-def _places(columns: Sequence[Column]) -> list[int]:
+def _axes_among(names: Sequence[str]) -> list[int]:
     """Which columns are x, y and z; each must occur once."""
-    names = [column.name for column in columns]
     for axis in "xyz":
-        if names.count(axis) != 1:
+        if list(names).count(axis) != 1:
             raise InvalidInputError(
                 f"it has no single column {axis!r}; columns: {', '.join(names) or 'none'}"
             )
-    return [names.index(axis) for axis in "xyz"]
-
-
-def _row_bytes(columns: Sequence[Column]) -> int:
-    return sum(np.dtype(column.kind).itemsize for column in columns)
-
-
-def _from_rows(body: bytes, columns: Sequence[Column], count: int, order: str) -> np.ndarray:
-    """Points of the first `count` binary rows; order: of their bytes, "<" or ">"."""
-    size = _row_bytes(columns)
-    if count < 0 or count * size > len(body):
-        raise InvalidInputError(
-            f"its header says {count} points, the file holds {len(body) // max(1, size)}: cut "
-            f"short?"
-        )
-    kinds = np.dtype([(f"{k}", order + item.kind) for k, item in enumerate(columns)])
-    rows = np.frombuffer(body, kinds, count)
-    return _points(columns, lambda k: rows[f"{k}"])
-
-
-def _from_text(text: str, columns: Sequence[Column], count: int) -> np.ndarray:
-    """Points of `count` lines of numbers."""
-    points = _numbers(text, _places(columns))
-    if len(points) != count:
-        raise InvalidInputError(f"its header says {count} points, the file holds {len(points)}")
-    return points
+    return [list(names).index(axis) for axis in "xyz"]
 
 
 def _numbers(text: str, chosen: Sequence[int]) -> np.ndarray:
@@ -359,10 +288,9 @@ def _numbers(text: str, chosen: Sequence[int]) -> np.ndarray:
 def _write_pcd(points: np.ndarray) -> bytes:
     count = len(points)
     header = (
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE "
-        "F F F\n"
-        f"COUNT 1 1 1\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA "
-        f"binary\n"
+        "# .PCD v0.7 - Point Cloud Data file format\n"
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n"
     )
     return header.encode() + points.tobytes()
 

@@ -5,7 +5,7 @@ what one camera saw, as points.
 import io
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_bytes, write_text
 from cvqmpt_lab.scene.cloud_files import (
+    Cloud,
     check_lengths,
     file_bytes,
     kind_of,
@@ -31,27 +32,12 @@ SIXTEEN_BITS = ("I;16", "I;16B", "I;16L")  # what Pillow calls them
 EXPANSION = 1100  # bytes, at most, that PNG packs into one
 
 
-@dataclass(frozen=True, eq=False)
-class Capture:
-    """What one camera saw."""
-
-    points: FloatArray  # (m, 3), all finite [m, camera frame]
-    unseen: int = 0  # pixels, or rows of a file, without a finite point
-    # (4, 4); default: the base frame
-    T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))
-
-    @property
-    def in_world(self) -> FloatArray:
-        """The points (m, 3) in the robot's base frame [m]."""
-        return self.points @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]
-
-
 def read_capture(
     path: Path | str,
     intrinsics: Path | str | None = None,
     extrinsics: Path | str | None = None,
     scale: float | None = None,
-) -> Capture:
+) -> Cloud:
     """Read a cloud, or, with intrinsics, a depth image; errors name the file.
 
     intrinsics, extrinsics: files of `read_intrinsics` and `read_extrinsics`; None: a cloud; the
@@ -65,8 +51,7 @@ def read_capture(
         )
     T = np.eye(4) if extrinsics is None else read_extrinsics(extrinsics)
     if intrinsics is None:
-        points, dropped = read_cloud(path, 1.0 if scale is None else scale)
-        return Capture(points, dropped, T)
+        return replace(read_cloud(path, 1.0 if scale is None else scale), T_world_camera=T)
     lens = read_intrinsics(intrinsics)
     pixels = deprojected(read_depth(path, lens, scale), lens).reshape(-1, 3)
     points = pixels[np.isfinite(pixels[:, 2])]
@@ -75,7 +60,7 @@ def read_capture(
             f"depth image {path}: the camera saw nothing, every pixel is 0 or not finite"
         )
     check_lengths(points, f"depth image {path}")
-    return Capture(points, len(pixels) - len(points), T)
+    return Cloud(points, len(pixels) - len(points), T)
 
 
 def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -> FloatArray:

@@ -10,8 +10,8 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.cells import distinct, map_of_points
+from cvqmpt_lab.scene.cloud_files import Cloud
 from cvqmpt_lab.scene.shapes import OccupancyMap, require_resolution
-from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm
 from cvqmpt_lab.values import FloatArray
@@ -45,7 +45,7 @@ class MapSettings:
 def occupancy_map(
     points: FloatArray,
     settings: MapSettings,
-    captures: Sequence[Capture] = (),
+    captures: Sequence[Cloud] = (),
     arm: Arm | None = None,
 ) -> OccupancyMap:
     """Map of the cells that hold points (m, 3) [m, robot base frame] of a scan, and of unknown
@@ -65,7 +65,7 @@ def occupancy_map(
     return map_of_points(points, settings.resolution, settings.padding)
 
 
-def _unknown(settings: MapSettings, captures: Sequence[Capture], arm: Arm | None) -> FloatArray:
+def _unknown(settings: MapSettings, captures: Sequence[Cloud], arm: Arm | None) -> FloatArray:
     """Middles (k, 3) [m] of cells in the box that no ray crossed."""
     if not captures:
         raise InvalidInputError(

@@ -12,9 +12,9 @@ from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import map_of_points
+from cvqmpt_lab.scene.cloud_files import Cloud
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
-from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, near_robot, outliers, voxel_means
 from cvqmpt_lab.sensing.plane import (
     CAMERA_TILT,
@@ -83,9 +83,9 @@ class Scan:
     """A cleaned scan."""
 
     points: FloatArray  # (m, 3) [m, robot base frame]
-    unseen: int  # pixels or rows that held no point
+    dropped: int  # pixels or rows that held no point
     steps: tuple[Step, ...]  # what each filter did, in order
-    captures: tuple[Capture, ...] = ()  # what it was made of, at the poses that were used
+    captures: tuple[Cloud, ...] = ()  # what it was made of, at the poses that were used
     levelled: Levelled | None = None  # none unless asked for
     plane: SupportingPlane | None = None  # if searched for, in the robot's base frame
     table: SceneObject | None = None  # the box that stands for it
@@ -102,7 +102,7 @@ class Scan:
 
 
 def scan(
-    captures: Sequence[Capture],
+    captures: Sequence[Cloud],
     settings: ScanSettings,
     rng: np.random.Generator,
     arm: Arm | None = None,
@@ -137,8 +137,8 @@ def scan(
         left = points[~flat]
         steps.append(Step("supporting plane", len(points), len(left)))
         points = left
-    unseen = sum(capture.unseen for capture in captures)
-    return Scan(points, unseen, tuple(steps), tuple(captures), levelled, plane, table)
+    dropped = sum(capture.dropped for capture in captures)
+    return Scan(points, dropped, tuple(steps), tuple(captures), levelled, plane, table)
 
 
 def refuse_touching(scene: Scene, arm: Arm) -> None:
@@ -152,9 +152,7 @@ def refuse_touching(scene: Scene, arm: Arm) -> None:
         )
 
 
-def _level(
-    captures: Sequence[Capture], settings: ScanSettings, rng: np.random.Generator
-) -> Levelled:
+def _level(captures: Sequence[Cloud], settings: ScanSettings, rng: np.random.Generator) -> Levelled:
     """By the table that the only capture shows."""
     if len(captures) != 1:
         raise InvalidInputError(

@@ -24,7 +24,7 @@ from cvqmpt_lab.show.picture import (
     write_png,
 )
 from cvqmpt_lab.show.task_frames import shown
-from cvqmpt_lab.tasks.solve_task import TaskSolution
+from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.tasks.world import World
 

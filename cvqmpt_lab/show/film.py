@@ -1,14 +1,12 @@
-"""Films of a solution or a task: a gif, or an mp4 where ffmpeg is installed."""
+"""Films of a solution or a task: gif files."""
 
-import shutil
-import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.processes import one_thread
@@ -38,7 +36,7 @@ from cvqmpt_lab.show.picture import (
     with_load,
 )
 from cvqmpt_lab.show.task_frames import Frame, moving_poses, shown, solved_frames
-from cvqmpt_lab.tasks.solve_task import TaskSolution
+from cvqmpt_lab.tasks.solve import TaskSolution
 
 FRAMES = 48  # of one path
 VIEWS = 6  # of its states that the viewpoint is chosen for
@@ -61,8 +59,7 @@ def film_solution(
     carried: Sequence[Attachment] = (),
     progress: Progress = lambda done, total: None,
 ) -> None:
-    """Write a film of the robot on its path, or of the start alone without one; the suffix chooses
-    gif or mp4.
+    """Write a film of the robot on its path, or of the start alone without one, as a gif.
 
     size: width and height [pixels], without the legend. carried: as for `draw_solution`.
     """
@@ -96,19 +93,14 @@ def film_solution(
 
 def check_film(path: Path) -> None:
     """Refuse a film that could not be written, before anything is planned for it."""
-    if path.suffix not in WRITERS:
-        raise UnknownChoiceError(f"kind of film {path.name}: suffix", path.suffix, WRITERS)
-    if path.suffix == ".mp4" and shutil.which("ffmpeg") is None:
-        raise InvalidInputError(f"cannot write {path}: no ffmpeg is installed; save a .gif instead")
+    if path.suffix != ".gif":
+        raise UnknownChoiceError(f"kind of film {path.name}: suffix", path.suffix, (".gif",))
 
 
 def save_film(frames: Sequence[np.ndarray], path: Path) -> None:
-    """Write pictures (height, width, 3), 8 bit, one after another."""
+    """Write pictures (height, width, 3), 8 bit, one after another, as a gif."""
     check_film(path)
-    WRITERS[path.suffix]([*frames, *[frames[-1]] * REST], path)
-
-
-def _write_gif(frames: Sequence[np.ndarray], path: Path) -> None:
+    frames = [*frames, *[frames[-1]] * REST]
     some = frames[:: max(1, len(frames) // PALETTE_FRAMES)]
     palette = Image.fromarray(np.concatenate(some)).quantize(COLOURS)
     first, *rest = (
@@ -121,41 +113,6 @@ def _write_gif(frames: Sequence[np.ndarray], path: Path) -> None:
         )
 
 
-def _write_mp4(frames: Sequence[np.ndarray], path: Path) -> None:
-    # the codec wants even numbers
-    height, width = (side - side % 2 for side in frames[0].shape[:2])
-    raw = [
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-s",
-        f"{width}x{height}",
-        "-r",
-        str(RATE),
-        "-i",
-        "-",
-    ]
-    coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-f", "mp4"]
-    data = b"".join(frame[:height, :width].tobytes() for frame in frames)
-    with replacing(path) as temporary:
-        done = subprocess.run(
-            ["ffmpeg", "-y", "-loglevel", "error", *raw, *coded, str(temporary)],
-            input=data,
-            capture_output=True,
-        )
-        if done.returncode != 0:
-            reason = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [
-                "no reason given"
-            ]
-            raise InvalidInputError(
-                f"cannot write {path}: ffmpeg says {reason[0]!r}; save a .gif instead"
-            )
-
-
-WRITERS = {".gif": _write_gif, ".mp4": _write_mp4}  # by the suffix of the file
-
-
 @one_thread()
 def film_task(
     solution: TaskSolution,
@@ -163,7 +120,7 @@ def film_task(
     size: tuple[int, int] = (600, 450),
     progress: Progress = lambda done, total: None,
 ) -> None:
-    """Write a film of a task, the name of the phase below; the suffix chooses gif or mp4.
+    """Write a film of a task, the name of the phase below, as a gif.
 
     size: width and height [pixels], without the name.
     """

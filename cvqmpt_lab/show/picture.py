@@ -43,7 +43,7 @@ from cvqmpt_lab.show.meshes import (
 )
 from cvqmpt_lab.show.stage import AZIMUTHS, Picture, Stage, clear_viewpoint, framed, light
 from cvqmpt_lab.show.task_frames import frames, shown
-from cvqmpt_lab.tasks.solve_task import TaskSolution
+from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase
 from cvqmpt_lab.tasks.world import World
 

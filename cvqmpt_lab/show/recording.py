@@ -48,7 +48,7 @@ from cvqmpt_lab.show.meshes import (
 from cvqmpt_lab.show.picture import with_load
 from cvqmpt_lab.show.task_frames import Frame, moving_poses, piece_poses, solved_frames
 from cvqmpt_lab.show.viewer import check_viewer, open_viewer
-from cvqmpt_lab.tasks.solve_task import TaskSolution
+from cvqmpt_lab.tasks.solve import TaskSolution
 
 TIMELINE = "path_state"
 GROWTH = "vertices"

@@ -45,7 +45,7 @@ from cvqmpt_lab.show.meshes import (
 from cvqmpt_lab.show.picture import HIDDEN, with_load
 from cvqmpt_lab.show.stage import clear_viewpoint
 from cvqmpt_lab.show.task_frames import moving_poses, piece_poses, solved_frames
-from cvqmpt_lab.tasks.solve_task import TaskSolution
+from cvqmpt_lab.tasks.solve import TaskSolution
 
 TEMPLATE = Path(__file__).with_name("plan_page.html")
 PLACE = '<script type="application/json" id="data">{}</script>'  # of the data in the template

@@ -1,7 +1,7 @@
 """One moment of a task: the arm's configuration, what the hand holds, the scene."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -18,11 +18,12 @@ from cvqmpt_lab.robot.mechanism import with_articulated_object
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Cylinder, Shape, Sphere
+from cvqmpt_lab.scene.shapes import Cylinder, Sphere
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Task, Turn
 
-IN_HAND = 0.02  # [m] between an object and where a grasp expects it, at most, ...
-TURNED = 0.1  # [rad] ... and its turn from there; what is checked is where the object truly is
+# [m] and [rad] between an object and where a grasp expects it, at most; what is checked afterwards
+# is where the object truly is
+IN_HAND, TURNED = 0.02, 0.1
 
 
 class Load(NamedTuple):
@@ -75,10 +76,8 @@ class World:
                 goal = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)))
             case Turn():
                 assert isinstance(self.held, HeldDoor)
-                turned = scene.with_joint(self.held.name, phase.value)[
-                    phase.goal.base
-                ].T_world_object
-                constraint, goal = (phase.constraint,), phase.goal.at(turned)
+                turned = scene.with_joint(self.held.name, phase.value)[phase.goal.base]
+                constraint, goal = (phase.constraint,), phase.goal.at(turned.T_world_object)
                 start = np.append(start, scene.articulation(self.held.name).value)
                 scene, robot = _mechanism(robot, scene, self.held)
         return PlanningProblem(
@@ -92,88 +91,79 @@ class World:
         )
 
     def moved(self, q: np.ndarray) -> "World":
-        """The world after a planned phase that ended at q (n,), or (n + 1,) with a door in the
-        hand.
-        """
+        """The world after a planned phase that ended at q (n,), (n + 1,) with a door in the hand."""
         if not isinstance(self.held, HeldDoor):
             return replace(self, q=q)
         joint = self.scene.articulation(self.held.name)
-        scene = self.scene.with_joint(
-            self.held.name, float(np.clip(q[-1], joint.lower, joint.upper))
-        )
-        return replace(self, scene=scene, q=q[:-1])
+        value = float(np.clip(q[-1], joint.lower, joint.upper))
+        return replace(self, scene=self.scene.with_joint(self.held.name, value), q=q[:-1])
 
-    def after(self, phase: Phase) -> "World":
-        """The world after a phase that is not planned;
-        InvalidInputError if the hand closes beside the object.
-        """
+    def through(self, phases: Sequence[Phase]) -> "World":
+        """The world after phases that are not planned."""
+        world = self
+        for phase in phases:
+            assert not isinstance(phase, PlannedPhase), "its end is not known before"
+            world = world.after(phase)
+        return world
+
+    def after(self, phase: Hold | Grasp | Release) -> "World":
+        """The world after the fingers moved; InvalidInputError if they close beside the object."""
+        source = {**self.source, **phase.gripper}
         match phase:
             case Hold():
                 held = HeldDoor(phase.articulation, phase.may_touch)
-                return replace(self, source={**self.source, **phase.gripper}, held=held)
+                return replace(self, source=source, held=held)
             case Grasp():
-                return self._grasped(phase)
-            case Release():
-                scene = self.scene
-                if isinstance(self.held, Load):
-                    T = self.arm.pose(self.q) @ self.held.attachment.T_hand_object
-                    scene = scene.with_objects(replace(self.held.item, T_world_object=T))
-                return replace(
-                    self, source={**self.source, **phase.gripper}, scene=scene, held=None
-                )
-        raise InvalidInputError(f"phase {phase.name!r} is planned: its end is not known before")
+                item, expected = self.scene[phase.object], phase.attachment
+                T_hand_object = np.linalg.inv(self.arm.pose(self.q)) @ item.T_world_object
+                _require_in_hand(phase, item, T_hand_object, robot_from_source(source), self.q)
+                name = expected.name if expected else item.name
+                load = Load(item, Attachment(name, item.shape, T_hand_object))
+                return World(source, self.scene.without(phase.object), self.q, load)
+        scene = self.scene
+        if isinstance(self.held, Load):
+            T = self.arm.pose(self.q) @ self.held.attachment.T_hand_object
+            scene = scene.with_objects(replace(self.held.item, T_world_object=T))
+        return replace(self, source=source, scene=scene, held=None)
 
-    def _grasped(self, phase: Grasp) -> "World":
-        item, source, expected = (
-            self.scene[phase.object],
-            {**self.source, **phase.gripper},
-            phase.attachment,
-        )
-        T_hand_object = np.linalg.inv(self.arm.pose(self.q)) @ item.T_world_object
-        if expected is not None:
-            off, turn = _offset(item.shape, expected.T_hand_object, T_hand_object)
-            if off > IN_HAND or turn > TURNED:
-                raise InvalidInputError(
-                    f"phase {phase.name!r}: {item.name!r} is {off:.3f} m and {turn:.2f} rad from "
-                    f"where the hand "
-                    f"closes by its attachment, at most {IN_HAND} m and {TURNED} rad are allowed; "
-                    f"let the phase before "
-                    "end at the object, or leave 'attachment' out"
-                )
-        elif _beyond(robot_from_source(source), item, self.q):
+
+def _require_in_hand(
+    phase: Grasp, item: SceneObject, T_hand_object: np.ndarray, robot: Robot, q: np.ndarray
+) -> None:
+    """Refuse an object that is not where the closed hand is at q (n,).
+
+    Turns about an axis of symmetry do not count.
+    """
+    if phase.attachment is None:
+        scene = Scene(item.name, (replace(item, obstacle=True),))
+        checker = CollisionChecker(robot, scene, margin=IN_HAND)
+        if checker.clear_of_obstacles(q[None], q[None, None]).all():
             raise InvalidInputError(
                 f"phase {phase.name!r}: {item.name!r} is more than {IN_HAND} m from the arm; let "
-                f"the phase before end "
-                "at the object, or say by an 'attachment' where a hand without collision bodies "
-                "holds it"
+                f"the phase before end at the object, or say by an 'attachment' where a hand "
+                f"without collision bodies holds it"
             )
-        held = Load(
-            item, Attachment(expected.name if expected else item.name, item.shape, T_hand_object)
-        )
-        return World(source, self.scene.without(phase.object), self.q, held)
-
-
-def _beyond(robot: Robot, item: SceneObject, q: np.ndarray) -> bool:
-    """Whether an object is further than IN_HAND from every link at q (n,)."""
-    scene = Scene(item.name, (replace(item, obstacle=True),))
-    checker = CollisionChecker(robot, scene, margin=IN_HAND)
-    return bool(checker.clear_of_obstacles(q[None], q[None, None]).all())
-
-
-def _offset(shape: Shape, T_expected: np.ndarray, T: np.ndarray) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two poses of a shape;
-    turns about an axis of symmetry do not count.
-    """
-    off, R = float(np.linalg.norm(T[:3, 3] - T_expected[:3, 3])), T_expected[:3, :3].T @ T[:3, :3]
-    match shape:
+        return
+    T = phase.attachment.T_hand_object
+    off = float(np.linalg.norm(T_hand_object[:3, 3] - T[:3, 3]))
+    R = T[:3, :3].T @ T_hand_object[:3, :3]
+    match item.shape:
         case Sphere():
-            return off, 0.0
+            turn = 0.0
         case Cylinder():
-            return off, math.acos(min(1.0, abs(R[2, 2])))
-    return off, float(np.linalg.norm(rotation_vectors(R)))
+            turn = math.acos(min(1.0, abs(R[2, 2])))
+        case _:
+            turn = float(np.linalg.norm(rotation_vectors(R)))
+    if off > IN_HAND or turn > TURNED:
+        raise InvalidInputError(
+            f"phase {phase.name!r}: {item.name!r} is {off:.3f} m and {turn:.2f} rad from where "
+            f"the hand closes by its attachment, at most {IN_HAND} m and {TURNED} rad are "
+            f"allowed; let the phase before end at the object, or leave 'attachment' out"
+        )
 
 
-_taken_out = lru_cache(maxsize=8)(take_out)  # takes 0.2 s for the casing of a door
+# it takes 0.2 s for the casing of a door
+_taken_out = lru_cache(maxsize=8)(take_out)
 
 
 @lru_cache(maxsize=8)

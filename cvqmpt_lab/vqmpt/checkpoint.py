@@ -1,6 +1,4 @@
-"""Trained models as torch modules, to and from weights on disk;
-every tensor is checked before it fills a module.
-"""
+"""Trained models as torch modules, to and from weights on disk; every tensor is checked."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -26,10 +24,6 @@ from cvqmpt_lab.vqmpt.weights import (
     write_model,
 )
 
-# buffers that follow from the sizes; others belong to another model
-CONSTANTS = ("pos_table", "l_index")
-TOLERANCE = 1e-4  # of those buffers, and of the length of codes
-
 Module = TypeVar("Module", bound=nn.Module)
 
 
@@ -45,8 +39,6 @@ class Checkpoint:
     sequence_model: PublishedSequenceModel | None = None  # None after stage 1 and in compact models
     metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
     transformer: SceneTransformer | None = None
-    # parts that are no modules
-    others: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
 
     @property
     def parts(self) -> dict[str, nn.Module]:
@@ -91,7 +83,6 @@ def stored(checkpoint: Trained) -> StoredModel:
         }
         for name, module in checkpoint.parts.items()
     }
-    parts |= getattr(checkpoint, "others", {})
     return StoredModel(
         checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata
     )
@@ -103,15 +94,15 @@ def save_checkpoint(folder: Path, checkpoint: Trained) -> None:
 
 
 def load_checkpoint(folder: Path, robot: RobotSignature | None = None) -> Checkpoint:
-    """Read a VQ-MPT checkpoint, its modules in evaluation mode on the CPU;
-    errors as of `read_model`, `as_modules`.
-    """
+    """Read a VQ-MPT checkpoint; errors as of `read_model` and `as_modules`."""
     return as_modules(read_model(folder, robot, VQ_MPT))
 
 
 def as_modules(model: StoredModel) -> Checkpoint:
-    """VQ-MPT's weights in torch modules, in evaluation mode;
-    raises InvalidInputError where they do not fit.
+    """VQ-MPT's weights in torch modules, in evaluation mode on the CPU.
+
+    Raises:
+        InvalidInputError: weights do not fit their sizes.
     """
     builders: dict[str, Callable[[], nn.Module]] = {
         "dictionary": lambda: Dictionary(model.config),
@@ -125,8 +116,7 @@ def as_modules(model: StoredModel) -> Checkpoint:
         for name, build in builders.items()
         if name in model.parts
     }
-    others = {name: arrays for name, arrays in model.parts.items() if name not in builders}
-    return Checkpoint(model.config, model.robot, metadata=model.metadata, others=others, **modules)
+    return Checkpoint(model.config, model.robot, metadata=model.metadata, **modules)
 
 
 @torch.inference_mode()
@@ -135,50 +125,49 @@ def trajectory_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarr
     return as_modules(model).dictionary.encode(torch.from_numpy(configurations)[None])[0].numpy()
 
 
-def filled(build: Callable[[], Module], tensors: Mapping[str, Tensor], where: str) -> Module:
+def filled(
+    build: Callable[[], Module],
+    tensors: Mapping[str, Tensor],
+    where: str,
+    tolerance: float = 1e-4,
+) -> Module:
     """Make a module with exactly these trained tensors, in evaluation mode.
 
     The module is made only once names and shapes are known to fit, so that sizes which no file
-    confirms cost neither time nor memory. Raises InvalidInputError as `load_tensors` does, and for
-    what no training can have left: negative variances, codes that are not of unit length, constants
-    of another model.
+    confirms cost neither time nor memory.
+
+    Args:
+        build: makes the module.
+        tensors: its state.
+        where: begins the error line.
+        tolerance: of constant buffers, and of the length of codes.
+
+    Raises:
+        InvalidInputError: tensors are missing, left over, of another shape or kind, or not finite,
+            or what no training can have left: negative variances, codes that are not of unit
+            length, constants of another model.
     """
     with torch.device("meta"):
         _require_fit(build(), tensors, where)
     module = build().eval()
-    constants = {
-        name: part.clone() for name, part in module.named_buffers() if _last(name) in CONSTANTS
-    }
-    load_tensors(module, tensors, where)
-    state = module.state_dict()
-    faults = [
-        f"{name} is not that of this model's sizes"
-        for name, expected in constants.items()
-        if (state[name] - expected).abs().max() > TOLERANCE
-    ]
-    for name, tensor in state.items():
-        if _last(name) == "running_var" and (tensor < 0.0).any():
-            faults.append(f"{name} has negative variances")
-        if (
-            f".{name}".endswith(".embedding.weight")
-            and ((tensor.norm(dim=1) - 1.0).abs() > TOLERANCE).any()
-        ):
-            faults.append(f"{name} has codes that are not of unit length")
-    _refuse(faults, where)
-    return module
-
-
-def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -> None:
-    """Copy tensors into a module of exactly their names and shapes.
-
-    Raises InvalidInputError naming, after `where`, the tensors that are missing, left over, of
-    another shape or kind, or not finite in the module's precision.
-    """
-    _require_fit(module, tensors, where)
     expected = module.state_dict()
     bad = [name for name, t in tensors.items() if not t.to(expected[name].dtype).isfinite().all()]
     _refuse([f"{name} has NaN or infinite values" for name in bad], where)
+    faults = []
+    for name, tensor in tensors.items():
+        last = name.rsplit(".", 1)[-1]
+        # buffers that follow from the sizes
+        constant = last in ("pos_table", "l_index")
+        if constant and (tensor - expected[name]).abs().max() > tolerance:
+            faults.append(f"{name} is not that of this model's sizes")
+        if last == "running_var" and (tensor < 0.0).any():
+            faults.append(f"{name} has negative variances")
+        codes = f".{name}".endswith(".embedding.weight")
+        if codes and ((tensor.norm(dim=1) - 1.0).abs() > tolerance).any():
+            faults.append(f"{name} has codes that are not of unit length")
+    _refuse(faults, where)
     module.load_state_dict(dict(tensors))
+    return module
 
 
 def _require_fit(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -> None:
@@ -196,10 +185,6 @@ def _require_fit(module: nn.Module, tensors: Mapping[str, Tensor], where: str) -
         elif tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
             faults.append(f"{name} is sparse, quantized or without data")
     _refuse(faults, where)
-
-
-def _last(name: str) -> str:
-    return name.rsplit(".", 1)[-1]
 
 
 def _refuse(faults: list[str], where: str) -> None:

@@ -1,18 +1,16 @@
-"""Algorithm 2 of the paper, UpdateDistribution(z): move predicted codes so that samples lie nearer
-to the constraint.
+"""Algorithm 2 of the paper, UpdateDistribution(z): codes are moved towards the constraint.
 
-Minimised is, for every code z by itself,
+For every code z by itself the expected violation of what it samples is minimised,
 
-    L(z) = E[G(q)],  G(q) = F(q)^T F(q),  q = mu(z) + L D^(1/2)(z) eps,  eps ~ N(0, I),
+    L(z) = E[G(q)],    G(q) = F(q)^T F(q),    q = q_min + R (mu(z) + L D^(1/2)(z) eps),
 
-with the mean over N draws eps that stay the same in all steps. By the chain rule, with J = dF/dq,
+with R = diag(q_max - q_min), eps ~ N(0, I) and the mean over N draws that stay the same in all
+steps. With J = dF/dq,
 
-    dL/dz = 1/N sum 2 F^T J d(mu + L D^(1/2) eps)/dz,       z <- z - eta dL/dz,  back to unit
-    length,
+    dL/dz = 1/N sum_k 2 F(q_k)^T J(q_k) R d(mu + L D^(1/2) eps_k)/dz,
+    z <- z - eta dL/dz,    z <- z / |z|,
 
-until a step is shorter than delta. F and J are taken at joints in radians; the decoder works on
-normalised joints, so that a factor (q_max - q_min) enters. (The published code drops this factor
-and the part of mu.)
+until a step is shorter than delta. (The published code leaves out R and the part of mu.)
 """
 
 import time
@@ -26,12 +24,11 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.vqmpt.codebook import Codebook, CodeGaussians
 
 Method = Literal["adam", "gradient"]
-MEAN_DECAY, SQUARE_DECAY, TINY = 0.9, 0.999, 1e-12  # of Adam
 
 
 @dataclass(frozen=True, kw_only=True)
 class LatentSettings:
-    """How codes are moved."""
+    """How codes are moved; eta, delta and N are not in the paper, chosen on tuning problems."""
 
     method: Method = "adam"  # or plain gradient descent, as the paper prints it
     eta: float = 0.05  # step size; of Adam roughly how far each entry of z moves in a step
@@ -40,6 +37,9 @@ class LatentSettings:
     delta: float = 1e-3  # a code stops after a step shorter than this
     # fresh draws per code on which a moved code must be better, or it is moved back
     check_samples: int = 32
+    mean_decay: float = 0.9  # of Adam
+    square_decay: float = 0.999
+    tiny: float = 1e-12
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
@@ -81,8 +81,12 @@ class LatentOptimizer:
     def optimize(
         self, z0: np.ndarray, constraint: RegionConstraint, rng: np.random.Generator
     ) -> Optimized:
-        """Move codes z0 (c, code_dim) towards a constraint;
-        those that do not get better on fresh draws stay.
+        """UpdateDistribution(z); codes that do not get better on fresh draws stay as they are.
+
+        Args:
+            z0: (c, code_dim), unit vectors.
+            constraint: F(q) and J(q).
+            rng: draws eps.
         """
         began = time.perf_counter()
         n = len(self._objective.range)
@@ -101,7 +105,7 @@ class LatentOptimizer:
     def _descend(
         self, z0: np.ndarray, constraint: RegionConstraint, noise: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Codes (c, code_dim) and steps (c,) by gradient steps, each back onto the unit sphere."""
+        """Codes (c, code_dim) and steps (c,) by z <- z - eta dL/dz, z <- z / |z|."""
         settings, z = self.settings, z0.astype(np.float64)
         steps = np.zeros(len(z), dtype=np.int64)
         mean, square = np.zeros_like(z), np.zeros_like(z)
@@ -114,11 +118,15 @@ class LatentOptimizer:
             if settings.method == "adam":
                 # Along z the sphere has no slope: left in, that part would only shorten the steps.
                 gradient -= z[moving] * (gradient * z[moving]).sum(axis=1, keepdims=True)
-                mean[moving] = MEAN_DECAY * mean[moving] + (1.0 - MEAN_DECAY) * gradient
-                square[moving] = SQUARE_DECAY * square[moving] + (1.0 - SQUARE_DECAY) * gradient**2
-                root = np.sqrt(square[moving] / (1.0 - SQUARE_DECAY**step))
-                change = settings.eta * mean[moving] / (1.0 - MEAN_DECAY**step) / (root + TINY)
-            onto = _on_sphere(z[moving] - change, z[moving])
+                a, b = settings.mean_decay, settings.square_decay
+                mean[moving] = a * mean[moving] + (1.0 - a) * gradient
+                square[moving] = b * square[moving] + (1.0 - b) * gradient**2
+                root = np.sqrt(square[moving] / (1.0 - b**step))
+                change = settings.eta * mean[moving] / (1.0 - a**step) / (root + settings.tiny)
+            onto = z[moving] - change
+            length = np.linalg.norm(onto, axis=1, keepdims=True)
+            usable = np.isfinite(length) & (length > settings.tiny)
+            onto = np.where(usable, onto / np.where(usable, length, 1.0), z[moving])
             far = np.linalg.norm(onto - z[moving], axis=1) >= settings.delta
             z[moving] = onto
             steps[moving] = step
@@ -129,7 +137,7 @@ class LatentOptimizer:
 
 
 class LatentObjective:
-    """E[G] and its gradient for codes of a dictionary."""
+    """L(z) = E[G(q)] and its gradient for codes of a dictionary."""
 
     def __init__(self, codebook: Codebook) -> None:
         self.decoder = codebook.decoder
@@ -137,14 +145,14 @@ class LatentObjective:
         self.lower, self.range = codebook.configurations.lower, codebook.configurations.range
 
     def value(self, z: np.ndarray, constraint: RegionConstraint, noise: np.ndarray) -> np.ndarray:
-        """E[G] (c,) of codes z (c, code_dim), with draws from standard normal noise (s, n)."""
+        """L(z) (c,) of codes z (c, code_dim), with draws from standard normal noise (s, n)."""
         q = self._samples(self.decoder.decode(z), noise)
         return _mean_square(constraint.residual_and_jacobian(q)[0], (len(z), len(noise)))
 
     def value_and_gradient(
         self, z: np.ndarray, constraint: RegionConstraint, noise: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """E[G] (c,) and its gradient by z (c, code_dim)."""
+        """L(z) (c,) and dL/dz (c, code_dim); arguments as of `value`."""
         c, (s, n) = len(z), noise.shape
         gaussians = self.decoder.decode(z)
         residual, jacobian = constraint.residual_and_jacobian(self._samples(gaussians, noise))
@@ -155,7 +163,7 @@ class LatentObjective:
         return _mean_square(residual, (c, s)), gradient.astype(np.float64)
 
     def _samples(self, gaussians: CodeGaussians, noise: np.ndarray) -> np.ndarray:
-        """Configurations (c s, n) [rad or m]."""
+        """Samples q = q_min + R (mu + L D^(1/2) eps), (c s, n) [rad or m]."""
         c, n = gaussians.mean.shape
         drawn = gaussians.scale.reshape(c * n, n) @ noise.T.astype(gaussians.scale.dtype)
         u = drawn.reshape(c, n, len(noise)).swapaxes(1, 2) + gaussians.mean[:, None]
@@ -165,10 +173,3 @@ class LatentObjective:
 def _mean_square(residual: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Mean (c,) of |F|^2 over s draws, residuals (c s, m), shape (c, s)."""
     return np.einsum("bm,bm->b", residual, residual).reshape(shape).mean(axis=1)
-
-
-def _on_sphere(z: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """Rows z (c, d) at unit length; `otherwise` for those without a direction."""
-    length = np.linalg.norm(z, axis=1, keepdims=True)
-    usable = np.isfinite(length) & (length > TINY)
-    return np.where(usable, z / np.where(usable, length, 1.0), otherwise)

@@ -75,7 +75,7 @@ def arcs_of(count: int, edges: np.ndarray) -> Arcs:
 
 
 class Linear(NamedTuple):
-    """y = x W^T + b."""
+    """Linear layer y = x W^T + b."""
 
     weight: np.ndarray  # W^T (inputs, outputs)
     bias: np.ndarray  # b (outputs,)
@@ -212,7 +212,7 @@ def standardised(x: np.ndarray, epsilon: float = 1e-5) -> np.ndarray:
 
 
 def gelu(x: np.ndarray) -> np.ndarray:
-    """X Phi(x) as 0.5 x (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3)))."""
+    """Gaussian error linear unit x Phi(x), as 0.5 x (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3)))."""
     inner = x * x
     inner *= np.float32(0.7978845608 * 0.044715)
     inner += np.float32(0.7978845608)

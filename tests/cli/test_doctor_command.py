@@ -3,7 +3,7 @@
 import re
 from importlib import metadata
 
-from cli import doctor_command
+from cli import setup_command
 from cli.main import main
 from cvqmpt_lab.vqmpt import weights
 from cvqmpt_lab.vqmpt.weights import weights_digest
@@ -34,7 +34,7 @@ def test_a_missing_package_and_a_missing_extra_name_their_cure(capsys, monkeypat
             raise metadata.PackageNotFoundError(name)
         return real(name)
 
-    monkeypatch.setattr(doctor_command.metadata, "version", version)
+    monkeypatch.setattr(setup_command.metadata, "version", version)
     assert main(["doctor"]) == 1
     found = findings(capsys)
     state, text = found["packages"]

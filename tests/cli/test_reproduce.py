@@ -9,10 +9,12 @@ from command_line import refused
 from cli.main import main
 from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.planners import PLANNERS
+from cvqmpt_lab.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
-from experiments import everything
-from experiments.everything import Amount, amounts
+from experiments import amounts
+from experiments.amounts import parts_of
+from paper_tables.suites import ALL, Amount, Suite
+from paper_tables.suites import SUITES as reported
 
 
 def test_it_writes_its_files_and_refuses_to_mix_them_with_another_run(capsys, tmp_path):
@@ -41,7 +43,7 @@ def test_a_read_only_directory_is_refused(capsys, tmp_path):
 
 
 def test_every_suite_and_the_controls_are_part_of_everything():
-    full = {part.folder: part.experiment for part in amounts("full")}
+    full = {part.folder: part.experiment for part in parts_of("full")}
     # needs planners that not everybody installs
     assert full.keys() == {*SUITES, "controls"} - {"peers"}
     for name, (most, slow) in {
@@ -49,13 +51,14 @@ def test_every_suite_and_the_controls_are_part_of_everything():
         "multi-sequence": (5, 1),
         "sensor": (3, 3),
     }.items():
-        parts = [part.experiment for part in amounts("full") if part.folder == name]
+        parts = [part.experiment for part in parts_of("full") if part.folder == name]
         seeds = {planner: len(part.seeds) for part in reversed(parts) for planner in part.planners}
         assert seeds == {p: slow if p in ("atlas-rrt", "tb-rrt") else most for p in PLANNERS}
         assert all(part.problems == tuple(SUITES[name].problems) for part in parts)
-    assert {"straight-line", "birrt"} <= set(full["controls"].planners)
+    assert set(full["controls"].planners) > set(CONTROLS)
+    assert tuple(PLANNERS) == ALL and {*SUITES} == {*reported}
     with pytest.raises(UnknownChoiceError, match="tiny"):
-        amounts("tiny")
+        parts_of("tiny")
 
 
 def test_amounts_of_everything_are_fixed(capsys, tmp_path):
@@ -66,8 +69,9 @@ def test_amounts_of_everything_are_fixed(capsys, tmp_path):
 def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     capsys, monkeypatch, tmp_path
 ):
-    monkeypatch.setattr(everything, "PLANNERS_OF", {"place-task": ("birrt",)})
-    monkeypatch.setattr(everything, "PROFILES", {"small": (Amount("place-task", 1, cutoff=5.0),)})
+    one = Amount(profile="small", problems=1, cutoff=5.0)
+    suite = Suite(title="Place task", planners=("birrt",), amounts=(one,))
+    monkeypatch.setattr(amounts, "SUITES", {"place-task": suite})
     words = ["reproduce", "all", "--profile", "small", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0
     assert "A path to turn: problem 0, birrt, seed 0" in (tmp_path / "report.html").read_text()

@@ -13,9 +13,9 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.external import entry_point_names, external_planner
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.search.result import Budget
-from experiments.everything import PLANNERS_OF
 from experiments.peers import rpy_box, upright_region, versions
 from experiments.peers.world_files import unchecked_pairs, urdf_of
+from paper_tables.suites import SUITES
 
 TUNING = 1000  # a problem that is not reported
 NEEDS = {"hpp": "hpp-python", "roboplan": "roboplan", "sscbirrt": "sscbirrt"}
@@ -27,7 +27,7 @@ def problem():
 
 
 def test_the_suites_adapters_are_entry_points():
-    assert set(entry_point_names()) >= set(PLANNERS_OF["peers"]) & NEEDS.keys() == NEEDS.keys()
+    assert set(entry_point_names()) >= set(SUITES["peers"].planners) & NEEDS.keys() == NEEDS.keys()
 
 
 @pytest.mark.parametrize("name", NEEDS)

@@ -14,10 +14,9 @@ from cvqmpt_lab.results.store import RunStore
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import GaussianMixture
 from experiments import regression
-from experiments.everything import PLANNERS_OF
 from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, measure
 from paper_tables.committed import committed_directories, differing_cells, untraceable
-from paper_tables.suite_tables import render_directory
+from paper_tables.suites import SUITES, render_directory
 
 FEW = (
     Case("birrt", 2, 0, 20_000),
@@ -118,7 +117,7 @@ def test_the_committed_expectations_are_of_these_cases_and_of_every_planner():
     assert sorted(committed.outcomes) == sorted(CASES)
     products = {case.planner for case in CASES if case.planner.startswith("cvq:")}
     assert {case.planner for case in CASES} - products == {*table.PLANNERS}
-    assert products < {*PLANNERS_OF["factorial"]}
+    assert products < {*SUITES["factorial"].planners}
     assert {values["fail_reason"] for values in committed.outcomes.values()} == {
         None,
         "iteration_limit",

@@ -50,7 +50,7 @@ from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.import_published import read_tensors
 from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.weights import read_model, robot_signature
-from paper_tables.suite_tables import render_directory
+from paper_tables.suites import render_directory
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 SIDE = 24  # of depth images

@@ -11,8 +11,7 @@ import pytest
 from made_rows import a_failure, a_row
 
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
-from experiments.factorial import PLANNERS
-from paper_tables.factorial_table import CONTRASTS, factorial_table
+from paper_tables.factorial_table import CONTRASTS, PLANNERS, factorial_table
 
 FACTOR = {
     "transformer": 0.5,

@@ -8,9 +8,9 @@ from made_rows import a_failure, a_row
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.statistics import wilson_interval
+from paper_tables.layouts import place_table
 from paper_tables.paper_numbers import read_published
-from paper_tables.place_task_table import COLUMNS, place_task_table
-from paper_tables.table_engine import entries, suite_runs
+from paper_tables.table_engine import suite_runs
 
 PAPER = read_published("place_task.csv", "Place Task")
 
@@ -33,7 +33,7 @@ def some_rows():
 
 
 def found(rows):
-    return {item.planner: item for item in entries(suite_runs(rows, PAPER), COLUMNS, PAPER)}
+    return {item.planner: item for item in place_table(rows, PAPER).found}
 
 
 def test_metrics_are_computed_as_stated():
@@ -67,12 +67,12 @@ def test_the_same_runs_again_under_other_seeds_make_nothing_surer():
 @pytest.mark.parametrize("rows", [[], [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")]])
 def test_a_table_is_of_one_suite(rows):
     with pytest.raises(InvalidInputError, match="one suite"):
-        place_task_table(rows, PAPER)
+        place_table(rows, PAPER)
 
 
 def test_the_share_by_rollouts_alone_stands_where_a_planner_says_it():
     title = "Solved by rollouts alone"
-    assert title not in place_task_table(some_rows(), PAPER).markdown
+    assert title not in place_table(some_rows(), PAPER).markdown
     trees = "solved by rollouts and trees: 1 of 3 pairs joined by tree growth"
     details = [
         "solved by rollouts alone",
@@ -82,7 +82,7 @@ def test_the_share_by_rollouts_alone_stands_where_a_planner_says_it():
     ]
     rows = [run("mpnet", i, 0.1, detail=text) for i, text in enumerate(details)]
     rows.append(run("mpnet", 9, detail="all 10 of 10 rollouts failed: 10 whose sides did not meet"))
-    made = place_task_table([*some_rows(), *rows], PAPER)
+    made = place_table([*some_rows(), *rows], PAPER)
     lines = made.markdown.split(title)[1].splitlines()
     titles = ["planner", "Accuracy", "by rollouts alone [%]"]
     assert [cell.strip() for cell in lines[2].split("|")][1:4] == titles
@@ -97,7 +97,7 @@ def test_the_first_table_has_six_columns_and_no_table_is_wider_than_a_page():
         for i in range(6)
         for name in ("birrt", "opt-cvq-mpt", "ompl-projected")
     ]
-    made = place_task_table(rows, PAPER)
+    made = place_table(rows, PAPER)
     first = next(iter(made.sections.values()))
     assert first[0] == ["planner", "solved [%]", "time [s]", "work", "length [rad]", "work / birrt"]
     assert [line for line in first if line[0] == "birrt"] == [

@@ -9,7 +9,7 @@ from made_rows import a_row
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.results.row import write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
-from paper_tables.suite_tables import TABLES, render_directory
+from paper_tables.suites import SUITES, render_directory
 
 
 def rows(suite="place-task", count=10):
@@ -29,8 +29,8 @@ def test_a_directory_is_rendered_beside_its_runs(tmp_path):
     assert [path.name for path in written.paths] == ["table.md", "table.tex", "table.csv"]
     texts = [path.read_bytes() for path in written.paths]
     title, _, head, *_ = texts[0].decode().splitlines()
-    assert title == f"# {TABLES['place-task'].title}"
-    assert written.brief[0] == f"{TABLES['place-task'].title}: 10 problems, cutoff 10 s"
+    assert title == f"# {SUITES['place-task'].title}"
+    assert written.brief[0] == f"{SUITES['place-task'].title}: 10 problems, cutoff 10 s"
     machine = "machine Fast CPU, 2 cores"
     assert head.startswith(
         f"cutoff 10 s · commit {'a' * 12} · weights mpnet {'f' * 12} · {machine}"

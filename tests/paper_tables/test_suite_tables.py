@@ -8,7 +8,7 @@ import io
 import pytest
 from made_rows import a_failure, a_row
 
-from paper_tables.multi_sequence_table import multi_sequence_table
+from paper_tables.multi_sequence_table import task_table
 from paper_tables.paper_numbers import read_published
 
 PHASES = ["reach-handle", "open-door", "reach-can", "approach", "carry"]
@@ -38,7 +38,7 @@ def test_times_of_tasks_sum_the_papers_phases():
     for task in range(6):
         rows += phases("opt-cvq-mpt", task, 0.5, 9.0)
         rows += phases("ompl-projected", task, 1.0 + 0.01 * task, 10.0 + 0.1 * task)
-    table = multi_sequence_table(rows, read_published("multi_sequence.csv", "Multi-sequence task"))
+    table = task_table(rows, read_published("multi_sequence.csv", "Multi-sequence task"))
     ours = ours_in(table)
     assert ours["planning_time_of_paper_phases_mean", "opt-cvq-mpt"] == pytest.approx(1.5)
     assert ours["total_time_of_all_phases_mean", "opt-cvq-mpt"] == pytest.approx(5 * 9.5)

@@ -19,7 +19,7 @@ def test_a_depth_image_gives_the_points_that_the_camera_saw(files):
     T = capture.T_world_camera
     points = capture.points @ T[:3, :3].T + T[:3, 3]
     assert len(points) == np.isfinite(files.view.depth).sum()
-    assert capture.unseen == files.view.depth.size - len(points)
+    assert capture.dropped == files.view.depth.size - len(points)
     np.testing.assert_allclose(points, files.view.points, atol=6e-4)  # millimetres were written
 
 

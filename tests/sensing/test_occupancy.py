@@ -12,11 +12,11 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.cloud_files import Cloud
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
-from cvqmpt_lab.sensing.depth import Capture
 from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
 from cvqmpt_lab.sensing.scan import Arm
 from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
@@ -42,7 +42,7 @@ def occupied(scanned, places):
 
 def sight(origin, points):
     """What a camera at origin (3,) saw of points (m, 3) in the world."""
-    return Capture(points - origin, T_world_camera=pose(origin))
+    return Cloud(points - origin, T_world_camera=pose(origin))
 
 
 def test_unknown_is_what_lies_behind(panda):

@@ -49,7 +49,7 @@ def test_captures_are_merged_where_their_cameras_stand(capture):
     settings = ScanSettings(neighbours=0)
     both = scan(parts, settings, np.random.default_rng(0))
     np.testing.assert_allclose(both.points, cleaned(capture, neighbours=0).points, atol=1e-9)
-    assert both.unseen == 2 * capture.unseen
+    assert both.dropped == 2 * capture.dropped
 
 
 def test_a_scan_without_a_pose_is_levelled_by_its_table(files, capture):

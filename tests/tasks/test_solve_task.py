@@ -12,7 +12,7 @@ from cvqmpt_lab.planners import PLANNERS, Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
-from cvqmpt_lab.tasks.solve_task import solve_task
+from cvqmpt_lab.tasks.solve import solve_task
 from experiments.rows import Run, phase_rows
 
 BUDGET = Budget(seconds=20.0)

@@ -1,0 +1,204 @@
+"""`cvqmpt doctor`, `warmup`, `completion` and `bench`: what this machine has, and what it takes."""
+
+import argparse
+import json
+import os
+import platform
+import textwrap
+from collections.abc import Iterator, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+import shtab
+from packaging.requirements import Requirement
+
+from cli.main import COMMANDS as ALL_COMMANDS
+from cli.main import THREADS, parser_with
+from cli.options import Options, log, option, positive_int, writable_file
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, install_command
+from cvqmpt_lab.files import write_text
+
+BENCHES = ("stages", "paper-check")
+REMOVED_BENCHES = (
+    "kernels", "collision", "planners", "networks", "transformer", "sequences", "throughput",
+    "growth", "edge-model", "calibration", "unconstrained", "scan", "meshes",
+)  # fmt: skip
+
+
+class Finding(NamedTuple):
+    """One thing that `cvqmpt doctor` checked."""
+
+    what: str
+    says: str
+    cure: str = ""  # how to mend it; empty when it is fine
+    needed: bool = True  # whether planning fails without it
+
+
+def doctor(args: argparse.Namespace) -> int:
+    """Check everything; exit code 1 when something that planning needs is broken."""
+    found = [*_machine(), *_packages(), *_weights(), _kernels(), _display()]
+    for what, says, cure, needed in found:
+        state = "ok" if not cure else "BROKEN" if needed else "without"
+        head, text = f"{state:8} {what:10} ", f"{says}; {cure}" if cure else says
+        print(textwrap.fill(head + text, 100, subsequent_indent=" " * 20, break_long_words=False))
+    return 1 if any(item.cure and item.needed for item in found) else 0
+
+
+def _machine() -> Iterator[Finding]:
+    cores = f"{len(os.sched_getaffinity(0))} of {os.cpu_count()} cores for this process"
+    yield Finding("machine", f"Python {platform.python_version()}, {platform.platform()}, {cores}")
+    threads = [f"{name}={os.environ.get(name, 'not set')}" for name in THREADS]
+    yield Finding("threads", ", ".join(threads))
+
+
+def _packages() -> Iterator[Finding]:
+    """What the project needs, and what each of its extras would add."""
+    try:
+        declared = [Requirement(text) for text in metadata.requires("cvqmpt-lab") or ()]
+    except metadata.PackageNotFoundError:
+        cure = "pip install -e . in its folder"
+        yield Finding("packages", "cvqmpt-lab itself is not installed", cure)
+        return
+    always = [one for one in declared if one.marker is None or one.marker.evaluate({"extra": ""})]
+    yield _finding("packages", always)
+    for extra in sorted(metadata.metadata("cvqmpt-lab").get_all("Provides-Extra") or ()):
+        more = [one for one in declared if one.marker and one.marker.evaluate({"extra": extra})]
+        yield _finding(extra, [one for one in more if one not in always], extra=True)
+
+
+def _finding(name: str, asked: Sequence[Requirement], extra: bool = False) -> Finding:
+    """What of the packages that are asked for is there, and how to get the rest."""
+    versions, missing = [], []
+    for item in asked:
+        try:
+            version = metadata.version(item.name)
+        except metadata.PackageNotFoundError:
+            version = "MISSING"
+        versions.append(f"{item.name} {version}")
+        if version == "MISSING" or not item.specifier.contains(version, prereleases=True):
+            missing.append(repr(str(item).partition(";")[0].strip()))
+    how = install_command(name) if extra else f"pip install {' '.join(missing)}"
+    cure = how if missing else ""
+    return Finding(f"[{name}]" if extra else name, ", ".join(versions), cure, needed=not extra)
+
+
+def _weights() -> Iterator[Finding]:
+    """Every byte of the shipped weights is read and compared with its digest."""
+    from cvqmpt_lab.vqmpt.weights import SHIPPED, read_model, resolve_model, weights_digest
+
+    for name in SHIPPED:
+        try:
+            folder = resolve_model(name)
+            read_model(folder)
+            yield Finding(name, f"weights sha256 {weights_digest(folder)[:16]}, {folder}")
+        except CvqmptError as error:
+            yield Finding(name, str(error), "install cvqmpt-lab again")
+
+
+def _kernels() -> Finding:
+    try:
+        from cvqmpt_lab.jit import compiled_before, folder
+    except ImportError as error:
+        cure = "pip install --force-reinstall numba llvmlite"
+        return Finding("kernels", f"numba cannot be used: {error}", cure)
+    if folder() is None:
+        cure = "set NUMBA_CACHE_DIR to a writable folder"
+        return Finding("kernels", "no place to keep them", cure, needed=False)
+    if not compiled_before():
+        return Finding("kernels", f"not compiled yet in {folder()}", "cvqmpt warmup", needed=False)
+    return Finding("kernels", f"compiled in {folder()}")
+
+
+def _display() -> Finding:
+    from cvqmpt_lab.show.viewer import check_viewer
+
+    try:
+        check_viewer()
+    except CvqmptError:
+        cure = "open recordings where there is one: rerun RUN.rrd"
+        return Finding("display", "none; pictures and films need none", cure, needed=False)
+    return Finding("display", "the rerun viewer can open a window")
+
+
+def warmup(args: argparse.Namespace) -> int:
+    """Compile every kernel ahead of time, or load what is compiled."""
+    from cvqmpt_lab.warm_up import compile_kernels
+
+    seconds = compile_kernels(lambda text: print(text, flush=True))
+    print(f"kernels ready after {seconds:.1f} s")
+    return 0
+
+
+def completion(args: argparse.Namespace) -> int:
+    """Print what makes a shell complete commands, options, names and files."""
+    if args.shell not in shtab.SUPPORTED_SHELLS:
+        raise UnknownChoiceError("shell", args.shell, shtab.SUPPORTED_SHELLS)
+    from cvqmpt_lab.benchmarks.suite import SUITES
+    from cvqmpt_lab.planners import CONTROLS, PLANNERS
+    from cvqmpt_lab.robot.source import ARMS
+    from cvqmpt_lab.search.space import BACKENDS
+
+    planners = [*PLANNERS, *CONTROLS]
+    names = {"suite": SUITES, "planner": planners, "planners": planners}  # by argument
+    names |= {"robot": ARMS, "backend": BACKENDS}
+    parser = parser_with(ALL_COMMANDS)
+    for action in _actions(parser):
+        if action.dest in names:
+            action.choices = list(names[action.dest])
+        elif action.type is Path:
+            action.complete = shtab.DIR if action.metavar == "DIR" else shtab.FILE  # type: ignore[attr-defined]
+    print(shtab.complete(parser, args.shell))
+    return 0
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """All arguments and options, those of subcommands too."""
+    for action in parser._actions:
+        yield action
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                yield from _actions(sub)
+
+
+def bench(args: argparse.Namespace) -> int:
+    """Measure and print a table."""
+    if args.bench in REMOVED_BENCHES:
+        raise InvalidInputError(
+            f"bench {args.bench} was removed, its last figures are in docs/performance.md; use "
+            f"bench stages, or planners of a run: cvqmpt reproduce place-task"
+        )
+    if args.bench not in BENCHES:
+        raise UnknownChoiceError("bench", args.bench, BENCHES)
+    if args.json:
+        writable_file(args.json)
+    from cvqmpt_lab.warm_up import compile_kernels
+    from experiments.paper_check import paper_check
+    from experiments.stage_times import stage_times, tuning_problems
+
+    compile_kernels(log)
+    if args.bench == "stages":
+        figures = stage_times(args.problems)
+    else:
+        figures = paper_check(tuning_problems(1)[0])
+    width = max(len(figure.name) for figure in figures)
+    for figure in figures:
+        spread = f"  [{figure.low:.4g} .. {figure.high:.4g}]" if figure.low != figure.high else ""
+        print(f"{figure.name:{width}}  {figure.median:.4g} {figure.unit}{spread}")
+    if args.json:
+        write_text(args.json, json.dumps([figure._asdict() for figure in figures], indent=1) + "\n")
+    return 0
+
+
+NOTHING: Options = {}
+BENCH: Options = {
+    "bench": option(", ".join(BENCHES)),
+    "--problems": option("of stages: problems (20)", type=positive_int, default=20, metavar="N"),
+    "--json": option("write the figures as json too", type=Path, metavar="F"),
+}
+COMMANDS = {
+    "doctor": (doctor, NOTHING),
+    "warmup": (warmup, NOTHING),
+    "completion": (completion, {"shell": option(f"one of {', '.join(shtab.SUPPORTED_SHELLS)}")}),
+    "bench": (bench, BENCH),
+}

@@ -1,0 +1,389 @@
+"""How the rows of suites are laid out: like the paper's Table I (with scanned scenes), by group
+(kinds of constraints, arms), and beside external planners.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from operator import attrgetter
+from typing import Any
+
+from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE, ResultRow, split_problem
+from paper_tables import table_engine as table
+from paper_tables.measures import (
+    PROJECTION_COST,
+    RATIOS,
+    REFERENCE,
+    STATE_CHECK_COST,
+    VALUES,
+    SuiteRuns,
+    mean_of,
+    median_of,
+    ratio_to,
+    share_of,
+    solved,
+)
+from paper_tables.paper_numbers import PublishedValue
+from paper_tables.table_engine import BriefColumn, Column, Entry, SuiteTable
+from paper_tables.writers import Lines, Sections, number, text_lines
+
+# ---------------------------------------------------------------- like the paper's Table I
+
+BASELINE = "ompl-projected"
+CURVE_TIMES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # [s]
+PARTS = ("all", "easy", "hard")
+
+
+def _within(time: float, row: ResultRow) -> bool:
+    return row.solved and row.t_total_s is not None and row.t_total_s <= time
+
+
+def _said(how: str, row: ResultRow) -> bool:
+    """Whether a solved run's detail begins so."""
+    return row.solved and (row.detail or "").startswith(how)
+
+
+def split_metric(ratio: str, part: str) -> str:
+    """Name of a ratio's column on a part of the problems."""
+    return f"{ratio}_{part}_of_{REFERENCE}"
+
+
+HEADLINE_COLUMNS = {
+    "accuracy": Column("Accuracy", "%", share_of(solved), "accuracy"),
+    "time_median": Column("Time", "s", median_of("time")),
+    "time_mean": Column("Time", "s", mean_of("time"), "time"),
+    "vertices_median": Column("Vertices", "1", median_of("vertices", "solved")),
+    "vertices_mean": Column("Vertices", "1", mean_of("vertices", "solved"), "vertices"),
+    "path_length_median": Column("Path length", "rad", median_of("path_length", "joint")),
+    "path_length_mean": Column(
+        "Path length", "rad", mean_of("path_length", "joint"), "path_length"
+    ),
+}
+EFFORT = {
+    "path_length_raw_median": Column("raw length [rad]", "rad", median_of("raw_length", "joint")),
+    "projections_median": Column("projections", "1", median_of("projections")),
+    "newton_iterations_median": Column("Newton iterations", "1", median_of("newton_iterations")),
+    "state_checks_median": Column("state checks", "1", median_of("state_checks")),
+    "work_median": Column("work", "1", median_of("work")),
+    "clearances_median": Column("approximate checks", "1", median_of("clearances")),
+    "known_time_median": Column("time, scene known [s]", "s", median_of("known_time")),
+    "new_time_median": Column("time, scene new [s]", "s", median_of("new_time")),
+    "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
+    "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
+}
+ROLLOUTS = {  # only where a planner joins states of rollouts
+    "rollouts_alone": Column(
+        "by rollouts alone [%]", "%", share_of(partial(_said, ROLLOUTS_ALONE))
+    ),
+}
+PAPER_COST = {
+    "paper_cost_median": Column("time at the paper's cost [s]", "s", median_of("paper_cost")),
+    **{
+        f"paper_cost_ratio_{name}": Column(
+            f"the same / {name}", "1", ratio_to(name, VALUES["paper_cost"])
+        )
+        for name in (REFERENCE, BASELINE)
+    },
+}
+SPLIT = {
+    split_metric(name, part): Column(label, "1", ratio_to(REFERENCE, value, part))
+    for name, (label, value) in RATIOS.items()
+    for part in PARTS
+}
+CURVE = {
+    f"solved_within_{time:g}_s": Column(f"{time:g} s", "%", share_of(partial(_within, time)))
+    for time in CURVE_TIMES
+}
+COLUMNS: Mapping[str, Column] = {**HEADLINE_COLUMNS, **EFFORT, **PAPER_COST, **SPLIT, **CURVE}
+HEADLINES: Mapping[str, Mapping[str, str]] = {  # the paper's metrics, and our columns
+    "accuracy": {"ours": "accuracy"},
+    **{
+        metric: {"ours, median": f"{metric}_median", "ours, mean": f"{metric}_mean"}
+        for metric in ("time", "vertices", "path_length")
+    },
+}
+FIRST = {  # titles of the first table, and columns
+    "solved [%]": "accuracy",
+    "time [s]": "time_median",
+    "work": "work_median",
+    "length [rad]": "path_length_median",
+}
+METHOD_NOTES = (
+    "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
+    "Accuracy: certified paths / runs, Wilson interval; a path that fails its certificate is a "
+    "failure.",
+    "Time: total wall time, goal inverse kinematics and networks included, making point clouds "
+    "not. Median over all runs with failures counted as infinite, order-statistic interval; the "
+    "mean, because the paper gives means, leaves failures out (bootstrap interval).",
+    "Vertices: median and mean over solved runs. Path length: final path, Euclidean in joint "
+    "space; raw length: before simplification; both over the jointly solved runs.",
+    "Projections, Newton iterations, state checks: medians over all runs with failures counted as "
+    "infinite; work is projections and state checks. Approximate checks, no part of it: states "
+    "whose clearance was read from a distance field. Time, scene known: without goal inverse "
+    "kinematics and without encoding the scene's cloud; scene new: with encoding it, where rows "
+    "are of runs that did. Making the checker's obstacles and distance grid, as all planners "
+    "need, and a roadmap for a robot that had none is in nobody's time. atlas-rrt and tb-rrt "
+    "project inside OMPL's charts, where Newton iterations are counted and projections are not: "
+    "their work is too low.",
+    f"Time / {BASELINE}: geometric mean of the ratio over problems solved by both, bootstrap "
+    "interval.",
+    "By fallback: runs whose path did not come the way the planner's name promises; they count as "
+    "its own.",
+    f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms a state check (PyBullet, see bench "
+    f"paper-check), {1e3 * PROJECTION_COST:g} ms a projection (Newton's method in Python; a lower "
+    "bound), networks as measured here, goals and simplification left out. Median with failures "
+    "as infinite; ratios as above.",
+    "Easy and hard: hard are runs of problems in the top third by the work (projections + state "
+    f"checks) of {REFERENCE} with uniform samples, median over its other seeds. Ratios are "
+    "geometric means over problems that both solved, bootstrap intervals; time includes goal "
+    "inverse kinematics, which is the same for all.",
+)
+SENSED: Mapping[str, Column] = {  # only of scanned scenes
+    "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
+    "free_in_truth": Column(
+        "of these free in truth [%]", "%", share_of(lambda row: row.true_free is True, solved)
+    ),
+    "true_clearance_median": Column(
+        "clearance in truth [m]", "m", median_of("true_clearance", "stated")
+    ),
+    "sense_median": Column("images to map [s]", "s", median_of("sense_time", "stated")),
+    "whole_median": Column("images to certificate [s]", "s", median_of("whole_time", "stated")),
+}
+SENSED_NOTES = (
+    "Planners know the map alone. Certified in the map: as elsewhere; free in truth: a second "
+    "certificate, in the scene that was scanned, Wilson interval over the paths certified in the "
+    "map.",
+    "Images to map: reading depth images, intrinsics and extrinsics, removing the robot, "
+    "outliers, and the rest. Images to certificate: everything until the path is certified in the "
+    "map, everything counted. Medians.",
+    "The paper's scenes, starts and goals are not published: its numbers are of other problems, "
+    "on a real robot.",
+)
+
+
+def place_table(
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue] = (), sensed: bool = False
+) -> SuiteTable:
+    """The paper's Table I: headlines beside the paper's numbers, effort, comparisons, time curve,
+    fallbacks, failures and notes.
+
+    sensed: the scenes were scanned: map and truth come first.
+    """
+    runs = table.suite_runs(rows, published)
+    by_rollouts = partial(_said, BY_ROLLOUTS)
+    rolled = {name for name, own in runs.groups.items() if any(map(by_rollouts, own))}
+    columns = {**COLUMNS, **(SENSED if sensed else {}), **(ROLLOUTS if rolled else {})}
+    found = table.entries(runs, columns, published)
+    rollouts = [item for item in found if item.planner in rolled]
+    slowest = max(row.t_total_s or 0.0 for row in runs.rows)
+    times = list(CURVE)[: sum(time < slowest for time in CURVE_TIMES) + 1]
+    suite, problems = runs.rows[0].suite, len({row.problem for row in runs.rows})
+    footnotes = [*METHOD_NOTES, *_footnotes(runs)]
+    first = _first_lines(found, {**FIRST, "true [%]": "free_in_truth"} if sensed else FIRST)
+    papers = {
+        f"{COLUMNS[next(iter(ours.values()))].label}, the paper's and ours": (
+            _paper_lines(found, metric, ours)
+        )
+        for metric, ours in HEADLINES.items()
+    }
+    sections: Sections = {
+        f"{problems} problems": first,
+        "In the map and in truth": table.column_lines(found, SENSED) if sensed else [],
+        **papers,
+        "Effort (medians)": table.column_lines(found, EFFORT),
+        "Solved by rollouts alone, no tree grown between their states": (
+            table.column_lines(rollouts, ("accuracy", *ROLLOUTS)) if rollouts else []
+        ),
+        "At the paper's cost of work": table.column_lines(found, PAPER_COST),
+        f"Against {REFERENCE}": _split_lines(found, runs) if runs.split.easy else [],
+        "Solved within a time, % of runs": table.column_lines(found, times),
+        **table.counted(found),
+        "Notes": footnotes,
+        "Notes on the paper's numbers (all but accuracy are means)": table.published_notes(
+            runs, published
+        ),
+        "Notes on scanned scenes": SENSED_NOTES if sensed else [],
+    }
+    caption = f"{suite}, {problems} problems: the paper's values and ours. "
+    caption += " ".join((*METHOD_NOTES[:4], *footnotes[len(METHOD_NOTES) :]))
+    return SuiteTable(
+        suite,
+        f"{problems} {'scenes' if sensed else 'problems'}",
+        found,
+        sections,
+        table.latex_planners(caption, suite, found, HEADLINES),
+        [*text_lines(first), *table.fallback_lines(found)],
+    )
+
+
+def _first_lines(found: Sequence[Entry], columns: Mapping[str, str]) -> Lines:
+    """What a reader looks for first:
+    estimates, and the work against the same search with uniform samples.
+    """
+    ratio = split_metric("work_ratio", "all")
+    lines = [["planner", *columns, f"work / {REFERENCE}"]]
+    for item in found:
+        estimates = [number(item.measured[name].estimate) for name in columns.values()]
+        against = "–" if item.planner == REFERENCE else item.cell(ratio)
+        lines.append([item.planner, *estimates, against])
+    return lines
+
+
+def _paper_lines(found: Sequence[Entry], metric: str, ours: Mapping[str, str]) -> Lines:
+    """The paper's number of a metric, ours as medians over all runs and, since the paper gives
+    means, as means.
+    """
+    lines = [["planner", "paper", *ours]]
+    for item in found:
+        lines.append([item.title, item.paper_cell(metric), *map(item.cell, ours.values())])
+    return lines
+
+
+def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
+    """Ratios on all, easy and hard problems, for every planner but the one they are against."""
+    lines = [["planner", "runs", *(label for label, _ in RATIOS.values())]]
+    for item in found:
+        for part in PARTS if item.planner != REFERENCE else ():
+            cells = (item.cell(split_metric(name, part)) for name in RATIOS)
+            lines.append([item.planner, f"{part} ({len(runs.split.parts[part])})", *cells])
+    return lines
+
+
+def _footnotes(runs: SuiteRuns) -> Iterator[str]:
+    """What must be known of these rows."""
+    names = ", ".join(runs.solving) or "no planner"
+    yield (
+        f"Jointly solved: {len(runs.joint)} runs (problem and seed), each solved by all of {names}."
+    )
+    silent = sorted(name for name in runs.groups if name not in runs.solving)
+    if silent:
+        yield f"Solved nothing, so left out of the jointly solved set: {', '.join(silent)}."
+    if len({frozenset(row.problem for row in rows) for rows in runs.groups.values()}) > 1:
+        yield "The planners did not all run the same problems: their columns do not compare."
+    yield from table.seed_notes(runs)
+    if len({row.seed for row in runs.rows if row.planner == REFERENCE}) == 1:
+        yield (
+            f"One seed of {REFERENCE}: a problem on which it was unlucky counts as hard, so every "
+            "other planner's ratios look better on hard problems, and worse on easy ones, than "
+            "several seeds would show."
+        )
+
+
+# ---------------------------------------------------------------- by group
+
+GROUP_COLUMNS: Mapping[str, Column] = {
+    "solved": Column("solved [%]", "%", share_of(solved)),
+    **{
+        name: Column(f"{RATIOS[name][0]} / {REFERENCE}", "1", ratio_to(REFERENCE, RATIOS[name][1]))
+        for name in ("work_ratio", "own_time_ratio", "length_ratio")
+    },
+}
+CONSTRAINT_NOTES = (
+    "No constraint was seen in training. Scenes are held out; all planners get the same start and "
+    "goals.",
+    "Solved: certified, Wilson interval. Ratios to uniform samples: geometric mean over problems "
+    "that both solved, bootstrap interval; work is projections and state checks, time is without "
+    "goal inverse kinematics.",
+    "Upright: the hand's yaw and place are free. Fixed orientation: its place. Plane, line: its "
+    "origin stays there, it turns freely. Arc: it turns with a crank. Tray: level within 0.02 "
+    "rad, with a tray. Pouring: a can in the hand is tipped about one axis. Door: the shelf's "
+    "door hangs on its hinge and in the hand. Each of its doors makes another robot, whose "
+    "dictionary's roadmap (`roadmap-cvq`) is made in 0.2 s before the clock starts.",
+    "Whether a problem has a solution is not known: an arm without obstacles gets to a goal by a "
+    "short search.",
+)
+
+
+ARM_NOTES = (
+    "Between two upright hand poses, upright all the way, in held-out scenes of four families.",
+    CONSTRAINT_NOTES[1],
+)
+
+
+def group_table(
+    rows: Iterable[ResultRow],
+    published: Sequence[PublishedValue],
+    what: str = "constraint",
+    notes: Sequence[str] = CONSTRAINT_NOTES,
+) -> SuiteTable:
+    """A line for each group and planner, in the order of the suite, then all groups together;
+    ratios are within the group. what: a group, in the singular.
+    """
+    runs = table.suite_runs(rows)
+    ordered = sorted(
+        map(split_problem, {row.problem for row in runs.rows}), key=attrgetter("number")
+    )
+    groups = list(dict.fromkeys(name.phase for name in ordered))
+    found = []
+    for group in (*groups, "all"):
+        for planner, own in runs.groups.items():
+            part = [row for row in own if group in ("all", split_problem(row.problem).phase)]
+            names: dict[str, Any] = {"group": (group,), "suffix": f"_under_{group}"}
+            found.append(table.entry(planner, part, runs, GROUP_COLUMNS, **names))
+    lines = table.group_lines(found, [what])
+    size, suite = f"{len(ordered)} problems, {len(groups)} {what}s", runs.rows[0].suite
+    together = table.counted([item for item in found if item.group == ("all",)])
+    return SuiteTable(
+        suite,
+        size,
+        found,
+        {f"By {what}": lines, **together, "Notes": notes},
+        table.latex_groups(f"{size}. {notes[1]}", suite, lines),
+        table.brief_groups(lines, range(len(lines[0]))),
+    )
+
+
+# ---------------------------------------------------------------- beside external planners
+
+PEER_COLUMNS: Mapping[str, Column] = {
+    "found": Column("path found [%]", "%", share_of(lambda row: row.certified is not None)),
+    "certified": Column("certified [%]", "%", share_of(solved)),
+    "wall_median": Column("time [s]", "s", median_of("wall_time")),
+    "wall_ratio": Column(f"time / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["wall_time"])),
+    "path_length_median": Column("length [rad]", "rad", median_of("path_length", "solved")),
+    "length_ratio": Column(
+        f"length / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["path_length"])
+    ),
+}
+PEER_BRIEF = (
+    BriefColumn("certified [%]", "accuracy", "certified"),
+    BriefColumn("time [s]", "time", "wall_median", interval=True),
+    BriefColumn("time ratio", "time", "wall_ratio", interval=True),
+    BriefColumn("length [rad]", "path_length", "path_length_median"),
+)
+PEER_NOTES = (
+    "Estimate [95 % interval]. Every planner has one thread, the same convex pieces of the robot, "
+    "the same obstacles and pairs of pieces, its own collision checker; what it loads for a robot "
+    "and a scene is loaded before.",
+    "Path found: the planner returned a path in time. Certified: the path, as it was returned, "
+    "also keeps constraint, limits and obstacles between its states; Wilson intervals.",
+    "Time: wall clock around the whole call, for ours with shortening, for theirs with their own; "
+    "the certificate is left out. Median with runs that are not certified as infinite, "
+    "order-statistic interval.",
+    f"Ratios to {REFERENCE}: geometric mean over problems that both solved, paired by problem and "
+    "seed, bootstrap interval.",
+    "Length: of certified paths, Euclidean in joint space.",
+    "What favours ours: roboplan and sscbirrt bound roll, pitch and yaw, and get a box of nine "
+    "tenths of what fits into the problem's bounds at any roll; HPP keeps the hand upright "
+    "exactly; its time holds its random shortcuts, as sscbirrt's holds its smoothing; roboplan "
+    "has no shortening that knows constraints. roboplan and sscbirrt check states 0.05 rad apart, "
+    "as they are set up by their makers; their refused paths collide.",
+    "Extension length of roboplan, validation and shortcuts of HPP were chosen on problems that "
+    "are not in this table.",
+)
+
+
+def peer_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
+    """Paths, time and length of every planner, failures and notes."""
+    runs = table.suite_runs(rows, published)
+    suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
+    found = table.entries(runs, PEER_COLUMNS)
+    external = (row for row in runs.rows if row.vertices is None and row.sampler_used)
+    made = sorted({f"{row.planner}: {row.sampler_used}" for row in external})
+    sections: Sections = {
+        size: table.column_lines(found, PEER_COLUMNS),
+        "Failures": table.count_lines(found, "failures"),
+        "Notes": [*PEER_NOTES, *made, *table.seed_notes(runs)],
+    }
+    shown = {name: {"": name} for name in PEER_COLUMNS}
+    latex = table.latex_planners(" ".join(PEER_NOTES), suite, found, shown)
+    return SuiteTable(suite, size, found, sections, latex, table.brief_lines(found, PEER_BRIEF))

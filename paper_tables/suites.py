@@ -1,0 +1,277 @@
+"""The suites that are reported, each declared once: which planners run how much of it, and how its
+rows become a table. Its problems stand under the same name in `cvqmpt_lab.benchmarks.suite`.
+
+Tables of a results directory are written in the paper's layout: Markdown, LaTeX and csv.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cvqmpt_lab.errors import RunStoreError
+from cvqmpt_lab.files import write_text
+from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
+from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
+from cvqmpt_lab.results.store import PARTIAL_FILE
+from paper_tables.factorial_table import PLANNERS as PRODUCTS
+from paper_tables.factorial_table import factorial_table
+from paper_tables.layouts import ARM_NOTES, group_table, peer_table, place_table
+from paper_tables.multi_sequence_table import task_table
+from paper_tables.paper_numbers import PublishedValue, read_published
+from paper_tables.table_engine import SuiteTable, rows_of_one_suite
+
+LEARNED = ("mpnet", "mpnet-bridged", "cvq-mpt", "opt-cvq-mpt", "cvq-wide")
+QUICK = ("birrt", "ompl-projected", *LEARNED, "roadmap", "roadmap-cvq")
+SLOW = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
+ALL = (*QUICK[:2], *SLOW, *QUICK[2:])
+SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
+UNIFORM_ROADMAPS = ("roadmap-uniform-0", "roadmap-uniform-1", "roadmap-uniform-2")
+CONTROLLED = (
+    *("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"),
+    *("guided-birrt", "straight-line", "straight-line-only", *UNIFORM_ROADMAPS),
+    *("roadmap-wrong-scene", "roadmap-no-scene", "roadmap-true-edges", "solved-paths"),
+)
+# with the controls that say what helps in scenes of other families
+FAMILY = (
+    *("birrt", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "roadmap", "roadmap-cvq"),
+    *("straight-line", *UNIFORM_ROADMAPS),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Amount:
+    """How much of a suite a profile of `cvqmpt reproduce all` runs; several amounts add up."""
+
+    profile: str = "full"
+    problems: int | None = None  # the first ones; all when None
+    seeds: int = 1
+    cutoff: float = 10.0  # [s]
+    planners: tuple[str, ...] | None = None  # those of the suite when None
+    folder: str | None = None  # of its results; named after the suite when None
+    late: bool = False  # after all amounts that are not
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """What is reported of a suite."""
+
+    title: str
+    planners: tuple[str, ...] = ALL  # run unless others are named
+    amounts: tuple[Amount, ...] = ()
+    # of its rows and the paper's numbers
+    table: Callable[..., SuiteTable] = place_table
+    # file in ``published`` and environment there of the paper's numbers
+    paper: tuple[str, str] | None = None
+
+    @property
+    def published(self) -> tuple[PublishedValue, ...]:
+        """The paper's numbers."""
+        return read_published(*self.paper) if self.paper else ()
+
+
+def _family(what: str, *more: Amount) -> Suite:
+    full = Amount(cutoff=3.0, planners=FAMILY)
+    return Suite(title=f"Held-out {what}, hand upright", amounts=(full, *more))
+
+
+_PLACE = ("place_task.csv", "Place Task")
+SUITES: Mapping[str, Suite] = {
+    "place-task": Suite(
+        title="Place task: carry a can upright to the shelf",
+        amounts=(
+            Amount(seeds=5, planners=QUICK),
+            Amount(problems=60, cutoff=5.0, planners=CONTROLLED, folder="controls"),
+            Amount(seeds=3, late=True),
+            Amount(profile="small", problems=10, cutoff=2.0),
+            Amount(profile="small", problems=3, cutoff=2.0, planners=CONTROLLED, folder="controls"),
+        ),
+        paper=_PLACE,
+    ),
+    "place-task-with-can": Suite(
+        title="Place task, the carried can in the way",
+        amounts=(
+            Amount(planners=QUICK),
+            Amount(profile="small", problems=5, cutoff=2.0, planners=SOME),
+        ),
+        paper=_PLACE,
+    ),
+    "place-task-single-goal": Suite(
+        title="Place task, a single goal instead of twenty",
+        amounts=(Amount(cutoff=5.0, planners=QUICK),),
+    ),
+    "place-task-mirrored": Suite(
+        title="Place task in a kitchen that no tuning has seen",
+        planners=(*SOME[:4], "cvq-wide", "roadmap", "roadmap-cvq"),
+        amounts=(Amount(),),
+    ),
+    "family-cubes-spheres": _family("scenes of cubes and balls"),
+    "family-table": _family("scenes with a table"),
+    "family-shelves": _family(
+        "scenes with shelves", Amount(profile="small", problems=3, cutoff=2.0, planners=SOME)
+    ),
+    "family-kitchen-like": _family("scenes like kitchens"),
+    "family-cluttered-table": _family("tables crowded with slim things"),
+    "family-narrow-shelves": _family("shelves that a hand just fits into"),
+    "family-cage": _family("cages of bars"),
+    "constraints": Suite(
+        title="Eight kinds of constraints, zero-shot, in held-out scenes",
+        planners=SOME,
+        amounts=(Amount(cutoff=5.0), Amount(profile="small", problems=8, cutoff=2.0)),
+        table=group_table,
+    ),
+    "factorial": Suite(
+        title="Factorial: predictor x Gaussians x update, place task",
+        planners=PRODUCTS,
+        amounts=(Amount(seeds=3, cutoff=3.0),),
+        table=factorial_table,
+    ),
+    "factorial-constraints": Suite(
+        title="Factorial: predictor x Gaussians x update, eight kinds of constraints",
+        planners=PRODUCTS,
+        amounts=(Amount(cutoff=2.0),),
+        table=factorial_table,
+    ),
+    # no shipped weights fit the arm with the door as its eighth joint
+    "open-door": Suite(
+        title="Open the shelf's door, the hand on its handle",
+        planners=("birrt", "ompl-projected", *SLOW, "roadmap"),
+        amounts=(Amount(),),
+    ),
+    "robots": Suite(
+        title="Nine arms of seven makers in held-out scenes, hand upright",
+        planners=("birrt", "ompl-projected", "roadmap"),
+        amounts=(
+            Amount(seeds=3, cutoff=5.0),
+            Amount(profile="small", problems=20, cutoff=2.0),
+        ),
+        table=partial(group_table, what="arm", notes=ARM_NOTES),
+    ),
+    # the last three planners are entry points, see `experiments.peers`; not everybody has them
+    "peers": Suite(
+        title="Planners of others, place task with a single goal",
+        planners=("birrt", "roadmap", "roadmap-cvq", "roboplan", "sscbirrt", "hpp"),
+        table=peer_table,
+    ),
+    "sensor": Suite(
+        title="Scanned scenes, hand upright: planned in the map, judged in truth",
+        amounts=(
+            Amount(seeds=3, planners=QUICK),
+            Amount(seeds=3, late=True),
+            Amount(profile="small", problems=2, cutoff=2.0),
+        ),
+        table=partial(place_table, sensed=True),
+        paper=("place_task.csv", "Physical robot"),
+    ),
+    "multi-sequence": Suite(
+        title="Multi-sequence task: open the shelf, take the can, stand it on the counter",
+        amounts=(
+            Amount(seeds=5, planners=QUICK),
+            Amount(late=True),
+            Amount(profile="small", problems=2, cutoff=2.0, planners=SOME),
+        ),
+        table=task_table,
+        paper=("multi_sequence.csv", "Multi-sequence task"),
+    ),
+}
+
+
+def suite_of(name: str) -> Suite:
+    """What is reported of a suite; of others, such as folders of problem files, the place task's
+    table.
+    """
+    return SUITES.get(name) or Suite(title=f"Suite {name}")
+
+
+def table_of(rows: Iterable[ResultRow]) -> SuiteTable:
+    """The table of rows; InvalidInputError unless they are of exactly one suite."""
+    rows = rows_of_one_suite(rows)
+    suite = suite_of(rows[0].suite)
+    return suite.table(rows, suite.published)
+
+
+class RenderedFiles(NamedTuple):
+    """What was written beside the rows, and the lines that a terminal shows."""
+
+    paths: list[Path]
+    brief: list[str]
+
+
+def render_directory(directory: Path) -> RenderedFiles:
+    """Write ``table.md``, ``.tex`` and ``.csv`` beside ``runs.csv``, whose rows are of one suite.
+
+    InvalidInputError when the directory holds no readable runs with provenance, or cannot be
+    written.
+    """
+    rows = directory_rows(directory)
+    record = ProvenanceFile(directory).read()
+    made, head = table_of(rows), _head(record, len(rows))
+    suite = suite_of(made.suite)
+    texts = {
+        "table.md": f"# {suite.title}\n\n{head}\n\n{made.markdown}",
+        "table.tex": f"% {head}\n{made.latex}",
+        "table.csv": made.csv,
+    }
+    for name, text in texts.items():
+        write_text(directory / name, text)
+    title = f"{suite.title}: {made.size}, {_cutoffs(record)}"
+    return RenderedFiles([directory / name for name in texts], [title, *made.brief])
+
+
+def directory_rows(directory: Path) -> list[ResultRow]:
+    """Rows of a results directory; RunStoreError says what to do when it has none."""
+    advice = f"run an experiment with --out {directory} first"
+    if not directory.is_dir():
+        raise RunStoreError(f"{directory} is not a directory; {advice}")
+    if not (directory / RUNS_FILE).is_file():
+        if (directory / PARTIAL_FILE).is_file():
+            raise RunStoreError(
+                f"{directory} holds an interrupted run; repeat its command to continue it"
+            )
+        raise RunStoreError(f"{directory} has no {RUNS_FILE}; {advice}")
+    rows = read_rows(directory / RUNS_FILE)
+    if not rows:
+        raise RunStoreError(f"{directory / RUNS_FILE} has no rows; {advice}")
+    return rows
+
+
+def _head(record: Mapping[str, Any], n_runs: int) -> str:
+    """One line: cut-off, commits, models, machines, dates and the number of rows."""
+    made = sessions(record)
+    models = [
+        f"{name} {digest[:12]}" for name, digest in sorted(digests_in(record, "weights").items())
+    ]
+    machines = [
+        f"{s.get('cpu_model') or 'unknown'}, {s.get('cpu_count') or '?'} cores" for s in made
+    ]
+    return " · ".join(
+        [
+            _cutoffs(record),
+            f"commit {_distinct(map(_commit, made))}",
+            *([f"weights {_distinct(models)}"] if models else []),
+            f"machine {_distinct(machines)}",
+            f"date {_distinct(str(session.get('date_utc') or 'unknown') for session in made)}",
+            f"{n_runs} rows",
+        ]
+    )
+
+
+def _cutoffs(record: Mapping[str, Any]) -> str:
+    """The budget of a run."""
+    configuration = record["configuration"]
+    seconds, iterations = configuration.get("cutoff_s"), configuration.get("iterations")
+    limits = [f"cutoff {seconds:g} s"] if seconds else []
+    return (
+        ", ".join([*limits, f"{iterations} iterations"] if iterations else limits)
+        or "cutoff not recorded"
+    )
+
+
+def _commit(session: Mapping[str, Any]) -> str:
+    commit = (session.get("git_commit") or "unknown")[:12]
+    return f"{commit} WITH UNCOMMITTED CHANGES" if session.get("git_dirty") else commit
+
+
+def _distinct(texts: Iterable[str]) -> str:
+    return " and ".join(dict.fromkeys(texts))
