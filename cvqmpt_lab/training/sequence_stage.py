@@ -34,7 +34,7 @@ from cvqmpt_lab.training.stage import Means, Stage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.link_positions import LinkPositions
 from cvqmpt_lab.vqmpt.scene_arrays import NOWHERE
-from cvqmpt_lab.vqmpt.scene_transformer import roadmap_ways
+from cvqmpt_lab.vqmpt.scene_transformer import roadmap_successors
 
 NO_TARGET = -100
 
@@ -264,7 +264,7 @@ class SequenceStage(Stage):
         nodes = torch.from_numpy(graph.nodes).float().to(self.device)
         edges = torch.from_numpy(graph.edges.astype(np.int64)).to(self.device)
         start, goal = chosen(batch["starts"], batch["start"]), chosen(batch["goals"], batch["goal"])
-        return roadmap_ways(nodes, edges, self._links, start, goal, batch["codes"])
+        return roadmap_successors(nodes, edges, self._links, start, goal, batch["codes"])
 
 
 def chosen(values: Tensor, rows: Tensor) -> Tensor:

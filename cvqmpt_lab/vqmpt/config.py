@@ -1,8 +1,6 @@
-"""Sizes and options of VQ-MPT and MPNet, as in the json file beside weights, and checks of their
-inputs.
+"""Sizes and options of VQ-MPT and MPNet, as in the json file beside weights; checks of inputs.
 
-Defaults are those of the published models; `ModelConfig.compact` is the smaller dictionary that
-ships.
+Defaults are those of the published models; `ModelConfig.compact` is the dictionary that ships.
 """
 
 import math
@@ -14,17 +12,15 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError, shown
 from cvqmpt_lab.values import Array, FloatArray
 
-LARGEST = 1 << 16  # of any size; a larger one is a typing error
-MOST_LAYERS = 64
 EPSILON = 1e-6  # of the layer norms of attention and feed-forward blocks, and of the dictionary
 
 
-def require_sizes(**sizes: int | tuple[int, ...] | None) -> None:
-    """Raise InvalidInputError naming a size that is given and not from 1 to `LARGEST`."""
+def require_sizes(largest: int = 1 << 16, **sizes: int | tuple[int, ...] | None) -> None:
+    """Raise InvalidInputError naming a size that is given and not from 1 to the largest."""
     for name, given in sizes.items():
         for size in given if isinstance(given, tuple) else (given,):
-            if size is not None and not 1 <= size <= LARGEST:
-                raise InvalidInputError(f"{name} is {shown(size)}; give 1 to {LARGEST}")
+            if size is not None and not 1 <= size <= largest:
+                raise InvalidInputError(f"{name} is {shown(size)}; give 1 to {largest}")
 
 
 def require_probability(name: str, value: float) -> None:
@@ -46,18 +42,15 @@ class TransformerConfig:
     dropout: float = 0.1
 
     def __post_init__(self) -> None:
-        sizes = {
-            name: getattr(self, name) for name in ("n_heads", "d_k", "d_v", "d_model", "d_inner")
-        }
-        require_sizes(**sizes)
+        names = ("n_heads", "d_k", "d_v", "d_model", "d_inner")
+        require_sizes(**{name: getattr(self, name) for name in names})
+        require_sizes(64, n_layers=self.n_layers)
         require_probability("dropout", self.dropout)
-        if not 1 <= self.n_layers <= MOST_LAYERS:
-            raise InvalidInputError(f"n_layers is {shown(self.n_layers)}; give 1 to {MOST_LAYERS}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DictionaryConfig:
-    """Stage 1: waypoint -> code -> Gaussian."""
+    """Stage 1: waypoint -> code z -> Gaussian g(z)."""
 
     encoder: Literal["transformer", "mlp"] = "transformer"
     """Over the whole trajectory (published), or ``mlp`` on each waypoint alone, which uses only
@@ -76,8 +69,7 @@ class DictionaryConfig:
     """
 
     def __post_init__(self) -> None:
-        sizes = {name: getattr(self, name) for name in ("n_position", "n_codes", "code_dim")}
-        require_sizes(**sizes)
+        require_sizes(n_position=self.n_position, n_codes=self.n_codes, code_dim=self.code_dim)
         require_probability("decoder_dropout", self.decoder_dropout)
 
 
@@ -123,9 +115,7 @@ class SequenceConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelConfig:
-    """A VQ-MPT model:
-    the architecture of the published checkpoints, or the smaller dictionary alone ("compact").
-    """
+    """A VQ-MPT model: the published architecture, or the smaller dictionary alone ("compact")."""
 
     kind: Literal["published", "compact"] = "published"
     joint_dim: int = 7
@@ -142,8 +132,21 @@ class ModelConfig:
         require_sizes(joint_dim=self.joint_dim, feature_dim=self.feature_dim or None)
         if (self.point_cloud is None) != (self.sequence is None):
             raise InvalidInputError("give both point_cloud and sequence, or set both to null")
+        words = self.dictionary
         if self.kind == "published":
-            self._require_published()
+            width = self.stage2[1].transformer.d_model
+            departures = {
+                "feature_dim": self.feature_dim > 0,
+                "dictionary.encoder": words.encoder != "transformer",
+                "dictionary.data_initialised": words.data_initialised,
+            }
+            for name in (name for name, departs in departures.items() if departs):
+                raise InvalidInputError(f"kind 'published' has no {name}; use kind 'compact'")
+            if words.transformer.d_model != width:
+                raise InvalidInputError(
+                    f"kind 'published' has one latent width: {width} is not "
+                    f"{words.transformer.d_model}"
+                )
         if self.point_cloud is not None and self.sequence is not None:
             widths = (self.point_cloud.sa2.widths[1], self.sequence.context.d_model)
             if {*widths} != {self.sequence.transformer.d_model}:
@@ -152,31 +155,13 @@ class ModelConfig:
                     f"is not {widths}"
                 )
 
-    def _require_published(self) -> None:
-        _, sequence = self.stage2
-        departures = {
-            "feature_dim": self.feature_dim > 0,
-            "dictionary.encoder": self.dictionary.encoder != "transformer",
-            "dictionary.data_initialised": self.dictionary.data_initialised,
-        }
-        for name, departs in departures.items():
-            if departs:
-                raise InvalidInputError(f"kind 'published' has no {name}; use kind 'compact'")
-        width = sequence.transformer.d_model
-        if self.dictionary.transformer.d_model != width:
-            raise InvalidInputError(
-                f"kind 'published' has one latent width: {width} is not "
-                f"{self.dictionary.transformer.d_model}"
-            )
-
     @property
     def stage2(self) -> tuple[PointCloudConfig, SequenceConfig]:
         """Sizes of the sequence model; raises InvalidInputError for a model without one."""
         if self.point_cloud is None or self.sequence is None:
             raise InvalidInputError(
                 f"a model of kind {self.kind!r} without point_cloud and sequence has no sequence "
-                f"model; "
-                "use kind 'published'"
+                f"model; use kind 'published'"
             )
         return self.point_cloud, self.sequence
 
@@ -224,25 +209,23 @@ class MPNetConfig:
     dropout: float = 0.5
 
     def __post_init__(self) -> None:
-        sizes = {name: getattr(self, name) for name in ("joint_dim", "n_points", "code_dim")}
-        require_sizes(
-            **sizes, encoder_widths=self.encoder_widths, planner_widths=self.planner_widths
-        )
+        names = ("joint_dim", "n_points", "code_dim", "encoder_widths", "planner_widths")
+        require_sizes(**{name: getattr(self, name) for name in names})
         require_probability("dropout", self.dropout)
         if not self.encoder_widths or not self.planner_widths:
             raise InvalidInputError("encoder_widths and planner_widths need a layer each")
 
 
-# What networks take in beside normalised joints: point clouds, and the kinematics of link-position
-# features.
-LARGEST_EXTENT = 50.0  # of a cloud [m]; a larger one was almost surely given in millimetres
+def require_point_cloud(points: Any, largest_extent: float = 50.0) -> None:
+    """Check a point cloud.
 
+    Args:
+        points: (..., m, 3) [m], an array or a tensor.
+        largest_extent: [m]; a larger cloud was almost surely given in millimetres.
 
-def require_point_cloud(points: Any) -> None:
-    """Check a cloud (..., m, 3) [m], an array or a tensor.
-
-    Raises InvalidInputError for fewer than two points, another shape, NaN, or an extent that cannot
-    be metres.
+    Raises:
+        InvalidInputError: fewer than two points, another shape, NaN, or an extent that cannot be
+            metres.
     """
     if points.ndim < 2 or points.shape[-1] != 3:
         raise InvalidInputError(
@@ -257,17 +240,15 @@ def require_point_cloud(points: Any) -> None:
         raise InvalidInputError(
             f"point cloud has {bad} points with NaN or infinite values; drop them"
         )
-    if largest > LARGEST_EXTENT:
+    if largest > largest_extent:
         raise InvalidInputError(
-            f"point cloud reaches {largest:g} m; at most {LARGEST_EXTENT:g} m: give metres, not "
+            f"point cloud reaches {largest:g} m; at most {largest_extent:g} m: give metres, not "
             f"millimetres"
         )
 
 
 def checked_cloud(cloud: np.ndarray) -> np.ndarray:
-    """A cloud (m, 3) [m, robot base frame] as contiguous float32;
-    errors as of `require_point_cloud`.
-    """
+    """A cloud (m, 3) [m, robot base frame] as float32; errors as of `require_point_cloud`."""
     try:
         points = np.asarray(cloud, dtype=float)
     except (TypeError, ValueError) as error:
@@ -280,11 +261,9 @@ def checked_cloud(cloud: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SerialChain:
-    """Joints in a row, each turning about its own z axis or sliding along it, and points fixed to
-    their links.
+    """A serial chain of joints, and points fixed to its links.
 
-    frame_j = frame_(j-1) (rotation_j, translation_j) Rz(q_j), the first in the robot's base; for
-    sliders Tz(q_j).
+    T_j = T_(j-1) (R_j, t_j) Rz(q_j), or Tz(q_j) for sliders, with T_0 the robot's base.
     """
 
     # (n, 3, 3), from one joint's frame to the next
@@ -303,9 +282,8 @@ class SerialChain:
         ):
             raise InvalidInputError(
                 f"rotation, translation, points and offsets describe {joints}, "
-                f"{len(self.translation)}, "
-                f"{len(self.points)} and {len(self.offsets)}; give as many of each pair, and one "
-                f"point at least"
+                f"{len(self.translation)}, {len(self.points)} and {len(self.offsets)}; give as "
+                f"many of each pair, and one point at least"
             )
         for name, listed in (("points", self.points), ("sliders", self.sliders)):
             if max(listed, default=0) >= joints:
@@ -340,11 +318,8 @@ class SceneTransformerSizes:
     stride: int = 4  # every so many-th code is a landmark that sequences attend to
 
     def __post_init__(self) -> None:
-        require_sizes(
-            **{name: getattr(self, name) for name in self.__annotations__ if name != "layers"}
-        )
-        if not 1 <= self.layers <= MOST_LAYERS:
-            raise InvalidInputError(f"layers is {shown(self.layers)}; give 1 to {MOST_LAYERS}")
+        require_sizes(**{name: getattr(self, name) for name in self.__annotations__})
+        require_sizes(64, layers=self.layers)
         if self.width % 8 or self.width % self.heads:
             raise InvalidInputError(
                 f"width {self.width} must be divisible by 8 and by heads, {self.heads}"

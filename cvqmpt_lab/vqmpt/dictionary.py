@@ -1,5 +1,4 @@
-"""Stage 1 of VQ-MPT: the dictionary Z_Q = {z_1 ... z_N} that cuts the planning space into
-Gaussians.
+"""Stage 1 of VQ-MPT: the dictionary Z_Q = {z_1 ... z_N}, which divides the planning space.
 
 A waypoint is encoded, its latent replaced by the nearest code z_i, and the code decoded to a
 Gaussian over configurations, g(z_i) = N(mu, Sigma) (paper, eqn. decoder_eqn), Sigma = L D L^T.
@@ -17,10 +16,9 @@ from cvqmpt_lab.vqmpt.config import EPSILON, ModelConfig, TransformerConfig
 
 
 class MultiHeadAttention(nn.Module):
-    """softmax(q k^T / sqrt(d_k)) v per head, projections without bias, plus the residual.
+    """x + W_o [softmax(q_h k_h^T / sqrt(d_k)) v_h]_h, with q, k, v projected without bias.
 
-    One layer norm is applied to the query and to the context (keys and values) alike; the residual
-    is the query before it.
+    q comes from the query x, k and v from the context, both after the same layer norm.
     """
 
     def __init__(self, sizes: TransformerConfig) -> None:
@@ -34,10 +32,12 @@ class MultiHeadAttention(nn.Module):
         self.dropout = sizes.dropout
 
     def forward(self, query: Tensor, context: Tensor, visible: Tensor | None = None) -> Tensor:
-        """Attend from query (b, t, d_model) to context (b, m, d_model), both before normalisation.
+        """Attend from a query to a context, both before normalisation.
 
-        context: the query itself in self-attention. visible (b, m) bool: context tokens that are no
-            padding; None for all.
+        Args:
+            query: (b, t, d_model).
+            context: (b, m, d_model); the query itself in self-attention.
+            visible: (b, m) bool, context tokens that are no padding; None for all.
         """
         keys_of = self.layer_norm(context)
         queries_of = keys_of if query is context else self.layer_norm(query)
@@ -57,9 +57,7 @@ class MultiHeadAttention(nn.Module):
 
 
 class FeedForward(nn.Module):
-    """Two linear layers with a ReLU between and a residual;
-    normalised before them, or after the sum.
-    """
+    """x + W_2 relu(W_1 norm(x)), or norm(x + W_2 relu(W_1 x))."""
 
     def __init__(
         self, d_model: int, d_inner: int, dropout: float, *, norm_first: bool = True
@@ -89,10 +87,12 @@ class SelfAttentionLayer(nn.Module):
     def forward(
         self, tokens: Tensor, visible: Tensor | None = None, read: Tensor | None = None
     ) -> Tensor:
-        """Map tokens (b, t, d_model) to the same shape; `visible` (b, t) as in
-        `MultiHeadAttention`.
+        """Map tokens (b, t, d_model) to the same shape.
 
-        read: those of the tokens (b, r, d_model) whose outputs alone are wanted.
+        Args:
+            tokens: (b, t, d_model).
+            visible: (b, t) as in `MultiHeadAttention`.
+            read: (b, r, d_model), those of the tokens whose outputs alone are wanted.
         """
         return self.pos_ffn(self.slf_attn(tokens if read is None else read, tokens, visible))
 
@@ -111,9 +111,7 @@ class CrossAttentionLayer(nn.Module):
 
 
 def sinusoid_table(n_position: int, d_model: int) -> Tensor:
-    """Positions as waves (n_position, d_model):
-    sines on even, cosines on odd dimensions, base 10000.
-    """
+    """Position code (n_position, d_model): sin(p 10000^(-2 i / d)) at 2 i, cos at 2 i + 1."""
     dimension = torch.arange(d_model, dtype=torch.float64)
     wavelength = 10000.0 ** (2.0 * (dimension // 2) / d_model)
     angle = torch.arange(n_position, dtype=torch.float64)[:, None] / wavelength
@@ -130,9 +128,7 @@ class PositionTable(nn.Module):
         self.register_buffer("pos_table", sinusoid_table(n_position, d_model)[None])
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """Add the code to tokens (b, t, d_model);
-        raises InvalidInputError when t is beyond the table.
-        """
+        """Add the code to tokens (b, t, d_model); InvalidInputError when t is beyond the table."""
         length, longest = tokens.shape[1], self.pos_table.shape[1]
         if length > longest:
             raise InvalidInputError(
@@ -159,9 +155,7 @@ class TrajectoryEncoder(nn.Module):
         self.dropout = sizes.dropout
 
     def forward(self, waypoints: Tensor) -> Tensor:
-        """Encode waypoints (b, t, input_dim), joints normalised to [0, 1], as latents (b, t,
-        d_model).
-        """
+        """Encode waypoints (b, t, input_dim), joints in [0, 1], as latents (b, t, d_model)."""
         tokens = self.position_enc(self.layer_norm(self.to_embedding(waypoints)))
         tokens = self.layer_norm(F.dropout(tokens, self.dropout, self.training))
         for layer in self.layer_stack:
@@ -198,11 +192,11 @@ class Quantized:
 
 
 class Quantizer(nn.Module):
-    """Projects latents to few dimensions, replaces them by the nearest code, projects back.
+    """Vector quantisation: z = W_in x / |W_in x|, i = argmax_j z_j . z, and W_out z_i back.
 
-    Codes have unit length: every forward call scales them, in place; after the last optimizer step
-    call `normalise_codes` before saving. The batch norm is never applied; published checkpoints
-    have its buffers.
+    Codes z_j have unit length: every forward call scales them, in place; after the last optimizer
+    step call `normalise_codes` before saving. The batch norm is never applied; published
+    checkpoints have its buffers.
     """
 
     def __init__(self, n_codes: int, code_dim: int, d_model: int) -> None:
@@ -232,10 +226,10 @@ class Quantizer(nn.Module):
             return (z @ self.embedding.weight.T).argmax(dim=-1)
 
     def forward(self, latent: Tensor) -> Quantized:
-        """Quantize latents (..., d_model).
+        """Quantise latents (..., d_model), with the straight-through estimator z + e - sg(z).
 
-        Straight-through: passed on is z + e - stop_gradient(z), the code e in value, with a
-        gradient that reaches the encoder (as if z had been passed on) and e alike.
+        That is the code e in value; the gradient reaches the encoder, as if z had been passed on,
+        and e alike.
         """
         self.normalise_codes()
         z = self.project(latent)
@@ -252,9 +246,13 @@ class Quantizer(nn.Module):
     ) -> int:
         """Put codes onto encoded waypoints drawn at random; return how many were moved.
 
-        dead (n_codes,) bool: codes that no waypoint used lately; all of them to initialise from
-        data. latents (m, d_model): encoded waypoints, drawn without replacement while they last;
-        InvalidInputError for none.
+        Args:
+            dead: (n_codes,) bool, codes that no waypoint used lately; all to initialise from data.
+            latents: (m, d_model), encoded waypoints, drawn without replacement while they last.
+            generator: random numbers.
+
+        Raises:
+            InvalidInputError: there are no latents.
         """
         indices = dead.nonzero()[:, 0]
         if len(indices) == 0:
@@ -284,7 +282,11 @@ class Gaussians:
         return (self.lower * self.diagonal[..., None, :]) @ self.lower.mT
 
     def log_prob(self, u: Tensor) -> Tensor:
-        """Log density (...) at normalised joints u (..., n) [nats]."""
+        """Log density -1/2 (|D^(-1/2) L^(-1) (u - mu)|^2 + sum log D + n log 2 pi) [nats].
+
+        Args:
+            u: (..., n), normalised joints.
+        """
         offset = (u - self.mean)[..., None]
         lower = self.lower.expand(*offset.shape[:-2], *self.lower.shape[-2:])
         whitened = torch.linalg.solve_triangular(lower, offset, upper=False, unitriangular=True)
@@ -293,13 +295,16 @@ class Gaussians:
         return -0.5 * (mahalanobis + self.diagonal.log().sum(-1) + n * math.log(2.0 * math.pi))
 
     def entropy(self) -> Tensor:
-        """Differential entropy (...) [nats]."""
+        """Differential entropy 1/2 (sum log D + n (1 + log 2 pi)) (...) [nats]."""
         n = self.mean.shape[-1]
         return 0.5 * (self.diagonal.log().sum(-1) + n * (1.0 + math.log(2.0 * math.pi)))
 
 
 class GaussianDecoder(nn.Module):
-    """Feed-forward block (normalised at its end), then three linear heads: mu, D and L."""
+    """The decoder g(z), with y a feed-forward block of the latent, normalised at its end:
+
+    mu = (tanh(W_mu y + b_mu) + 1) / 2, D = softplus(W_D y + b_D), L = I + lower(W_L y + b_L).
+    """
 
     l_index: Tensor
 
@@ -314,9 +319,7 @@ class GaussianDecoder(nn.Module):
         )
 
     def forward(self, latent: Tensor) -> Gaussians:
-        """Decode latents (..., d_model):
-        mean in (0, 1), D = softplus, L's strict lower triangle linear.
-        """
+        """Decode latents (..., d_model)."""
         hidden = self.pos_ffn(latent)
         mean = 0.5 * (self.mu(hidden) + 1.0)
         n = mean.shape[-1]
@@ -352,10 +355,10 @@ class Dictionary(nn.Module):
         )
 
     def forward(self, waypoints: Tensor) -> DictionaryOutput:
-        """Encode and decode waypoints (b, t, configuration_dim): joints in [0, 1], then features
-        [m], if any.
+        """Encode, quantise and decode waypoints; padded ones too, mask them in the losses.
 
-        Padded waypoints are treated like any other; mask them in the losses.
+        Args:
+            waypoints: (b, t, configuration_dim), joints in [0, 1], then features [m], if any.
         """
         quantized = self.quantizer(self.encoder(waypoints))
         return DictionaryOutput(self.decoder(quantized.quantized), quantized)
@@ -365,7 +368,5 @@ class Dictionary(nn.Module):
         return self.quantizer.nearest(self.quantizer.project(self.encoder(waypoints)))
 
     def decode(self, z: Tensor) -> Gaussians:
-        """g(z):
-        Gaussians (...) of code vectors z (..., code_dim), which need not be in the dictionary.
-        """
+        """Gaussians g(z) (...) of code vectors z (..., code_dim), in the dictionary or not."""
         return self.decoder(self.quantizer.output_linear_map(z))

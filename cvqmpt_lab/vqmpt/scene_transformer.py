@@ -1,20 +1,19 @@
-"""The sequence model that ships: a causal transformer over codes that have looked at the scene.
+"""The sequence model that ships: a causal transformer over codes whose embeddings know the scene.
 
-A point cloud becomes scene tokens. Start q_s, goal q_g and the node q_i of every code look at them:
-each body point p_k(q) of the arm attends to the tokens c_j near it (geometric attention),
+A point cloud becomes scene tokens. Start q_s, goal q_g and the node q_i of every code attend to
+them: each body point p_k(q) of the arm to the tokens, of centre c_j, near it (geometric attention),
 
-    w_kj = softmax_j(beta_k (2 p_k . c_j - |c_j|^2) + b_k(token_j)),     sum_j w_kj (v_j + V_j p_k),
+    w_kj = softmax_j(beta_k (2 p_k . c_j - |c_j|^2) + b_k(token_j)),     sum_j w_kj (v_j + V_j p_k).
 
-so that their embeddings e_i know what is near the arm. From these come P(code free) and P(edge
-free) of the dictionary's roadmap, and the cost to go V_i to the goal: that of the cheapest way over
-its edges, where an edge costs length - w log P(edge free). A causal transformer over goal, start
-and codes so far gives (paper, eqn. ar_prob)
+From the embeddings e_i come P(code free) and P(edge free) of the dictionary's roadmap, and the cost
+to go V_i: that of the shortest path to the goal, where an edge costs length - w log P(edge free).
+A causal transformer over goal, start and codes so far gives (paper, eqn. ar_prob)
 
-    pi(h_j = i | z_(h_1) ... z_(h_(j-1)), M) = softmax_i(t_j . k(e_i) - g_j A_i + way_i),
+    pi(h_j = i | z_(h_1) ... z_(h_(j-1)), M) = softmax_i(t_j . k(e_i) - g_j A_i + b_i),
     A_i = cost(h_(j-1), i) + V_i - V_(h_(j-1)) >= 0,
 
-a pointer to the codes: their embeddings are its vocabulary. way_i is 0 where no edge leads to i.
-    The class N is the goal, which ends a sequence.
+a pointer network: the embeddings of the codes are its vocabulary. The bonus b_i is learned, and 0
+where no edge leads to i (there without A_i, too). The class N is the goal token.
 """
 
 from functools import cached_property
@@ -31,12 +30,12 @@ from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, RISK, UNREACHED, WAVES, WORST
 
 
 class Scenes(NamedTuple):
-    """What is known of s scenes, whatever start and goal."""
+    """What does not depend on start and goal, of s scenes."""
 
     tokens: Tensor  # (s, t, d)
     centres: Tensor  # (s, t, 3) [m]
-    codes: Tensor  # (s, N, d), embeddings that have looked
-    keys: Tensor  # (s, N, d), what pointers are compared with
+    codes: Tensor  # (s, N, d), embeddings
+    keys: Tensor  # (s, N, d), compared with pointers
     parts: Tensor  # (s, N, e), what edges are judged by
     node_odds: Tensor  # (s, N), log odds of P(code free)
     edge_odds: Tensor  # (s, E), log odds of P(edge free)
@@ -45,7 +44,7 @@ class Scenes(NamedTuple):
 class Ends(NamedTuple):
     """Starts or goals (s, u): their embeddings, and the codes near them."""
 
-    seen: Tensor  # (s, u, d)
+    embedding: Tensor  # (s, u, d)
     near: Tensor  # (s, u, l) int64
     cost: Tensor  # (s, u, l), length - w log P(free) of the motion to each [rad]
 
@@ -62,7 +61,7 @@ class Graph(NamedTuple):
 
 
 class Block(nn.Module):
-    """Attention and a feed-forward block, both normalised first; with `context`, attention to that."""
+    """x <- x + attention(norm(x)), to a context if given, then x <- x + W_2 gelu(W_1 norm(x))."""
 
     def __init__(self, width: int, heads: int, inner: int) -> None:
         super().__init__()
@@ -75,9 +74,9 @@ class Block(nn.Module):
     def forward(self, x: Tensor, context: Tensor | None = None, causal: bool = False) -> Tensor:
         """Map x (b, t, d), given context (b, m, d), to its shape."""
         y = self.norm(x)
-        seen = y if context is None else self.context_norm(context)
+        attended = y if context is None else self.context_norm(context)
         q = self.query(y).unflatten(-1, (self.heads, -1)).transpose(1, 2)
-        k, v = self.key_value(seen).unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        k, v = self.key_value(attended).unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)
         if causal:  # sequences of some ten tokens: plain products are faster than the fused kernel
             scores = q @ k.transpose(2, 3) * q.shape[-1] ** -0.5
             mask = torch.ones(q.shape[2], q.shape[2], dtype=torch.bool, device=x.device).triu(1)
@@ -103,8 +102,11 @@ class SceneEncoder(nn.Module):
         self.register_buffer("waves", torch.pi * 2.0 ** torch.arange(WAVES), persistent=False)
 
     def forward(self, centres: Tensor, offsets: Tensor) -> Tensor:
-        """Map centres (s, t, 3) and the points around each (s, t, m, 3), relative to it [m], to
-        tokens (s, t, d).
+        """Map groups of points to tokens (s, t, d).
+
+        Args:
+            centres: (s, t, 3) [m].
+            offsets: (s, t, m, 3) [m], the points around each centre, relative to it.
         """
         shape = self.points(offsets * 5.0).amax(2)
         angle = (centres[..., None] * self.waves).flatten(2)
@@ -114,7 +116,7 @@ class SceneEncoder(nn.Module):
 
 
 class GeometricAttention(nn.Module):
-    """Embeds configurations by what is near their body points."""
+    """Embeds configurations by what is near their body points: sum_j w_kj (v_j + V_j p_k)."""
 
     def __init__(self, config: SceneTransformerConfig) -> None:
         super().__init__()
@@ -143,11 +145,14 @@ class GeometricAttention(nn.Module):
         centres: Tensor,
         own: Tensor | None = None,
     ) -> Tensor:
-        """Look at scenes (s, ...) from configurations: features (s or 1, u, f), positions (s or 1,
-        u, k, 3).
+        """Embeddings (s, u, d) of configurations in scenes.
 
-        own: (u, d) added to embeddings of configurations that are always the same. Returns (s, u,
-            d).
+        Args:
+            features: (s or 1, u, f).
+            positions: (s or 1, u, k, 3), body points p_k [m].
+            tokens: (s, t, d).
+            centres: c_j (s, t, 3) [m].
+            own: (u, d), added to embeddings of configurations that are always the same.
         """
         s, u, m = len(tokens), features.shape[1], self.values
         x = self.embed(features)
@@ -170,13 +175,13 @@ class GeometricAttention(nn.Module):
                 read[..., 4 * m] + (read[..., 4 * m + 1 :] * points).sum(-1) + (points**2).sum(-1)
             )
             away = 5.0 * (away.clamp(min=0.0) + 1e-4).sqrt()
-            looked = torch.cat((near, away[..., None]), -1).transpose(1, 2).reshape(s, u, -1)
+            read = torch.cat((near, away[..., None]), -1).transpose(1, 2).reshape(s, u, -1)
         x = x.expand(s, -1, -1)
-        return self.norm(x + self.mix(torch.cat((looked.to(x.dtype), self.own_norm(x)), -1)))
+        return self.norm(x + self.mix(torch.cat((read.to(x.dtype), self.own_norm(x)), -1)))
 
 
 class SceneTransformer(nn.Module):
-    """The sequence model; see the top of this file."""
+    """The sequence model pi(h_j | z_(h_1) ... z_(h_(j-1)), M) of this file's top."""
 
     nodes: Tensor
     edges: Tensor
@@ -244,7 +249,7 @@ class SceneTransformer(nn.Module):
         return features, positions.unflatten(-1, (-1, 3))
 
     def encode(self, centres: Tensor, offsets: Tensor) -> Scenes:
-        """Look at scenes, given as groups of points (see `group_points`), from every code."""
+        """Encode scenes, given as groups of points (see `group_points`), for all codes."""
         tokens, graph = self.scene(centres, offsets), self.graph
         codes = self.look(graph.features[None], graph.positions[None], tokens, centres, self.own)
         parts = self.part(codes).float()
@@ -260,28 +265,34 @@ class SceneTransformer(nn.Module):
         )
 
     def ends(self, scenes: Scenes, q: Tensor) -> Ends:
-        """Look at scenes from starts or goals q (s, u, n) [rad], and half way to the codes near
-        them.
-        """
+        """Embed starts or goals q (s, u, n) [rad], and judge the motions to the codes near them."""
         s = len(q)
-        seen = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
+        embedding = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
         length, near = torch.cdist(q, self.nodes[None].expand(s, -1, -1)).topk(
             self.config.sizes.links, largest=False
         )
-        return Ends(seen, near, length + RISK * F.softplus(-self._link_odds(scenes, q, seen, near)))
+        odds = self._link_odds(scenes, q, embedding, near)
+        return Ends(embedding, near, length + RISK * F.softplus(-odds))
 
     def link_odds(self, scenes: Scenes, q: Tensor, near: Tensor) -> Tensor:
-        """Log odds (s, u, l) that the straight motion from q (s, u, n) [rad] to codes near (s, u,
-        l) is free.
-        """
-        seen = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
-        return self._link_odds(scenes, q, seen, near)
+        """Log odds (s, u, l) that the straight motions from q (s, u, n) [rad] to codes are free.
 
-    def _link_odds(self, scenes: Scenes, q: Tensor, seen: Tensor, near: Tensor) -> Tensor:
+        Args:
+            scenes: of `encode`.
+            q: (s, u, n) [rad].
+            near: (s, u, l) int64, the codes.
+        """
+        embedding = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
+        return self._link_odds(scenes, q, embedding, near)
+
+    def _link_odds(self, scenes: Scenes, q: Tensor, embedding: Tensor, near: Tensor) -> Tensor:
         u = q.shape[1]
         half_way = (0.5 * (q[:, :, None] + self.nodes[near])).flatten(1, 2)
         middle = self.look(*self.configurations(half_way), scenes.tokens, scenes.centres)
-        x = self.middle(middle).float().unflatten(1, (u, -1)) + self.part(seen).float()[:, :, None]
+        x = (
+            self.middle(middle).float().unflatten(1, (u, -1))
+            + self.part(embedding).float()[:, :, None]
+        )
         x = x + scenes.parts.gather(
             1, near.flatten(1)[..., None].expand(-1, -1, x.shape[-1])
         ).unflatten(1, (u, -1))
@@ -316,16 +327,23 @@ class SceneTransformer(nn.Module):
         return cost[:, self.graph.edge]
 
     def logits(self, scenes: Scenes, start: Ends, goal: Ends, V: Tensor, codes: Tensor) -> Tensor:
-        """Logits (s, r, l + 1, N + 1) after every prefix of codes (s, r, l) int64, padded with any
-        code.
+        """Logits t_j . k(e_i) - g_j A_i + b_i after every prefix of codes.
 
-        start, goal: of each of the r sequences. V: (s, r, N), of `cost_to_go`.
+        Args:
+            scenes: of `encode`.
+            start: of each of the r sequences.
+            goal: likewise.
+            V: (s, r, N), of `cost_to_go`.
+            codes: (s, r, l) int64, padded with any code.
+
+        Returns:
+            (s, r, l + 1, N + 1).
         """
         (s, r, length), d, graph = codes.shape, self.config.sizes.width, self.graph
         taken = scenes.codes.gather(1, codes.flatten(1)[..., None].expand(-1, -1, d)).view(
             s, r, length, d
         )
-        parts = ((goal.seen[:, :, None], 0), (start.seen[:, :, None], 1), (taken, 2))
+        parts = ((goal.embedding[:, :, None], 0), (start.embedding[:, :, None], 1), (taken, 2))
         x = (
             torch.cat([self.enter(part) + self.kind[kind] for part, kind in parts], 2)
             + self.place[: length + 2]
@@ -342,7 +360,7 @@ class SceneTransformer(nn.Module):
         over_codes = (pointer.flatten(1, 2) @ scenes.keys.transpose(1, 2)).float().view(
             s, r, length + 1, -1
         ) * scale
-        to_goal = (pointer * self.goal_key(goal.seen)[:, :, None]).sum(
+        to_goal = (pointer * self.goal_key(goal.embedding)[:, :, None]).sum(
             -1
         ).float() * scale + self.goal_bias
         first = start.cost + V.gather(2, start.near)
@@ -369,14 +387,21 @@ class SceneTransformer(nn.Module):
         return torch.cat((torch.cat(steps, 2), torch.cat(goals, 2)[..., None]), -1)
 
 
-def roadmap_ways(
+def roadmap_successors(
     nodes: Tensor, edges: Tensor, links: int, start: Tensor, goal: Tensor, codes: Tensor
 ) -> Tensor:
-    """Classes (s, r, l + 1, N + 1) bool that can follow each prefix of codes (s, r, l) on a
-    roadmap.
+    """Classes that can follow each prefix of codes on a roadmap.
 
-    nodes (N, n), edges (E, 2); links: nodes that a start or goal leads to; start, goal (s, r, n)
-    [rad].
+    Args:
+        nodes: (N, n) [rad].
+        edges: (E, 2).
+        links: number of nodes that a start or goal is linked to.
+        start: (s, r, n) [rad].
+        goal: (s, r, n) [rad].
+        codes: (s, r, l).
+
+    Returns:
+        (s, r, l + 1, N + 1) bool.
     """
     near = [
         torch.cdist(q.flatten(0, 1), nodes).topk(links, largest=False)[1] for q in (start, goal)

@@ -1,5 +1,4 @@
-"""Weights on disk, found by name or folder and read as plain arrays: all that planning needs of a
-trained model.
+"""Weights on disk, found by name or folder and read as plain arrays.
 
 A folder of weights holds ``config.json`` (architecture, sizes, the robot it was trained for, sha256
 of each file, free metadata) and one safetensors file for each part of the model. It is written
@@ -35,9 +34,7 @@ CONFIGS: dict[str, type[ModelConfig] | type[MPNetConfig]] = {
     MPNET: MPNetConfig,
 }
 PARTS = {VQ_MPT: ("dictionary", "sequence_model", "transformer"), MPNET: ("mpnet",)}
-"""Files of each architecture. The first is always there;
-of VQ-MPT's others those that were trained.
-"""
+"""Files of each architecture; the first is always there, the others where they were trained."""
 TRANSFORMER = "transformer"
 TRAINED_BY = {
     TRANSFORMER: "train one: cvqmpt train transformer --data DIR --out DIR",
@@ -45,10 +42,7 @@ TRAINED_BY = {
 }
 WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
 SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
-"""Names and architectures of the weights that come with the package;
-the first of each is the default.
-"""
-LIMIT_TOLERANCE = 1e-4  # joint limits that differ by less are the same robot's [rad or m]
+"""Names and architectures of the weights that come with the package."""
 
 
 class OtherRobotError(InvalidInputError):
@@ -82,19 +76,18 @@ class RobotSignature:
             raise InvalidInputError(f"{len(self.joints)} names of joints, but {limits} limits")
 
     def require_same(self, other: "RobotSignature") -> None:
-        """Raise OtherRobotError, which names the differences, unless `other` is this robot."""
+        """Raise OtherRobotError with the differences unless `other` is this robot."""
         differences = self.differences(other)
         if differences:
             name = "this one" if self.name == other.name else repr(other.name)
             raise OtherRobotError(
                 f"weights are for robot {self.name!r}, not {name}: {'; '.join(differences)}; "
                 f"choose weights trained for it, or train some: cvqmpt data generate --robot "
-                f"{other.name} --out "
-                "DATA, then cvqmpt train stage1 --data DATA --out DIR"
+                f"{other.name} --out DATA, then cvqmpt train stage1 --data DATA --out DIR"
             )
 
-    def differences(self, other: "RobotSignature") -> list[str]:
-        """What makes the other another robot; none for the same."""
+    def differences(self, other: "RobotSignature", tolerance: float = 1e-4) -> list[str]:
+        """What makes the other another robot; limits may differ by a tolerance [rad or m]."""
         if len(self.lower) != len(other.lower):
             return [f"{len(self.lower)} joints, not {len(other.lower)}"]
         if self.joints and other.joints and self.joints != other.joints:
@@ -107,7 +100,7 @@ class RobotSignature:
             for joint, (our, their) in enumerate(
                 zip(getattr(self, side), getattr(other, side), strict=True)
             )
-            if not abs(our - their) <= LIMIT_TOLERANCE
+            if not abs(our - their) <= tolerance
         ]
         if limits:
             return limits[:2]
@@ -146,8 +139,10 @@ class StoredModel:
             raise InvalidInputError(f"the model has no {part}, only {', '.join(self.parts)}{cure}")
 
     def array(self, part: str, name: str, *shape: int) -> np.ndarray:
-        """An array of a part, which must have this shape, in float64;
-        InvalidInputError when it does not fit.
+        """An array of a part, which must have this shape, in float64.
+
+        Raises:
+            InvalidInputError: it is missing, or of another shape or kind, or not finite.
         """
         self.require_part(part)
         array = self.parts[part].get(name)
@@ -166,9 +161,7 @@ class StoredModel:
     def linear(
         self, part: str, name: str, inputs: int, outputs: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Weight (outputs, inputs) and bias (outputs,) of a linear layer, in float64;
-        errors as of `array`.
-        """
+        """Weight (outputs, inputs) and bias (outputs,) of a linear layer; see `array`."""
         weight = self.array(part, f"{name}.weight", outputs, inputs)
         return weight, self.array(part, f"{name}.bias", outputs)
 
@@ -176,8 +169,8 @@ class StoredModel:
 def write_model(folder: Path, model: StoredModel) -> None:
     """Write a folder of weights, replacing an earlier one at once or not at all.
 
-    Raises InvalidInputError for weights that are not finite, or when the disk refuses; nothing is
-    left behind.
+    Raises:
+        InvalidInputError: weights are not finite, or the disk refuses; nothing is left behind.
     """
     folder = Path(folder)
     beside = folder.parent / f".{folder.name}.partial-{os.getpid()}"
@@ -245,11 +238,11 @@ def recover_weights(folder: Path) -> None:
 def read_description(
     folder: Path, architecture: str | None = None, robot: RobotSignature | None = None
 ) -> dict[str, Any]:
-    """Read ``config.json``: its fields as `write_model` writes them, the robot as a
-    `RobotSignature`.
+    """Read ``config.json``: fields as `write_model` writes them, the robot as `RobotSignature`.
 
-    Raises InvalidInputError when it is missing or malformed, or describes another architecture than
-    is given; OtherRobotError when the weights belong to another robot than is given.
+    Raises:
+        InvalidInputError: it is missing or malformed, or of another architecture than is given.
+        OtherRobotError: the weights belong to another robot than is given.
     """
     path = Path(folder) / CONFIG_FILE
     data = read_json_object(require_regular_file(path, "weights"), "weights")
@@ -271,13 +264,17 @@ def read_model(
     architecture: str | None = None,
     left_out: str = "",
 ) -> StoredModel:
-    """Read a folder of weights; `robot` and `architecture` as in `read_description`, and its
-    errors.
+    """Read a folder of weights.
 
-    left_out: a part that is not read.
+    Args:
+        folder: of the weights.
+        robot: that they must be of; None for any.
+        architecture: key of CONFIGS; None for any.
+        left_out: a part that is not read.
 
-    Raises InvalidInputError also for a file that is missing or damaged (sha256), or a wrong field
-    of the sizes.
+    Raises:
+        InvalidInputError: a file is missing or damaged (sha256), or a field is wrong.
+        OtherRobotError: the weights are another robot's.
     """
     description = read_description(folder, architecture, robot)
     of, listed = description["architecture"], description["sha256"]
@@ -313,9 +310,7 @@ def _read_part(folder: Path, sha256: Mapping[str, str], name: str) -> dict[str, 
 
 
 def weights_digest(folder: Path) -> str:
-    """One sha256 for a whole model:
-    of its ``config.json`` and of every file of tensors, with their names.
-    """
+    """One sha256 of ``config.json`` and of every file of tensors, with their names."""
     digest = hashlib.sha256()
     for path in (Path(folder) / CONFIG_FILE, *sorted(Path(folder).glob("*.safetensors"))):
         digest.update(
@@ -325,9 +320,7 @@ def weights_digest(folder: Path) -> str:
 
 
 def checkpoint_folder(folder: Path) -> Path | None:
-    """A folder of weights: this one, or the ``model`` that a training left in it;
-    None when it is neither.
-    """
+    """This folder if it holds weights, or the ``model`` that a training left in it, or None."""
     for candidate in (Path(folder), Path(folder) / TRAINED_FOLDER):
         if (candidate / CONFIG_FILE).is_file():
             return candidate
@@ -341,9 +334,13 @@ def resolve_model(
 ) -> Path:
     """Folder of a model's weights.
 
-    model: a name of `SHIPPED`, a folder of weights or of a training; None for the shipped weights.
-        architecture, robot: what the weights must be, and of which robot; None for any. Raises
-        InvalidInputError when there is no such model, and the errors of `read_description`.
+    Args:
+        model: a name of `SHIPPED`, a folder of weights or of a training; None for the shipped ones.
+        architecture: key of CONFIGS; None for any.
+        robot: that the weights must be of; None for any.
+
+    Raises:
+        InvalidInputError: there is no such model, or `read_description` refuses it.
     """
     names = [name for name, of in SHIPPED.items() if architecture in (None, of)]
     name = names[0] if model is None else str(model)
@@ -351,8 +348,7 @@ def resolve_model(
     if folder is None:
         raise InvalidInputError(
             f"no weights in {model or WEIGHTS / name}; give one of {', '.join(names)}, or the "
-            f"folder of a model "
-            "that you trained (cvqmpt train) or imported (cvqmpt model import)"
+            f"folder of a model that you trained (cvqmpt train) or imported (cvqmpt model import)"
         )
     read_description(folder, architecture, robot)
     return folder
@@ -364,9 +360,7 @@ def _signature(model: str, kind: str) -> RobotSignature:
 
 
 def incompatibility(model: str, kind: str, robot: RobotSignature) -> str:
-    """Why the weights of a model (see `resolve_model`) cannot serve a robot, or ""; kind:
-    a name of `SHIPPED`.
-    """
+    """Why the weights of a model of a kind, a name of `SHIPPED`, cannot serve a robot, or ""."""
     try:
         _signature(model, kind).require_same(robot)
     except OtherRobotError as error:

@@ -23,7 +23,7 @@ from cvqmpt_lab.vqmpt.scene_predictor import (
     SequenceDecoder,
     compiled_groups,
 )
-from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer, roadmap_ways
+from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer, roadmap_successors
 
 SMALL = SceneTransformerSizes(
     width=32, layers=3, heads=2, groups=24, group_size=8, values=4, edge_width=16, links=6, stride=3
@@ -145,7 +145,7 @@ def test_ways_after_every_prefix_are_as_likely_as_by_torch(
         )
         logits = network.logits(by_torch, first, ends, V, codes)[0]
         roadmap = network.nodes, network.edges, network.config.sizes.links
-        allowed = roadmap_ways(
+        allowed = roadmap_successors(
             *roadmap, tensor(start).expand(1, len(goals), -1), tensor(goals), codes
         )[0]
     expected = logits.masked_fill(~allowed, -torch.inf).log_softmax(-1).numpy()
