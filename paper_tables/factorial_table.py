@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import Interval, problem_key
-from cvqmpt_lab.vqmpt.sampler_choice import CLOUDS, GAUSSIANS, NAMED, PREFIX, UPDATES
+from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED, PREFIX
 from paper_tables import table_engine as table
 from paper_tables.measures import (
     REFERENCE,
@@ -29,6 +29,7 @@ from paper_tables.writers import text_lines
 
 # in their order in the table; no planner has predictor graph any more, but committed rows do
 PREDICTORS = ("transformer", "published", "graph", "random", "oracle")
+GAUSSIANS, UPDATES, CLOUDS = CHOICES["gaussians"], CHOICES["update"], CHOICES["cloud"]
 CONTRAST_HEAD = ["the first / the second", "problems", "work", "projections", "length", "G"]
 _UNIFORM = "uniform=0.15"  # the share that wide Gaussians have, for decoded ones
 _PRODUCTS = (

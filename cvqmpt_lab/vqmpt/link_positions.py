@@ -1,6 +1,4 @@
-"""Forward kinematics in torch:
-positions of points fixed to the links of a serial chain, differentiable.
-"""
+"""Forward kinematics in torch, differentiable: positions of points fixed to a serial chain."""
 
 import torch
 from torch import Tensor
@@ -10,7 +8,7 @@ from cvqmpt_lab.vqmpt.config import SerialChain
 
 
 class LinkPositions:
-    """Configurations as the models take them: normalised joints, then link positions, if any."""
+    """Configurations as models take them: u = (q - q_min) / (q_max - q_min), link positions."""
 
     def __init__(
         self,

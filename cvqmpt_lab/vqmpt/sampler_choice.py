@@ -1,10 +1,9 @@
-"""A learned sampler as a product of choices: who predicts codes, which Gaussians they become, how
-these are moved.
+"""A learned sampler as a product of choices: predictor of codes, their Gaussians, their update.
 
     predictor   transformer: the scene transformer; published: the authors' architecture;
                 random: any codes; oracle: codes of a path that ignores the constraint
     Gaussians   decoded: g(z) = N(mu, Sigma) as the decoder has them;
-                wide: around each code's node of the roadmap, no direction narrower than WIDTH
+                wide: around each code's node of the roadmap, no direction narrower than 1.1 rad
     update      none; algorithm-2: codes moved by gradient towards F(q) = 0;
                 projected: every mean is projected onto F(q) = 0
     sequences   likeliest: the best of the transformer's beams to each goal (paper);
@@ -22,30 +21,29 @@ from typing import Any, Self
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 
 PREFIX = "cvq:"
-PREDICTORS = ("transformer", "published", "random", "oracle")
-GAUSSIANS = ("decoded", "wide")
-UPDATES = ("none", "algorithm-2", "projected")
-SEQUENCES = ("likeliest", "all-beams")
-CLOUDS = ("own-cloud", "other-cloud", "no-cloud")
-WORDS = {"gaussians": GAUSSIANS, "update": UPDATES, "sequences": SEQUENCES, "cloud": CLOUDS}
-UNIFORM = "uniform="
-WIDE_SHARE = 0.15  # uniform share that wide Gaussians get where none is given
+CHOICES = {
+    "predictor": ("transformer", "published", "random", "oracle"),
+    "gaussians": ("decoded", "wide"),
+    "update": ("none", "algorithm-2", "projected"),
+    "sequences": ("likeliest", "all-beams"),
+    "cloud": ("own-cloud", "other-cloud", "no-cloud"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class SamplerChoice:
-    """One product."""
+    """One product; values of all fields but the share are in CHOICES."""
 
-    predictor: str  # of PREDICTORS
-    gaussians: str = "decoded"  # of GAUSSIANS
-    update: str = "none"  # of UPDATES
-    cloud: str = "own-cloud"  # of CLOUDS
+    predictor: str
+    gaussians: str = "decoded"
+    update: str = "none"
+    cloud: str = "own-cloud"
     # of samples between the joint limits; at 0 a planner is not probabilistically complete
     uniform_share: float = 0.0
-    sequences: str = "likeliest"  # of SEQUENCES; of the transformer
+    sequences: str = "likeliest"  # of the transformer
 
     def __post_init__(self) -> None:
-        for name, known in {"predictor": PREDICTORS, **WORDS}.items():
+        for name, known in CHOICES.items():
             if getattr(self, name) not in known:
                 raise UnknownChoiceError(f"{name} of a learned sampler", getattr(self, name), known)
         if self.sequences == "all-beams" and self.predictor != "transformer":
@@ -58,35 +56,41 @@ class SamplerChoice:
             )
 
     @classmethod
-    def of(cls, text: str) -> Self:
-        """From words joined by "+", such as ``random+wide+projected+uniform=0.15``:
-        the predictor first.
+    def of(cls, text: str, wide_share: float = 0.15) -> Self:
+        """Read words joined by "+", such as ``random+wide+projected+uniform=0.15``.
+
+        Args:
+            text: the predictor, then at most one word of each other kind.
+            wide_share: uniform share that wide Gaussians get where none is given.
+
+        Raises:
+            InvalidInputError: a word is unknown, or the second of its kind.
         """
         predictor, *words = text.split("+")
+        kinds = {word: kind for kind, known in CHOICES.items() for word in known}
+        kinds = {word: kind for word, kind in kinds.items() if kind != "predictor"}
         found: dict[str, Any] = {}
         for word in words:
-            kind = next((kind for kind, known in WORDS.items() if word in known), None)
-            kind = "uniform_share" if word.startswith(UNIFORM) else kind
+            name, is_share, share = word.partition("uniform=")
+            kind = "uniform_share" if is_share and not name else kinds.get(word)
             if kind is None:
-                known = [*(word for words in WORDS.values() for word in words), f"{UNIFORM}0.15"]
+                known = [*kinds, "uniform=0.15"]
                 raise UnknownChoiceError(f"part of planner {PREFIX}{text}", word, known)
             if kind in found:
                 raise InvalidInputError(
                     f"planner {PREFIX}{text} has two parts of one kind, {word!r} is the second"
                 )
-            found[kind] = _share(word) if kind == "uniform_share" else word
+            found[kind] = word
+            if kind == "uniform_share":
+                try:
+                    found[kind] = float(share)
+                except ValueError as error:
+                    raise InvalidInputError(
+                        f"{word!r}: give a number from 0 to 1 behind 'uniform='"
+                    ) from error
         if found.get("gaussians") == "wide":
-            found.setdefault("uniform_share", WIDE_SHARE)
+            found.setdefault("uniform_share", wide_share)
         return cls(predictor=predictor, **found)
-
-
-def _share(word: str) -> float:
-    try:
-        return float(word.removeprefix(UNIFORM))
-    except ValueError as error:
-        raise InvalidInputError(
-            f"{word!r}: give a number from 0 to 1 behind {UNIFORM!r}"
-        ) from error
 
 
 NAMED: Mapping[str, SamplerChoice] = {
