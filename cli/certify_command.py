@@ -57,8 +57,8 @@ def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> i
         summary["paths"] += 1
         summary["certified" if certified else "refused"] += 1
         if verdict.trouble:
-            key = verdict.row.key
-            troubles.append(f"{key.problem} {key.planner} seed {key.seed}: {verdict.trouble}")
+            row = verdict.row
+            troubles.append(f"{row.problem} {row.planner} seed {row.seed}: {verdict.trouble}")
             log(troubles[-1])
     if as_json:
         print(json.dumps({**summary, "troubles": troubles}, indent=1))

@@ -122,7 +122,7 @@ def check_tables(args: argparse.Namespace) -> int:
 
     Exit code 1 when something differs.
     """
-    from experiments.run import models_of
+    from experiments.experiment import models_of
 
     if args.expected == EXPECTED or args.results == RESULTS:
         require_checkout("cvqmpt check-tables", "--expected F.json and --results DIR")

@@ -6,7 +6,7 @@ from cvqmpt_lab.benchmarks.suite import Suite, suite_named
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.search.result import Budget
-from experiments.run import Experiment
+from experiments.experiment import Experiment
 from paper_tables.suites import SUITES, Amount
 
 # what is committed, two hours on two cores, and a little of it, three minutes

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ from cvqmpt_lab.certificate import Certificate, certify
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in
-from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey, read_rows, sorted_rows
+from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, StoredPaths
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.goals import phase_problems
@@ -45,13 +46,15 @@ def recertify(directory: Path, problems_dir: Path | None = None) -> Iterator[Ver
         raise RunStoreError(
             f"{directory} keeps no paths.npz: it was made by an earlier version; run it again"
         )
-    folder = _folder_of(directory, problems_dir)
-    for (suite, name), of_item in groupby(sorted(rows, key=_run), key=lambda row: _run(row)[:2]):
+    folder, run_key = _folder_of(directory, problems_dir), attrgetter("run_key")
+    for (suite, name), of_item in groupby(
+        sorted(rows, key=run_key), key=lambda row: row.run_key[:2]
+    ):
         if folder is not None:
             item = folder.item(name) if name in folder.problems else None
         else:
             item = suite_named(suite).item(int(name)) if name.isdecimal() else None
-        for _, of_run in groupby(of_item, key=_run):
+        for _, of_run in groupby(of_item, key=run_key):
             yield from _verdicts(item, list(of_run), paths)
 
 
@@ -72,11 +75,6 @@ def _folder_of(directory: Path, problems_dir: Path | None) -> Suite | None:
                 f"problem {name!r} of {problems_dir} is not the one that was run in {directory}"
             )
     return folder
-
-
-def _run(row: ResultRow) -> RunKey:
-    """The run of a row, without the phase of a task."""
-    return row.key._replace(problem=row.item)
 
 
 def _verdicts(item: object, rows: list[ResultRow], paths: StoredPaths) -> Iterator[Verdict]:

@@ -22,7 +22,8 @@ from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.search.result import Budget
-from experiments.rows import Run, result_row
+from experiments.experiment import Experiment
+from experiments.rows import result_row
 from paper_tables.paper_numbers import PUBLISHED
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"
@@ -144,9 +145,8 @@ def measure(
     for case in cases:
         budget, problem = Budget(iterations=case.iterations), _problem(case.suite, case.problem)
         solution = solve(problem, planner_named(case.planner), budget, case.seed, clearance=False)
-        row = result_row(
-            Run(case.suite, case.problem, case.planner, case.seed, budget), solution, 0.0
-        )
+        experiment = Experiment(case.suite, (case.problem,), (case.planner,), (case.seed,), budget)
+        row = result_row(experiment.runs[0], solution, 0.0)
         outcomes[case] = {column: getattr(row, column) for column in COLUMNS}
         if on_progress:
             on_progress(len(outcomes), len(cases), str(case))

@@ -2,8 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,53 +11,15 @@ from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
 from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.pipeline import Solution, solve
-from cvqmpt_lab.planners import Method, planner_named
-from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, RunKey, one_line, phase_problem
+from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, one_line, phase_problem
 from cvqmpt_lab.results.store import states_hash
-from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
+from experiments.experiment import Run
 
 DRAWS = 256  # of a sampling distribution, whose G is told
 SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "vertices")
 """Columns of a phase that count all of its attempts."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """One planner on one item of a suite with one seed; the budget is that of one planning run."""
-
-    # its name, or the full path of a folder of problem files, whose name is then the suite's
-    suite: str
-    item: int | str
-    planner: str
-    seed: int
-    budget: Budget
-    backend: str = "compiled"
-    model: str | None = None  # weights, of planners that use any; see `planners.Method.model`
-    optimize: Budget | None = None  # spent on a better path once there is one; see `pipeline.solve`
-
-    @property
-    def method(self) -> Method:
-        """The planner on its weights."""
-        method = planner_named(self.planner)
-        return (
-            method
-            if self.model is None or method.weights is None
-            else method.with_model(self.model)
-        )
-
-    @property
-    def key(self) -> RunKey:
-        """What its rows have in common."""
-        return RunKey(Path(self.suite).name, str(self.item), self.planner, self.seed, self.backend)
-
-    def row(self, problem: str, reason: FailReason | None, detail: str, **values: Any) -> ResultRow:
-        """A row of this run, solved unless there is a reason why not."""
-        key = self.key._replace(problem=problem)._asdict()
-        return ResultRow(
-            **key, solved=reason is None, fail_reason=reason, detail=one_line(detail), **values
-        )
 
 
 class Outcome(NamedTuple):
@@ -74,22 +35,23 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
 
     The path of a problem in a map is also judged in the scene that the map is of.
     """
+    setup = run.experiment
     if isinstance(item, UnsolvableProblem):
         return Outcome(failed_rows(run, item, item.kind, item.reason))
     if isinstance(item, Task):
-        task = solve_task(item, run.method, run.budget, run.seed, backend=run.backend)
+        task = solve_task(item, run.method, setup.budget, run.seed, backend=setup.backend)
         return Outcome(
             phase_rows(run, task), _states([outcome.solution for outcome in task.outcomes])
         )
-    began = time.perf_counter()
+    began, new = time.perf_counter(), suite_named(setup.suite).new_scenes
     solution = solve(
         item.problem if isinstance(item, SensedProblem) else item,
         run.method,
-        run.budget,
+        setup.budget,
         run.seed,
-        backend=run.backend,
-        optimize=run.optimize,
-        use_cache=not suite_named(run.suite).new_scenes,
+        backend=setup.backend,
+        optimize=setup.optimize,
+        use_cache=not new,
     )
     row = result_row(run, solution, goal_seconds)
     if isinstance(item, SensedProblem):
@@ -103,7 +65,7 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
             row = replace(
                 row, true_free=not doubts, true_clearance_m=_defined(truth.min_clearance_m)
             )
-    return Outcome([replace(row, scene_new=suite_named(run.suite).new_scenes)], _states([solution]))
+    return Outcome([replace(row, scene_new=new)], _states([solution]))
 
 
 def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:

@@ -32,7 +32,7 @@ def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) 
     """
     groups: dict[tuple, list[ResultRow]] = {}
     for row in sorted_rows(rows):
-        groups.setdefault(row.key._replace(problem=row.item), []).append(row)
+        groups.setdefault(row.run_key, []).append(row)
     return [_task_row(group, phases) for group in groups.values()]
 
 
@@ -45,7 +45,11 @@ def _task_row(group: Sequence[ResultRow], phases: Collection[str] | None) -> Res
         else None
     )
     return ResultRow(
-        **group[0].key._replace(problem=group[0].item)._asdict(),
+        suite=group[0].suite,
+        problem=group[0].item,
+        planner=group[0].planner,
+        seed=group[0].seed,
+        backend=group[0].backend,
         solved=failed is None,
         fail_reason=failed.fail_reason if failed else None,
         detail=detail,

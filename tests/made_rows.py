@@ -65,6 +65,6 @@ def differences(rows, again):
         old, new = untimed(one), untimed(two)
         column = next((name for name in {**old, **new} if old.get(name) != new.get(name)), None)
         if column is not None:
-            key = (one or two).key
-            found.append(f"{key.problem} {key.planner} seed {key.seed}: {column}")
+            row = one or two
+            found.append(f"{row.problem} {row.planner} seed {row.seed}: {column}")
     return found

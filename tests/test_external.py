@@ -20,7 +20,8 @@ from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Lost, local_processes
-from experiments.run import Experiment, executor_for, run_experiment
+from experiments.experiment import Experiment
+from experiments.run import executor_for, run_experiment
 
 PLANNERS = '''
 import os, time

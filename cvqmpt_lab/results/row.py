@@ -64,14 +64,7 @@ class FailReason(StrEnum):
     OUT_OF_MEMORY = "out_of_memory"
 
 
-class RunKey(NamedTuple):
-    """What identifies a run: a second row with the same key replaces the first."""
-
-    suite: str
-    problem: str
-    planner: str
-    seed: int
-    backend: str
+RowKey = tuple[str, str, str, int, str]  # suite, problem, planner, seed, backend
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,9 +164,14 @@ class ResultRow:
             )
 
     @property
-    def key(self) -> RunKey:
-        """The run this row belongs to."""
-        return RunKey(self.suite, self.problem, self.planner, self.seed, self.backend)
+    def key(self) -> RowKey:
+        """What identifies the row: a second one with the same key replaces it."""
+        return self.suite, self.problem, self.planner, self.seed, self.backend
+
+    @property
+    def run_key(self) -> RowKey:
+        """The same of the run, which of a task has a row for each planned phase."""
+        return self.suite, self.item, self.planner, self.seed, self.backend
 
     @property
     def item(self) -> str:

@@ -22,7 +22,7 @@ from cvqmpt_lab.files import lock as lock_folder
 from cvqmpt_lab.files import read_bytes, replacing, unlock
 from cvqmpt_lab.results import row as rows_csv
 from cvqmpt_lab.results.provenance import ProvenanceFile
-from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RunKey
+from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, RowKey
 
 PARTIAL_FILE = "runs.partial.csv"
 PATHS_FILE = "paths.npz"
@@ -49,7 +49,7 @@ class RunStore:
         self._later_session = later_session  # of a continuation, written with its first row
         self._began, self._appended = time.monotonic(), False
         self._partials: dict[str, io.FileIO] = {}
-        self._rows: dict[RunKey, ResultRow] = {}
+        self._rows: dict[RowKey, ResultRow] = {}
 
     @classmethod
     def open(
@@ -120,9 +120,9 @@ class RunStore:
         """All rows so far, in the order of `sorted_rows`."""
         return rows_csv.sorted_rows(self._rows.values())
 
-    def done(self) -> frozenset[RunKey]:
+    def done(self) -> frozenset[RowKey]:
         """Runs that need not be run again; a task counts as one run, under its own name."""
-        return frozenset(row.key._replace(problem=row.item) for row in self._rows.values())
+        return frozenset(row.run_key for row in self._rows.values())
 
     def append(self, rows: Sequence[ResultRow], paths: Sequence[np.ndarray] = ()) -> None:
         """Add all rows of one run and its paths' states (m, n), and force them to disk.

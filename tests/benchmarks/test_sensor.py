@@ -16,7 +16,8 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.virtual import solids_of
-from experiments.rows import Run, outcome_of
+from experiments.experiment import Experiment
+from experiments.rows import outcome_of
 
 ENOUGH = Budget(iterations=20_000)
 
@@ -44,7 +45,7 @@ def test_starts_and_goals_have_room_and_cameras_stand_in_the_open(number):
 
 def test_a_path_is_judged_in_the_map_and_in_truth(sensed):
     """A ball in the way that no camera saw: certified in the map, not free in truth."""
-    run = Run("sensor", 1, "birrt", 0, ENOUGH)
+    run = Experiment("sensor", (1,), ("birrt",), (0,), ENOUGH).runs[0]
     (row,) = outcome_of(run, sensed, 0.0).rows
     assert row.solved and row.true_free and row.true_clearance_m > 0.0
     assert row.t_whole_s > row.t_sense_s == sensed.seconds
@@ -60,6 +61,7 @@ def test_a_path_is_judged_in_the_map_and_in_truth(sensed):
 def test_a_goal_that_the_map_takes_for_occupied_is_a_failure_that_says_so():
     found = [sensor_problem(7, padding) for padding in (0.04, 0.3)]
     assert isinstance(found[0], SensedProblem) and isinstance(found[1], UnsolvableProblem)
-    (row,) = outcome_of(Run("sensor", 7, "birrt", 0, ENOUGH), found[1], 0.0).rows
+    run = Experiment("sensor", (7,), ("birrt",), (0,), ENOUGH).runs[0]
+    (row,) = outcome_of(run, found[1], 0.0).rows
     assert row.fail_reason in (FailReason.INVALID_START, FailReason.INVALID_GOAL)
     assert "in the map" in row.detail

@@ -23,7 +23,8 @@ from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json
-from experiments.run import Experiment, executor_for, run_experiment
+from experiments.experiment import Experiment
+from experiments.run import executor_for, run_experiment
 
 MIDDLE = 40
 POINT = '{"positions": [1], "accelerations": [%s], "time_from_start": {"sec": 0}}'

@@ -17,7 +17,8 @@ from cvqmpt_lab.search.result import Budget
 from experiments import executors
 from experiments import run as runner
 from experiments.executors import Lost, dask_cluster, local_processes
-from experiments.run import Experiment, executor_for, run_experiment
+from experiments.experiment import Experiment
+from experiments.run import executor_for, run_experiment
 
 FOUR = Experiment("place-task", (2, 10), ("birrt",), (0, 1), Budget(iterations=20_000))
 

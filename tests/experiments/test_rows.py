@@ -18,10 +18,11 @@ from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.vqmpt import scene_predictor
-from experiments.rows import Run, failed_rows, outcome_of, result_row
+from experiments.experiment import Experiment
+from experiments.rows import failed_rows, outcome_of, result_row
 from paper_tables.committed import committed_directories
 
-RUN = Run("suite", 0, "birrt", 0, Budget(iterations=1))
+RUN = Experiment("place-task", (0,), ("birrt",), (0,), Budget(iterations=1)).runs[0]
 PARTS = ("t_goals_s", "t_encode_s", "t_predict_s", "t_optimize_s", "t_plan_s", "t_simplify_s")
 
 
@@ -149,7 +150,8 @@ def test_every_run_is_charged_for_the_encoding_of_its_scene(monkeypatch, suite):
     item, found = with_sampled_goals(suite_named(suite).solvable(0))[0], []
     for name in ("cvq-mpt", "opt-cvq-mpt", "cvq-wide"):
         before = len(clouds)
-        (row,) = outcome_of(Run(suite, 0, name, 0, Budget(iterations=1)), item, 0.0).rows
+        runs = Experiment(suite, (0,), (name,), (0,), Budget(iterations=1)).runs
+        (row,) = outcome_of(runs[0], item, 0.0).rows
         assert row.scene_new
         found.append(len(clouds) - before)
     assert found[1:] == [1, 1]

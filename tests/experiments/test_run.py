@@ -16,7 +16,8 @@ from cvqmpt_lab.results.store import PARTIAL_FILE
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments import run as runner
-from experiments.run import Experiment, executor_for, run_experiment, weights_of
+from experiments.experiment import Experiment, weights_of
+from experiments.run import executor_for, run_experiment
 
 ENOUGH = Budget(iterations=20_000)
 ONE = Experiment("place-task", (2,), ("birrt",), (0,), ENOUGH)
@@ -90,9 +91,9 @@ def test_a_lost_run_is_a_failure_row_and_is_not_tried_again(tmp_path, monkeypatc
     plan = runner.outcome_of
 
     def outcome_of(run, item, seconds):
-        if run.budget == ENOUGH and run.item == 10:  # the warm-up has another budget
+        if run.experiment.budget == ENOUGH and run.item == 10:  # the warm-up has another budget
             os.kill(os.getpid(), signal.SIGKILL)
-        if run.budget == ENOUGH and run.item == 25:
+        if run.experiment.budget == ENOUGH and run.item == 25:
             raise ZeroDivisionError("by nothing")
         return plan(run, item, seconds)
 

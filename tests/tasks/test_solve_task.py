@@ -13,10 +13,11 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.tasks.solve import solve_task
-from experiments.rows import Run, phase_rows
+from experiments.experiment import Experiment
+from experiments.rows import phase_rows
 
 BUDGET = Budget(seconds=20.0)
-RUN = Run("multi-sequence", 0, "birrt", 0, BUDGET)
+RUN = Experiment("multi-sequence", (0,), ("birrt",), (0,), BUDGET).runs[0]
 PHASES = ["reach-handle", "open-door", "reach-can", "approach", "carry"]
 
 

@@ -1,0 +1,158 @@
+"""What is run: every problem, planner and seed of an experiment, and what decides its rows."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, whole_number
+from cvqmpt_lab.external import is_external
+from cvqmpt_lab.planners import Method, is_removed, planner_named, require_fit
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.row import FailReason, ResultRow, RowKey, one_line
+from cvqmpt_lab.search.anytime import check_units
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import BACKENDS
+from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
+from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Problems x planners x seeds of one suite, under one budget."""
+
+    # its name, or the full path of a folder of problem files, whose name is then the suite's
+    suite: str
+    problems: tuple[int | str, ...]
+    planners: tuple[str, ...]
+    seeds: tuple[int, ...]
+    budget: Budget
+    backend: str = "compiled"
+    model: str | None = None  # weights in place of the shipped ones, of planners that use any
+    optimize: Budget | None = None  # spent on a better path once there is one
+
+    def __post_init__(self) -> None:
+        suite = suite_named(self.suite)
+        for index in self.problems:
+            if index not in suite.problems:
+                suite.item(index)
+        for name in self.planners:
+            planner_named(name)
+        # a planner that cannot serve a problem of a folder is refused before anything runs
+        for run in self.runs if suite.digests else ():
+            problem = suite.solvable(run.item)
+            if isinstance(problem, PlanningProblem):
+                with located(problem.name):
+                    require_fit(run.method, problem)
+        for seed in self.seeds:
+            whole_number("seed", seed)
+        for what, budget in (("budget", self.budget), ("optimize", self.optimize or self.budget)):
+            Budget.require(budget, what)
+        if self.backend not in BACKENDS:
+            raise UnknownChoiceError("backend", self.backend, BACKENDS)
+        if self.optimize is not None:
+            check_units(self.budget, self.optimize)
+        for what in ("problems", "planners", "seeds"):
+            if not getattr(self, what):
+                raise InvalidInputError(f"an experiment needs at least one of {what}")
+
+    @property
+    def runs(self) -> "list[Run]":
+        """All of it, planners of one problem side by side."""
+        found = []
+        for seed in self.seeds:
+            for problem in self.problems:
+                for planner in self.planners:
+                    found.append(Run(self, problem, planner, seed))
+        return found
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """sha256 of its problems by name, if they are those of a folder."""
+        known = suite_named(self.suite).digests
+        return {str(name): known[str(name)] for name in self.problems} if known else {}
+
+    def settings(self) -> dict[str, object]:
+        """What must be equal for a run to be continued: everything that changes a row."""
+        return {
+            "suite": suite_named(self.suite).name,
+            "cutoff_s": self.budget.seconds,
+            "iterations": self.budget.iterations,
+            "backend": self.backend,
+            **({"optimize": asdict(self.optimize)} if self.optimize else {}),
+            **suite_named(self.suite).settings,
+        }
+
+    def limit_s(self, run: "Run") -> float:
+        """Time [s] without an answer after which a run is given up: far more than any takes that is
+        alive. An external planner may hang; the first run of a process warms up all of ours.
+        """
+        spare, times = (120.0, 6) if run.method.external else (300.0, 30)
+        longest = 0.0
+        for budget in (self.budget, self.optimize):
+            if budget is not None:
+                # an iteration takes less than 0.01 s
+                by_count = 0.01 * budget.iterations if budget.iterations else math.inf
+                longest += min(budget.seconds or math.inf, by_count)
+        return spare + times * longest
+
+
+class Run(NamedTuple):
+    """One planner on one item of an experiment's suite with one seed."""
+
+    experiment: Experiment
+    item: int | str
+    planner: str
+    seed: int
+
+    @property
+    def method(self) -> Method:
+        """The planner on its weights."""
+        method, model = planner_named(self.planner), self.experiment.model
+        return method if model is None or method.weights is None else method.with_model(model)
+
+    @property
+    def key(self) -> RowKey:
+        """What its rows have in common."""
+        suite = Path(self.experiment.suite).name
+        return suite, str(self.item), self.planner, self.seed, self.experiment.backend
+
+    def row(self, problem: str, reason: FailReason | None, detail: str, **values: Any) -> ResultRow:
+        """A row of this run, solved unless there is a reason why not."""
+        suite, _, planner, seed, backend = self.key
+        return ResultRow(
+            suite=suite,
+            problem=problem,
+            planner=planner,
+            seed=seed,
+            backend=backend,
+            solved=reason is None,
+            fail_reason=reason,
+            detail=one_line(detail),
+            **values,
+        )
+
+
+def models_of(planner: str) -> tuple[str, ...]:
+    """Names of the models that a planner needs."""
+    # an external planner needs none, and is perhaps not installed; nor does a removed one
+    if is_external(planner.removeprefix(PREFIX)) or is_removed(planner):
+        return ()
+    kind = planner_named(planner).weights
+    return () if kind is None else (kind,)
+
+
+def weights_of(planners: Iterable[str], model: str | None = None) -> dict[str, str]:
+    """Digests of the models that the planners need, by name; model: see `Experiment.model`."""
+    kinds = {kind for planner in planners for kind in models_of(planner)}
+    return {
+        kind: weights_digest(resolve_model(model or kind, SHIPPED[kind])) for kind in sorted(kinds)
+    }
+
+
+def externals_of(planners: Iterable[str]) -> dict[str, str]:
+    """Distributions and versions of external planners, by the planner's name."""
+    made_by = {name: planner_named(name).external for name in planners}
+    return {name: text for name, text in made_by.items() if text}
