@@ -33,23 +33,10 @@ from cvqmpt_lab.search.planner_interface import Observation, Query, search, unif
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
-FIRST_SCENE = 2500  # numbers that no other suite uses
 MOVED = 0.25  # [m] from the hand's start to its goal at least
-DRAWS = 100  # configurations, of which one is free in any scene
-PROJECTED = 600  # configurations, of which start and goal are chosen
-WITHOUT_OBSTACLES = 300  # iterations of a search
-TRIES = 12  # constraints drawn for one whose goals are within reach, none of them straight ahead
 TURN = 0.1  # [rad] that an orientation may be off
 LEVEL = 0.02  # [rad] that a tray may tilt
 EXACT = 0.002  # [m] off a plane, line or arc
-LEVER = (0.15, 0.4)  # [m] from an arc's centre to the hand
-ARC = 2.5  # [rad] of an arc, to either side
-DOORS = ("dagger_door_left", "dagger_door_right")
-AJAR, WIDE = 0.15, 1.5  # [rad] between which a door is moved
-SWUNG = 0.6  # [rad] that it is moved at least
-GRASP_TURN = 0.6  # [rad] that the hand may be turned about the handle, either way
-TRIM = 0.02  # [m] cut off all round a door's panel, which fits its casing to half a millimetre
-TRAY = Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19)))
 
 
 class HandConstraint(NamedTuple):
@@ -72,8 +59,12 @@ def _turned_like(T: np.ndarray, about_z: float) -> TaskSpaceRegion:
 def _arc(T: np.ndarray, rng: np.random.Generator) -> HandConstraint:
     """About an axis of any direction, the hand turning with it as with a crank."""
     axis = Line(_direction(rng), (0.0, 0.0, 0.0)).region().T0_w.copy()
-    axis[:3, 3] = T[:3, 3] + rng.uniform(*LEVER) * axis[:3, 0]
-    return HandConstraint(_about(axis, T, ARC))
+    axis[:3, 3] = T[:3, 3] + rng.uniform(0.15, 0.4) * axis[:3, 0]
+    return HandConstraint(_about(axis, T, 2.5))
+
+
+def _tray() -> Attachment:
+    return Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19)))
 
 
 def _about(axis: np.ndarray, T: np.ndarray, turn: float) -> TaskSpaceRegion:
@@ -96,7 +87,7 @@ KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]]
     "plane": lambda T, rng: HandConstraint(Plane(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
     "line": lambda T, rng: HandConstraint(Line(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
     "arc": _arc,
-    "tray": lambda T, rng: HandConstraint(upright(LEVEL), (TRAY,)),
+    "tray": lambda T, rng: HandConstraint(upright(LEVEL), (_tray(),)),
     # a can is tipped about the axis along which the fingers reach, which keeps its direction
     "pouring": lambda T, rng: HandConstraint(_turned_like(T, FREE), (carried_can(),)),
 }
@@ -111,29 +102,35 @@ def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
 
     Unlike in `door_task` the door is carried by seven joints and is not a joint itself.
     """
-    scene, door = kitchen(), str(rng.choice(DOORS))
+    # [rad] between which the door is moved, and how far at least
+    ajar, wide, swung = 0.15, 1.5, 0.6
+    scene, door = kitchen(), str(rng.choice(("dagger_door_left", "dagger_door_right")))
     hinge = scene.articulation(door)
     sign = 1.0 if hinge.upper > 0.0 else -1.0
-    first = rng.uniform(AJAR, WIDE - SWUNG)
-    angles = sign * rng.permutation((first, rng.uniform(first + SWUNG, WIDE)))
-    in_bar = pose((0.0, 0.0, 0.0), rng.uniform(-GRASP_TURN, GRASP_TURN)) @ handle_region().Tw_e
+    first = rng.uniform(ajar, wide - swung)
+    angles = sign * rng.permutation((first, rng.uniform(first + swung, wide)))
+    # the hand may be turned about the handle, either way
+    in_bar = pose((0.0, 0.0, 0.0), rng.uniform(-0.6, 0.6)) @ handle_region().Tw_e
     hands = [
         scene.with_joint(door, a)[f"{door}/handle_bar"].T_world_object @ in_bar for a in angles
     ]
     begun = scene.with_joint(door, angles[0])
     parts = tuple(_carried(begun, name, hands[0]) for name in hinge.moves)
     start, goal = (TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2))) for T in hands)
-    hand = _about(hinge.T_world_joint, hands[0], WIDE)
+    hand = _about(hinge.T_world_joint, hands[0], wide)
     return scene.without(*hinge.moves), HandConstraint(hand, parts, start, goal)
 
 
-def _carried(scene: Scene, name: str, T: np.ndarray) -> Attachment:
-    """A part of the door as it is seen from the hand at a pose (4, 4)."""
+def _carried(scene: Scene, name: str, T: np.ndarray, trim: float = 0.02) -> Attachment:
+    """A part of the door as it is seen from the hand at a pose (4, 4).
+
+    trim: cut off all round its panel [m], which fits its casing to half a millimetre.
+    """
     item = scene[name]
     shape = item.shape
     if isinstance(shape, Box):
         thin, wide, high = shape.size
-        shape = Box((thin, wide - 2 * TRIM, high - 2 * TRIM))
+        shape = Box((thin, wide - 2 * trim, high - 2 * trim))
     return Attachment(name.rpartition("/")[2], shape, np.linalg.inv(T) @ item.T_world_object)
 
 
@@ -146,7 +143,8 @@ def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     name = phase_problem(str(index), kind + 1, NAMES[kind])
     rng = np.random.default_rng([index, 11])
     easy = None
-    for _ in range(TRIES):
+    # constraints drawn for one whose goals are within reach, none of them straight ahead
+    for _ in range(12):
         posed = _posed(NAMES[kind], number, name, rng)
         if posed is None or not len(posed.goals) or not _within_reach(posed):
             continue
@@ -169,7 +167,7 @@ def _within_reach(problem: PlanningProblem) -> bool:
     joint limits may cut goals off.
     """
     alone = ConstrainedSpace(replace(problem, scene=Scene("empty", ())))
-    query = Query.of(alone, Budget(iterations=WITHOUT_OBSTACLES), np.random.default_rng(0))
+    query = Query.of(alone, Budget(iterations=300), np.random.default_rng(0))
     return search(BiRRT(), query, uniform(query, Observation())).path is not None
 
 
@@ -187,7 +185,7 @@ def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> Plann
         )
         goal = hand.goal
     else:
-        start, end = blocked_pair(problem, rng, SAMPLE_MARGIN, MOVED, PROJECTED) or (None, None)
+        start, end = blocked_pair(problem, rng, SAMPLE_MARGIN, MOVED, draws=600) or (None, None)
         goal = (
             None if end is None else TaskSpaceRegion(robot.pose(end), np.eye(4), np.zeros((6, 2)))
         )
@@ -203,8 +201,9 @@ def _drawn(kind: str, number: int, rng: np.random.Generator) -> tuple[Scene, Rob
         scene, hand = held_door(rng)
         return scene, panda(GRIP), hand
     families, robot = tuple(FAMILIES), panda()
-    scene = family_scene(families[number % len(families)], FIRST_SCENE + number)
+    # numbers that no other suite uses begin at 2500
+    scene = family_scene(families[number % len(families)], 2500 + number)
     checker = shared_checker(robot, scene, (), SAMPLE_MARGIN)
-    drawn = robot.random_configurations(rng, DRAWS)
+    drawn = robot.random_configurations(rng, 100)
     free = next((q for q in drawn if not checker.in_collision(q)), drawn[0])
     return scene, robot, KINDS[kind](robot.pose(free), rng)

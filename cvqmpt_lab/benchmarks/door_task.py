@@ -28,19 +28,14 @@ from cvqmpt_lab.scene.scene import Scene
 
 OPEN = -0.45 * np.pi  # [rad]
 BAR = f"{DOOR}/handle_bar"
-STANDOFF = 0.10  # [m] from the hand frame to the bar's axis
 GRIP = 0.0075  # [m] opening of each finger: the bar's radius
 PADS = ("panda_leftfinger_3", "panda_rightfinger_3")  # pieces of the fingers that close on the bar
 TURN = 0.4  # [rad] about the bar: goals lie within +- this, so that the fingers can open there
-GRASPS = 20  # of the closed door that are tried
-# of `pipeline.MAX_GOALS`; a posture that reaches fewer stands at a limit and may get stuck
-GOALS_NEEDED = 10
-START_MARGIN = 5e-4  # [m] kept by starts: a closed door is only 1 mm from its neighbour
 
 
 def handle_region(turn: float = FREE) -> TaskSpaceRegionChain:
     """Hand poses that hold the bar; turn: how far the hand may turn about it either way [rad]."""
-    Tw_e = pose((-STANDOFF, 0.0, 0.0))
+    Tw_e = pose((-0.10, 0.0, 0.0))
     # hand z along x, hand x down
     Tw_e[:3, :3] = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
     Bw = np.zeros((6, 2))
@@ -60,19 +55,21 @@ def bar_pose(angle: float) -> np.ndarray:
     return kitchen().with_joint(DOOR, angle)[BAR].T_world_object
 
 
-def door_problem(seed: int) -> PlanningProblem | UnsolvableProblem:
+def door_problem(seed: int, goals_needed: int = 10) -> PlanningProblem | UnsolvableProblem:
     """Open the door, from a grasp of the closed one; goals are sampled by `pipeline.solve`.
 
-    seed: of the start grasp, the first in whose posture `GOALS_NEEDED` goals are found.
+    Args:
+        seed: of the start grasp.
+        goals_needed: in whose posture so many of `pipeline.MAX_GOALS` are found; one that reaches
+            fewer stands at a limit and may get stuck.
     """
     scene, robot = door_world()
-    checker = CollisionChecker(robot, scene, margin=START_MARGIN)
+    # a closed door is only 1 mm from its neighbour
+    checker = CollisionChecker(robot, scene, margin=5e-4)
     grasp = handle_region(turn=0.0)
     goal = handle_region(TURN).at(bar_pose(OPEN))
     rng = np.random.default_rng([seed, 1])
-    starts = sample_region(
-        robot, grasp.at(bar_pose(0.0)), checker, rng, count=GRASPS, within=(grasp,)
-    )
+    starts = sample_region(robot, grasp.at(bar_pose(0.0)), checker, rng, count=20, within=(grasp,))
     for start in starts.configurations:
         problem = PlanningProblem(
             name=str(seed),
@@ -83,7 +80,7 @@ def door_problem(seed: int) -> PlanningProblem | UnsolvableProblem:
             constraint=(handle_region(),),
             goal_region=goal,
         )
-        if len(with_sampled_goals(problem)[0].goals) >= GOALS_NEEDED:
+        if len(with_sampled_goals(problem)[0].goals) >= goals_needed:
             return problem
     return UnsolvableProblem(
         str(seed), f"no start grasp whose posture reaches the goal: {starts.outcome}"

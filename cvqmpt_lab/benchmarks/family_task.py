@@ -20,25 +20,15 @@ from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 PANDA = {"name": "panda"}
-PER_FAMILY = 50  # problems
-PER_ROBOT = 20
 SCENES_DRAWN = 20  # for a problem, until one holds two states with a blocked straight motion
-FIRST_SPARE_SCENE = 8000  # 8000 to 8949 are numbers that no other suite and no tuning has used
-DRAWS = 4000  # configurations drawn for start and goal
-APART = 2.0  # [rad] start and goal at least
-CLEAR = 0.001  # [m] that start and goal keep from obstacles
-TRIES = 200  # pairs drawn for one whose straight motion is blocked
 
 
 def held_out_problem(family: str, index: int) -> PlanningProblem | UnsolvableProblem:
     """Problem `index` of a family, of the first scene that holds one:
     of index, 8000 + index, 8050 + index, ...
     """
-    spare = range(
-        FIRST_SPARE_SCENE + index,
-        FIRST_SPARE_SCENE + PER_FAMILY * (SCENES_DRAWN - 1),
-        PER_FAMILY,
-    )
+    # numbers that no other suite and no tuning has used
+    spare = range(8000 + index, 8000 + 50 * (SCENES_DRAWN - 1), 50)
     return _first_problem(str(index), family, (index, *spare), PANDA)
 
 
@@ -55,13 +45,13 @@ def _first_problem(
 
 
 def family_problem(
-    family: str, number: int, robot_source: Mapping[str, Any] = PANDA
+    family: str, number: int, robot_source: Mapping[str, Any] = PANDA, clear: float = 0.001
 ) -> PlanningProblem | UnsolvableProblem:
     """The problem of one scene:
     a start and a goal on the manifold, the straight motion between them blocked.
     """
     scene, robot = family_scene(family, number), robot_from_source(robot_source)
-    return upright_problem(str(number), robot, scene, np.random.default_rng([number, 7]), CLEAR)
+    return upright_problem(str(number), robot, scene, np.random.default_rng([number, 7]), clear)
 
 
 def upright_problem(
@@ -85,21 +75,30 @@ def blocked_pair(
     rng: np.random.Generator,
     clear: float,
     moved: float = 0.0,
-    draws: int = DRAWS,
+    draws: int = 4000,
+    apart: float = 2.0,
+    tries: int = 200,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Two states (n,) on the manifold, `clear` [m] from all obstacles, the straight motion between
     them blocked.
 
-    moved: how far apart their hands are at least [m]. draws: configurations that are projected.
+    Args:
+        problem: with the manifold.
+        rng: for all draws.
+        clear: distance from obstacles [m].
+        moved: how far apart their hands are at least [m].
+        draws: configurations that are projected.
+        apart: how far apart start and goal are at least [rad].
+        tries: pairs drawn for one whose straight motion is blocked.
     """
     space = ConstrainedSpace(problem)
     states = problem.robot.random_configurations(rng, draws)
     states = states[[space.project(q) for q in states]]
     states = states[space.valid_batch(states)]
     checker = problem.collision_checker(clear)
-    for _ in range(TRIES if len(states) > 1 else 0):
+    for _ in range(tries if len(states) > 1 else 0):
         start, goal = states[rng.choice(len(states), 2, replace=False)]
-        if np.linalg.norm(goal - start) < APART or motion_free(space.arrays, start, goal):
+        if np.linalg.norm(goal - start) < apart or motion_free(space.arrays, start, goal):
             continue
         if (
             np.linalg.norm(problem.robot.pose(goal)[:3, 3] - problem.robot.pose(start)[:3, 3])
@@ -112,7 +111,6 @@ def blocked_pair(
 
 
 # Nine arms: between two random upright hand poses, upright all the way, in scenes of every family.
-FIRST_ROBOT_SCENE = 2000  # 2000 to 2399 are numbers that no other suite uses
 ROBOT_FAMILIES = ("cubes-spheres", "table", "shelves", "kitchen-like")
 ROBOTS: Mapping[str, Mapping[str, Any]] = {
     "panda": PANDA,
@@ -132,7 +130,7 @@ of seven makers.
 
 def robots_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     """Problem index % 20 of robot index // 20; its rows are named like a phase, by index and robot."""
-    number, k = divmod(index, PER_ROBOT)
+    number, k = divmod(index, 20)
     robot = tuple(ROBOTS)[number]
     return replace(other_robot_problem(robot, k), name=phase_problem(str(index), number + 1, robot))
 
@@ -144,8 +142,9 @@ def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableP
     Its scene is the first that allows a problem of the numbers 2000 + index, 2020 + index, ... of
     its family.
     """
-    first = FIRST_ROBOT_SCENE + index
-    numbers = range(first, first + SCENES_DRAWN * PER_ROBOT, PER_ROBOT)
+    # 2000 to 2399 are numbers that no other suite uses
+    first = 2000 + index
+    numbers = range(first, first + SCENES_DRAWN * 20, 20)
     found = _first_problem(
         str(index), ROBOT_FAMILIES[index % len(ROBOT_FAMILIES)], numbers, ROBOTS[robot]
     )

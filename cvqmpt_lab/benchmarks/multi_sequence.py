@@ -25,28 +25,18 @@ from cvqmpt_lab.scene.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
 
-FIRST_SEED = 100
 CAN_NAME = "can"
-CRACKERS = ((0.600, -0.623, 0.287), -np.pi / 4)  # centre of mass [m] and yaw [rad]
-MUSTARD = (0.550, -0.303, 0.262)
-TARGET, TARGET_SIDE = (
-    (0.25, -0.45, 0.271 + LIFT),
-    0.1,
-)  # [m] corner and side of where the can's centre of mass goes
 # [m] that the hand comes straight to the can: depth of the fingers, and 3 mm of play
 APPROACH = 0.08
-CAN_GRIP = CAN.shape.radius  # type: ignore[union-attr]  # [m] opening of each finger
-REACH_HANDLE, REACH_CAN, CARRY = PAPER_PHASES
 
 
 @lru_cache(maxsize=1)
 def world() -> Scene:
     """The kitchen, door closed, with the two obstacles on the counter and the can on the shelf."""
-    position, yaw = CRACKERS
     centre = np.add(SHELF_LINK, CAN.com) + (0.0, 0.0, CAN.shape_centre[2] - CAN.com[2])
     return kitchen().with_objects(
-        CRACKER_BOX.at_com("cracker_box", position, yaw),
-        MUSTARD_BOTTLE.at_com("mustard_bottle", MUSTARD),
+        CRACKER_BOX.at_com("cracker_box", (0.600, -0.623, 0.287), -np.pi / 4),
+        MUSTARD_BOTTLE.at_com("mustard_bottle", (0.550, -0.303, 0.262)),
         SceneObject(CAN_NAME, CAN.shape, pose(centre)),  # its axis through its centre of mass
     )
 
@@ -58,15 +48,18 @@ def multi_sequence_task(number: int) -> Task:
             f"multi-sequence task {number}: give 0 or more, the paper's are 0 to 9"
         )
     robot = robot_from_source({"name": "panda"})
-    rng = np.random.default_rng(FIRST_SEED + number)
+    rng = np.random.default_rng(100 + number)
     checker = CollisionChecker(robot, world(), margin=SAMPLE_MARGIN)
     start = robot.random_configurations(rng, 1)[0]
     while checker.in_collision(start):
         start = robot.random_configurations(rng, 1)[0]
-    target = np.array(TARGET)
-    target[:2] += TARGET_SIDE * rng.uniform(size=2)
+    # where the can's centre of mass goes: within a square of a decimetre
+    target = np.array((0.25, -0.45, 0.271 + LIFT))
+    target[:2] += 0.1 * rng.uniform(size=2)
     grasp = grasp_region(np.add(SHELF_LINK, CAN.com))
     pregrasp = TaskSpaceRegion(grasp.T0_w, grasp.Tw_e @ pose((0.0, 0.0, -APPROACH)), grasp.Bw)
+    reach_handle, reach_can, carry = PAPER_PHASES
+    can_grip = CAN.shape.radius  # type: ignore[union-attr]
     open_fingers, grip = {"finger_opening": FINGER_OPENING}, {"finger_opening": GRIP}
     return Task(
         name=str(number),
@@ -74,14 +67,14 @@ def multi_sequence_task(number: int) -> Task:
         scene=world(),
         start=start,
         phases=(
-            Move(REACH_HANDLE, handle_region(turn=0.0).at(bar_pose(0.0))),
+            Move(reach_handle, handle_region(turn=0.0).at(bar_pose(0.0))),
             Hold("hold-handle", DOOR, grip, tuple((pad, handle_region().base) for pad in PADS)),
             Turn("open-door", OPEN, handle_region(), handle_region(turn=TURN)),
             Release("let-go", open_fingers),
-            Move(REACH_CAN, pregrasp),
+            Move(reach_can, pregrasp),
             Slide("approach", APPROACH),
-            Grasp("grasp-can", CAN_NAME, {"finger_opening": CAN_GRIP}),
-            Move(CARRY, grasp_region(target), (upright(),)),
+            Grasp("grasp-can", CAN_NAME, {"finger_opening": can_grip}),
+            Move(carry, grasp_region(target), (upright(),)),
             Release("put-down", open_fingers),
         ),
     )

@@ -30,15 +30,10 @@ from cvqmpt_lab.scene.scene import Attachment, Scene
 
 ENVIRONMENTS = range(150)
 TUNING_ENVIRONMENTS = range(1000, 1060)  # same distribution, never reported
-GOALS = 20
 DOOR = "dagger_door_left"
 DOOR_ANGLE = -1.57  # [rad]
 SHELF_LINK = (0.56, -0.39, 0.642)  # the can's link frame on the shelf [m]
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # left to right
-REMEASURED = KitchenParameters(  # [m]; wider, flatter and higher cabinets, a lower hood
-    cabinet_width=0.42, wall_cabinet_depth=0.33, dagger_bottom_z=0.6765, hood_bottom_z=0.70
-)
-REMEASURED_SHELF_LINK = (0.60, -0.41, 0.692)  # before it is mirrored [m]
 # [m] by which a can that collides is above its published place on the counter, 1.5 mm inside the
 # top
 LIFT = 0.005
@@ -84,7 +79,11 @@ def _world() -> Scene:
 @lru_cache(maxsize=1)
 def _mirrored_world() -> Scene:
     """The re-measured kitchen, mirrored. Its boxes and cylinders are their own mirror images."""
-    scene = kitchen(REMEASURED, door_angles={DOOR: DOOR_ANGLE})
+    # [m]; wider, flatter and higher cabinets, a lower hood
+    remeasured = KitchenParameters(
+        cabinet_width=0.42, wall_cabinet_depth=0.33, dagger_bottom_z=0.6765, hood_bottom_z=0.70
+    )
+    scene = kitchen(remeasured, door_angles={DOOR: DOOR_ANGLE})
     objects = tuple(
         replace(item, T_world_object=MIRROR @ item.T_world_object @ MIRROR)
         for item in scene.objects
@@ -95,7 +94,8 @@ def _mirrored_world() -> Scene:
 def mirrored_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
     """The problem of one environment in the mirrored kitchen."""
     side = MIRROR.diagonal()[:3]
-    shelf = grasp_region(side * np.add(REMEASURED_SHELF_LINK, CAN.com))
+    # the can's link frame on the shelf before it is mirrored [m]
+    shelf = grasp_region(side * np.add((0.60, -0.41, 0.692), CAN.com))
     return _problem(environment, _mirrored_world(), side * can_com(environment), shelf)
 
 

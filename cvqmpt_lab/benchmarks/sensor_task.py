@@ -33,7 +33,6 @@ from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, scan
 from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, views_of
 
-FIRST_TABLE = 3000  # scene numbers that no other suite uses
 ROOM = 0.06  # [m] that start and goal keep from obstacles
 THINGS = {
     "cracker_box": (CRACKER_BOX, 0.287),
@@ -41,11 +40,8 @@ THINGS = {
     "can": (CAN, 0.271),
 }
 """On the counter: what, and the height of its centre of mass [m]."""
-COUNTER = ((0.32, -0.85), (0.70, -0.20))  # [m] corners x, y of where they stand
-APART = 0.17  # [m] between their centres
-# azimuths and elevations [deg] of the two cameras as seen from `TARGET`: behind the robot
+# azimuths and elevations [deg] of the two cameras as seen from what they look at: behind the robot
 STANDS = (((130, 160), (20, 45)), ((185, 205), (20, 45)))
-TARGET, TARGET_SPREAD, DISTANCE = (0.45, -0.15, 0.35), 0.1, (1.2, 1.7)  # [m]
 
 
 def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | UnsolvableProblem:
@@ -53,11 +49,7 @@ def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | Unsolva
     cameras that look at it: even scenes are kitchens, odd ones tables.
     """
     rng = np.random.default_rng([number, 12])
-    scene = (
-        family_scene("table", FIRST_TABLE + number)
-        if number % 2
-        else _cluttered_kitchen(number, rng)
-    )
+    scene = family_scene("table", 3000 + number) if number % 2 else _cluttered_kitchen(number, rng)
     truth = upright_problem(str(number), robot_from_source(PANDA), scene, rng, ROOM)
     if isinstance(truth, UnsolvableProblem):
         return truth
@@ -67,9 +59,10 @@ def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | Unsolva
 def _cluttered_kitchen(number: int, rng: np.random.Generator) -> Scene:
     """The kitchen of the place task with three things on the right counter, none touching another."""
     while True:
-        places = rng.uniform(*COUNTER, (len(THINGS), 2))
+        # corners x, y of where they stand [m]
+        places = rng.uniform((0.32, -0.85), (0.70, -0.20), (len(THINGS), 2))
         gaps = np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(len(THINGS), 1)]
-        if gaps.min() > APART:
+        if gaps.min() > 0.17:
             break
     things = [
         thing.at_com(name, (float(x), float(y), height), float(rng.uniform(-np.pi, np.pi)))
@@ -81,10 +74,10 @@ def _cluttered_kitchen(number: int, rng: np.random.Generator) -> Scene:
 
 def _camera(stand: tuple[tuple[int, int], tuple[int, int]], rng: np.random.Generator) -> Camera:
     azimuth, elevation = (np.radians(rng.uniform(*span)) for span in stand)
-    target = np.add(TARGET, rng.uniform(-TARGET_SPREAD, TARGET_SPREAD, 3))
+    target = np.add((0.45, -0.15, 0.35), rng.uniform(-0.1, 0.1, 3))
     flat = np.cos(elevation)
     away = np.array([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)])
-    return Camera(KINECT, look_at(target + rng.uniform(*DISTANCE) * away, target))
+    return Camera(KINECT, look_at(target + rng.uniform(1.2, 1.7) * away, target))
 
 
 def sensor_problem(number: int, padding: float = 0.0) -> SensedProblem | UnsolvableProblem:

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import (
     ENVIRONMENTS,
-    GOALS,
     can_com,
     carried_can,
     grasp_region,
@@ -61,7 +60,7 @@ def test_problems_are_sound(with_can):
     problem = with_sampled_goals(place_problem(0, with_can))[0]
     check_problem(problem)
     assert len(problem.attachments) == with_can and problem.name == "0"
-    assert len(problem.goals) == GOALS
+    assert len(problem.goals) == 20
     roomy = problem.collision_checker(0.0009)  # sampled with 1 mm
     for q, com in [
         (problem.start, can_com(0) + (0.0, 0.0, 0.005 * with_can)),
