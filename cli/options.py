@@ -4,6 +4,7 @@ light, so that training runs on a bare machine.
 
 import argparse
 import contextlib
+import json
 import math
 import sys
 import tempfile
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import require_regular_file
+from cvqmpt_lab.files import finite, require_regular_file
 
 # A table of options: by names (`-v --verbose`) what argparse's add_argument takes. Under a title it
 # holds another table, whose options are shown as a group.
@@ -77,6 +78,11 @@ def add_options(parser: Any, options: Options) -> None:
             add_options(parser.add_argument_group(names), settings)
         else:
             parser.add_argument(*names.split(), **settings)
+
+
+def as_json(data: dict[str, Any]) -> str:
+    """Json text; undefined numbers are null."""
+    return json.dumps(finite(data), indent=1, allow_nan=False)
 
 
 def writable_file(path: Path) -> Path:

@@ -7,8 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from cli.motion_options import MOTION, arm_of, motion_given, motion_problem, scanned
-from cli.options import FLAG, REPEATED, WEIGHTS, Options, log, option, writable_file
-from cli.plan_report import as_json, report, solution_data
+from cli.options import FLAG, REPEATED, WEIGHTS, Options, as_json, log, option, writable_file
 from cli.planner_options import BUDGET, budget, optimize_budget, optimize_option
 from cli.robot_options import PROBLEM, ROBOT, problem_asked, refuse_robot, with_clearance
 from cli.scan_options import SCAN
@@ -20,6 +19,7 @@ from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
+from cvqmpt_lab.solution_report import solution_data, solution_lines
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import warm_up
 
@@ -59,11 +59,10 @@ def run(args: argparse.Namespace) -> int:
         optimize=more,
         near_goals_first=args.suite is None,
     )
-    print(
-        as_json(solution_data(solution, planner, why, problem))
-        if args.json
-        else "\n".join(report(solution, planner, why))
-    )
+    if args.json:
+        print(as_json(solution_data(solution, planner, why, problem)))
+    else:
+        print("\n".join(solution_lines(solution, planner, why)))
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.save_path and solution.simplified:
         states = solution.simplified.path.states

@@ -46,13 +46,12 @@ def _new(args: argparse.Namespace) -> int:
     path = Path(args.what)
     if path.exists():
         raise InvalidInputError(f"{path} is there already; name another file")
-    from cli.problem_template import template
-    from cli.task_template import task_template
+    from cvqmpt_lab.benchmarks.templates import problem_template, task_template
 
     if args.urdf is not None and args.end_effector is None:
         args.end_effector = read_urdf(args.urdf).likely_end_effectors()[0]
         print(f"end effector {args.end_effector}, a guess; --end-effector names another")
-    kind, made_for = ("task", task_template) if args.task else ("problem", template)
+    kind, made_for = ("task", task_template) if args.task else ("problem", problem_template)
     made = made_for(robot_source(args) or {"name": "panda"})
     schema = made["$schema"]
     write_text(writable_file(path), json_text({**made, "name": path.stem}) + "\n")

@@ -8,7 +8,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from cli.main import main
-from cli.problem_template import template
+from cvqmpt_lab.benchmarks.templates import problem_template
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import read_source
@@ -26,7 +26,7 @@ def mine(tmp_path, capsys):
 
 @pytest.mark.parametrize("robot", ["ur10-limited", "two-dof"])
 def test_a_new_problem_suits_arms_with_narrow_limits_and_few_joints(robot):
-    check_problem(PlanningProblem.from_dict(template({"name": robot})))
+    check_problem(PlanningProblem.from_dict(problem_template({"name": robot})))
 
 
 def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tmp_path, capsys):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.problem_template import template
+from cvqmpt_lab.benchmarks.templates import problem_template
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.poses import pose
@@ -190,6 +190,6 @@ def test_a_new_scene_costs_nothing_and_a_cloud_may_have_a_million_points_or_be_l
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ARMS)
 def test_every_arm_plans_its_template_problem(name):
-    problem = PlanningProblem.from_dict(template({"name": name}))
+    problem = PlanningProblem.from_dict(problem_template({"name": name}))
     solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)
     assert solution.solved

@@ -1,9 +1,11 @@
-"""A problem to start from:
-a table, an obstacle in the way, a constraint, start and goal, with comments.
+"""A problem and a task to start from, with comments.
+
+The problem: a table, an obstacle in the way, a constraint, start and goal, for any arm. The task:
+the Panda opens a drawer.
 """
 
 from collections.abc import Iterator, Mapping
-from itertools import islice
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +22,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     upright,
 )
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
@@ -32,10 +35,6 @@ from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
 SCHEMA_FILE = "problem.schema.json"  # written beside the problem, so that both can be moved
 TILT = 0.3  # [rad]
-DRAWS = 400  # configurations tried for a start, and for a goal
-STARTS, PAIRS = 12, 30  # the calmest, and of them with goals, that are tried
-APART = 0.3  # share of the hand's reach that start and goal are apart at least
-EFFORT = Budget(iterations=1000)  # of birrt, that a pair of them may take
 COMMENT = [
     "A problem for `cvqmpt plan --problem-file`. Lengths in m, angles in rad; a field _comment "
     "may stand anywhere.",
@@ -78,8 +77,9 @@ LAYOUTS = (
 )
 
 
-def template(source: Mapping[str, Any]) -> dict[str, Any]:
-    """Json of a problem that can be planned, for a robot as in a problem file;
+def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
+    """Json of a problem that can be planned, for a robot as in a problem file.
+
     InvalidInputError if there is none.
     """
     robot = robot_from_source(source)
@@ -110,31 +110,35 @@ def template(source: Mapping[str, Any]) -> dict[str, Any]:
     )
 
 
+def task_template(source: Mapping[str, Any]) -> dict[str, Any]:
+    """Json of a task that can be planned; InvalidInputError for another robot than the Panda."""
+    if source.get("name") != "panda":
+        raise InvalidInputError(
+            "the template of a task is for the panda, whose fingers it names; write it without "
+            "--robot and --urdf, then replace 'robot', 'start', 'gripper' and 'may_touch'"
+        )
+    return read_json_object(Path(__file__).with_name("drawer_task.json"), "task template")
+
+
 def _solved(problem: PlanningProblem, matters: bool) -> bool:
-    """Whether a path is found, and, where the obstacle must matter, not by a straight motion to its
-    goal.
-    """
-    solution = solve(problem, "birrt", EFFORT, seed=0, clearance=False)
+    """Whether a path is found, and, where the obstacle matters, no straight motion to its goal."""
+    solution = solve(problem, "birrt", Budget(iterations=1000), seed=0, clearance=False)
     if not solution.solved or solution.simplified is None:
         return False
-    goal = solution.simplified.path.states[-1]
-    return (
-        not matters
-        or direct_motion(ConstrainedSpace(solution.problem), problem.start, goal) is None
-    )
+    if not matters:
+        return True
+    space, goal = ConstrainedSpace(solution.problem), solution.simplified.path.states[-1]
+    return direct_motion(space, problem.start, goal) is None
 
 
 def _axes(robot: Robot) -> list[str]:
-    """Axes of the end effector that may point up:
-    that with which the tool looks down the last axis, then any.
-    """
+    """Axes of the end effector that may point up: as the tool looks down its last axis, then any."""
     _, T_link_hand = robot.end_effector_link
     outward = T_link_hand[2, :3] * (-1.0 if T_link_hand[2, 3] < 0.0 else 1.0)
     down = np.eye(4)
     down[2, :3] = -outward
-    return list(
-        dict.fromkeys((upper_axis(down), upper_axis(robot.pose(0.5 * (robot.lower + robot.upper)))))
-    )
+    middle = robot.pose(0.5 * (robot.lower + robot.upper))
+    return list(dict.fromkeys((upper_axis(down), upper_axis(middle))))
 
 
 def _scene(robot: Robot, layout: Layout) -> tuple[float, Scene]:
@@ -182,14 +186,9 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
 def _ends(
     robot: Robot, scene: Scene, layout: Layout, top: float, axis: str
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of free configurations (n,) on the manifold, on both sides of the wall, the calmest
-    first.
-    """
-    checker, reach, origin = (
-        CollisionChecker(robot, scene, margin=SAMPLE_MARGIN),
-        hand_reach(robot),
-        robot.kinematics.translation[0],
-    )
+    """Pairs of free configurations (n,) on the manifold, beside the wall, the calmest first."""
+    checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN)
+    reach, origin = hand_reach(robot), robot.kinematics.translation[0]
     x, y, z = (reach * share for share in layout.hand)
     sides = []
     for side in (-1.0, 1.0):
@@ -198,28 +197,26 @@ def _ends(
         region = TaskSpaceRegion(place, np.eye(4), bounds)
         manifold = RegionConstraint(robot, (upright(TILT / 2, axis), region))
         sides.append(_calmest(robot, manifold, checker))
-    pairs = ((start, goal) for start in sides[0][:STARTS] for goal in sides[1])
-    yield from islice((pair for pair in pairs if _apart(robot, *pair) > APART * reach), PAIRS)
-
-
-def _apart(robot: Robot, start: np.ndarray, goal: np.ndarray) -> float:
-    """Distance [m] between the hand's places."""
-    return float(np.linalg.norm((robot.pose(start) - robot.pose(goal))[:3, 3]))
+    tried = 0
+    for start in sides[0][:12]:
+        for goal in sides[1]:
+            apart = np.linalg.norm((robot.pose(start) - robot.pose(goal))[:3, 3])
+            if apart > 0.3 * reach:
+                tried += 1
+                yield start, goal
+            if tried == 30:
+                return
 
 
 def _calmest(
-    robot: Robot, manifold: RegionConstraint, checker: CollisionChecker
+    robot: Robot, manifold: RegionConstraint, checker: CollisionChecker, draws: int = 400
 ) -> list[np.ndarray]:
-    """Free configurations (n,) on a manifold, those with joints nearest to the middle of their
-    range first.
-    """
-    middle = (
-        np.clip(0.0, robot.lower, robot.upper)
-        if robot.turning.any()
-        else 0.5 * (robot.lower + robot.upper)
-    )
+    """Free configurations (n,) on a manifold, those nearest to the middle of their range first."""
+    middle = 0.5 * (robot.lower + robot.upper)
+    if robot.turning.any():
+        middle = np.clip(0.0, robot.lower, robot.upper)
     found = []
-    for q in robot.random_configurations(np.random.default_rng(0), DRAWS):
+    for q in robot.random_configurations(np.random.default_rng(0), draws):
         landed = manifold.project(middle + 0.5 * (q - middle))
         if landed is None:
             continue
