@@ -18,7 +18,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError, located, mapping, whole_number
 from cvqmpt_lab.files import json_object, json_text, read_json_object
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 from cli.options import FLAG, Options, option
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_torch
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.vqmpt.weights import (
     SHIPPED,
     TRANSFORMER,

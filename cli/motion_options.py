@@ -14,7 +14,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import json_object
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.named_states import group_states, numbers_of
+from cvqmpt_lab.robot.load import group_states, numbers_of
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach

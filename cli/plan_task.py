@@ -13,7 +13,7 @@ from cli.show_options import show_solution
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.planners import planner_named
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.tasks.report import event_of, steps_of, task_data, task_lines
 from cvqmpt_lab.tasks.solve import TaskSolution, solve_task

@@ -13,7 +13,7 @@ from cli.options import FLAG, Options, option, writable_file
 from cli.robot_options import ROBOT_DETAILS, robot_options
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.files import write_text
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.self_collision import OVERLAP, srdf_text
 from cvqmpt_lab.robot.source import ARMS

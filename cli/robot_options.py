@@ -13,7 +13,7 @@ from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.errors import InvalidInputError, mapping
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.tasks.task import Task
 

@@ -42,8 +42,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegionChain,
 )
 from cvqmpt_lab.errors import InvalidProblemError, mapping, unique
-from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.robot.named_states import State, numbers_of
+from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
 from cvqmpt_lab.scene.scene_files import with_files_read

@@ -13,7 +13,7 @@ from cvqmpt_lab.jit import compile_all, compiled_before
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.birrt import BiRRT, plant, remove_child_of_segment

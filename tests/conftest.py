@@ -10,7 +10,7 @@ import pytest
 from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, place_problem
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.robot.loading import load_robot, robot_from_source
+from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import solve_task

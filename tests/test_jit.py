@@ -126,7 +126,7 @@ PROJECT = """
 import numpy as np
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
 from cvqmpt_lab.jit import Entry, folder
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.load import panda
 print(RegionConstraint(panda(), (upright(),)).residual(np.zeros((1, 7))).shape)
 print(sum(sum(entry.dispatcher.stats.cache_hits.values()) for entry in Entry.all), folder())
 """

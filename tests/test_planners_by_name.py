@@ -8,7 +8,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import CONTROLS, PLANNERS, WITHOUT_WEIGHTS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
 

@@ -15,7 +15,7 @@ from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
-from cvqmpt_lab.robot.named_states import group_states
+from cvqmpt_lab.robot.load import group_states
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, shape_vertices
 

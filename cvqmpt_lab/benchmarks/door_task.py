@@ -20,7 +20,7 @@ from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegionChain
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import panda, robot_from_source
+from cvqmpt_lab.robot.load import panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.kitchen import kitchen

@@ -12,7 +12,7 @@ from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import phase_problem
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.scene import Scene

@@ -19,7 +19,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import PAPER_PHASES
-from cvqmpt_lab.robot.loading import FINGER_OPENING, robot_from_source
+from cvqmpt_lab.robot.load import FINGER_OPENING, robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.scene.scene import Scene, SceneObject

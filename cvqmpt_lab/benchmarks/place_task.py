@@ -22,7 +22,7 @@ from cvqmpt_lab.pipeline import drawn_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import FailReason
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.kitchen_parameters import KitchenParameters
 from cvqmpt_lab.scene.objects import CAN

@@ -15,7 +15,7 @@ from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import locked, make_folder, read_json_object, write_text
 from cvqmpt_lab.results.provenance import provenance
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.scene import Scene

@@ -22,7 +22,7 @@ from cvqmpt_lab.labels.path_labels import (
     unconstrained_space,
 )
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.motion import edge_verdicts, motion_free

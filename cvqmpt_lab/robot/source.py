@@ -7,6 +7,7 @@ import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
@@ -74,8 +75,7 @@ class NamedRobot(RobotOptions):
         if self.name in ELSEWHERE:
             raise InvalidInputError(
                 f"robot {self.name!r} is not in the package {EXAMPLES}: {ELSEWHERE[self.name]}; "
-                f"give its file as "
-                "--urdf, or 'urdf' and 'end_effector' in a problem file"
+                f"give its file as --urdf, or 'urdf' and 'end_effector' in a problem file"
             )
         name = ALIASES.get(self.name, self.name)
         if name not in ARMS:
@@ -107,9 +107,7 @@ class NamedRobot(RobotOptions):
 
 
 def seen_from(folder: Path, source: Any) -> Any:
-    """A robot's source, its paths made absolute from a folder;
-    `read_source` refuses what is no object.
-    """
+    """A robot's source, its paths made absolute from a folder; what is no object as it is."""
     if not isinstance(source, Mapping):
         return source
     named = [name for name in ("urdf", "srdf") if isinstance(source.get(name), str)]
@@ -132,12 +130,11 @@ def read_source(source: Mapping[str, Any]) -> UrdfRobot:
     return from_plain(NamedRobot, values, WHERE).described
 
 
-# Arms that have a name: fixed-base arms whose descriptions the package example-robot-data installs.
 FINGER_OPENING = 0.04  # [m] of each finger of the Panda's hand, the largest
 
 
 class NamedArm(NamedTuple):
-    """The files of an arm, below the package's folder of robots, and its options."""
+    """The files of a fixed-base arm, below example-robot-data's folder of robots, and its options."""
 
     urdf: str
     end_effector: str  # frame that constraints and goals are about
@@ -201,32 +198,27 @@ ELSEWHERE = {
 }
 
 
-# What the files of a robot hold.
-SETTLED = 1e8  # [ns] after a change of a file, when another one surely gives it another time
-
-# by path: times, size, inode; sha256 of the content
-_DIGESTS: dict[str, tuple[tuple[int, ...], str]] = {}
+@lru_cache(maxsize=1024)
+def _digest(path: str, stamp: tuple[int, ...]) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def content_digest(path: str) -> str:
-    """sha256 of what a file holds, "" if there is none;
-    read again only if its times or its size have changed.
+def content_digest(path: str, settled: float = 1e8) -> str:
+    """sha256 of what a file holds, "" if there is none.
+
+    Read again only if its times or its size have changed, or less than `settled` [ns] ago: another
+    change might then give it the same time.
     """
     try:
-        status = os.stat(path)  # noqa: PTH116, since a Path takes 20 us
+        # a Path takes 20 us
+        status = os.stat(path)  # noqa: PTH116
         stamp = status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
-        known = _DIGESTS.get(path)
-        if known is not None and known[0] == stamp:
-            return known[1]
-        digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+        fresh = time.time_ns() - max(stamp[:2]) <= settled
+        return (_digest.__wrapped__ if fresh else _digest)(path, stamp)
     except OSError:
         return ""
-    if time.time_ns() - max(stamp[:2]) > SETTLED:
-        _DIGESTS[path] = stamp, digest
-    return digest
 
 
-# Search for the files of a robot.
 EXAMPLES = "example-robot-data"
 ROS_VARIABLE = "ROS_PACKAGE_PATH"
 SCHEME = "package://"
@@ -242,10 +234,11 @@ def example_robots() -> Path:
 
 def _installed_share() -> Path:
     """The share folder in which example-robot-data is, or would be, installed."""
-    shares = [Path(entry) / "cmeel.prefix" / "share" for entry in sys.path]
-    return next(
-        (share for share in shares if (share / EXAMPLES).is_dir()), Path(sys.prefix) / "share"
-    )
+    for entry in sys.path:
+        share = Path(entry) / "cmeel.prefix" / "share"
+        if (share / EXAMPLES).is_dir():
+            return share
+    return Path(sys.prefix) / "share"
 
 
 def find_collision_meshes(
@@ -279,22 +272,21 @@ def find_collision_meshes(
 
 
 def in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
-    """The file of "package://PACKAGE/REST" that a URDF or scene names;
-    InvalidInputError says where it was sought.
+    """The file of "package://PACKAGE/REST" that a URDF or scene names.
+
+    Raises InvalidInputError that says where it was sought.
     """
-    ros_folders = [
-        Path(name) for name in os.environ.get(ROS_VARIABLE, "").split(os.pathsep) if name
-    ]
+    named = os.environ.get(ROS_VARIABLE, "").split(os.pathsep)
+    ros_folders = [Path(name) for name in named if name]
     for folder in (*package_dirs, *ros_folders, *urdf.resolve().parents, _installed_share()):
-        inside = [folder / package / rest]  # the folder holds the package, or is it
-        for path in [*inside, folder / rest] if folder.name == package else inside:
-            if path.is_file():
-                return path
+        # the folder holds the package, or is it
+        if (folder / package / rest).is_file():
+            return folder / package / rest
+        if folder.name == package and (folder / rest).is_file():
+            return folder / rest
     given = ", ".join(str(folder) for folder in package_dirs) or "not given"
     raise InvalidInputError(
         f"{urdf.name}: mesh {SCHEME}{package}/{rest} is in none of these places: --package-dir "
-        f"({given}), "
-        f"{ROS_VARIABLE} ({os.environ.get(ROS_VARIABLE) or 'not set'}), the folders above "
-        f"{urdf.resolve().parent}; "
-        f"give --package-dir DIR, the folder that holds {package}"
+        f"({given}), {ROS_VARIABLE} ({os.environ.get(ROS_VARIABLE) or 'not set'}), the folders "
+        f"above {urdf.resolve().parent}; give --package-dir DIR, the folder that holds {package}"
     )

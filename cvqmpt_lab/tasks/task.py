@@ -27,8 +27,7 @@ from cvqmpt_lab.codec import Checked, Document, OneOrMore, Tagged
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, mapping, shown, unique
-from cvqmpt_lab.robot.loading import robot_from_source
-from cvqmpt_lab.robot.named_states import State, numbers_of
+from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.scene.scene import Articulation, Attachment, NamedScene, Scene, SceneObject
 from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach

@@ -13,7 +13,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose, rotation_vectors
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.mechanism import with_articulated_object
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out

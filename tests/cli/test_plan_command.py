@@ -9,7 +9,7 @@ from jsonschema import Draft202012Validator
 from cli.main import main
 from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
 from cvqmpt_lab.constraints.report import displacements
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from cvqmpt_lab.trajectory.trajectory import read_motion
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from cli.main import main
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import load_robot
+from cvqmpt_lab.robot.load import load_robot
 from cvqmpt_lab.robot.self_collision import read_srdf
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import Scene

@@ -13,7 +13,7 @@ from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance, transform
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject

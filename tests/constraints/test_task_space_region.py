@@ -19,7 +19,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     upright,
 )
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.kitchen import kitchen
 

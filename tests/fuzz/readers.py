@@ -33,7 +33,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, provenance
 from cvqmpt_lab.results.row import RUNS_FILE, csv_text, read_rows
-from cvqmpt_lab.robot.loading import load_robot, panda
+from cvqmpt_lab.robot.load import load_robot, panda
 from cvqmpt_lab.scene.cloud_files import read_cloud
 from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
 from cvqmpt_lab.scene.scene import Scene, SceneObject

@@ -14,7 +14,7 @@ from cvqmpt_lab.labels import generation, path_labels
 from cvqmpt_lab.labels.generation import generate
 from cvqmpt_lab.labels.path_labels import PathRecipe
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.search.anytime import NearShortestSettings
 from cvqmpt_lab.training.dataset import open_dataset

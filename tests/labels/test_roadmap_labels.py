@@ -9,7 +9,7 @@ from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import generate
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.training.dataset import open_dataset, open_labels, read_labels
 from cvqmpt_lab.training.shards import (

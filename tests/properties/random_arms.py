@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import load_robot
+from cvqmpt_lab.robot.load import load_robot
 from cvqmpt_lab.scene.families import random_scene
 
 ARMS = 12  # to draw from: loading one takes longer than a trial with it

@@ -14,7 +14,7 @@ from cvqmpt_lab.constraints.between_states import evenly_spaced
 from cvqmpt_lab.constraints.report import bound_usage
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.trajectory.timing import TimingSettings, smooth_curve, time_path

@@ -24,7 +24,7 @@ from cvqmpt_lab.constraints.task_space_region import (
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import Placement
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Uniform

@@ -20,7 +20,7 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.self_collision import OVERLAP
 from cvqmpt_lab.robot.source import ARMS, example_robots

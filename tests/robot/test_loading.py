@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.robot.loading import MOST_REACH, load_robot, robot_from_source
+from cvqmpt_lab.robot.load import MOST_REACH, load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import pose
 
@@ -291,7 +291,7 @@ def test_a_mesh_without_a_hull_ends_in_one_line_not_in_the_process(
     (tmp_path / "m.stl").write_bytes(binary_stl(*triangles))
     urdf = edited((SPHERE, '<mesh filename="m.stl"/>'))
     script = (
-        "from cvqmpt_lab.robot.loading import load_robot\n"
+        "from cvqmpt_lab.robot.load import load_robot\n"
         f"try: load_robot({str(urdf)!r}, 'tool')\n"
         "except Exception as e: print(type(e).__name__, e)"
     )

@@ -9,7 +9,7 @@ from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem
-from cvqmpt_lab.robot.loading import load_robot
+from cvqmpt_lab.robot.load import load_robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget

@@ -13,7 +13,7 @@ import trimesh
 
 from cvqmpt_lab.benchmarks.door_task import door_world
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.loading import load_robot, robot_from_source
+from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.self_collision import (
     ADJACENT,
     FIXED,

@@ -12,7 +12,7 @@ from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import load_robot, robot_from_source
+from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere

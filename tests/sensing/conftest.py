@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at

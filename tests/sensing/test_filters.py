@@ -6,7 +6,7 @@ import pinocchio as pin
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.sensing.filters import near_robot, outliers, voxel_means
 
 MARGIN = 0.03

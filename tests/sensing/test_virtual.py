@@ -8,7 +8,7 @@ import pytest
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.robot.loading import panda
+from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.scene import Scene, SceneObject

@@ -7,7 +7,7 @@ import pytest
 
 from cli.main import main
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.training.profiles import PROFILES
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
 from cvqmpt_lab.vqmpt.codebook import Codebook

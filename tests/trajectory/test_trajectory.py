@@ -16,7 +16,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import certified_motion, dry_run
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.loading import load_robot, panda, robot_from_source
+from cvqmpt_lab.robot.load import load_robot, panda, robot_from_source
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath

@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import serial_chain
 from cvqmpt_lab.labels.roadmap_labels import body_points
-from cvqmpt_lab.robot.loading import robot_from_source
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.vqmpt.checkpoint import stored
 from cvqmpt_lab.vqmpt.codebook import code_noise, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.vqmpt.config import ModelConfig, SceneTransformerConfig, SceneTransformerSizes

@@ -1,4 +1,4 @@
-"""Building a `Robot` from a URDF: an arm that has a name, or the user's own."""
+"""Building a `Robot` from a URDF, an arm that has a name or the user's own; its named states."""
 
 import copyreg
 import json
@@ -8,13 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, mapping
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, mapping, shown
+from cvqmpt_lab.files import read_text
 from cvqmpt_lab.robot.hulls import link_geometry, replace_meshes_by_hulls
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
@@ -43,9 +44,12 @@ from cvqmpt_lab.robot.urdf import (
     one_coordinate_a_joint,
     read_urdf,
 )
+from cvqmpt_lab.values import Array, FloatArray
 
 MOST_REACH = 10.0  # [m] from the origin; the kernels' distance grid then takes 125 MB
-JOINT = "joint: "  # prefix of joint names in pinocchio, which confuses joints and links of one name
+
+State = Annotated[FloatArray, Array((None,), "numbers [rad or m]")]
+"""A configuration: numbers; in a file also {"joint": value} or the name of a group_state."""
 
 
 def panda(finger_opening: float = FINGER_OPENING) -> Robot:
@@ -68,12 +72,13 @@ def load_robot(
     the value nearest to 0, and those that mimic them at the value that follows.
 
     Args:
+        urdf: file.
         end_effector: frame that constraints and goals are about.
         srdf: file with the link pairs to skip; without one they are found by sampling.
         locked: joints to fix, with their values [rad or m].
         package_dirs: folders in which ``package://`` mesh paths are looked up first.
-        acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2]; only timing a path needs
-            them.
+        acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2]; only timing a path
+            needs them.
         base: (4, 4), pose of the base link in the world.
     """
     source: dict[str, Any] = {
@@ -91,31 +96,30 @@ def load_robot(
 
 
 def robot_from_source(source: Mapping[str, Any]) -> Robot:
-    """The robot that a problem file names: ``{"name": "panda"}`` or ``{"urdf": ..., "end_effector":
-    ...}``.
+    """The robot that a problem file names, kept in memory while its files are the same.
 
-    Either may have an "articulated" object, the json of an `ArticulatedObject`, whose joint then
-    comes last.
+    Args:
+        source: ``{"name": "panda"}`` or ``{"urdf": ..., "end_effector": ...}``, with options; with
+            "articulated", the json of an `ArticulatedObject`, whose joint then comes last.
     """
     try:
         alone = {k: v for k, v in mapping(source, WHERE).items() if k != ARTICULATED}
-        arm = json.dumps(alone, sort_keys=True)
-        articulated = (
-            json.dumps(source[ARTICULATED], sort_keys=True) if ARTICULATED in source else ""
-        )
+        arm, door = json.dumps(alone, sort_keys=True), ""
+        if ARTICULATED in source:
+            door = json.dumps(source[ARTICULATED], sort_keys=True)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"problem field 'robot' is malformed: {error}") from error
+    # folders in which meshes are looked for, too
     packages = os.environ.get(ROS_VARIABLE, "")
     robot = _cached_robot(arm, packages)
     if any(content_digest(path) != digest for path, digest in robot.files):
         _cached_robot.cache_clear()
         robot = _cached_robot(arm, packages)
-    return _cached_mechanism(robot, articulated) if articulated else robot
+    return _cached_mechanism(robot, door) if door else robot
 
 
 @lru_cache(maxsize=8)
 def _cached_robot(source: str, packages: str) -> Robot:
-    """packages: folders in which meshes are looked for, too."""
     return _built(json.loads(source))
 
 
@@ -126,9 +130,7 @@ def _cached_mechanism(robot: Robot, articulated: str) -> Robot:
 
 
 def unpickled(source: Mapping[str, Any], files: Sequence[tuple[str, str]]) -> Robot:
-    """The robot of a source, built again;
-    InvalidInputError if its files hold something else than when pickled.
-    """
+    """The robot of a source, built again; refused if its files are not those that were pickled."""
     robot = robot_from_source(source)
     if [digest for _, digest in robot.files] != [digest for _, digest in files]:
         changed = next((path for path, digest in files if content_digest(path) != digest), source)
@@ -139,116 +141,153 @@ def unpickled(source: Mapping[str, Any], files: Sequence[tuple[str, str]]) -> Ro
     return robot
 
 
-# Pickled by its source: worker processes build pinocchio's objects again.
+# worker processes build pinocchio's objects again
 copyreg.pickle(Robot, lambda robot: (unpickled, (robot.source, robot.files)))
 
 
 def _built(source: Mapping[str, Any]) -> Robot:
     """The robot of a source that has no articulated object."""
-    files = read_source(source)
-    read = {path: content_digest(path) for path in (files.urdf, files.srdf) if path}
-    urdf = read_urdf(Path(files.urdf))
-    held = held_joints(urdf, files.end_effector, files.locked, files.base is not None)
-    model, geometry, meshes = _models(urdf, files, held)
+    given = read_source(source)
+    read = {path: content_digest(path) for path in (given.urdf, given.srdf) if path}
+    urdf = read_urdf(Path(given.urdf))
+    held = held_joints(urdf, given.end_effector, given.locked, given.base is not None)
+    model, geometry, meshes = _models(urdf, given, held)
     replace_meshes_by_hulls(geometry)
     axes = axis_frames(model)
-    links = tuple(link_geometry(g, axes) for g in geometry.geometryObjects)
-    kinematics = kinematics_arrays(model, axes)
     accelerations = None
-    if files.acceleration_limits is not None:
+    if given.acceleration_limits is not None:
         names = list(model.names)[1:]
-        accelerations = positive_per_joint(
-            "acceleration", files.acceleration_limits, names, "rad/s^2"
-        )
-    hand = model.frames[model.getFrameId(files.end_effector, pin.FrameType.BODY)]
+        limits = given.acceleration_limits
+        accelerations = positive_per_joint("acceleration", limits, names, "rad/s^2")
+    hand = model.frames[model.getFrameId(given.end_effector, pin.FrameType.BODY)]
     robot = Robot(
         name=model.name,
         source=dict(source),
         model=model,
         collision_model=geometry,
-        end_effector=files.end_effector,
+        end_effector=given.end_effector,
         end_effector_link=in_link(axes, hand.parentJoint, hand.placement),
-        kinematics=kinematics,
-        links=links,
+        kinematics=kinematics_arrays(model, axes),
+        links=tuple(link_geometry(item, axes) for item in geometry.geometryObjects),
         self_collision_pairs=(),
         held_joints=held,
         acceleration_limits=accelerations,
         files=tuple({**read, **meshes}.items()),
     )
-    _refuse_far(robot, urdf)
-    srdf = Path(files.srdf) if files.srdf else None
-    left_out = left_out_pairs(model, geometry, links, kinematics, urdf, srdf)
+    if robot.reach > MOST_REACH:
+        _refuse_far(robot, urdf)
+    srdf = Path(given.srdf) if given.srdf else None
+    left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, srdf)
     pairs = checked_pairs(model, geometry, left_out)
     return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
 
 
 def _models(
-    urdf: Urdf, files: UrdfRobot, held: Sequence[HeldJoint]
+    urdf: Urdf, given: UrdfRobot, held: Sequence[HeldJoint], prefix: str = "joint: "
 ) -> tuple[pin.Model, pin.GeometryModel, dict[str, str]]:
-    """Pinocchio's models of the joints that are not held, standing on the given base;
-    digests of the meshes' files.
+    """Pinocchio's models of the joints that are not held, on the given base; digests of meshes.
+
+    prefix: of joint names while held joints are fixed: pinocchio confuses joints and links of one
+        name.
     """
     check_bodies(urdf.root, urdf.path)
     root = one_coordinate_a_joint(urdf)
-    meshes = find_collision_meshes(root, urdf.path, [Path(folder) for folder in files.package_dirs])
+    meshes = find_collision_meshes(root, urdf.path, [Path(folder) for folder in given.package_dirs])
     digests = {path: content_digest(path) for path in meshes}
-    # pinocchio cannot hold joints where one is called like a link
     for element in root.findall("joint"):
-        element.set("name", JOINT + element.get("name", ""))
+        element.set("name", prefix + element.get("name", ""))
     text = ElementTree.tostring(root, encoding="unicode")
     try:
         model = pin.buildModelFromXML(text)
         geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:
-        raise InvalidInputError(
-            f"cannot load {files.urdf}: {' '.join(str(error).split())}"
-        ) from error
+        said = " ".join(str(error).split())
+        raise InvalidInputError(f"cannot load {given.urdf}: {said}") from error
     if len(geometry.geometryObjects) != len(root.findall("link/collision")):
         raise InvalidInputError(
-            f"cannot load {files.urdf}: its parser leaves collision bodies out; see its words above"
+            f"cannot load {given.urdf}: its parser leaves collision bodies out; see its words above"
         )
     q, ids = pin.neutral(model), []
     for joint in held:
-        if model.existJointName(JOINT + joint.name):  # floating and planar joints are fixed by now
-            ids.append(model.getJointId(JOINT + joint.name))
+        # floating and planar joints are fixed by now
+        if model.existJointName(prefix + joint.name):
+            ids.append(model.getJointId(prefix + joint.name))
             q[model.joints[ids[-1]].idx_q] = joint.value
     if ids:
         model, geometry = pin.buildReducedModel(model, geometry, ids, q)
     for j, name in enumerate(list(model.names)):
-        model.names[j] = name.removeprefix(JOINT)
-    if files.base is not None:
-        _place(model, geometry, pin.SE3(files.base))
+        model.names[j] = name.removeprefix(prefix)
+    if given.base is not None:
+        # move everything fixed to the world; the first frame is the world itself
+        base = pin.SE3(given.base)
+        for j in range(1, model.njoints):
+            if model.parents[j] == 0:
+                model.jointPlacements[j] = base * model.jointPlacements[j]
+        for fixed in (*list(model.frames)[1:], *geometry.geometryObjects):
+            if fixed.parentJoint == 0:
+                fixed.placement = base * fixed.placement
     return model, geometry, digests
 
 
-def _place(model: pin.Model, geometry: pin.GeometryModel, base: pin.SE3) -> None:
-    """Move everything fixed to the world."""
-    for j in range(1, model.njoints):
-        if model.parents[j] == 0:
-            model.jointPlacements[j] = base * model.jointPlacements[j]
-    for frame in list(model.frames)[1:]:  # the first is the world
-        if frame.parentJoint == 0:
-            frame.placement = base * frame.placement
-    for item in geometry.geometryObjects:
-        if item.parentJoint == 0:
-            item.placement = base * item.placement
-
-
 def _refuse_far(robot: Robot, urdf: Urdf) -> None:
-    if robot.reach <= MOST_REACH:
-        return
-    slides = {
-        j.name: max(abs(j.lower), abs(j.upper))
-        for j in urdf.joints.values()
-        if j.kind == "prismatic"
-    }
+    sliders = [joint for joint in urdf.joints.values() if joint.kind == "prismatic"]
+    slides = {joint.name: max(abs(joint.lower), abs(joint.upper)) for joint in sliders}
     name, slide = max(slides.items(), key=lambda item: item[1], default=("", 0.0))
-    slides_far = slide > MOST_REACH / 2
-    reason = (
-        f"joint {name!r} slides to {slide:g} m" if slides_far else "its links or base lie far away"
-    )
+    reason = "its links or base lie far away"
+    if slide > MOST_REACH / 2:
+        reason = f"joint {name!r} slides to {slide:g} m"
     raise InvalidInputError(
         f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because {reason}: at most "
-        f"{MOST_REACH:g} m; "
-        "are all lengths in metres?"
+        f"{MOST_REACH:g} m; are all lengths in metres?"
     )
+
+
+def numbers_of(robot: Robot, value: Any, where: str) -> Any:
+    """The numbers, in the robot's order, of a configuration as people name it.
+
+    Args:
+        robot: whose joints.
+        value: {"joint": number} or the name of a group_state of its SRDF; anything else is returned
+            as it is.
+        where: the field's name in errors.
+    """
+    if isinstance(value, str):
+        states = group_states(robot)
+        if value not in states:
+            raise UnknownChoiceError(
+                f"group_state of {where}", value, states or ["none in its SRDF; give numbers"]
+            )
+        known = robot.joint_names
+        value = {name: number for name, number in states[value].items() if name in known}
+    if not isinstance(value, Mapping):
+        return value
+    for name in value:
+        if name not in robot.joint_names:
+            raise UnknownChoiceError(f"joint of {where}", name, robot.joint_names)
+    missing = [name for name in robot.joint_names if name not in value]
+    if missing:
+        raise InvalidInputError(
+            f"{where} has no value for {', '.join(missing)}; give one for each joint [rad or m]"
+        )
+    return [value[name] for name in robot.joint_names]
+
+
+def group_states(robot: Robot) -> dict[str, dict[str, float]]:
+    """Values of joints [rad or m] of each group_state in the robot's SRDF, by name."""
+    path = read_source(robot.source).srdf
+    if not path:
+        return {}
+    states: dict[str, dict[str, float]] = {}
+    try:
+        for state in ElementTree.fromstring(read_text(Path(path), "SRDF")).iter("group_state"):
+            joints = states.setdefault(state.get("name", ""), {})
+            for joint in state.iter("joint"):
+                values = joint.get("value", "").split()
+                # a joint of several coordinates is none of an arm's
+                if len(values) == 1:
+                    joints[joint.get("name", "")] = float(values[0])
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InvalidInputError(
+            f"group_states of SRDF {path} cannot be read: {shown(str(error))}"
+        ) from error
+    return states
