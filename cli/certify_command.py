@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cli.options import FLAG, Options, log, numbers, option, positive
-from cli.robot_options import PROBLEM, ROBOT, problem_asked, robot_source
+from cli.problem_options import PROBLEM, ROBOT, problem_asked, robot_source
 from cvqmpt_lab.certificate_record import differences, record, report_lines
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import dry_run

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from cli.options import Options, ProgressBar, log, option, own_command, positive_int
-from cli.robot_options import ROBOT, robot_source
+from cli.problem_options import ROBOT, robot_source
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.labels.generation import PANDA, SceneRecipe, Shard, generate
 from cvqmpt_lab.labels.path_labels import PathRecipe

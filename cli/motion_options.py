@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from cli.options import REPEATED, Options, log, numbers, option
-from cli.robot_options import chosen_robot
+from cli.problem_options import chosen_robot
 from cli.scan_options import scan_of, scan_report, scene_of
 from cvqmpt_lab.codec import field_kinds, from_plain
 from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis

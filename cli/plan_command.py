@@ -8,8 +8,17 @@ from pathlib import Path
 
 from cli.motion_options import MOTION, arm_of, motion_given, motion_problem, scanned
 from cli.options import FLAG, REPEATED, WEIGHTS, Options, as_json, log, option, writable_file
-from cli.planner_options import BUDGET, budget, optimize_budget, optimize_option
-from cli.robot_options import PROBLEM, ROBOT, problem_asked, refuse_robot, with_clearance
+from cli.problem_options import (
+    BUDGET,
+    PROBLEM,
+    ROBOT,
+    budget,
+    optimize_budget,
+    optimize_option,
+    problem_asked,
+    refuse_robot,
+    with_clearance,
+)
 from cli.scan_options import SCAN
 from cli.show_options import SHOW, check_show, show_solution
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named

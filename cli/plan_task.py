@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from cli.options import as_json, log
-from cli.planner_options import budget
+from cli.problem_options import budget
 from cli.show_options import show_solution
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import make_folder, write_text

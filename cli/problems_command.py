@@ -8,7 +8,7 @@ from pathlib import Path
 
 import cvqmpt_lab
 from cli.options import FLAG, Options, ProgressBar, option, positive_int, writable_file
-from cli.robot_options import ROBOT, robot_source
+from cli.problem_options import ROBOT, robot_source
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.codec import to_plain

@@ -15,7 +15,7 @@ from cli.options import (
     own_command,
     positive_int,
 )
-from cli.planner_options import (
+from cli.problem_options import (
     BUDGET,
     budget,
     optimize_budget,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cli.options import FLAG, Options, option, writable_file
-from cli.robot_options import ROBOT_DETAILS, robot_options
+from cli.problem_options import ROBOT_DETAILS, robot_options
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.robot.load import robot_from_source

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cli.motion_options import configuration
 from cli.options import REPEATED, Options, option, writable_file
-from cli.robot_options import ROBOT, chosen_robot
+from cli.problem_options import ROBOT, chosen_robot
 from cli.scan_options import SCAN, scan_of, scan_report, scene_of
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import UnknownChoiceError

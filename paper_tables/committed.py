@@ -16,20 +16,14 @@ from paper_tables.paper_numbers import PUBLISHED
 from paper_tables.suites import render_directory
 
 RESULTS = PUBLISHED.parent / "results"
-CELL_SEPARATORS = {".md": "|", ".tex": "&"}
-FIGURE_MODEL = "vq_mpt"
-ROUNDING = 1e-12  # relative
 
 
 def require_checkout(command: str, instead: str) -> None:
-    """Refuse a command where the package is installed without the committed results; instead:
-    what it can be given.
-    """
+    """Refuse a command without the committed results; instead: what it can be given."""
     if not RESULTS.is_dir():
         raise InvalidInputError(
             f"{command} needs a checkout of the project: the committed results and expectations "
-            f"are not part of the "
-            f"installed package; run it there, or give {instead}"
+            f"are not part of the installed package; run it there, or give {instead}"
         )
 
 
@@ -51,27 +45,24 @@ def untraceable(directory: Path, models_of: Callable[[str], Collection[str]]) ->
         return [str(error)]
     needed = {model for planner in {row.planner for row in rows} for model in models_of(planner)}
     if "figure" in record["configuration"]:
-        needed.add(FIGURE_MODEL)
+        needed.add("vq_mpt")
     missing = sorted(needed - digests_in(record, "weights").keys())
     found = [
         f"{directory}: no digest of the weights {name!r} that it was made with" for name in missing
     ]
     for session in sessions(record):
         commit = session.get("git_commit")
-        if commit is None or session.get("git_dirty"):
-            state = (
-                "without a commit"
-                if commit is None
-                else f"from {commit[:12]} with uncommitted changes"
-            )
-            found.append(f"{directory}: made {state}; make it again from a clean commit")
+        if commit is not None and not session.get("git_dirty"):
+            continue
+        state = "without a commit"
+        if commit is not None:
+            state = f"from {commit[:12]} with uncommitted changes"
+        found.append(f"{directory}: made {state}; make it again from a clean commit")
     return found
 
 
 def differing_cells(directory: Path) -> list[str]:
-    """A line for every table of a directory's rows that is missing or differs:
-    the file, row and cell.
-    """
+    """A line for every table of a directory's rows that is missing or differs: file, row, cell."""
     if not (directory / RUNS_FILE).is_file():
         return []
     with tempfile.TemporaryDirectory(prefix="cvqmpt-tables-") as scratch:
@@ -81,25 +72,20 @@ def differing_cells(directory: Path) -> list[str]:
         try:
             fresh = render_directory(Path(scratch)).paths
         except CvqmptError as error:
-            return [
-                f"{directory}: cannot be rendered: {str(error).replace(scratch, str(directory))}"
-            ]
+            why = str(error).replace(scratch, str(directory))
+            return [f"{directory}: cannot be rendered: {why}"]
         found = []
         for path in fresh:
-            committed = directory / path.name
+            committed, cure = directory / path.name, f"cvqmpt table {directory}"
             if not committed.is_file():
-                found.append(f"{committed}: missing; render it with: cvqmpt table {directory}")
+                found.append(f"{committed}: missing; render it with: {cure}")
             elif where := _first_difference(committed.read_bytes(), path.read_bytes(), path.suffix):
-                found.append(
-                    f"{committed}, {where}; render it again with: cvqmpt table {directory}"
-                )
+                found.append(f"{committed}, {where}; render it again with: {cure}")
         return found
 
 
 def _first_difference(committed: bytes, fresh: bytes, suffix: str) -> str | None:
-    """The first line, and cell of it, in which two texts differ;
-    numbers of a csv may differ by rounding.
-    """
+    """The first line, and cell of it, in which two texts differ by more than rounding."""
     if committed == fresh:
         return None
     old_lines = committed.decode("utf-8", "replace").splitlines()
@@ -113,10 +99,8 @@ def _first_difference(committed: bytes, fresh: bytes, suffix: str) -> str | None
         for column, (was, now) in enumerate(cells, start=1):
             if was != now:
                 row = next((cell for cell in _cells(new, suffix) if cell), "")
-                return (
-                    f"line {number}, row {row!r}, cell {column}: committed {was!r}, rendered "
-                    f"{now!r}"
-                )
+                place = f"line {number}, row {row!r}, cell {column}"
+                return f"{place}: committed {was!r}, rendered {now!r}"
         return f"line {number}: spaces differ"
     return None if committed.count(b"\r") == fresh.count(b"\r") else "line ends differ"
 
@@ -127,7 +111,7 @@ def _same(was: str, now: str) -> bool:
     A sum's last digit depends on the processor's vector instructions.
     """
     try:
-        return was == now or math.isclose(float(was), float(now), rel_tol=ROUNDING)
+        return was == now or math.isclose(float(was), float(now), rel_tol=1e-12)
     except ValueError:
         return False
 
@@ -136,4 +120,4 @@ def _cells(line: str, suffix: str) -> list[str]:
     """The cells of one line of a table."""
     if suffix == ".csv":
         return next(csv.reader(io.StringIO(line)), [])
-    return [cell.strip() for cell in line.split(CELL_SEPARATORS[suffix])]
+    return [cell.strip() for cell in line.split({".md": "|", ".tex": "&"}[suffix])]

@@ -1,6 +1,4 @@
-"""Two runs of the same problems, before and after a change:
-what is different, paired by problem and seed.
-"""
+"""Two runs of the same problems, before and after a change, paired by problem and seed."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
@@ -13,7 +11,6 @@ from paper_tables.table_engine import by_planner
 from paper_tables.writers import Lines, change, number
 
 COMPARED = {"time": VALUES["time"], "work": VALUES["work"], "length": VALUES["path_length"]}
-MOST_NAMES = 3  # of runs, in a refusal
 Pair = tuple[str, int]  # problem and seed
 
 
@@ -32,7 +29,8 @@ class Compared(NamedTuple):
 
 
 def compared(a: Rows, b: Rows) -> list[Compared]:
-    """Every planner that both have;
+    """Every planner that both have.
+
     InvalidInputError where suites, problems or seeds differ, or none is in both.
     """
     suites = [sorted({row.suite for row in rows}) for rows in (a, b)]
@@ -73,55 +71,35 @@ def _compared(planner: str, a: Rows, b: Rows) -> Compared:
     )
 
 
-def named(pairs: Collection[Pair]) -> str:
+def named(pairs: Collection[Pair], most: int = 3) -> str:
     """The first of some runs by problem and seed."""
-    names = [f"problem {problem} seed {seed}" for problem, seed in list(pairs)[:MOST_NAMES]]
-    return ", ".join([*names, "…"] if len(pairs) > MOST_NAMES else names)
+    names = [f"problem {problem} seed {seed}" for problem, seed in list(pairs)[:most]]
+    return ", ".join([*names, "…"] if len(pairs) > most else names)
 
 
 def comparison_lines(found: Sequence[Compared]) -> Lines:
     """A line a planner."""
-    lines = [
-        [
-            "planner",
-            "runs",
-            "left out of A, B",
-            "solved A, B [%]",
-            *(f"{name} [%]" for name in COMPARED),
-            "same paths",
-        ]
-    ]
+    changed = [f"{name} [%]" for name in COMPARED]
+    lines = [["planner", "runs", "left out of A, B", "solved A, B [%]", *changed, "same paths"]]
     for item in found:
         solved = ", ".join(number(part.estimate) for part in item.solved)
         changes = [
             change(part) if part.estimate is not None else "–" for part in item.changes.values()
         ]
-        lines.append(
-            [
-                item.planner,
-                str(item.pairs),
-                "{}, {}".format(*item.left_out),
-                solved,
-                *changes,
-                str(item.same_paths),
-            ]
-        )
+        left_out = "{}, {}".format(*item.left_out)
+        same = str(item.same_paths)
+        lines.append([item.planner, str(item.pairs), left_out, solved, *changes, same])
     return lines
 
 
 def clear(found: Sequence[Compared]) -> list[str]:
-    """A line for every change whose interval leaves no doubt, and for runs that were gained or
-    lost.
-    """
+    """A line for every change whose interval leaves no doubt, and for runs gained or lost."""
     lines = []
     for item in found:
         for name, part in item.changes.items():
-            if (
-                part.low is not None
-                and part.high is not None
-                and (part.low > 0.0 or part.high < 0.0)
-            ):
-                word = "less" if part.low > 0.0 else "more"
+            low, high = part.low or 0.0, part.high or 0.0
+            if low > 0.0 or high < 0.0:
+                word = "less" if low > 0.0 else "more"
                 lines.append(f"{item.planner}: {word} {name}, {change(part)} %")
         for word, pairs in (("gained", item.gained), ("lost", item.lost)):
             if pairs:

@@ -1,6 +1,4 @@
-"""Which problem and which robot, on the command line:
-a suite or file, --robot or --urdf, and what is said of them.
-"""
+"""Problem, robot, budget and planners on the command line: options, and what they ask for."""
 
 import argparse
 import math
@@ -8,13 +6,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cli.options import REPEATED, Options, not_negative, numbers, option
+from cli.options import (
+    REPEATED,
+    Options,
+    not_negative,
+    numbers,
+    option,
+    positive,
+    positive_int,
+)
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.errors import InvalidInputError, mapping
 from cvqmpt_lab.files import read_json_object
+from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.tasks.task import Task
 
 ROBOT_DETAILS: Options = {  # what may be said of a robot, whichever way it is named
@@ -55,6 +64,15 @@ PROBLEM: Options = {
 }
 
 
+BUDGET: Options = {
+    "--cutoff": option("give up after S seconds (10)", type=positive, metavar="S"),
+    "--iterations": option(
+        "give up after N iterations: repeatable bit for bit", type=positive_int, metavar="N"
+    ),
+    "--backend": option(f"collision backend: {', '.join(BACKENDS)} (compiled)", default="compiled"),
+}
+
+
 def robot_source(
     args: argparse.Namespace, problem_file: Path | None = None
 ) -> dict[str, Any] | None:
@@ -67,24 +85,22 @@ def robot_source(
         raise InvalidInputError(f"--robot {args.robot} and --urdf {args.urdf}: give one of the two")
     if args.robot is not None:
         return {"name": args.robot, **options}
-    if args.urdf is not None and args.end_effector is None:
-        raise InvalidInputError(
-            f"--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot {args.urdf} "
-            f"suggests one"
-        )
     if args.urdf is not None:
+        if args.end_effector is None:
+            raise InvalidInputError(
+                f"--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot "
+                f"{args.urdf} suggests one"
+            )
         return {"urdf": str(args.urdf.absolute()), **options}
     if options and problem_file is None:
         raise InvalidInputError(
             "--end-effector, --srdf, --package-dir, --lock, --base and --acceleration describe "
-            "the robot of "
-            "--robot or --urdf; give it"
+            "the robot of --robot or --urdf; give it"
         )
     if not options or problem_file is None:
         return None
-    own = mapping(
-        read_json_object(problem_file, "problem file").get("robot"), f"{problem_file}: robot"
-    )
+    data = read_json_object(problem_file, "problem file")
+    own = mapping(data.get("robot"), f"{problem_file}: robot")
     locked = mapping(own.get("locked", {}), f"{problem_file}: robot.locked")
     return {**own, **options, "locked": {**locked, **options.get("locked", {})}}
 
@@ -113,10 +129,8 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
             )
         options["base"] = {"xyz": x[:3], "rpy": x[3:] or None}
     if args.acceleration is not None:
-        accelerations = numbers("--acceleration", args.acceleration)
-        options["acceleration_limits"] = (
-            accelerations[0] if len(accelerations) == 1 else accelerations
-        )
+        limits = numbers("--acceleration", args.acceleration)
+        options["acceleration_limits"] = limits[0] if len(limits) == 1 else limits
     return options
 
 
@@ -167,3 +181,42 @@ def refuse_robot(args: argparse.Namespace) -> None:
             "--robot and --urdf go with --problem-file or --start: other problems are for their "
             "own robot"
         )
+
+
+def budget(args: argparse.Namespace) -> Budget:
+    """The budget asked for; 10 s when nothing was."""
+    seconds = 10.0 if args.cutoff is None and args.iterations is None else args.cutoff
+    return Budget(seconds=seconds, iterations=args.iterations)
+
+
+def optimize_option(usual: str = "") -> Options:
+    """--optimize; usual: what the help says of its default."""
+    text = (
+        "spend S seconds more on a shorter path (iterations, where only --iterations bounds "
+        "the run)"
+    )
+    return {"--optimize": option(text + usual, type=not_negative, metavar="S")}
+
+
+def optimize_budget(args: argparse.Namespace, usual: float | None = None) -> Budget | None:
+    """What --optimize asks for, in the unit that bounds the run; `usual` [s] where it is left out."""
+    if args.optimize is None and args.cutoff is None and args.iterations is not None:
+        return None  # a run that repeats
+    seconds = usual if args.optimize is None else args.optimize
+    if not seconds:
+        return None
+    if args.iterations is None or args.cutoff is not None:
+        return Budget(seconds=seconds)
+    if args.optimize != int(args.optimize):
+        raise InvalidInputError(
+            f"--optimize {args.optimize:g}: a run of --iterations {args.iterations} knows no "
+            f"clock; give a whole number of iterations, or --cutoff beside it"
+        )
+    return Budget(iterations=int(args.optimize))
+
+
+def planner_list(text: str) -> tuple[str, ...]:
+    """Names separated by commas; "all" is every planner."""
+    if text == "all":
+        return tuple(PLANNERS)
+    return tuple(name.strip() for name in text.split(",") if name.strip())
