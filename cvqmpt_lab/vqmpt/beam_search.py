@@ -75,6 +75,7 @@ def beam_search(
     classes, log_p = decoder.start()
     if np.isnan(log_p).any():
         raise InvalidInputError("predicted logits are not finite; start, goal or weights hold NaN")
+    # impossible classes cannot start a hypothesis
     most = int(np.isfinite(log_p).sum(axis=1).min())
     if not 1 <= beams <= most:
         raise InvalidInputError(f"{beams} beams; give 1 to {most}")
@@ -83,6 +84,7 @@ def beam_search(
     query, found = np.arange(len(codes)), dict[int, list[CodeSequence]]()
     parents, ended = query.repeat(beams), np.zeros(score.shape, dtype=bool)
     for _ in range(max_length - 1):
+        # a finished hypothesis has no code to add; its row is ignored below
         classes, log_p = decoder.advance(parents, np.where(ended, 0, codes[..., -1]).ravel())
         gain, width = log_p.reshape(*score.shape, -1), classes.shape[1]
         if published:
@@ -128,7 +130,7 @@ def _largest(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def log_softmax(logits: np.ndarray) -> np.ndarray:
-    """Log (exp(x_i) / sum_j exp(x_j)) of rows (r, w), in place."""
+    """Log-probabilities x_i - log sum_j exp(x_j) of rows (r, w), in place."""
     logits -= logits.max(axis=1, keepdims=True)
     logits -= np.log(np.exp(logits).sum(axis=1, keepdims=True))
     return logits

@@ -121,7 +121,7 @@ def as_modules(model: StoredModel) -> Checkpoint:
 
 @torch.inference_mode()
 def trajectory_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray:
-    """Code (t,) int64 of each configuration (t, configuration_dim) of a trajectory, by any encoder."""
+    """Codes (t,) int64 of a trajectory's configurations (t, configuration_dim), by any encoder."""
     return as_modules(model).dictionary.encode(torch.from_numpy(configurations)[None])[0].numpy()
 
 
@@ -147,6 +147,7 @@ def filled(
             or what no training can have left: negative variances, codes that are not of unit
             length, constants of another model.
     """
+    # a "meta" module has shapes but no data
     with torch.device("meta"):
         _require_fit(build(), tensors, where)
     module = build().eval()
@@ -162,6 +163,7 @@ def filled(
             faults.append(f"{name} is not that of this model's sizes")
         if last == "running_var" and (tensor < 0.0).any():
             faults.append(f"{name} has negative variances")
+        # planning takes cosines as products with the codes
         codes = f".{name}".endswith(".embedding.weight")
         if codes and ((tensor.norm(dim=1) - 1.0).abs() > tolerance).any():
             faults.append(f"{name} has codes that are not of unit length")

@@ -73,6 +73,7 @@ class CodeDecoder:
         ]
         head_w, head_b = (np.concatenate(parts) for parts in zip(*heads, strict=True))
         self.n, self.dtype = n, dtype
+        # products of two layers, so that decoding and its gradient take fewer steps
         self._inner, self._inner_bias = as_used(w_1 @ w_out), as_used(w_1 @ b_out + b_1)
         self._direct = as_used(w_out - w_out.mean(axis=0))
         self._second = as_used(w_2 - w_2.mean(axis=0))
@@ -165,7 +166,7 @@ class ModelConfigurations:
         return self.lower + u * self.range
 
     def of(self, q: np.ndarray) -> np.ndarray:
-        """Configurations: u and positions of k points [m], (b, n + 3 k) float32, of joints q (b, n) [rad or m]."""
+        """Configurations (b, n + 3 k) float32: u and positions [m] of joints q (b, n)."""
         parts = [self.normalised(q)]
         if self._chain is not None:
             states = np.ascontiguousarray(q, dtype=float)
@@ -279,6 +280,7 @@ def waypoint_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray
     x = configurations.astype(np.float64)
     for i, (before, after) in enumerate(widths):
         weight, bias = model.linear(DICTIONARY, f"encoder.layers.{2 * i}", before, after)
+        # no activation before the first layer
         x = (x if i == 0 else np.maximum(x, 0.0)) @ weight.T + bias
     gain, offset = (
         model.array(DICTIONARY, f"encoder.layers.5.{name}", d) for name in ("weight", "bias")

@@ -132,20 +132,20 @@ class ModelConfig:
         require_sizes(joint_dim=self.joint_dim, feature_dim=self.feature_dim or None)
         if (self.point_cloud is None) != (self.sequence is None):
             raise InvalidInputError("give both point_cloud and sequence, or set both to null")
-        words = self.dictionary
+        dictionary = self.dictionary
         if self.kind == "published":
             width = self.stage2[1].transformer.d_model
             departures = {
                 "feature_dim": self.feature_dim > 0,
-                "dictionary.encoder": words.encoder != "transformer",
-                "dictionary.data_initialised": words.data_initialised,
+                "dictionary.encoder": dictionary.encoder != "transformer",
+                "dictionary.data_initialised": dictionary.data_initialised,
             }
             for name in (name for name, departs in departures.items() if departs):
                 raise InvalidInputError(f"kind 'published' has no {name}; use kind 'compact'")
-            if words.transformer.d_model != width:
+            if dictionary.transformer.d_model != width:
                 raise InvalidInputError(
                     f"kind 'published' has one latent width: {width} is not "
-                    f"{words.transformer.d_model}"
+                    f"{dictionary.transformer.d_model}"
                 )
         if self.point_cloud is not None and self.sequence is not None:
             widths = (self.point_cloud.sa2.widths[1], self.sequence.context.d_model)
@@ -233,6 +233,7 @@ def require_point_cloud(points: Any, largest_extent: float = 50.0) -> None:
         )
     if points.shape[-2] < 2:
         raise InvalidInputError(f"point cloud of {points.shape[-2]} points; give at least 2")
+    # of arrays and tensors alike
     size = abs(points)
     largest = float(size.max())
     if not largest < math.inf:
@@ -305,7 +306,7 @@ class SerialChain:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneTransformerSizes:
-    """Sizes of `scene_transformer.SceneTransformer`; defaults are those of the weights that ship."""
+    """Sizes of `SceneTransformer`; defaults are those of the weights that ship."""
 
     width: int = 128
     layers: int = 3  # of the causal transformer

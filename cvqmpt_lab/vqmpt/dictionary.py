@@ -164,7 +164,7 @@ class TrajectoryEncoder(nn.Module):
 
 
 class WaypointEncoder(nn.Module):
-    """Perceptron on each waypoint alone: the code of a configuration does not depend on its path."""
+    """Perceptron on each waypoint alone: a configuration's code does not depend on its path."""
 
     def __init__(self, input_dim: int, sizes: TransformerConfig) -> None:
         super().__init__()
@@ -234,6 +234,7 @@ class Quantizer(nn.Module):
         self.normalise_codes()
         z = self.project(latent)
         codes = self.nearest(z)
+        # the code is not detached: it learns by gradient, without moving averages
         through = z + self.embedding(codes) - z.detach()
         return Quantized(latent, self.output_linear_map(through), codes)
 
@@ -261,6 +262,7 @@ class Quantizer(nn.Module):
             raise InvalidInputError(
                 "restart of codes from 0 latents; give at least one encoded waypoint"
             )
+        # codes beyond the number of latents take the same ones again
         order = torch.randperm(len(latents), generator=generator)
         chosen = order[torch.arange(len(indices)) % len(latents)].to(latents.device)
         with torch.no_grad():
@@ -289,6 +291,7 @@ class Gaussians:
         """
         offset = (u - self.mean)[..., None]
         lower = self.lower.expand(*offset.shape[:-2], *self.lower.shape[-2:])
+        # L is unit triangular, so that its determinant is 1 and no inverse is needed
         whitened = torch.linalg.solve_triangular(lower, offset, upper=False, unitriangular=True)
         mahalanobis = (whitened[..., 0].square() / self.diagonal).sum(-1)
         n = self.mean.shape[-1]

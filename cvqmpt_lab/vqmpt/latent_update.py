@@ -90,7 +90,9 @@ class LatentOptimizer:
         """
         began = time.perf_counter()
         n = len(self._objective.range)
+        # the same draws in every step make L(z) a smooth function
         noise = rng.standard_normal((self.settings.samples, n))
+        # judged on other draws, or codes would fit the noise
         fresh = rng.standard_normal((self.settings.check_samples, n))
         z, steps = self._descend(z0, constraint, noise)
         before = self._objective.value(z0, constraint, fresh)
@@ -132,7 +134,8 @@ class LatentOptimizer:
             steps[moving] = step
             moving = moving[far & (np.abs(gradient).max(axis=1) > 0.0)]
         z = z.astype(z0.dtype)
-        still = (np.abs(z - z0) <= 1e-6).all(axis=1)  # rounding of the unit length is no move
+        # rounding of the unit length is no move
+        still = (np.abs(z - z0) <= 1e-6).all(axis=1)
         return np.where(still[:, None], z0, z), steps
 
 

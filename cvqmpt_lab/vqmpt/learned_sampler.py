@@ -87,6 +87,7 @@ def transformer_codes(
     began = query.deadline.seconds
     scene = predictor.encode(observation.cloud, observation.use_cache)
     encoded = query.deadline.seconds
+    # the cheapest goals of all, not the nearest: the way to a near one may be blocked
     order = predictor.rank(scene, query.start, query.goals)
     goals = query.goals[order[:GOALS]]
     beams = predictor.hypotheses(scene, query.start, goals, every=all_beams)
@@ -253,6 +254,7 @@ class LearnedSampler:
         near = np.zeros(len(means), dtype=bool)
         for row, mean in enumerate(means):
             q = mean.copy()
+            # a mean that moves far stands for another part of the space
             near[row] = query.space.project(q) and np.linalg.norm(q - mean) <= self.drift
             means[row] = q
         mixture = self.mixture(query, proposal.goals, means[near], covariances[near])
@@ -356,6 +358,6 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:
-    """MPNet's rollouts as published; bridged: open rollouts are connected with bidirectional RRT."""
+    """MPNet's rollouts; bridged: unconnected ones are connected with bidirectional RRT."""
     points = model_of(model, MPNET).config.n_points
     return Stages(predict=_rollouts(model, bridged), observe=observer(points))

@@ -31,6 +31,7 @@ def group_points(cloud: np.ndarray, groups: int, size: int) -> tuple[np.ndarray,
         around each (groups, size, 3), relative to their centre [m].
     """
     points = np.asarray(cloud, dtype=np.float32)
+    # argpartition below needs more points than a group has
     points = points[np.arange(max(len(points), size + 1)) % len(points)]
     chosen, away = np.zeros(groups, dtype=np.int64), ((points - points[0]) ** 2).sum(1)
     for k in range(1, groups):
@@ -57,6 +58,7 @@ class Arcs(NamedTuple):
 def arcs_of(count: int, edges: np.ndarray) -> Arcs:
     """Arcs of edges (E, 2) between so many nodes."""
     both = np.concatenate([edges, edges[:, ::-1]])
+    # sorted by node, so that the arcs of a node lie together
     order = np.lexsort((both[:, 1], both[:, 0]))
     row, there = both[order].T
     first = np.searchsorted(row, np.arange(count + 1))
@@ -152,6 +154,7 @@ class Block:
         norm = layers.norm(f"{name}.norm", width)
         inner_norm = layers.norm(f"{name}.inner_norm", width)
         weight, bias = layers.linear(f"{name}.query", width, width)
+        # 1 / sqrt(d_h), multiplied into the queries
         scale = np.float32((width // heads) ** -0.5)
         self.heads, self.width = heads, width
         self.query = norm.then(Linear(scale * weight, scale * bias))
@@ -159,6 +162,7 @@ class Block:
         self.key_value = (context_norm if context else norm).then(
             layers.linear(f"{name}.key_value", width, 2 * width)
         )
+        # one product in place of three where a token attends to its own row
         both = zip(self.query, self.key_value, strict=True)
         self.all = Linear(*(np.concatenate(parts, axis=-1) for parts in both))
         self.out = layers.linear(f"{name}.out", width, width)
@@ -206,6 +210,7 @@ def standardised(x: np.ndarray, epsilon: float = 1e-5) -> np.ndarray:
     """(x - mean(x)) / sqrt(var(x) + epsilon), of rows (r, d); epsilon is torch's."""
     d = x.shape[1]
     y = x - (np.add.reduce(x, axis=1, keepdims=True) * np.float32(1.0 / d))
+    # einsum makes no array of squares
     variance = np.einsum("ri,ri->r", y, y) * np.float32(1.0 / d) + np.float32(epsilon)
     y *= (np.float32(1.0) / np.sqrt(variance))[:, None]
     return y

@@ -33,6 +33,7 @@ def fill_groups(
             away[i] = near[i] if near[i] < away[i] else away[i]
         for i in range(size):
             chosen[i] = i
+        # the first points are a guess; nearer ones replace the farthest of them
         worst = _farthest(near, chosen)
         for i in range(size, count):
             if near[i] < near[chosen[worst]]:
@@ -76,6 +77,7 @@ def gather_reads(
     for j in range(read.shape[0]):
         for i in range(read.shape[1]):
             x, y, z = points[i, j, 0], points[i, j, 1], points[i, j, 2]
+            # the last column is the sum of the unnormalised weights
             share, begin = np.float32(1.0) / read[j, i, 4 * m + 4], j * (m + 1)
             for c in range(m):
                 value = read[j, i, c] + read[j, i, m + c] * x
@@ -118,6 +120,7 @@ def shortest_paths(
             least, here = heap[0], np.int64(heap_node[0])
             drop_smallest(heap, heap_node, size)
             size -= 1
+            # an entry that a shorter path has made obsolete
             if least > known[here]:
                 continue
             for arc in range(first[here], first[here + 1]):

@@ -111,12 +111,14 @@ class SceneNetwork:
         self._length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         entries = HEAP_ENTRIES * len(self.nodes)
         self._heap = np.empty(entries), np.empty(entries, dtype=np.int32)
-        layers = Layers(model, PART)  # not kept: it holds all that was read
+        # not kept: it holds all arrays that were read
+        layers = Layers(model, PART)
         self._take_scene_layers(layers)
         self._take_roadmap_layers(layers)
         self._take_causal_layers(layers)
         features, points = self._configurations(self.nodes)
         embedding = self._embed[1](gelu(self._embed[0](features)))
+        # kept, since the nodes of the codes are the same in every scene
         embedding += layers.array("own", len(self.nodes), self.config.sizes.width)
         self._node_inputs = embedding, points, self._queries(points), self._own(embedding)
 
@@ -138,6 +140,7 @@ class SceneNetwork:
         )
         read = points * (values + 1)  # numbers that body points read
         weight, bias = layers.linear("look.mix.0", read + d, 2 * d)
+        # the weights are split, so that what codes add without a scene is computed once
         self._mix_read, self._mix_own = weight[:read].copy(), Linear(weight[read:].copy(), bias)
         self._mix = layers.linear("look.mix.2", 2 * d, d)
         self._own_norm, self._norm = layers.norm("look.own_norm", d), layers.norm("look.norm", d)
@@ -215,6 +218,7 @@ class SceneNetwork:
         scores = np.empty((u, tokens.values.shape[0]), dtype=np.float32)
         for j in range(k):
             np.matmul(queries[j], tokens.keys[j], out=scores)
+            # against overflow; the weights are normalised when the sums are gathered
             scores -= scores.max(axis=1, keepdims=True)
             np.exp(scores, out=scores)
             np.matmul(scores, tokens.values, out=read[j])
@@ -250,6 +254,7 @@ class SceneNetwork:
         keys = np.empty((len(self._sharpness), 4, len(centres)), dtype=np.float32)
         keys[:, :3] = centres.T
         keys[:, 3] = self._bias(tokens).T - self._sharpness[:, None] * squared
+        # the column of ones makes the sum of the weights one of the values read
         ones = np.ones((len(centres), 1), dtype=np.float32)
         read = [self._value(tokens), squared[:, None], np.float32(-2.0) * centres, ones]
         return SceneTokens(keys, np.concatenate(read, axis=1))
@@ -263,9 +268,11 @@ class SceneNetwork:
         pairs += np.take(parts, self.edges[:, 1], axis=0)
         pairs += self._own_edge
         edge_odds = self._edge(relu(pairs))[:, 0] + self._edge_prior
+        # log P(free) = -softplus(-odds)
         cost = (self._length + RISK * softplus(-edge_odds))[self.arcs.edge]
         arc_table = np.zeros(self.arcs.table.shape, dtype=np.float32)
         arc_table.reshape(-1)[self.arcs.slot] = cost
+        # every so many-th code stands for its neighbours: attention to all costs more
         landmarks = codes[:: self.config.sizes.stride]
         return EncodedScene(
             tokens,
@@ -284,6 +291,7 @@ class SceneNetwork:
         """Embed starts or goals q (u, n) [rad], and judge the motions to the codes near them."""
         links = self.config.sizes.links
         squares = ((q[:, None] - self.nodes) ** 2).sum(-1)
+        # links need no order
         near = np.argpartition(squares, links - 1, axis=1)[:, :links]
         half_way = 0.5 * (q[:, None] + self.nodes[near])
         states = np.concatenate([q, half_way.reshape(-1, q.shape[1])])
@@ -370,6 +378,7 @@ class SequenceDecoder:
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Codes (k, l) near the start and their log-probabilities."""
         goal, start = self._prefix
+        # the prefix is the same in all hypotheses, so it is decoded once per goal
         self._step(goal)
         pointer, gate = self._step(np.repeat(start, len(goal), axis=0))
         near = self._start.near[0]
@@ -383,6 +392,7 @@ class SequenceDecoder:
         network, scene = self._network, self._scene
         arcs, goal = network.arcs, self._goal[parents]
         self._goal = goal
+        # keys and values follow their hypothesis when the beam is reordered
         self._caches = [None if cache is None else cache[parents] for cache in self._caches]
         pointer, gate = self._step(scene.entered[codes])
         table, here = arcs.table[codes], self.V[goal, codes][:, None]
@@ -391,6 +401,7 @@ class SequenceDecoder:
         logits[:, :-1] = np.matmul(scene.keys[table], pointer[:, :, None])[..., 0]
         logits[:, :-1] -= gate * np.clip(excess, np.float32(0.0), np.float32(WORST))
         logits[:, :-1][arcs.padding[codes]] = -np.inf
+        # the goal token is possible only at codes that are linked to the goal
         link = self._link[goal, codes][:, None]
         leads = np.isfinite(link)
         excess = np.where(leads, link, 0.0) - here
@@ -447,6 +458,7 @@ class SceneTransformerPredictor:
     def _encoded(self, points: np.ndarray, most_points: int) -> EncodedScene:
         sizes = self.network.config.sizes
         if len(points) == 0:
+            # far below the robot, as in training
             points = np.array([NOWHERE], dtype=np.float32)
         if len(points) > most_points:
             settings = CameraSettings.like_training(most_points, noise=0.0)
@@ -477,7 +489,7 @@ class SceneTransformerPredictor:
             every: go on until all hypotheses are finished, not only the best.
 
         Raises:
-            InvalidInputError: a start or goal is outside the joint limits, or there is no such beam.
+            InvalidInputError: a start or goal is outside the joint limits, or beams is wrong.
         """
         start, goals = checked_ends(self.robot, start, goals)
         decoder = SequenceDecoder(self.network, scene, start, goals)
@@ -507,6 +519,7 @@ def _near_points(
     """Points (p, 3) float32 of a cloud (m, 3) as near as in training, all in [m]."""
     if np.shape(cloud) == (0, 3):
         return np.empty((0, 3), dtype=np.float32)
+    # a cloud needs two points to be checked for its extent; one is valid here
     points = checked_cloud(np.repeat(cloud, 2, axis=0) if np.shape(cloud) == (1, 3) else cloud)
     offset = points - np.array(centre, dtype=np.float32)
     near = np.einsum("pi,pi->p", offset, offset) <= farthest**2

@@ -158,6 +158,7 @@ class GeometricAttention(nn.Module):
         x = self.embed(features)
         if own is not None:
             x = x + own
+        # half precision has too few digits for squared distances in metres
         with torch.autocast(tokens.device.type, enabled=False):
             tokens = tokens.float()
             squared = (centres**2).sum(-1, keepdim=True)
@@ -212,6 +213,7 @@ class SceneTransformer(nn.Module):
         self.norm, self.out, self.key = nn.LayerNorm(d), nn.Linear(d, d), nn.Linear(d, d)
         self.goal_key, self.goal_bias = nn.Linear(d, d), nn.Parameter(torch.zeros(1))
         self.gate, self.way = nn.Linear(d, 1), nn.Parameter(torch.tensor(5.0))
+        # at first every prefix weighs the advantage alike
         nn.init.zeros_(self.gate.weight)
         nn.init.constant_(self.gate.bias, 1.5)
         nn.init.constant_(self.link.bias, 3.0)
@@ -241,7 +243,7 @@ class SceneTransformer(nn.Module):
         )
 
     def configurations(self, q: Tensor) -> tuple[Tensor, Tensor]:
-        """Features (s, u, f) and body points (s, u, k, 3) [m] of configurations q (s, u, n) [rad]."""
+        """Features (s, u, f) and body points (s, u, k, 3) [m] of joints q (s, u, n) [rad]."""
         positions = self._kinematics.positions(q)
         lower, upper = q.new_tensor(self.config.lower), q.new_tensor(self.config.upper)
         scaled = 2.0 * (q - lower) / (upper - lower) - 1.0
@@ -317,6 +319,7 @@ class SceneTransformer(nn.Module):
         for _ in range(rounds):
             through = V.index_select(1, neighbour).view(*arcs.shape[:3], -1) + arcs
             V, before = torch.minimum(V, through.amin(2)), V
+            # no path became shorter, so none will
             if torch.equal(V, before):
                 break
         return V.transpose(1, 2).contiguous()

@@ -104,6 +104,7 @@ class RobotSignature:
         ]
         if limits:
             return limits[:2]
+        # earlier versions recorded no digest; then the name must do
         if not (self.kinematics and other.kinematics):
             return [] if self.name == other.name else ["another name, and no digest to compare"]
         if self.kinematics == other.kinematics:
@@ -173,9 +174,11 @@ def write_model(folder: Path, model: StoredModel) -> None:
         InvalidInputError: weights are not finite, or the disk refuses; nothing is left behind.
     """
     folder = Path(folder)
+    # on the same file system, so that the move is atomic
     beside = folder.parent / f".{folder.name}.partial-{os.getpid()}"
     try:
-        shutil.rmtree(beside, ignore_errors=True)  # of a killed process that had this number
+        # left by a killed process that had this number
+        shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir(parents=True)
         description = {
             "format": FORMAT,
@@ -294,6 +297,7 @@ def _read_part(folder: Path, sha256: Mapping[str, str], name: str) -> dict[str, 
         raise InvalidInputError(
             f"{Path(folder) / CONFIG_FILE}: sha256 lists {listed}; it must list {name}"
         )
+    # read whole, so that the digest is of the very bytes that are used
     data = read_bytes(require_regular_file(path, "weights"), "weights")
     found = hashlib.sha256(data).hexdigest()
     if found != expected:
@@ -303,7 +307,8 @@ def _read_part(folder: Path, sha256: Mapping[str, str], name: str) -> dict[str, 
         )
     try:
         return safetensors.numpy.load(data)
-    except (SafetensorError, KeyError) as error:  # a key: a kind of number that numpy has not
+    # KeyError: a kind of number that numpy does not have
+    except (SafetensorError, KeyError) as error:
         raise InvalidInputError(
             f"{path} is not a safetensors file that can be used: {error}"
         ) from error
