@@ -14,10 +14,9 @@ from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.values import FloatArray
 
-# [m] pieces that come closer to the object somewhere on its path are part of its casing, ...
-REST_GAP = 1e-3
-DEEPEST = 1e-4  # [m] ... unless it goes deeper into them: then they are obstacles that stop it
-CREEP = 1e-3  # [m] of motion between checks of pieces closer than REST_GAP
+# [m] pieces that come closer to the object somewhere on its path are part of its casing, unless it
+# goes deeper into them: then they are obstacles that stop it
+REST_GAP, DEEPEST = 1e-3, 1e-4
 
 
 class TakenOut(NamedTuple):
@@ -72,12 +71,22 @@ def _part(item: SceneObject, T: FloatArray) -> Part:
     return Part(item.name, T, hull_vertices(coal_shape(item.shape)))
 
 
-def _rests_against(joint: Articulation, movers: Sequence[SceneObject], item: SceneObject) -> bool:
-    """Whether an object comes close to a fixed one somewhere on its path, and enters it nowhere."""
+def _rests_against(
+    joint: Articulation, movers: Sequence[SceneObject], item: SceneObject, creep: float = 1e-3
+) -> bool:
+    """Whether an object comes close to a fixed one somewhere on its path, and enters it nowhere.
+
+    A change of the joint by d moves no point by more than J d, with J the largest norm of a point's
+    Jacobian: so the next check is (distance - REST_GAP) / J further, at least creep [m] / J.
+    """
     shape = coal_shape(item.shape)
     close = False
     for mover in movers:
-        moving, speed = coal_shape(mover.shape), _speed(joint, mover)
+        moving, speed = coal_shape(mover.shape), 1.0
+        if joint.kind == "hinge":
+            T = np.linalg.inv(joint.T_world_joint) @ mover.T_world_object
+            points = hull_vertices(moving) @ T[:3, :3].T + T[:3, 3]
+            speed = float(np.linalg.norm(points[:, :2], axis=1).max())
         value = joint.lower
         while True:
             T = joint.displacement(value) @ mover.T_world_object
@@ -87,14 +96,5 @@ def _rests_against(joint: Articulation, movers: Sequence[SceneObject], item: Sce
             close = close or distance < REST_GAP
             if value >= joint.upper:
                 break
-            value = min(joint.upper, value + max(distance - REST_GAP, CREEP) / speed)
+            value = min(joint.upper, value + max(distance - REST_GAP, creep) / speed)
     return close
-
-
-def _speed(joint: Articulation, mover: SceneObject) -> float:
-    """How far any point of an object moves per unit of its joint [m/rad, or 1 for a slider]."""
-    if joint.kind == "slider":
-        return 1.0
-    T = np.linalg.inv(joint.T_world_joint) @ mover.T_world_object
-    points = hull_vertices(coal_shape(mover.shape)) @ T[:3, :3].T + T[:3, 3]
-    return float(np.linalg.norm(points[:, :2], axis=1).max())

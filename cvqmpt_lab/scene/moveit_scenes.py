@@ -25,16 +25,8 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 from cvqmpt_lab.values import FloatArray, numbers
 
-LARGEST = 2**24  # [bytes] of a file
 SOLIDS = {"box": 3, "sphere": 1, "cylinder": 2}  # and the number of their sizes
 KNOWN = (*SOLIDS, "mesh")
-PRIMITIVES = {
-    1: "box",
-    2: "sphere",
-    3: "cylinder",
-    4: "cone",
-    5: "prism",
-}  # numbers of shape_msgs/SolidPrimitive
 
 
 class Placed(NamedTuple):
@@ -45,18 +37,18 @@ class Placed(NamedTuple):
     T: FloatArray  # (4, 4)
 
 
-def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
+def read_moveit_scene(path: Path | str, largest: int = 2**24) -> tuple[Scene, str]:
     """The scene of a file, and the frame of its poses, "" where the file does not say.
 
     An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file
-    and the object.
+    and the object. largest: [bytes] of the file.
     """
     path = Path(path)
     parse = PARSERS[kind_of(path, PARSERS, "MoveIt scene")]
     data = file_bytes(path, "MoveIt scene")
     with parsing(path, "MoveIt scene"):
-        if len(data) > LARGEST:
-            raise InvalidInputError(f"it has {len(data)} bytes; {LARGEST} at most")
+        if len(data) > largest:
+            raise InvalidInputError(f"it has {len(data)} bytes; {largest} at most")
         name, frame, found = parse(data.decode("utf-8"), path)
         pieces, met = Counter(placed.of for placed in found), Counter[str]()
         objects = []
@@ -93,19 +85,18 @@ def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]
 
 
 def _matrix(position: Any, orientation: Any) -> FloatArray:
-    """A pose (4, 4) of x, y, z and a quaternion x, y, z, w;
-    one of zeros stands for no turn, as in MoveIt.
-    """
+    """A pose (4, 4) of x, y, z and a quaternion x, y, z, w; zeros turn nothing, as in MoveIt."""
     turn = numbers(orientation, "orientation", "4 numbers, a quaternion x, y, z, w")
     quaternion = turn if turn.any() else [0.0, 0.0, 0.0, 1.0]
     return from_plain(Placement, {"xyz": position, "quaternion": quaternion}, "pose").matrix
 
 
-# `.scene` text: the scene's name; objects, each "* ID", in newer files its pose, the number of its
-# shapes; then of each shape kind, sizes, position, quaternion and colour; in newer files subframes;
-# "." ends.
 class _Lines:
-    """The lines that are left."""
+    """The lines that are left of a `.scene` text.
+
+    The scene's name; objects, each "* ID", in newer files its pose, the number of its shapes; then
+    of each shape kind, sizes, position, quaternion and colour; in newer files subframes; "." ends.
+    """
 
     def __init__(self, text: str) -> None:
         self._left = [line.strip() for line in text.splitlines() if line.strip()][::-1]
@@ -136,14 +127,34 @@ class _Lines:
 
     def pose(self, what: str) -> FloatArray:
         """A line of a position, and one of a quaternion."""
-        return _matrix(
-            self.floats(3, f"the position of {what}"), self.floats(4, f"the quaternion of {what}")
-        )
+        position = self.floats(3, f"the position of {what}")
+        return _matrix(position, self.floats(4, f"the quaternion of {what}"))
 
-    @property
-    def starts_with_position(self) -> bool:
-        """Whether the next line has three words."""
-        return bool(self._left) and len(self._left[-1].split()) == 3
+    def shapes(self) -> Iterator[Shape]:
+        """A solid, or the pieces of a mesh."""
+        kind = self.next("a shape")
+        if kind in SOLIDS:
+            yield _solid(kind, self.floats(SOLIDS[kind], f"the size of a {kind}").tolist())
+            return
+        if kind != "mesh":
+            raise UnknownChoiceError("shape", kind, KNOWN)
+        corners, triangles = map(int, self.floats(2, "the numbers of vertices and triangles"))
+        vertices = np.array([self.floats(3, "a vertex") for _ in range(corners)])
+        faces = np.array([self.floats(3, "a triangle") for _ in range(triangles)])
+        yield from _pieces(vertices, faces)
+
+    def object(self, of: str) -> Iterator[Placed]:
+        """What follows "* ID"."""
+        newer = bool(self._left) and len(self._left[-1].split()) == 3
+        T_object = self.pose("the object") if newer else np.eye(4)
+        for _ in range(self.count("the number of shapes")):
+            shapes = list(self.shapes())
+            T = T_object @ self.pose("a shape")
+            self.floats(4, "a colour")
+            yield from (Placed(of, shape, T) for shape in shapes)
+        for _ in range(self.count("the number of subframes") if newer else 0):
+            self.next("the name of a subframe")
+            self.pose("a subframe")
 
 
 def _from_text(text: str, path: Path) -> tuple[str, str, list[Placed]]:
@@ -153,46 +164,19 @@ def _from_text(text: str, path: Path) -> tuple[str, str, list[Placed]]:
         if not line.startswith("*"):
             raise InvalidInputError(f"{shown(line)} where '* ID' of an object, or '.', is expected")
         with located(f"object {shown(line[1:].strip())}"):
-            found += _text_object(lines, line[1:].strip())
+            found += lines.object(line[1:].strip())
     return name, "", found
 
 
-def _text_object(lines: _Lines, of: str) -> Iterator[Placed]:
-    newer = lines.starts_with_position
-    T_object = lines.pose("the object") if newer else np.eye(4)
-    for _ in range(lines.count("the number of shapes")):
-        shapes = list(_text_shape(lines))
-        T = T_object @ lines.pose("a shape")
-        lines.floats(4, "a colour")
-        yield from (Placed(of, shape, T) for shape in shapes)
-    for _ in range(lines.count("the number of subframes") if newer else 0):
-        lines.next("the name of a subframe")
-        lines.pose("a subframe")
-
-
-def _text_shape(lines: _Lines) -> Iterator[Shape]:
-    kind = lines.next("a shape")
-    if kind != "mesh":
-        if kind not in SOLIDS:
-            raise UnknownChoiceError("shape", kind, KNOWN)
-        yield _solid(kind, lines.floats(SOLIDS[kind], f"the size of a {kind}").tolist())
-        return
-    corners, triangles = map(int, lines.floats(2, "the numbers of vertices and triangles"))
-    vertices = np.array([lines.floats(3, "a vertex") for _ in range(corners)])
-    yield from _pieces(
-        vertices, np.array([lines.floats(3, "a triangle") for _ in range(triangles)])
-    )
-
-
-# Yaml: a PlanningScene, its world, or a list of CollisionObjects, with vectors as lists or as {x,
-# y, z, w}.
 def _from_yaml(text: str, path: Path) -> tuple[str, str, list[Placed]]:
+    """A PlanningScene, its world, or a list of CollisionObjects.
+
+    Vectors are lists or {x, y, z, w}.
+    """
     data = yaml_value(text)
-    whole = (
-        {"world": {"collision_objects": data}}
-        if isinstance(data, list)
-        else mapping(data, "", "world")
-    )
+    if isinstance(data, list):
+        data = {"world": {"collision_objects": data}}
+    whole = mapping(data, "", "world")
     world = mapping(whole.get("world", whole), "world")
     if "collision_objects" not in world:
         raise InvalidInputError(
@@ -223,10 +207,8 @@ def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]
         )
     carried = _field(whole.get("robot_state"), "attached_collision_objects")
     if carried:
-        names = [
-            str(_field(_field(item, "object"), "id"))
-            for item in _listed(carried, "attached objects")
-        ]
+        items = _listed(carried, "attached objects")
+        names = [str(_field(_field(item, "object"), "id")) for item in items]
         raise InvalidInputError(
             f"the robot carries {', '.join(names)}; take it out and write it as 'attachments' of "
             f"the problem"
@@ -258,7 +240,8 @@ def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Pla
         shapes = _listed(fields.get(plural[kind]), plural[kind])
         poses = _listed(fields.get(f"{kind}_poses"), f"{kind}_poses")
         if not poses and len(shapes) == 1 and fields.get("pose"):
-            poses = [None]  # newer messages may say the object's pose alone
+            # newer messages may say the object's pose alone
+            poses = [None]
         if len(poses) != len(shapes):
             raise InvalidInputError(
                 f"{len(shapes)} {plural[kind]} and {len(poses)} {kind}_poses; give as many"
@@ -271,18 +254,21 @@ def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Pla
 def _primitive(item: Any) -> Shape:
     fields = mapping(item, "primitive", "type, dimensions")
     given = fields.get("type")
-    kind = PRIMITIVES.get(given, str(given)) if isinstance(given, int) else str(given).lower()
+    kind = str(given).lower()
+    if isinstance(given, int):
+        # numbers of shape_msgs/SolidPrimitive
+        names = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone", 5: "prism"}
+        kind = names.get(given, str(given))
     sizes = numbers(fields.get("dimensions"), "dimensions", "numbers [m]").ravel().tolist()
-    return _solid(kind, sizes[::-1] if kind == "cylinder" else sizes)  # height before radius here
+    # height before radius here
+    return _solid(kind, sizes[::-1] if kind == "cylinder" else sizes)
 
 
 def _mesh(item: Any, path: Path) -> Iterator[Shape]:
     fields = mapping(item, "mesh", "vertices, triangles, or resource")
     if "resource" not in fields:
-        corners = [
-            _field(one, "vertex_indices") or one
-            for one in _listed(fields.get("triangles"), "triangles")
-        ]
+        faces = _listed(fields.get("triangles"), "triangles")
+        corners = [_field(one, "vertex_indices") or one for one in faces]
         vertices = [_vector(one) for one in _listed(fields.get("vertices"), "vertices")]
         yield from _pieces(
             numbers(vertices, "vertices", "x, y, z [m]").reshape(-1, 3),
@@ -295,29 +281,24 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
         raise InvalidInputError(
             f"mesh {name!r} is scaled differently along its axes; scale the file itself"
         )
-    package, _, rest = name.removeprefix(SCHEME).partition("/")
-    there = (
-        in_package(package, rest, path)
-        if name.startswith(SCHEME)
-        else path.parent / name.removeprefix("file://")
-    )
+    there = path.parent / name.removeprefix("file://")
+    if name.startswith(SCHEME):
+        package, _, rest = name.removeprefix(SCHEME).partition("/")
+        there = in_package(package, rest, path)
     yield from map(ConvexMesh, read_mesh(there, scales.pop()))
 
 
 def _pose(value: Any) -> FloatArray:
     fields = mapping(value, "pose", "position, orientation")
-    return _matrix(
-        _vector(fields.get("position")), _vector(fields.get("orientation", [0, 0, 0, 1]))
-    )
+    turn = fields.get("orientation", [0, 0, 0, 1])
+    return _matrix(_vector(fields.get("position")), _vector(turn))
 
 
 def _vector(value: Any) -> Any:
     """A list of numbers, written as such or as {x, y, z} or {x, y, z, w}."""
-    return (
-        [value.get(axis) for axis in "xyzw" if axis in value]
-        if isinstance(value, Mapping)
-        else value
-    )
+    if not isinstance(value, Mapping):
+        return value
+    return [value.get(axis) for axis in "xyzw" if axis in value]
 
 
 def _listed(value: Any, what: str) -> Sequence[Any]:
