@@ -5,6 +5,7 @@ from typing import NamedTuple
 from cvqmpt_lab.benchmarks.suite import Suite, suite_named
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import PLANNERS
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import Budget
 from experiments.experiment import Experiment
 from paper_tables.suites import SUITES, Amount
@@ -29,7 +30,10 @@ def planners_of(suite: Suite) -> tuple[str, ...]:
     return tuple(
         name
         for name, method in PLANNERS.items()
-        if not any(method.incompatibility(problem) for problem in problems)
+        if not any(
+            isinstance(problem, PlanningProblem) and method.incompatibility(problem)
+            for problem in problems
+        )
     )
 
 

@@ -103,7 +103,7 @@ def _detail(error: BaseException) -> str:
 def local_processes(
     count: int, limit_s: Callable[[Any], float | None] = lambda task: None
 ) -> Iterator[Executor]:
-    """Processes on this machine; limit_s: time [s] after which a task is given up, None for never."""
+    """Processes on this machine; limit_s: time [s] after which a task is given up."""
     import pebble.pool.process
     from pebble import ProcessExpired, ProcessPool
 

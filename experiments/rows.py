@@ -17,7 +17,6 @@ from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from experiments.experiment import Run
 
-DRAWS = 256  # of a sampling distribution, whose G is told
 SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "vertices")
 """Columns of a phase that count all of its attempts."""
 
@@ -123,14 +122,14 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
     )
 
 
-def _sampled_g(solution: Solution) -> float | None:
-    """Mean of G = F(q)^T F(q) over DRAWS draws of what was sampled;
+def _sampled_g(solution: Solution, draws: int = 256) -> float | None:
+    """Mean of `G(q) = F(q)^T F(q)` over so many draws of what was sampled (paper: Algorithm 2);
     None without samples or constraint.
     """
     problem = solution.problem
     if solution.distribution is None or not problem.constraint:
         return None
-    drawn = solution.distribution.sample(np.random.default_rng(0), DRAWS)
+    drawn = solution.distribution.sample(np.random.default_rng(0), draws)
     residual = problem.manifold.residual(np.clip(drawn, problem.robot.lower, problem.robot.upper))
     return float(np.square(residual).sum(axis=1).mean())
 
@@ -168,6 +167,10 @@ def _phase_row(run: Run, problem: str, outcome: PhaseOutcome) -> ResultRow:
     attempts = [result_row(run, attempt, attempt.goal_seconds) for attempt in outcome.attempts]
     last = attempts[-1]
     untimed = last.solved and not outcome.solved
+    sums: dict[str, Any] = {}
+    for column in SUMMED:
+        values = [value for row in attempts if (value := getattr(row, column)) is not None]
+        sums[column] = sum(values) if values else None
     return replace(
         last,
         problem=problem,
@@ -176,11 +179,5 @@ def _phase_row(run: Run, problem: str, outcome: PhaseOutcome) -> ResultRow:
         detail=one_line(outcome.reason) or last.detail,
         fallback=last.fallback or one_line(outcome.fallback),
         execution_time_s=outcome.trajectory.duration if outcome.trajectory else None,
-        **{column: _sum(attempts, column) for column in SUMMED},
+        **sums,
     )
-
-
-def _sum(rows: Sequence[ResultRow], column: str) -> Any:
-    """Sum of a column where it is defined; None where it nowhere is."""
-    values = [value for row in rows if (value := getattr(row, column)) is not None]
-    return sum(values) if values else None

@@ -156,10 +156,10 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
     ]
     compared = [contrast.entry(runs) for contrast in CONTRASTS]
     contrasts = [item for item in compared if item.measured["work"].n]
-    lines, told = table.group_lines(found, ["predictor"]), [CONTRAST_HEAD]
+    lines, compared_lines = table.group_lines(found, ["predictor"]), [CONTRAST_HEAD]
     for item in contrasts:
         pairs = str(item.measured["work"].n)
-        told.append([item.planner, pairs, *map(item.cell, COMPARED)])
+        compared_lines.append([item.planner, pairs, *map(item.cell, COMPARED)])
     named = (
         f"{name} is {choice.predictor}, {choice.gaussians}, {choice.update}, {choice.sequences}"
         for name, choice in NAMED.items()
@@ -173,9 +173,9 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
         suite,
         size,
         [*found, *contrasts],
-        {"Products": lines, "Contrasts": told, **table.counted(found), "Notes": notes},
+        {"Products": lines, "Contrasts": compared_lines, **table.counted(found), "Notes": notes},
         table.latex_groups(caption, suite, lines),
-        [*brief, "", *text_lines([[line[0], *line[2:4]] for line in told])],
+        [*brief, "", *text_lines([[line[0], *line[2:4]] for line in compared_lines])],
     )
 
 

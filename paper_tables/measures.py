@@ -37,7 +37,7 @@ solved = attrgetter("solved")
 
 
 def work(row: ResultRow) -> float | None:
-    """Projections and state checks of the search."""
+    """Work of the search: `work = projections + state checks`."""
     if row.n_projections is None or row.n_state_checks is None:
         return None
     return float(row.n_projections + row.n_state_checks)
@@ -49,8 +49,8 @@ def network_time(row: ResultRow) -> float:
 
 
 def paper_cost(row: ResultRow) -> float | None:
-    """Search at what work costs in a setting like the paper's, and networks as measured;
-    nothing else [s].
+    """Search at what work costs in a setting like the paper's, and networks as measured, nothing
+    else: `projections * PROJECTION_COST + state checks * STATE_CHECK_COST + networks` [s].
     """
     if row.n_projections is None or row.n_state_checks is None:
         return None
@@ -141,7 +141,7 @@ def values_of(rows: Iterable[ResultRow], value: Value) -> list[list[float]]:
 
 
 def censored(rows: Rows, value: Value) -> list[list[float]]:
-    """Values of solved runs and +inf for failures, by problem; nothing when no solved run has one."""
+    """Values of solved runs and +inf for failures, by problem; [] if no solved run has one."""
     found: dict[str, list[float]] = {}
     solved_runs, stated = 0, 0
     for row in rows:
@@ -178,8 +178,8 @@ def paired_ratio(
     value: Value,
     pair: Callable[[ResultRow], Hashable] = problem_key,
 ) -> Interval:
-    """Geometric mean of value against the baseline's, over the problems that both solved (see
-    `paired_values`), with a bootstrap interval.
+    """Geometric mean of value against the baseline's, `exp(mean(log(own / other)))`, over the
+    problems that both solved (see `paired_values`), with a bootstrap interval.
     """
     found = _paired(rows, baseline, value, pair)
     return geometric_mean_interval([_ratio(values) for values in found.values()])
@@ -234,7 +234,7 @@ def _paired(
 
 
 def _ratio(values: Sequence[tuple[float, float]]) -> float:
-    """Geometric mean of the ratios: exp(mean(log(own / other)))."""
+    """Geometric mean of the ratios: `exp(mean(log(own / other)))`."""
     logs = [math.log(own / other) for own, other in values]
     return math.exp(math.fsum(logs) / len(logs))
 

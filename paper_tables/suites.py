@@ -242,13 +242,18 @@ def _head(record: Mapping[str, Any], n_runs: int) -> str:
     models = [
         f"{name} {digest[:12]}" for name, digest in sorted(digests_in(record, "weights").items())
     ]
+    commits = [
+        (session.get("git_commit") or "unknown")[:12]
+        + (" WITH UNCOMMITTED CHANGES" if session.get("git_dirty") else "")
+        for session in made
+    ]
     machines = [
         f"{s.get('cpu_model') or 'unknown'}, {s.get('cpu_count') or '?'} cores" for s in made
     ]
     return " · ".join(
         [
             _cutoffs(record),
-            f"commit {_distinct(map(_commit, made))}",
+            f"commit {_distinct(commits)}",
             *([f"weights {_distinct(models)}"] if models else []),
             f"machine {_distinct(machines)}",
             f"date {_distinct(str(session.get('date_utc') or 'unknown') for session in made)}",
@@ -266,11 +271,6 @@ def _cutoffs(record: Mapping[str, Any]) -> str:
         ", ".join([*limits, f"{iterations} iterations"] if iterations else limits)
         or "cutoff not recorded"
     )
-
-
-def _commit(session: Mapping[str, Any]) -> str:
-    commit = (session.get("git_commit") or "unknown")[:12]
-    return f"{commit} WITH UNCOMMITTED CHANGES" if session.get("git_dirty") else commit
 
 
 def _distinct(texts: Iterable[str]) -> str:

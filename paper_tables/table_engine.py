@@ -38,7 +38,7 @@ class Column:
 
 
 class Count(NamedTuple):
-    """How many runs had something in common, and what the first of them said."""
+    """How many runs had something in common, and the text of the first of them."""
 
     what: str
     example: str
@@ -215,7 +215,7 @@ def _counts(found: Iterable[tuple[str, str]]) -> tuple[Count, ...]:
 
 
 def published_notes(runs: SuiteRuns, published: Iterable[PublishedValue]) -> list[str]:
-    """Notes on the paper's numbers of planners that ran, each once, with its metric and planners."""
+    """Notes on the paper's numbers of planners that ran, with their metric and planners."""
     ran = {row.planner for row in runs.rows}
     owners: dict[tuple[str, str], list[str]] = {}
     for value in published:
@@ -333,7 +333,7 @@ def latex_planners(
 
 
 def _latex_block(found: Sequence[Entry], published: str, ours: Mapping[str, str]) -> Lines:
-    """One metric: the paper's line, then an estimate and an interval line for each of our columns."""
+    """One metric: the paper's line, then an estimate and an interval for each of our columns."""
     column = found[0].columns[next(iter(ours.values()))]
     label = column.label if column.unit == "1" else f"{column.label} ({column.unit})"
     lines = [[label, "paper", *(item.paper_cell(published) for item in found)]]

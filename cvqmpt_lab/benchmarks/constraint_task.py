@@ -63,10 +63,6 @@ def _arc(T: np.ndarray, rng: np.random.Generator) -> HandConstraint:
     return HandConstraint(_about(axis, T, 2.5))
 
 
-def _tray() -> Attachment:
-    return Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19)))
-
-
 def _about(axis: np.ndarray, T: np.ndarray, turn: float) -> TaskSpaceRegion:
     """The hand at T (4, 4), carried about the z axis of a frame (4, 4) by at most a turn [rad] to
     either side.
@@ -87,7 +83,9 @@ KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]]
     "plane": lambda T, rng: HandConstraint(Plane(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
     "line": lambda T, rng: HandConstraint(Line(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
     "arc": _arc,
-    "tray": lambda T, rng: HandConstraint(upright(LEVEL), (_tray(),)),
+    "tray": lambda T, rng: HandConstraint(
+        upright(LEVEL), (Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19))),)
+    ),
     # a can is tipped about the axis along which the fingers reach, which keeps its direction
     "pouring": lambda T, rng: HandConstraint(_turned_like(T, FREE), (carried_can(),)),
 }

@@ -129,7 +129,7 @@ of seven makers.
 
 
 def robots_problem(index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem index % 20 of robot index // 20; its rows are named like a phase, by index and robot."""
+    """Problem index % 20 of robot index // 20; its rows are named by index and robot."""
     number, k = divmod(index, 20)
     robot = tuple(ROBOTS)[number]
     return replace(other_robot_problem(robot, k), name=phase_problem(str(index), number + 1, robot))

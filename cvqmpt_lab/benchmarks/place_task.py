@@ -50,11 +50,6 @@ def grasp_region(com: np.ndarray) -> TaskSpaceRegion:
     return TaskSpaceRegion(pose(com), Tw_e, Bw)
 
 
-@lru_cache(maxsize=1)
-def _on_the_shelf() -> TaskSpaceRegion:
-    return grasp_region(np.add(SHELF_LINK, CAN.com))
-
-
 def can_com(environment: int) -> np.ndarray:
     """Centre of mass (3,) [m] of the can on the counter of an environment."""
     u1, u2 = np.random.RandomState(environment).uniform(size=2)
@@ -118,7 +113,9 @@ def place_problem(environment: int, with_can: bool = False) -> PlanningProblem |
     """
     attachments = (carried_can(),) if with_can else ()
     com = can_com(environment) + (0.0, 0.0, LIFT * with_can)
-    return _problem(environment, _world(), com, _on_the_shelf(), attachments)
+    return _problem(
+        environment, _world(), com, grasp_region(np.add(SHELF_LINK, CAN.com)), attachments
+    )
 
 
 def _problem(

@@ -3,7 +3,6 @@ every ``*.json`` in it is a problem, in the order of the files' names.
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,9 +34,8 @@ def read_folder(folder: Path) -> dict[str, FiledProblem]:
     name; an empty folder.
     """
     contents = _contents(folder)
-    scenes = {
-        (folder / data["scene"]).resolve() for data in contents.values() if _names_a_scene(data)
-    }
+    named = [data["scene"] for data in contents.values() if isinstance(data.get("scene"), str)]
+    scenes = {(folder / scene).resolve() for scene in named}
     found: dict[str, FiledProblem] = {}
     for path, data in contents.items():
         if path.resolve() in scenes:
@@ -48,7 +46,12 @@ def read_folder(folder: Path) -> dict[str, FiledProblem]:
                 f"{found[problem.name].path} and {path} are both named {problem.name!r}, and rows "
                 "go by names: give one of them another 'name'"
             )
-        found[problem.name] = FiledProblem(problem, path, _digest(path, data, problem))
+        digest = hashlib.sha256(content_digest(str(path)).encode())
+        for other in named_files(data, path.parent):
+            digest.update(content_digest(str(other)).encode())
+        for _, content in problem.robot.files:
+            digest.update(content.encode())
+        found[problem.name] = FiledProblem(problem, path, digest.hexdigest())
     if not found:
         raise InvalidInputError(
             f"{folder} holds no problem files (*.json); write one with: cvqmpt problems new "
@@ -71,12 +74,8 @@ def _contents(folder: Path) -> dict[Path, dict[str, Any]]:
     return {path: read_json_object(path) for path in paths if not path.name.endswith(NO_PROBLEM)}
 
 
-def _names_a_scene(data: Mapping[str, Any]) -> bool:
-    return isinstance(data.get("scene"), str)
-
-
 def _named_as_in_rows(problem: PlanningProblem, path: Path) -> PlanningProblem:
-    """The same; a slash in its name, after which rows name the phase of a task, becomes a hyphen."""
+    """A slash in its name, after which rows name the phase of a task, becomes a hyphen."""
     name = problem.name.replace("/", "-")
     if one_line(name) != name:
         raise InvalidInputError(
@@ -84,14 +83,3 @@ def _named_as_in_rows(problem: PlanningProblem, path: Path) -> PlanningProblem:
             "around or in a row"
         )
     return problem if name == problem.name else replace(problem, name=name)
-
-
-def _digest(path: Path, data: Mapping[str, Any], problem: PlanningProblem) -> str:
-    """sha256 over the digests of all files that a problem is made of."""
-    return hashlib.sha256("".join(_digests(path, data, problem)).encode()).hexdigest()
-
-
-def _digests(path: Path, data: Mapping[str, Any], problem: PlanningProblem) -> Iterator[str]:
-    yield content_digest(str(path))
-    yield from (content_digest(str(named)) for named in named_files(data, path.parent))
-    yield from (digest for _, digest in problem.robot.files)

@@ -1,9 +1,9 @@
 """Planning in the map that depth images give of a scene, and judging paths in the map and in the
 scene.
 
-Kitchens and tables by turns; start and goal are random upright configurations `ROOM`
-from everything, the straight motion between them blocked. Noisy depth images with the arm at the
-start become, through files, filters and the removal of the robot's points, an occupancy map, all that
+Kitchens and tables by turns; start and goal are random upright configurations `ROOM` from
+everything, the straight motion between them blocked. Noisy depth images with the arm at the start
+become, through files, filters and the removal of the robot's points, an occupancy map: all that
 planners know.
 """
 
@@ -57,7 +57,7 @@ def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | Unsolva
 
 
 def _cluttered_kitchen(number: int, rng: np.random.Generator) -> Scene:
-    """The kitchen of the place task with three things on the right counter, none touching another."""
+    """The kitchen of the place task with three things on the right counter, apart."""
     while True:
         # corners x, y of where they stand [m]
         places = rng.uniform((0.32, -0.85), (0.70, -0.20), (len(THINGS), 2))

@@ -20,8 +20,9 @@ from cvqmpt_lab.files import differences, read_json_object, write_text
 PROVENANCE_FILE = "provenance.json"
 
 _PACKAGES = (
-    "coal", "cvqmpt-lab", "example-robot-data", "numba", "numpy", "ompl", "pin", "rerun-sdk", "scipy", "torch",
-)  # fmt: skip
+    *("coal", "cvqmpt-lab", "example-robot-data", "numba", "numpy"),
+    *("ompl", "pin", "rerun-sdk", "scipy", "torch"),
+)
 DIGESTS = ("weights", "problem_files", "planners")
 """Fields of a session, by name: sha256, of external planners what made them;
 later sessions must not change them.

@@ -112,7 +112,8 @@ def mean_of_solved(values: ArrayLike) -> Interval:
 
 
 def geometric_mean_interval(values: ArrayLike) -> Interval:
-    """Geometric mean, of ratios say, with a percentile-bootstrap interval, as of `mean_of_solved`.
+    """Geometric mean `exp(mean(log x_i))`, of ratios say, with a percentile-bootstrap interval, as
+    of `mean_of_solved`.
 
     InvalidInputError for values that are not finite and positive.
     """
@@ -127,8 +128,8 @@ def geometric_mean_interval(values: ArrayLike) -> Interval:
 
 
 def ratio_of_means_interval(pairs: Sequence[tuple[float, float]]) -> Interval:
-    """Mean of the first numbers over mean of the second ones, with a percentile-bootstrap interval
-    over the pairs.
+    """Ratio of means `sum(a_i) / sum(b_i)` of pairs (a_i, b_i), with a percentile-bootstrap
+    interval over the pairs.
     """
     n = len(pairs)
     if n == 0:

@@ -96,7 +96,7 @@ class RunStore:
         return store
 
     def _recover(self) -> None:
-        """Load the merged rows and what an interrupted session left behind, and merge the latter."""
+        """Load the merged rows, and merge what an interrupted session left behind."""
         merged, partial = self.directory / RUNS_FILE, self.directory / PARTIAL_FILE
         StoredPaths(self.directory)  # refused before hours of work, not after
         if merged.is_file():

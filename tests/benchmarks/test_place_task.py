@@ -56,7 +56,7 @@ def test_the_carried_can_stands_upright_where_it_was_grasped():
 
 @pytest.mark.parametrize("with_can", [False, True])
 def test_problems_are_sound(with_can):
-    """Start and goals: on the manifold, free with a margin, grasping the can here and on the shelf."""
+    """Start and goals: on the manifold, free with a margin, grasping the can in its place."""
     problem = with_sampled_goals(place_problem(0, with_can))[0]
     check_problem(problem)
     assert len(problem.attachments) == with_can and problem.name == "0"

@@ -67,27 +67,24 @@ def outcome(seed=0, planner="birrt", **values):
 
 
 @pytest.mark.parametrize(
-    ("changes", "exactly", "by_bounds"),
+    ("both", "change", "exactly", "by_bounds"),
     [
-        ([{}, {}], [], []),
-        ([{"path_sha256": "b"}, {}], ["path_sha256 was a, is b"], []),
-        ([{"n_projections": 450}, {}], ["n_projections was 100, is 450"], []),
-        ([{"n_projections": 2000}] * 2, ["n_projections was 100"] * 2, ["mean of n_projections: "
-                                                                        "20 times"]),
-        ([{"n_state_checks": 10}] * 2, ["n_state_checks was 100"] * 2, ["mean of n_state_checks: "
-                                                                        "0.11 times"]),
-        ([{"path_length_rad": 11.0}] * 2, ["path_length_rad was 8.0"] * 2, []),
-        ([{"path_length_rad": 13.0}] * 2, ["path_length_rad was 8.0"] * 2, ["mean path_length_rad: 1.62 times"]),
-        ([{"path_length_rad": 3.9}] * 2, ["path_length_rad was 8.0"] * 2, ["mean path_length_rad: "
-                                                                           "0.49 times"]),
-        ([{"fail_reason": "timeout"}, {}], ["fail_reason was None, is timeout"], ["fail_reason "
-                                                                                  "was None, is "
-                                                                                  "timeout"]),
+        (True, {}, "", ""),
+        (False, {"path_sha256": "b"}, "path_sha256 was a, is b", ""),
+        (False, {"n_projections": 450}, "n_projections was 100, is 450", ""),
+        (True, {"n_projections": 2000}, "n_projections was 100", "n_projections: 20 times"),
+        (True, {"n_state_checks": 10}, "n_state_checks was 100", "n_state_checks: 0.11 times"),
+        (True, {"path_length_rad": 11.0}, "path_length_rad was 8.0", ""),
+        (True, {"path_length_rad": 13.0}, "path_length_rad was 8.0", "mean path_length_rad: 1.62"),
+        (True, {"path_length_rad": 3.9}, "path_length_rad was 8.0", "mean path_length_rad: 0.49"),
+        (False, {"fail_reason": "timeout"}, "fail_reason was None", "fail_reason was None, is"),
     ],
-)  # fmt: skip
-def test_equality_here_and_stated_bounds_elsewhere(changes, exactly, by_bounds):
+)
+def test_equality_here_and_stated_bounds_elsewhere(both, change, exactly, by_bounds):
+    """A change of one run, or of both, is a line a run where values must be equal."""
     expected = Expectations(HERE, outcome(0) | outcome(1))
-    outcomes = outcome(0, **changes[0]) | outcome(1, **changes[1])
+    outcomes = outcome(0, **change) | outcome(1, **(change if both else {}))
+    exactly, by_bounds = [exactly] * (1 + both) if exactly else [], [by_bounds] if by_bounds else []
     for here, wanted in ((HERE, exactly), (ELSEWHERE, by_bounds)):
         _, found = compare(expected, outcomes, here)
         assert len(found) == len(wanted)

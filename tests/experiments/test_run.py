@@ -1,4 +1,4 @@
-"""The runner: rows are the same however many processes, interruptions and continuations made them."""
+"""The runner: rows are the same whatever processes, interruptions and continuations there were."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""LaTeX tables: split where they are too wide, and compiled onto pages where there is a compiler."""
+"""LaTeX tables: split where they are too wide, compiled where there is a compiler."""
 
 import re
 import shutil

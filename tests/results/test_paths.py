@@ -1,4 +1,4 @@
-"""Paths beside rows: exactly what was hashed, whatever interrupts a run; damage is refused by name."""
+"""Paths beside rows: what was hashed, whatever interrupts a run; damage is refused by name."""
 
 import numpy as np
 import pytest
