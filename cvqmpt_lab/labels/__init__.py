@@ -1,3 +1,1 @@
-"""Training data:
-random scenes with labels, in shards, and the examples that the edge validity model learns from.
-"""
+"""Training data: random scenes with near-shortest paths or labels on a roadmap, in shards."""

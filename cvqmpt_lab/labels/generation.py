@@ -1,6 +1,4 @@
-"""Datasets of labelled random scenes in shards (`training.shards`);
-an interrupted generation can be continued.
-"""
+"""Datasets of labelled random scenes in shards; an interrupted generation can be continued."""
 
 import json
 from abc import ABC, abstractmethod
@@ -31,7 +29,6 @@ from cvqmpt_lab.vqmpt.config import SerialChain
 
 FIRST_SCENE = 10_000_000  # scenes of evaluation suites have smaller numbers
 SCENES_PER_SEED = 1_000_000
-MOST_SEED = 3999  # larger ones would number scenes beyond 2^32
 SCENES_PER_SHARD = 16
 PANDA = {"name": "panda"}
 Shard = tuple[IndexRow, bytes]
@@ -39,9 +36,7 @@ Shard = tuple[IndexRow, bytes]
 
 @dataclass(frozen=True)
 class SceneRecipe(ABC):
-    """Which scenes a dataset is made of, and of which robot;
-    what is labelled in them is its subclasses' business.
-    """
+    """Which scenes a dataset is made of, and of which robot; subclasses label them."""
 
     scenes: int  # in all, families taking turns
     paths_per_scene: int  # pairs tried in each; some give no label
@@ -54,14 +49,13 @@ class SceneRecipe(ABC):
         for family in self.families:
             if family not in FAMILIES:
                 family_scene(family, 0)
-        whole_number("seed", self.seed, 0, MOST_SEED)
+        # larger ones would number scenes beyond 2^32
+        whole_number("seed", self.seed, 0, 3999)
         whole_number("scenes", self.scenes, 1, SCENES_PER_SEED)
         whole_number("paths per scene", self.paths_per_scene, 1)
 
     def scene_of(self, index: int) -> tuple[int, int]:
-        """Family index and scene number of scene `index` of this dataset;
-        numbers decide which scenes validate.
-        """
+        """Family index and scene number of scene `index`; numbers decide which scenes validate."""
         turn, family = divmod(index, len(self.families))
         return family, FIRST_SCENE + self.seed * SCENES_PER_SEED + turn
 
@@ -94,10 +88,18 @@ def generate(
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     apply: Callable[[Callable[[int], Shard], list[int]], Iterable[Shard]] = map,
 ) -> int:
-    """Write the shards that `out` does not have yet; returns the number of paths in all.
+    """Write the shards that a folder does not have yet.
 
-    apply: calls a function with every number and gives its results in any order; one after the
-        other by default.
+    Args:
+        recipe: what to generate.
+        out: folder of the dataset.
+        command: the words that asked for it, kept with the dataset.
+        on_progress: called with the shards done and those in all.
+        apply: calls a function with every number and gives its results in any order.
+
+    Returns:
+        The number of paths in all.
+
     InvalidInputError: `out` holds a dataset of another recipe, is being written by another run, or
     cannot be written.
     """

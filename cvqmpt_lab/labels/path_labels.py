@@ -24,14 +24,6 @@ from cvqmpt_lab.training.dataset import PathDataset, open_dataset
 from cvqmpt_lab.training.shards import DESCRIPTION_FILE, FULL_SCALE, packed_shard
 
 SPACING = 0.13  # [rad] between stored waypoints
-NEAR_HAND = 0.25  # [m] of an obstacle: a task-like configuration
-MOST_TRIVIAL = 0.15  # share of a scene's paths that may be straight lines
-DETOUR = 1.03  # a path is nearly straight unless it is this much longer than the straight line
-MOST_STRAIGHT = 0.5  # share of a scene's paths that may be straight lines or nearly so
-REDRAWS = 10  # pairs drawn to find one that is not trivial
-CANDIDATES = 512  # configurations drawn per scene to choose starts and goals from
-# scenes of each family: their first non-trivial paths get a second, independent label
-TWIN_EVERY = 8
 SHAPES = {
     Box: lambda box: (0, box.size),
     Cylinder: lambda cylinder: (1, (cylinder.radius, cylinder.radius, cylinder.height)),
@@ -46,10 +38,10 @@ class PathRecipe(SceneRecipe):
     labels: NearShortestSettings = field(default_factory=NearShortestSettings)
 
     def shard(self, number: int) -> Shard:
-        """Labelled scenes; some of each family have twins."""
+        """Labelled scenes; in every eighth of a family some paths get a second label, a twin."""
         robot, scenes, labels = robot_from_source(self.robot), [], []
         for index, family, scene_number, scene in self.scenes_of(number):
-            with_twins = index // len(self.families) % TWIN_EVERY == 0
+            with_twins = index // len(self.families) % 8 == 0
             rng = np.random.default_rng((self.seed, index))
             space = unconstrained_space(robot, scene)
             labels.append(_labels(space, rng, self.paths_per_scene, self.labels, with_twins))
@@ -118,15 +110,26 @@ def _labels(
     pairs: int,
     settings: NearShortestSettings,
     with_twins: bool,
+    most_trivial: float = 0.15,
+    most_straight: float = 0.5,
+    detour: float = 1.03,
 ) -> list[_Label]:
-    """Labelled paths of one scene: half of the starts and goals anywhere, half with the hand near
-    an obstacle.
+    """Labelled paths of one scene.
 
-    Most motions are nearly straight and say little about the scene: beyond MOST_STRAIGHT they are
-    left out.
+    Half of the starts and goals are anywhere, half with the hand near an obstacle. Most motions are
+    nearly straight and say little about the scene, so their share is bounded.
+
+    Args:
+        space: unconstrained space of the scene.
+        rng: draws starts, goals and searches.
+        pairs: of start and goal, at most.
+        settings: of the search.
+        with_twins: whether the first paths get a second, independent label.
+        most_trivial: share of pairs whose straight line may be free.
+        most_straight: share of paths that may be straight or nearly so.
+        detour: a path is nearly straight unless it is so many times as long as the straight line.
     """
-    candidates = space.robot.random_configurations(rng, CANDIDATES)
-    candidates = candidates[space.valid_batch(candidates)]
+    candidates = free_configurations(space, rng)
     if len(candidates) < 2:
         return []
     tasklike = candidates[near_obstacles(space, candidates)]
@@ -134,8 +137,8 @@ def _labels(
     twins, straight = 2 if with_twins else 0, 0
     for pair in range(pairs):
         pool = tasklike if pair % 2 and len(tasklike) >= 2 else candidates
-        enough = sum(label.trivial for label in labels) >= MOST_TRIVIAL * pairs
-        for _ in range(REDRAWS):
+        enough = sum(label.trivial for label in labels) >= most_trivial * pairs
+        for _ in range(10):
             start, goal = pool[rng.choice(len(pool), 2, replace=False)]
             trivial = bool(motion_free(space.arrays, start, goal))
             if not (trivial and enough):
@@ -146,8 +149,8 @@ def _labels(
         path = line if trivial else near_shortest(space, start, goal, rng, settings)
         if path is None:
             continue
-        nearly = path.length < DETOUR * np.linalg.norm(goal - start)
-        if nearly and straight >= MOST_STRAIGHT * pairs:
+        nearly = path.length < detour * np.linalg.norm(goal - start)
+        if nearly and straight >= most_straight * pairs:
             continue
         straight += int(nearly)
         labels.append(_Label(path, trivial, -1))
@@ -159,8 +162,27 @@ def _labels(
     return labels
 
 
-def near_obstacles(space: ConstrainedSpace, configurations: np.ndarray) -> np.ndarray:
-    """Whether the hand (b,) is within NEAR_HAND of a box around an obstacle."""
+def free_configurations(
+    space: ConstrainedSpace, rng: np.random.Generator, drawn: int = 512
+) -> np.ndarray:
+    """Those of `drawn` random configurations that are free (k, n) [rad or m]."""
+    candidates = space.robot.random_configurations(rng, drawn)
+    return candidates[space.valid_batch(candidates)]
+
+
+def near_obstacles(
+    space: ConstrainedSpace, configurations: np.ndarray, near_hand: float = 0.25
+) -> np.ndarray:
+    """Whether the hand is within `near_hand` [m] of a box around an obstacle.
+
+    Args:
+        space: of the scene.
+        configurations: (b, n) [rad or m].
+        near_hand: [m].
+
+    Returns:
+        (b,) bool.
+    """
     robot = space.robot
     link, T = robot.end_effector_link
     rotations, translations = link_poses(robot.kinematics, configurations)
@@ -171,12 +193,12 @@ def near_obstacles(space: ConstrainedSpace, configurations: np.ndarray) -> np.nd
         half = 0.5 * np.array(size) if isinstance(item.shape, Box) else np.array(size)
         local = (hand - item.T_world_object[:3, 3]) @ item.T_world_object[:3, :3]
         outside = np.maximum(np.abs(local) - half, 0.0)
-        near |= np.linalg.norm(outside, axis=1) < NEAR_HAND
+        near |= np.linalg.norm(outside, axis=1) < near_hand
     return near
 
 
 def packed(robot: Robot, configurations: np.ndarray) -> np.ndarray:
-    """Joints as 16-bit shares of their range."""
+    """Joints as 16-bit shares of their range: 65535 (q - lower) / (upper - lower), rounded."""
     u = (configurations - robot.lower) / (robot.upper - robot.lower)
     return np.rint(np.clip(u, 0.0, 1.0) * FULL_SCALE).astype(np.uint16)
 

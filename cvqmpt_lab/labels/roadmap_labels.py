@@ -1,6 +1,4 @@
-"""Labels on a roadmap:
-every node and edge checked in random scenes, and shortest paths by Dijkstra.
-"""
+"""Labels on a roadmap: nodes and edges checked in random scenes, and shortest paths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +13,7 @@ from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import SceneRecipe, Shard
 from cvqmpt_lab.labels.path_labels import (
-    CANDIDATES,
+    free_configurations,
     near_obstacles,
     packed,
     scene_shapes,
@@ -40,17 +38,10 @@ from cvqmpt_lab.training.shards import (
 from cvqmpt_lab.vqmpt.learned_sampler import dictionary_roadmap
 from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
 
-STARTS, GOALS = 16, 48  # configurations of a scene between which paths are looked for
-CONFINED = 32  # ends of links among obstacles
-SPREAD, NEARBY = 0.25, 12  # [rad] and number of the configurations around each that tell so
-NEIGHBOURS = 12  # of a node of a roadmap without dictionary
-MARGIN = 0.002  # [m] that free motions keep from obstacles
-BODY_POINTS = 16
-SHIPPED_DICTIONARY = "vq_mpt"
+# configurations of a scene between which paths are looked for
+STARTS, GOALS = 16, 48
 # state checks an edge, on average: scenes that need more have a wall millimetres from the base
 CHECKS = 60
-# likewise a link: near self-collision it needs more than an edge that the robot itself allows
-LINK_CHECKS = 600
 
 
 @dataclass(frozen=True)
@@ -62,11 +53,11 @@ class RoadmapRecipe(SceneRecipe):
 
     def check(self) -> None:
         """Refuse a robot that the dictionary is not of, or that has no roadmap."""
-        _graph(self.model, robot_from_source(self.robot))
+        roadmap_graph(self.model, robot_from_source(self.robot))
 
     def prepare(self, out: Path) -> None:
         """Write the roadmap, or check that it is the one that is there."""
-        graph = _graph(self.model, robot_from_source(self.robot))
+        graph = roadmap_graph(self.model, robot_from_source(self.robot))
         if (out / ROADMAP_FILE).exists() and RoadmapGraph.read(out).digest != graph.digest:
             raise InvalidInputError(f"{out} holds labels of another roadmap; choose another --out")
         graph.write(out)
@@ -74,7 +65,7 @@ class RoadmapRecipe(SceneRecipe):
     def shard(self, number: int) -> Shard:
         """Scenes with all their nodes and edges checked."""
         robot = robot_from_source(self.robot)
-        graph, scenes, labels = _graph(self.model, robot), [], []
+        graph, scenes, labels = roadmap_graph(self.model, robot), [], []
         for index, family, scene_number, scene in self.scenes_of(number):
             found = roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
             if found is not None:
@@ -119,67 +110,47 @@ class RoadmapRecipe(SceneRecipe):
                 f"{codes[solved].mean():.1f} |"
             )
 
-        return (
-            f"""# Labels on a roadmap
-
-{len(graph.nodes)} nodes and {len(graph.edges)} edges of the roadmap {graph.digest[:12]}; the robot itself allows \
-{graph.node_possible.mean():.3f} of the nodes and {graph.edge_possible.mean():.3f} of the edges. Scenes whose number \
-is divisible by {VALIDATION_EVERY} validate. Pairs of start and goal, half of them near an obstacle, whose straight \
-motion is blocked. No path: through this roadmap. Other codes: than those of the shortest path in an empty scene. \
-Detour: length of the shortest path over that of the straight line, mean. Scenes with a wall millimetres \
-from the base are left out: {self.scenes - len(family)}.
-
-| family | scenes | of them validate | nodes free | edges free | pairs | no path | other codes | detour | codes a path |
-|---|---|---|---|---|---|---|---|---|---|
-"""
-            + "".join(f"{row(name, [k])}\n" for k, name in enumerate(self.families))
-            + f"{row('all', range(len(self.families)))}\n"
+        possible = graph.node_possible.mean(), graph.edge_possible.mean()
+        text = (
+            f"{len(graph.nodes)} nodes and {len(graph.edges)} edges of the roadmap "
+            f"{graph.digest[:12]}; the robot itself allows {possible[0]:.3f} of the nodes and "
+            f"{possible[1]:.3f} of the edges. Scenes whose number is divisible by "
+            f"{VALIDATION_EVERY} validate. Pairs of start and goal, half of them near an obstacle, "
+            f"whose straight motion is blocked. No path: through this roadmap. Other codes: than "
+            f"those of the shortest path in an empty scene. Detour: length of the shortest path "
+            f"over that of the straight line, mean. Scenes with a wall millimetres from the base "
+            f"are left out: {self.scenes - len(family)}."
         )
+        titles = (
+            "| family | scenes | of them validate | nodes free | edges free | pairs | no path "
+            "| other codes | detour | codes a path |"
+        )
+        rows = [row(name, [k]) for k, name in enumerate(self.families)]
+        rows.append(row("all", range(len(self.families))))
+        lines = ["# Labels on a roadmap", "", text, "", titles, "|" + 10 * "---|", *rows, ""]
+        return "\n".join(lines)
 
 
 @lru_cache(maxsize=1)
-def _graph(model: str | None, robot: Robot) -> RoadmapGraph:
-    return roadmap_graph(robot, roadmap_of(model, robot))
+def roadmap_graph(model: str | None, robot: Robot, shipped: str = "vq_mpt") -> RoadmapGraph:
+    """Nodes and undirected edges that are labelled, and which of them the robot itself allows.
 
+    They are the roadmap of a dictionary; without one of the shipped dictionary, or of free
+    configurations for another robot than the shipped one's.
 
-def roadmap_of(model: str | None, robot: Robot) -> Roadmap:
-    """The roadmap of a dictionary; without one of the shipped dictionary, or of free configurations
-    of other robots.
-
-    InvalidInputError for a robot that the dictionary is not of, or without enough free
-    configurations.
+    InvalidInputError for a robot that the dictionary is not of, a roadmap of fewer nodes than ends
+    are linked to, or one whose edges are too long to check.
     """
-    if model is None and incompatibility(
-        SHIPPED_DICTIONARY, SHIPPED_DICTIONARY, robot_signature(robot)
-    ):
-        return free_roadmap(robot)
-    try:
-        return dictionary_roadmap(model or SHIPPED_DICTIONARY, robot)
-    except OtherRobotError as error:
-        raise InvalidInputError(
-            f"{model} is no dictionary of {robot.name}; leave --dictionary out for a roadmap of "
-            f"free configurations"
-        ) from error
-
-
-def free_roadmap(robot: Robot) -> Roadmap:
-    """The nodes of planner `roadmap`, linked to their nearest ones."""
-    nodes = spread_roadmap(robot).nodes
-    if len(nodes) <= NEIGHBOURS:
-        raise InvalidInputError(
-            f"{robot.name} collides with itself in all but {len(nodes)} configurations tried; "
-            f"give --srdf or repair its collision geometry (cvqmpt robot --robot {robot.name} "
-            f"shows the pairs)"
-        )
-    return Roadmap.of(nodes, NEIGHBOURS)
-
-
-def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
-    """Nodes and undirected edges of a roadmap, and which of them the robot itself allows.
-
-    InvalidInputError for a roadmap of fewer nodes than ends are linked to, or one whose edges are
-    too long to check.
-    """
+    if model is None and incompatibility(shipped, shipped, robot_signature(robot)):
+        roadmap = _free_roadmap(robot)
+    else:
+        try:
+            roadmap = dictionary_roadmap(model or shipped, robot)
+        except OtherRobotError as error:
+            raise InvalidInputError(
+                f"{model} is no dictionary of {robot.name}; leave --dictionary out for a roadmap "
+                f"of free configurations"
+            ) from error
     if len(roadmap.nodes) <= LINKS:
         raise InvalidInputError(
             f"{robot.name}'s roadmap has {len(roadmap.nodes)} nodes; labels need more than {LINKS}"
@@ -189,20 +160,34 @@ def roadmap_graph(robot: Robot, roadmap: Roadmap) -> RoadmapGraph:
     edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
     space = unconstrained_space(robot, Scene("nothing", ()))
     checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS)
-    if checked is None:  # although nothing is near
+    # although nothing is near
+    if checked is None:
         raise InvalidInputError(
             f"nodes of {robot.name}'s roadmap are far apart; train its dictionary longer, or "
             f"leave --dictionary out"
         )
-    own_node, own_edge = checked
-    return RoadmapGraph(roadmap.nodes, edges, own_node, own_edge, *body_points(robot))
+    return RoadmapGraph(roadmap.nodes, edges, *checked, *body_points(robot))
 
 
-def body_points(robot: Robot, count: int = BODY_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """Points that stand for the arm's body: the joint that moves each (k,), and where in its frame
-    (k, 3) [m].
+def _free_roadmap(robot: Robot, neighbours: int = 12) -> Roadmap:
+    """The nodes of planner `roadmap`, linked to their nearest ones."""
+    nodes = spread_roadmap(robot).nodes
+    if len(nodes) <= neighbours:
+        raise InvalidInputError(
+            f"{robot.name} collides with itself in all but {len(nodes)} configurations tried; "
+            f"give --srdf or repair its collision geometry (cvqmpt robot --robot {robot.name} "
+            f"shows the pairs)"
+        )
+    return Roadmap.of(nodes, neighbours)
 
-    They are centres of balls that cover the links, far from each other in most configurations.
+
+def body_points(robot: Robot, count: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    """Points that stand for the arm's body: centres of balls that cover the links.
+
+    Each is the one farthest from those before it, on average over random configurations.
+
+    Returns:
+        The joint that moves each (k,), and where the point is in its frame (k, 3) [m].
     """
     geometry = robot_arrays(robot)
     rows = np.repeat(geometry.body_link, geometry.body_end - geometry.body_start)
@@ -226,24 +211,31 @@ def verdicts(
     edges: np.ndarray,
     possible: np.ndarray | None = None,
     checks: int = CHECKS,
+    margin: float = 0.002,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Whether nodes (N, n) and edges (E, 2) keep MARGIN, (N,) and (E,) bool, or None after too many
-    checks.
+    """Whether nodes and edges are free.
 
-    possible: edges (E,) that may; others are not checked.
+    Args:
+        space: unconstrained space of a scene.
+        nodes: (N, n) [rad or m].
+        edges: (E, 2) rows of nodes.
+        possible: (E,) edges that may be free, others are not checked; None for all.
+        checks: state checks an edge, on average, at most.
+        margin: [m] that free motions keep from obstacles.
+
+    Returns:
+        (N,) and (E,) bool, or None after too many checks.
     """
     node_free = np.zeros(len(nodes), dtype=bool)
     edge_free = np.ones(len(edges), dtype=bool) if possible is None else possible.copy()
-    arrays, most = space.arrays._replace(margin=MARGIN), checks * len(edges)
+    arrays, most = space.arrays._replace(margin=margin), checks * len(edges)
     done = edge_verdicts(arrays, nodes, edges, node_free, edge_free, most)
     return (node_free, edge_free) if done else None
 
 
 @lru_cache(maxsize=1)
 def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
-    """State checks an edge that a scene may take:
-    CHECKS, or more where already an empty scene takes more.
-    """
+    """State checks an edge that a scene may take: more than CHECKS if already an empty one does."""
     space, checks = unconstrained_space(robot, Scene("nothing", ())), CHECKS
     while verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks) is None:
         checks *= 4
@@ -253,13 +245,21 @@ def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
 def roadmap_labels(
     robot: Robot, scene: Scene, graph: RoadmapGraph, pairs: int, seed: Sequence[int]
 ) -> dict[str, np.ndarray] | None:
-    """Check all of a roadmap in a scene and find shortest paths between `pairs` pairs; None after
-    too many CHECKS.
+    """Check all of a roadmap in a scene, and find shortest paths between pairs of ends.
 
     Half of the starts and goals have the hand near an obstacle. Pairs whose straight motion is free
-    are left out. Arrays are as in `training.shards`, but path_scene, code_start and link_start hold
-    counts of paths, of each path's codes and of the ends of links: those of the paths, and CONFINED
-    more.
+    are left out. Ends of links are the starts, the goals and configurations among obstacles.
+
+    Args:
+        robot: the arm.
+        scene: what it must not touch.
+        graph: the roadmap.
+        pairs: of start and goal, at most.
+        seed: of all that is drawn.
+
+    Returns:
+        Arrays as in `training.shards`, but path_scene, code_start and link_start hold counts of
+        paths, of each path's codes and of the ends of links. None after too many checks.
     """
     space, rng = unconstrained_space(robot, scene), np.random.default_rng(seed)
     checks = checks_of(robot, graph)
@@ -275,7 +275,8 @@ def roadmap_labels(
     nodes, count = np.concatenate([graph.nodes, linked_ends]), len(graph.nodes)
     of_end = np.repeat(count + np.arange(len(linked_ends)), LINKS)
     links = np.stack([of_end, near.ravel()], axis=1).astype(np.int32)
-    linked = verdicts(space, nodes, links, checks=LINK_CHECKS)
+    # near self-collision a link needs more checks than an edge that the robot itself allows
+    linked = verdicts(space, nodes, links, checks=600)
     if linked is None:
         return None
     link_free = linked[1]
@@ -309,19 +310,14 @@ def roadmap_labels(
 
 
 def _nearest_rows(nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Rows (e, LINKS) of the nodes (N, n) nearest to each of ends (e, n), in the order that labels
-    are stored in.
-    """
+    """Rows (e, LINKS) of the nodes (N, n) nearest to each of ends (e, n), in no order."""
     squares = (ends**2).sum(1)[:, None] + (nodes**2).sum(1) - 2.0 * ends @ nodes.T
     return np.argpartition(squares, LINKS, axis=1)[:, :LINKS]
 
 
 def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
-    """Free configurations (at most STARTS + GOALS, n), every second one with the hand near an
-    obstacle.
-    """
-    candidates = space.robot.random_configurations(rng, CANDIDATES)
-    candidates = candidates[space.valid_batch(candidates)]
+    """Free configurations (at most STARTS + GOALS, n), half of them near an obstacle."""
+    candidates = free_configurations(space, rng)
     near = near_obstacles(space, candidates)
     wanted = (STARTS + GOALS) // 2
     close, rest = candidates[near], candidates[~near]
@@ -329,32 +325,38 @@ def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
     return rng.permutation(ends)
 
 
-def _confined(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
-    """Free configurations (at most CONFINED, n) among obstacles:
-    those around which most configurations collide.
+def _confined(
+    space: ConstrainedSpace, rng: np.random.Generator, most: int = 32, around: int = 12
+) -> np.ndarray:
+    """Free configurations among obstacles (at most `most`, n).
+
+    Of those whose hand is near an obstacle they have the most collisions among `around`
+    configurations that are normally distributed about them.
     """
     robot = space.robot
-    candidates = robot.random_configurations(rng, 2 * CANDIDATES)
+    candidates = robot.random_configurations(rng, 1024)
     candidates = candidates[near_obstacles(space, candidates)]
     candidates = candidates[space.valid_batch(candidates)]
-    around = candidates[:, None] + SPREAD * rng.standard_normal(
-        (len(candidates), NEARBY, robot.dof)
-    )
-    around = np.clip(around, robot.lower, robot.upper).reshape(-1, robot.dof)
-    free = space.valid_batch(around).reshape(len(candidates), NEARBY).sum(axis=1)
-    return candidates[np.argsort(free, kind="stable")[:CONFINED]]
+    offsets = rng.standard_normal((len(candidates), around, robot.dof))
+    others = np.clip(candidates[:, None] + 0.25 * offsets, robot.lower, robot.upper)
+    free = space.valid_batch(others.reshape(-1, robot.dof)).reshape(len(candidates), around)
+    return candidates[np.argsort(free.sum(axis=1), kind="stable")[:most]]
 
 
 def _shortest_paths(
     nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Shortest paths from every start over edges both ways to every goal, by Dijkstra: costs (s, g)
-    [rad], inf if none.
+    """Shortest paths from every start over edges both ways to every goal, by Dijkstra.
 
-    nodes: the roadmap's `count` nodes, STARTS starts, then goals. links: from starts and goals to
-        nodes.
-    Also returns the predecessor of each row on the way from a start (s, rows), negative where there
-    is none.
+    Args:
+        nodes: (N + s + g, n) [rad]: the roadmap's, STARTS starts, then goals.
+        edges: (E, 2) rows that are joined.
+        links: (l, 2) rows of starts and goals, and of nodes.
+        count: N.
+
+    Returns:
+        Costs (s, g) [rad], inf if there is no path, and each row's predecessor on the path from a
+        start (s, rows), negative if there is none.
     """
     leaving = links[:, 0] < count + STARTS
     pairs = np.concatenate([edges, edges[:, ::-1], links[leaving], links[~leaving][:, ::-1]])
@@ -368,9 +370,10 @@ def _shortest_paths(
 
 
 def _codes(before: np.ndarray, goal: int) -> list[int]:
-    """Codes on the way to row `goal`, none where there is no path."""
+    """Codes on the path to row `goal`, none where there is no path."""
     rows, row = [], int(before[goal])
     while row >= 0:
         rows.append(row)
         row = int(before[row])
-    return rows[-2::-1]  # the last one is the start itself
+    # the last one is the start itself
+    return rows[-2::-1]

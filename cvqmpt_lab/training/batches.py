@@ -44,7 +44,7 @@ def batch_seed(seed: int, epoch: int, batch: int) -> np.random.SeedSequence:
 
 
 class BaseTurn:
-    """Turns of robot and scene about the base within the first joint's limits; 0 unless `active`."""
+    """Turns of robot and scene about the base, within the first joint's limits if `active`."""
 
     def __init__(self, dataset: PathDataset, wanted: bool) -> None:
         self.active = wanted and dataset.chain is not None and dataset.chain.turns_about_base

@@ -21,9 +21,9 @@ from cvqmpt_lab.training.shards import (
     LABEL_ARRAYS,
     PATH_ARRAYS,
     ROADMAP_FILE,
-    SCENE_ARRAYS,
     RoadmapGraph,
     joined,
+    paths_of_labels,
     read_shards,
 )
 from cvqmpt_lab.vqmpt.config import SerialChain
@@ -232,7 +232,7 @@ class SequenceDataset(TrainingData):
     roadmap: RoadmapLabels | None  # None where sequences are those of encoded paths
 
     def configurations(self, joints: np.ndarray) -> np.ndarray:
-        """Configurations (..., n) float32 [rad or m] of stored joints: lower + u (upper - lower)."""
+        """Configurations q = lower + u (upper - lower) (..., n) float32 of stored joints."""
         lower, upper = np.array(self.robot.lower), np.array(self.robot.upper)
         return (lower + joints / FULL_SCALE * (upper - lower)).astype(np.float32)
 
@@ -245,7 +245,9 @@ def open_dataset(folder: Path) -> PathDataset:
     header = _header(folder)
     if holds_labels(folder):
         graph, labels = read_labels(folder)
-        shards = [_path_arrays(shard, graph, header["robot"]) for shard in labels]
+        robot = header["robot"]
+        limits = np.array(robot.lower), np.array(robot.upper)
+        shards = [paths_of_labels(shard, graph.nodes, *limits) for shard in labels]
     else:
         sizes = {"families": len(header["families"]), "n": len(header["robot"].lower)}
         shards = read_shards(folder, PATH_ARRAYS, sizes)
@@ -347,67 +349,3 @@ def _scenes(arrays: dict[str, np.ndarray]) -> Scenes:
     size, pose = arrays["shape_size"].astype(np.float32), arrays["shape_pose"].astype(np.float32)
     shapes = Shapes(arrays["shape_kind"], size, pose)
     return Scenes(arrays["family"], arrays["scene_seed"], arrays["shape_start"], shapes)
-
-
-def _path_arrays(
-    labels: dict[str, np.ndarray],
-    graph: RoadmapGraph,
-    robot: RobotSignature,
-    spacing: float = 0.13,
-    most: int = 40,
-) -> dict[str, np.ndarray]:
-    """A shard of labels on a roadmap as one of paths, waypoints at most `spacing` [rad] apart.
-
-    A path leads from its start straight to each of its nodes and to its goal. Of each scene the
-    first `most` paths are taken: all of them would not fit into memory.
-    """
-    lower, upper = np.array(robot.lower), np.array(robot.upper)
-    rows = np.flatnonzero(np.isfinite(labels["cost"]))
-    # in ascending order
-    scene = labels["path_scene"][rows]
-    rows = rows[np.arange(len(rows)) - np.searchsorted(scene, scene) < most]
-    corners, first = _corners(labels, rows, graph.nodes, lower, upper)
-    step = np.diff(corners, axis=0, append=corners[-1:])
-    parts = np.maximum(np.ceil(np.linalg.norm(step, axis=1) / spacing), 1).astype(int)
-    # a goal leads nowhere
-    parts[first[1:] - 1] = 1
-    begins = np.cumsum(parts) - parts
-    share = (np.arange(parts.sum()) - begins.repeat(parts)) / parts.repeat(parts)
-    q = corners.repeat(parts, 0) + share[:, None] * step.repeat(parts, 0)
-    u = np.clip((q - lower) / (upper - lower), 0.0, 1.0)
-    scenes = {name: labels[name] for name in SCENE_ARRAYS}
-    return scenes | {
-        "path_scene": labels["path_scene"][rows],
-        "straight": labels["straight"][rows],
-        "path_start": np.append(begins, len(q))[first].astype(np.int32),
-        "waypoints": np.rint(u * FULL_SCALE).astype(np.uint16),
-        "length": labels["cost"][rows],
-        # only pairs whose straight motion is blocked are labelled
-        "trivial": np.zeros(len(rows), bool),
-        "twin_of": np.full(len(rows), -1, np.int32),
-    }
-
-
-def _corners(
-    labels: dict[str, np.ndarray],
-    rows: np.ndarray,
-    nodes: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Start, nodes and goal (c, n) [rad] of one path after the other.
-
-    Returns:
-        These, and where those of each path begin (p + 1,).
-    """
-    count = np.diff(labels["code_start"])[rows]
-    first = np.concatenate([[0], np.cumsum(count + 2)])
-    corners = np.empty((first[-1], nodes.shape[1]))
-    ends = lower + labels["ends"][rows] / FULL_SCALE * (upper - lower)
-    corners[first[:-1]], corners[first[1:] - 1] = ends[:, 0], ends[:, 1]
-    inside = np.ones(len(corners), bool)
-    inside[first[:-1]] = inside[first[1:] - 1] = False
-    place = np.arange(count.sum()) - (np.cumsum(count) - count).repeat(count)
-    codes = labels["codes"][labels["code_start"][rows].astype(int).repeat(count) + place]
-    corners[inside] = nodes[codes]
-    return corners, first

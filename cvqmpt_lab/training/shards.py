@@ -102,7 +102,8 @@ class IndexRow(NamedTuple):
 def packed_shard(number: int, arrays: dict[str, np.ndarray]) -> tuple[IndexRow, bytes]:
     """Return the index row and the file content of a shard."""
     file = io.BytesIO()
-    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # the stubs know only bool options
+    # numpy's stubs know only options that are bool
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     content = file.getvalue()
     counts = len(arrays["scene_seed"]), len(arrays["path_scene"])
     return IndexRow(number, hashlib.sha256(content).hexdigest(), *counts), content
@@ -258,6 +259,77 @@ def joined(
             ]
         found[name] = np.concatenate(parts)
     return found
+
+
+def paths_of_labels(
+    labels: Mapping[str, np.ndarray],
+    nodes: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    spacing: float = 0.13,
+    most: int = 40,
+) -> dict[str, np.ndarray]:
+    """A shard of labels on a roadmap as one of paths.
+
+    A path leads from its start straight to each of its nodes and to its goal.
+
+    Args:
+        labels: the arrays of `LABEL_ARRAYS`.
+        nodes: (N, n) [rad or m], of the roadmap.
+        lower: (n,) joint limits [rad or m].
+        upper: (n,) joint limits [rad or m].
+        spacing: [rad] between waypoints, at most.
+        most: paths of each scene, the first; all of them would not fit into memory.
+    """
+    rows = np.flatnonzero(np.isfinite(labels["cost"]))
+    # in ascending order
+    scene = labels["path_scene"][rows]
+    rows = rows[np.arange(len(rows)) - np.searchsorted(scene, scene) < most]
+    corners, first = _corners(labels, rows, nodes, lower, upper)
+    step = np.diff(corners, axis=0, append=corners[-1:])
+    parts = np.maximum(np.ceil(np.linalg.norm(step, axis=1) / spacing), 1).astype(int)
+    # a goal leads nowhere
+    parts[first[1:] - 1] = 1
+    begins = np.cumsum(parts) - parts
+    share = (np.arange(parts.sum()) - begins.repeat(parts)) / parts.repeat(parts)
+    q = corners.repeat(parts, 0) + share[:, None] * step.repeat(parts, 0)
+    u = np.clip((q - lower) / (upper - lower), 0.0, 1.0)
+    scenes = {name: labels[name] for name in SCENE_ARRAYS}
+    return scenes | {
+        "path_scene": labels["path_scene"][rows],
+        "straight": labels["straight"][rows],
+        "path_start": np.append(begins, len(q))[first].astype(np.int32),
+        "waypoints": np.rint(u * FULL_SCALE).astype(np.uint16),
+        "length": labels["cost"][rows],
+        # only pairs whose straight motion is blocked are labelled
+        "trivial": np.zeros(len(rows), bool),
+        "twin_of": np.full(len(rows), -1, np.int32),
+    }
+
+
+def _corners(
+    labels: Mapping[str, np.ndarray],
+    rows: np.ndarray,
+    nodes: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Start, nodes and goal (c, n) [rad] of one path after the other.
+
+    Returns:
+        These, and where those of each path begin (p + 1,).
+    """
+    count = np.diff(labels["code_start"])[rows]
+    first = np.concatenate([[0], np.cumsum(count + 2)])
+    corners = np.empty((first[-1], nodes.shape[1]))
+    ends = lower + labels["ends"][rows] / FULL_SCALE * (upper - lower)
+    corners[first[:-1]], corners[first[1:] - 1] = ends[:, 0], ends[:, 1]
+    inside = np.ones(len(corners), bool)
+    inside[first[:-1]] = inside[first[1:] - 1] = False
+    place = np.arange(count.sum()) - (np.cumsum(count) - count).repeat(count)
+    codes = labels["codes"][labels["code_start"][rows].astype(int).repeat(count) + place]
+    corners[inside] = nodes[codes]
+    return corners, first
 
 
 @dataclass(frozen=True, eq=False)

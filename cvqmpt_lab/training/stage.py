@@ -71,7 +71,8 @@ class Stage(ABC):
         self.optimizer, self.seed, self.device = optimizer, seed, device
         torch.manual_seed(seed)
 
-    def prepare(self) -> None:  # noqa: B027 (most stages have nothing to prepare)
+    # most stages have nothing to prepare
+    def prepare(self) -> None:  # noqa: B027
         """Once, before the first step of a training."""
 
     @abstractmethod
@@ -82,7 +83,10 @@ class Stage(ABC):
     def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Scalars of a batch; ``loss`` is minimised."""
 
-    def after_step(self, epoch: int, step: int, optimizer: torch.optim.Optimizer) -> None:  # noqa: B027
+    # most stages change nothing else
+    def after_step(  # noqa: B027
+        self, epoch: int, step: int, optimizer: torch.optim.Optimizer
+    ) -> None:
         """What else changes with a step."""
 
     @abstractmethod

@@ -58,9 +58,6 @@ from cvqmpt_lab.vqmpt.weights import (
     weights_digest,
 )
 
-ENOUGH_PATHS = 2000  # to train a dictionary on, below which a warning is logged
-_log = logging.getLogger("cvqmpt")
-SAVE_EVERY_S = 300.0
 # called with the batches done, those of all epochs, and a note
 Report = Callable[[int, int, str], None]
 
@@ -82,19 +79,34 @@ class Progress:
 def run_training(
     stage: str,
     profile: Profile,
-    data: Path,  # folder of the dataset
-    out: Path,  # folder of the training
+    data: Path,
+    out: Path,
     *,
-    dictionary: Path | None = None,  # folder of a stage-1 training or checkpoint, for stage2
+    dictionary: Path | None = None,
     seed: int = 0,
-    epochs: int | None = None,  # in all, instead of the profile's
-    minutes: float | None = None,  # when to stop, from now
-    workers: int = 0,  # processes that prepare batches
-    device: str = "auto",  # cpu, cuda, or auto for whichever is there
-    metadata: Mapping[str, Any],  # kept with the model
+    epochs: int | None = None,
+    minutes: float | None = None,
+    workers: int = 0,
+    device: str = "auto",
+    metadata: Mapping[str, Any],
     report: Report = lambda done, total, note: None,
 ) -> Progress:
     """Begin or continue a training; the best model is in ``out/model``.
+
+    Args:
+        stage: what to train, of `profiles.MODELS`.
+        profile: how.
+        data: folder of the dataset.
+        out: folder of the training.
+        dictionary: folder of a training of stage 1 or of weights, for sequence models; None for
+            the shipped one.
+        seed: of all that is drawn.
+        epochs: in all; None for the profile's.
+        minutes: when to stop, from now; None for never.
+        workers: processes that prepare batches.
+        device: cpu, cuda, or auto for a GPU if there is one.
+        metadata: kept with the model.
+        report: told after each batch.
 
     InvalidInputError or UnknownChoiceError: before anything is written when data, dictionary or
     folder cannot be used, another training uses the folder, or `torchrun` starts several processes
@@ -120,20 +132,19 @@ def run_training(
     if dictionary is not None:
         settings["dictionary_sha256"] = weights_digest(checkpoint_folder(dictionary) or dictionary)
     paths = {f"{name}_paths": len(dataset.split(name)) for name in ("train", "validation")}
-    if stage == "stage1" and paths["train_paths"] < ENOUGH_PATHS:
-        _log.warning(
-            "%d paths to train on, too few for a dictionary: give %d or more (the shipped one had "
-            "13 204); "
-            "`cvqmpt data generate` makes them, and continues in its folder",
+    if stage == "stage1" and paths["train_paths"] < 2000:
+        logging.getLogger("cvqmpt").warning(
+            "%d paths to train on, too few for a dictionary: give 2000 or more (the shipped one "
+            "had 13 204); `cvqmpt data generate` makes them, and continues in its folder",
             paths["train_paths"],
-            ENOUGH_PATHS,
         )
     chain = None if dataset.chain is None else to_plain(dataset.chain)
     trainer = Trainer(
         made, out, epochs, workers, {**settings, "kinematics": chain, **paths, **metadata}
     )
     if rank > 0:
-        dist.barrier()  # until the first has made the folder
+        # until the first has made the folder
+        dist.barrier()
         open_folder(out, settings)
         return trainer.train(minutes)
     make_folder(out)
@@ -146,8 +157,9 @@ def run_training(
 
 
 def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
-    """Begin in an empty folder, or continue what has equal settings;
-    InvalidInputError names the first that differs.
+    """Begin in an empty folder, or continue what has equal settings.
+
+    InvalidInputError names the first setting that differs.
     """
     path, settings = folder / "training.json", json.loads(json.dumps(settings))
     if path.is_file():
@@ -176,10 +188,14 @@ class Trainer:
         self.progress, self.optimizer = Progress(), stage.optimizer.build(stage.module)
 
     def train(
-        self, minutes: float | None, report: Report = lambda done, total, note: None
+        self,
+        minutes: float | None,
+        report: Report = lambda done, total, note: None,
+        save_every: float = 300.0,
     ) -> Progress:
-        """Train until the epochs are done, the minutes are over, or Ctrl-C;
-        the state is saved in every case.
+        """Train until the epochs are done, the minutes are over, or Ctrl-C.
+
+        The state is saved in every case, and every `save_every` seconds.
         """
         if (self.folder / "state.pt").is_file():
             self._load()
@@ -201,9 +217,13 @@ class Trainer:
                     report(
                         done, self.epochs * total, f"epoch {progress.epoch + 1}, loss {loss:.4f}"
                     )
-                    stop, over = self._anywhere(bool(received), now >= end)
+                    # every process stops if any has to
+                    flags = torch.tensor([bool(received), now >= end], dtype=torch.uint8)
+                    if self.processes > 1:
+                        dist.all_reduce(flags, dist.ReduceOp.MAX)
+                    stop, over = flags.bool().tolist()
                     within = over and progress.batch < total
-                    if stop or within or now >= saved + SAVE_EVERY_S:
+                    if stop or within or now >= saved + save_every:
                         self._save()
                         saved = now
                     if stop:
@@ -220,6 +240,7 @@ class Trainer:
         """Take the steps that are left of an epoch; how many it has, and the loss of each."""
         stage, progress, k = self.stage, self.progress, self.processes
         batches = stage.batches(progress.epoch)
+        # torch's Dataset does not promise a length
         total = len(batches) // k  # type: ignore[arg-type]
         if not total:
             raise InvalidInputError(
@@ -262,13 +283,6 @@ class Trainer:
         self.optimizer.step()
         return {name: float(value.detach()) for name, value in losses.items()}
 
-    def _anywhere(self, *flags: bool) -> list[bool]:
-        """Which flags any of the processes has set."""
-        found = torch.tensor(flags, dtype=torch.uint8)
-        if self.processes > 1:
-            dist.all_reduce(found, dist.ReduceOp.MAX)
-        return found.bool().tolist()
-
     def _end_epoch(self) -> None:
         """Validate, keep the model if it is the best so far, and save."""
         progress, count = self.progress, self.progress.batch
@@ -290,7 +304,7 @@ class Trainer:
         self._save()
 
     def _validate(self) -> dict[str, float | None]:
-        """Values of the held-out paths, named as in the curves; none but in the first of processes."""
+        """Values of the held-out paths, named as in the curves; in the first process alone."""
         if self.rank > 0:
             return {}
         self.stage.module.eval()
@@ -325,7 +339,8 @@ class Trainer:
             self.stage.module.load_state_dict(state["module"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.progress = Progress(**state["progress"])
-        except Exception as error:  # what a damaged archive raises depends on the byte
+        # what a damaged archive raises depends on the byte
+        except Exception as error:
             raise InvalidInputError(f"{path} is damaged: {error}; choose another --out") from error
 
 
@@ -341,7 +356,7 @@ class _Losses(nn.Module):
 
 
 def joined_processes() -> tuple[int, int]:
-    """Number of this process and how many there are under `torchrun`, over gloo; (0, 1) without it."""
+    """Number of this process and how many there are under `torchrun`; (0, 1) without it."""
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
         return 0, 1
@@ -354,9 +369,7 @@ def joined_processes() -> tuple[int, int]:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """A list that a first Ctrl-C or SIGTERM fills, so that the training can save;
-    a second one acts as usual.
-    """
+    """A list that a first Ctrl-C or SIGTERM fills; a second one acts as usual."""
     received: list[int] = []
     earlier = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
@@ -374,7 +387,8 @@ def _interrupts() -> Iterator[list[int]]:
 
 
 def _ignore_interrupt(worker: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the trainer's business
+    # Ctrl-C is for the trainer, which saves
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _device(name: str) -> torch.device:

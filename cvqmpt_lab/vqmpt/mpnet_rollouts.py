@@ -36,12 +36,17 @@ from cvqmpt_lab.vqmpt.config import MPNetConfig, checked_cloud
 from cvqmpt_lab.vqmpt.weights import StoredModel
 
 PART = "mpnet"
-LINE_STATES = 100  # checked for collision on a straight joint line, as published
-ROLLOUTS = 10  # tried before giving up
-PREDICTIONS = 10  # states of one rollout
-# proposals, which dropout makes differ, tested for one state before its rollout is given up
-ATTEMPTS = 32
-SHARE = 0.1  # of the whole budget, that joining two neighbouring states may take
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolloutSettings:
+    """How far rollouts go."""
+
+    rollouts: int = 10  # tried before giving up
+    predictions: int = 10  # states of one rollout
+    # proposals, which dropout makes differ, tested for one state before its rollout is given up
+    attempts: int = 32
+    share: float = 0.1  # of the whole budget, that joining two neighbouring states may take
 
 
 class MPNetNetwork:
@@ -74,8 +79,7 @@ class MPNetNetwork:
             )
 
     def draw_points(self, cloud: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Points (n_points, 3) of a cloud (m, 3) [m] in random order; all of them again when they
-        run out.
+        """Points (n_points, 3) of a cloud (m, 3) [m] in random order, repeated if they are fewer.
 
         Raises InvalidInputError for a cloud that `checked_cloud` refuses.
         """
@@ -96,10 +100,16 @@ class MPNetNetwork:
         code: np.ndarray,
         rng: np.random.Generator | None = None,
     ) -> np.ndarray:
-        """Next configuration (joint_dim,) from current towards goal (joint_dim,), not clipped.
+        """Propose the next configuration.
 
-        Configurations are normalised to [-1, 1]. Dropout is drawn from rng; without one there is
-        none.
+        Args:
+            current: (joint_dim,) normalised to [-1, 1].
+            goal: (joint_dim,) likewise.
+            code: (code_dim,) of `encode`.
+            rng: draws dropout; without it there is none.
+
+        Returns:
+            (joint_dim,), not clipped.
         """
         x = np.concatenate((code, current, goal)).astype(np.float32)
         share = np.float32(self.config.dropout)
@@ -112,7 +122,7 @@ class MPNetNetwork:
 
 
 class _Layer:
-    """x -> W x + b, then a PReLU where a slope is named."""
+    """x -> W x + b, then PReLU where a slope a is named: y if y > 0, else a y."""
 
     def __init__(
         self, model: StoredModel, name: str, inputs: int, outputs: int, slope: str | None = None
@@ -145,9 +155,14 @@ class Rollout(NamedTuple):
 class MPNetRollouts:
     """A trained MPNet as a proposer of whole paths; see the module."""
 
-    def __init__(self, model: StoredModel, bridged: bool = False) -> None:
-        """Take a snapshot of the weights."""
-        self.network, self.bridged = MPNetNetwork(model), bridged
+    def __init__(
+        self,
+        model: StoredModel,
+        bridged: bool = False,
+        settings: RolloutSettings = RolloutSettings(),
+    ) -> None:
+        """Copy the weights; bridged: what rollouts leave open is joined by tree growth."""
+        self.network, self.bridged, self.settings = MPNetNetwork(model), bridged, settings
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Roll out until a path is found, the budget is spent or all rollouts have failed.
@@ -158,10 +173,11 @@ class MPNetRollouts:
         assert observation.cloud is not None
         began = query.deadline.seconds
         code = self.network.encode(self.network.draw_points(observation.cloud, query.rng))
-        run = _Run(self.network, self.bridged, query, code, query.deadline.seconds - began)
+        encode_seconds = query.deadline.seconds - began
+        run = _Run(self.network, self.bridged, self.settings, query, code, encode_seconds)
         nearest = query.nearest_goals(len(query.goals) if self.bridged else 1)
         path, failure = None, PlanStatus.ITERATION_LIMIT
-        for turn in range(ROLLOUTS):
+        for turn in range(self.settings.rollouts):
             path = run.attempt(query.start, nearest[turn % len(nearest)])
             spent = query.deadline.spent()
             if path is not None or spent is not None:
@@ -183,6 +199,7 @@ class _Run:
 
     network: MPNetNetwork
     bridged: bool
+    settings: RolloutSettings
     query: Query
     code: np.ndarray
     encode_seconds: float
@@ -194,11 +211,9 @@ class _Run:
     @property
     def failed(self) -> str:
         """How many rollouts failed, and why."""
-        count = self.failures.total()
+        count, tried = self.failures.total(), self.settings.rollouts
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.failures.items()))
-        return (
-            f"{'all ' if count == ROLLOUTS else ''}{count} of {ROLLOUTS} rollouts failed: {reasons}"
-        )
+        return f"{'all ' if count == tried else ''}{count} of {tried} rollouts failed: {reasons}"
 
     def attempt(self, start: np.ndarray, goal: np.ndarray) -> JointPath | None:
         """The path through one rollout, or None."""
@@ -218,7 +233,7 @@ class _Run:
         # the last state of each side in [-1, 1]
         told = [_normalised(robot, start), _normalised(robot, goal)]
         met, joint = False, None
-        for turn in range(PREDICTIONS):
+        for turn in range(self.settings.predictions):
             side = turn % 2
             found = self._next_state(told[side], told[1 - side])
             if found is None:
@@ -240,14 +255,18 @@ class _Run:
     def _next_state(
         self, current: np.ndarray, towards: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """The first proposal from current to towards (n,) in [-1, 1] that is free once clipped and
-        projected.
+        """The first proposal that is free once clipped and projected.
 
-        Returns the state (n,) [rad or m] and the clipped proposal (n,); None when attempts or
-        budget are used up.
+        Args:
+            current: (n,) in [-1, 1].
+            towards: (n,) in [-1, 1].
+
+        Returns:
+            The state (n,) [rad or m] and the clipped proposal (n,); None when attempts or budget
+            are used up.
         """
         robot = self.query.space.robot
-        for _ in range(ATTEMPTS):
+        for _ in range(self.settings.attempts):
             if self.query.deadline.spent():
                 return None
             self.query.deadline.count()
@@ -261,9 +280,7 @@ class _Run:
         return None
 
     def _path(self, rollout: Rollout) -> JointPath | None:
-        """Join every two neighbouring states, directly or by tree growth;
-        None as soon as one pair fails.
-        """
+        """Join every two neighbouring states, directly or by tree growth; None if a pair fails."""
         motions, grown = [], 0
         for i, (a, b) in enumerate(pairwise(rollout.states)):
             motion = (
@@ -284,7 +301,7 @@ class _Run:
         """A path from a to b (n,) by tree growth within its share of the budget."""
         if self.query.deadline.spent():
             return None
-        part = self.query.deadline.rest(SHARE)
+        part = self.query.deadline.rest(self.settings.share)
         result = BiRRT().search(
             self.query.space, a, b[None], self.query.uniform, part, self.query.rng
         )
@@ -292,11 +309,12 @@ class _Run:
         return result.path
 
 
-def line_free(space: ConstrainedSpace, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether `LINE_STATES` states evenly on the straight joint line from a to b (n,) are free,
-    constraint or not.
+def line_free(space: ConstrainedSpace, a: np.ndarray, b: np.ndarray, states: int = 100) -> bool:
+    """Whether states evenly on the straight joint line from a to b (n,) are free of collision.
+
+    The constraint need not hold. 100 states as published.
     """
-    return all(space.valid(q) for q in np.linspace(a, b, LINE_STATES))
+    return all(space.valid(q) for q in np.linspace(a, b, states))
 
 
 def _normalised(robot: Robot, q: np.ndarray) -> np.ndarray:

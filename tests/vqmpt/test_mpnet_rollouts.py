@@ -24,7 +24,12 @@ from cvqmpt_lab.vqmpt import mpnet_rollouts
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet
-from cvqmpt_lab.vqmpt.mpnet_rollouts import LINE_STATES, MPNetNetwork, MPNetRollouts, line_free
+from cvqmpt_lab.vqmpt.mpnet_rollouts import (
+    MPNetNetwork,
+    MPNetRollouts,
+    RolloutSettings,
+    line_free,
+)
 from cvqmpt_lab.vqmpt.weights import RobotSignature, robot_signature
 
 CONFIG = MPNetConfig(
@@ -86,10 +91,10 @@ def cloud_of(scene):
     return np.array([item.T_world_object[:3, 3] for item in scene.obstacles])
 
 
-def mpnet_of(robot, network=None, observe=cloud_of, bridged=False):
+def mpnet_of(robot, network=None, observe=cloud_of, bridged=False, **settings):
     """A method whose rollouts are those of a network."""
     checkpoint = MPNetCheckpoint(robot_signature(robot), network or heading_network())
-    rollouts = MPNetRollouts(stored(checkpoint), bridged)
+    rollouts = MPNetRollouts(stored(checkpoint), bridged, RolloutSettings(**settings))
     return Method.simple("mpnet", predict=rollouts, observe=observe)
 
 
@@ -172,10 +177,9 @@ def test_a_budget_that_ends_between_rollouts_is_named(tuning):
     assert (result.counters.iterations, result.detail) == (40, expected)
 
 
-def test_attempts_are_bounded_where_nothing_proposed_is_free(tuning, monkeypatch):
-    monkeypatch.setattr(mpnet_rollouts, "ROLLOUTS", 3)
-    monkeypatch.setattr(mpnet_rollouts, "ATTEMPTS", 6)
-    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning)))
+def test_attempts_are_bounded_where_nothing_proposed_is_free(tuning):
+    method = mpnet_of(tuning.robot, stuck_network(tuning), rollouts=3, attempts=6)
+    result = plan(tuning, method)
     assert result.status is PlanStatus.ITERATION_LIMIT
     assert result.detail == "all 3 of 3 rollouts failed: 3 without a free state"
     assert result.counters.iterations == 3 * 6
@@ -203,14 +207,12 @@ def asked(monkeypatch):
     return RecordedBiRRT.asked
 
 
-def test_sides_that_do_not_meet_are_bridged_or_given_up_without_a_tree(tuning, asked, monkeypatch):
-    for name, value in {"PREDICTIONS": 1, "ROLLOUTS": 1, "SHARE": 1.0}.items():
-        monkeypatch.setattr(mpnet_rollouts, name, value)
-    short = heading_network(share=0.1)
-    published = plan(tuning, mpnet_of(tuning.robot, short))
+def test_sides_that_do_not_meet_are_bridged_or_given_up_without_a_tree(tuning, asked):
+    short, settings = heading_network(share=0.1), {"predictions": 1, "rollouts": 1, "share": 1.0}
+    published = plan(tuning, mpnet_of(tuning.robot, short, **settings))
     assert published.path is None and asked == []
     assert published.detail == "all 1 of 1 rollouts failed: 1 whose sides did not meet"
-    bridged = plan(tuning, mpnet_of(tuning.robot, short, bridged=True))
+    bridged = plan(tuning, mpnet_of(tuning.robot, short, bridged=True, **settings))
     assert bridged.path is not None and len(asked) >= 1 and "a bridge" in bridged.detail
 
 
@@ -248,7 +250,7 @@ def test_rollouts_alone_need_no_tree(tuning, asked):
     easy = replace(tuning, goals=near[None], goal_region=None)
     result = plan(easy, mpnet_of(easy.robot))
     assert result.detail == ROLLOUTS_ALONE and asked == []
-    assert result.counters.state_checks >= LINE_STATES and result.counters.projections > 0
+    assert result.counters.state_checks >= 100 and result.counters.projections > 0
 
 
 def test_a_straight_line_is_checked_for_collision_alone(tuning):
@@ -257,7 +259,7 @@ def test_a_straight_line_is_checked_for_collision_alone(tuning):
     off[6] += 0.3  # turns the hand: off the manifold
     assert space.valid(off) and np.linalg.norm(tuning.manifold.residual(off)) > 0.01
     assert line_free(space, tuning.start, off)
-    assert space.counters.projections == 0 and space.counters.state_checks == 1 + LINE_STATES
+    assert space.counters.projections == 0 and space.counters.state_checks == 1 + 100
     blocked = stuck_network(tuning).out.bias.detach().numpy()
     lower, upper = tuning.robot.lower, tuning.robot.upper
     assert not line_free(space, tuning.start, lower + 0.5 * (blocked + 1.0) * (upper - lower))
