@@ -15,7 +15,7 @@ from cvqmpt_lab.vqmpt.config import (
     TransformerConfig,
 )
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
-from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
+from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.weights import robot_signature
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=32, d_inner=48, dropout=0.1)

@@ -26,9 +26,9 @@ from cvqmpt_lab.vqmpt.config import (
     SceneTransformerSizes,
     SequenceConfig,
 )
+from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, group_points
 from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer
-from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
 
 
 class TransformerStage(SequenceStage):

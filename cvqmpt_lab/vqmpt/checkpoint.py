@@ -13,8 +13,8 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.mpnet import MPNet
+from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
-from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.weights import (
     MPNET,
     VQ_MPT,

@@ -27,11 +27,9 @@ from cvqmpt_lab.vqmpt.config import (
     TransformerConfig,
 )
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
-from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
+from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 
-WEIGHTS_FILE = "best_model.pkl"
-CODE_DIM = 8  # a constant of the published scripts, in none of the json files
 SIZES = ("n_layers", "n_heads", "d_k", "d_v", "d_model", "d_inner", "dropout")
 STAGE1 = {"encoder_state": "encoder", "quantizer_state": "quantizer", "decoder_state": "decoder"}
 STAGE2 = {"context_state": "context", "ar_model_state": "autoregressive"}
@@ -59,20 +57,23 @@ class Imported(NamedTuple):
 def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) -> Imported:
     """Convert published checkpoints; every tensor finds its place and none is left over.
 
-    dictionary_dir: folder of ``model_params.json`` and ``best_model.pkl`` (stage 1). ar_dir: folder
-        of ``cross_attn.json``, ``ar_params.json`` and ``best_model.pkl`` (stage 2). robot: by whose
-        joint limits the training data were scaled; the files do not say. InvalidInputError names
-        the file, field or tensors that do not fit.
+    Args:
+        dictionary_dir: folder of ``model_params.json`` and ``best_model.pkl`` (stage 1).
+        ar_dir: folder of ``cross_attn.json``, ``ar_params.json`` and ``best_model.pkl`` (stage 2).
+        robot: by whose joint limits the training data were scaled; the files do not say.
+
+    InvalidInputError names the file, field or tensors that do not fit.
     """
     dictionary_dir, ar_dir = Path(dictionary_dir), Path(ar_dir)
     config = _config(dictionary_dir, ar_dir)
-    path1, path2 = dictionary_dir / WEIGHTS_FILE, ar_dir / WEIGHTS_FILE
+    path1, path2 = dictionary_dir / "best_model.pkl", ar_dir / "best_model.pkl"
     stage1, stage2 = read_tensors(path1), read_tensors(path2)
     dictionary = filled(lambda: Dictionary(config), _together(stage1, STAGE1, path1), str(path1))
     tensors = _together(stage2, STAGE2, path2)
     sequence_model = filled(lambda: PublishedSequenceModel(config), tensors, str(path2))
     both, used = {**stage1, **stage2}, (*STAGE1, *STAGE2)
-    epochs = _epoch(stage1), _epoch(stage2)
+    first, second = stage1.get("epoch"), stage2.get("epoch")
+    epochs = first if isinstance(first, int) else None, second if isinstance(second, int) else None
     metadata = {"source": "published checkpoint", "epochs": [*epochs]}
     return Imported(
         Checkpoint(config, robot, dictionary, sequence_model, metadata),
@@ -104,7 +105,8 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
                 transformer=_sizes(stage1),
                 n_position=stage1["n_position"],
                 n_codes=sequence["num_keys"] - 2,
-                code_dim=CODE_DIM,
+                # a constant of the published scripts, in none of the json files
+                code_dim=8,
             ),
             point_cloud=PointCloudConfig(
                 sa2=SetAbstractionConfig(radius=0.4, widths=(256, stage1["d_model"])),
@@ -146,11 +148,6 @@ def _together(
     return tensors
 
 
-def _epoch(content: Mapping[str, Any]) -> int | None:
-    epoch = content.get("epoch")
-    return epoch if isinstance(epoch, int) else None
-
-
 def read_tensors(path: Path) -> dict[str, Any]:
     """Read a pickle that may hold tensors and plain values, nothing that runs.
 
@@ -160,9 +157,11 @@ def read_tensors(path: Path) -> dict[str, Any]:
     data = read_bytes(require_regular_file(path))
     try:
         with torch.serialization.safe_globals(_HARMLESS), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about other pickles than we read
+            # about other pickles than we read
+            warnings.simplefilter("ignore")
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # what a damaged pickle raises depends on the byte
+    # what a damaged pickle raises depends on the byte
+    except Exception as error:
         raise InvalidInputError(_refusal(path, data[:512], error)) from error
     if not isinstance(content, dict):
         raise InvalidInputError(

@@ -41,7 +41,7 @@ from cvqmpt_lab.vqmpt.codebook import (
 )
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts
-from cvqmpt_lab.vqmpt.predictor import Predictor
+from cvqmpt_lab.vqmpt.published_predictor import Predictor
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
 from cvqmpt_lab.vqmpt.weights import (

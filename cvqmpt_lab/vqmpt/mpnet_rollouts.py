@@ -53,7 +53,7 @@ class MPNetNetwork:
     """MPNet's weights, ready to propose."""
 
     def __init__(self, model: StoredModel) -> None:
-        """Take the weights over; raises InvalidInputError when they do not fit the configuration."""
+        """Copy the weights; raises InvalidInputError when they do not fit the configuration."""
         self.config: MPNetConfig = model.config
         config = self.config
         encoder = (3 * config.n_points, *config.encoder_widths)

@@ -25,7 +25,7 @@ from cvqmpt_lab.sensing.virtual import CameraSettings, thinned
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence, beam_search, log_softmax
 from cvqmpt_lab.vqmpt.codebook import require_own_dictionary
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig, checked_cloud
-from cvqmpt_lab.vqmpt.predictor import SCENES, checked_ends
+from cvqmpt_lab.vqmpt.published_predictor import SCENES, checked_ends
 from cvqmpt_lab.vqmpt.scene_arrays import (
     LONGEST,
     NOWHERE,

@@ -13,7 +13,7 @@ from small_models import random_checkpoint
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
-from cvqmpt_lab.vqmpt.predictor import Predictor
+from cvqmpt_lab.vqmpt.published_predictor import Predictor
 from cvqmpt_lab.vqmpt.weights import (
     WEIGHTS,
     OtherRobotError,

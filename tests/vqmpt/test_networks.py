@@ -28,7 +28,7 @@ from cvqmpt_lab.vqmpt.dictionary import (
     TrajectoryEncoder,
     sinusoid_table,
 )
-from cvqmpt_lab.vqmpt.transformer import PublishedSequenceModel
+from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 
 SIZES = TransformerConfig(n_layers=2, n_heads=3, d_k=10, d_v=6, d_model=16, d_inner=24, dropout=0.1)
 SMALL = ModelConfig(

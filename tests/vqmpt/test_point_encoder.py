@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.vqmpt import point_encoder
+from cvqmpt_lab.vqmpt import published_network
 from cvqmpt_lab.vqmpt.config import SetAbstractionConfig
-from cvqmpt_lab.vqmpt.point_encoder import (
+from cvqmpt_lab.vqmpt.published_network import (
     SetAbstraction,
     TokenLevel,
     ball_query,
@@ -35,7 +35,7 @@ def farthest_by_hand(cloud, count):
 def test_farthest_points(points):
     indices = farthest_point_sampling(points, 20)
     assert indices.tolist() == [farthest_by_hand(cloud, 20) for cloud in points]
-    assert torch.equal(point_encoder._farthest_of_batch(points, 20), indices)
+    assert torch.equal(published_network._farthest_of_batch(points, 20), indices)
     assert sorted(farthest_point_sampling(points, 60)[0].tolist()) == list(range(60))
     assert farthest_point_sampling(torch.zeros(1, 4, 3), 2).tolist() == [[0, 0]]
     for count in (0, 61):
@@ -45,12 +45,9 @@ def test_farthest_points(points):
 
 @pytest.mark.parametrize("pairs_at_once", [1, 500, 1 << 17])
 @pytest.mark.parametrize("most", [3, 64])
-def test_ball_query_takes_the_first_points_within_the_radius(
-    points, most, pairs_at_once, monkeypatch
-):
-    monkeypatch.setattr(point_encoder, "PAIRS_AT_ONCE", pairs_at_once)
+def test_ball_query_takes_the_first_points_within_the_radius(points, most, pairs_at_once):
     centres = points[:, 5:17]
-    found = ball_query(points, centres, 0.4, most)
+    found = ball_query(points, centres, 0.4, most, pairs_at_once)
     expected = [
         (60 * b + n, 12 * b + m)
         for b in range(2)

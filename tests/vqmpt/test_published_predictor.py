@@ -8,7 +8,7 @@ from small_models import random_checkpoint
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import stored
-from cvqmpt_lab.vqmpt.predictor import Predictor
+from cvqmpt_lab.vqmpt.published_predictor import Predictor
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,4 @@
-"""Codes by a sequence model of the authors' architecture: to each goal h_1 ...
-
-h_n, found by their beam search.
-"""
+"""Code sequences h_1 ... h_n to each goal, by the authors' sequence model and beam search."""
 
 import hashlib
 import time
@@ -18,7 +15,6 @@ from cvqmpt_lab.vqmpt.codebook import ModelConfigurations
 from cvqmpt_lab.vqmpt.config import checked_cloud
 from cvqmpt_lab.vqmpt.weights import StoredModel
 
-LIMIT_TOLERANCE = 1e-6  # start and goals may leave the joint limits by this much [rad or m]
 SCENES = 8  # encoded clouds in the cache
 
 
@@ -42,7 +38,7 @@ class Predictor:
     """A trained VQ-MPT model of kind "published", for one robot."""
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
-        """Take over a model's weights.
+        """Copy a model's weights.
 
         Raises InvalidInputError when it has no sequence model, belongs to another robot, or does
         not fit its sizes.
@@ -59,8 +55,7 @@ class Predictor:
         self._scenes = Latest[Any](SCENES)
 
     def encode_scene(self, cloud: np.ndarray, use_cache: bool = True) -> Any:
-        """Scene tokens of a cloud (m, 3) [m, robot base frame], found among the latest ones where
-        they are.
+        """Scene tokens of a cloud (m, 3) [m, robot base frame]; cached for the last clouds.
 
         Raises InvalidInputError for a cloud that `checked_cloud` refuses.
         """
@@ -71,7 +66,13 @@ class Predictor:
     def predict(
         self, cloud: np.ndarray, start: np.ndarray, goals: np.ndarray, use_cache: bool = True
     ) -> Prediction:
-        """Predict code sequences from start (n,) to each of goals (k, n) [rad or m], in one batch.
+        """Predict a code sequence to each goal, in one batch.
+
+        Args:
+            cloud: (m, 3) [m, robot base frame].
+            start: (n,) [rad or m].
+            goals: (k, n) [rad or m].
+            use_cache: for scene tokens.
 
         Raises InvalidInputError for a cloud that `checked_cloud` refuses, or a start or goal
         outside the joint limits.
@@ -98,8 +99,9 @@ class Predictor:
 def checked_ends(
     robot: Robot, start: np.ndarray, goals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Start (n,) and goals (k, n) as float64;
-    InvalidInputError where they are not within a robot's limits.
+    """Start (n,) and goals (k, n) [rad or m] as float64.
+
+    InvalidInputError names the joint that is not finite or outside its limits.
     """
     n = robot.dof
     start, goals = _numbers(start, "start"), _numbers(goals, "goals")
@@ -113,7 +115,8 @@ def checked_ends(
         if not np.isfinite(q).all():
             joint = robot.joint_names[int(np.argmin(np.isfinite(q)))]
             raise InvalidInputError(f"{what}: joint {joint!r} is not finite")
-        outside = robot.joint_outside_limits(q, LIMIT_TOLERANCE)
+        # rounding may put it outside by 1e-6 rad or m
+        outside = robot.joint_outside_limits(q, 1e-6)
         if outside is not None:
             raise InvalidInputError(
                 f"{what}: joint {outside[0]!r} is {outside[1]:g} outside its limits"

@@ -1,0 +1,399 @@
+"""The authors' sequence model (stage 2 of VQ-MPT): from scene, start and goal to codes.
+
+PointNet++ set abstraction turns the point cloud into scene tokens E = e_1 ... e_n, in two levels.
+Each takes farthest points as centres p_i and summarises the ball around each by the maximum, over
+its points p_j with features x_j, of a perceptron of [x_j, p_j - p_i].
+
+Start and goal, embedded by a perceptron, attend to E and give the context M (two tokens). The
+autoregressive transformer predicts the next code (paper, eqn. ar_prob),
+
+    pi(h_j = i | z_(h_1) ... z_(h_(j-1)), M) = p_i,   i one of the N codes or the goal token.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.vqmpt.beam_search import StepDecoder, log_softmax
+from cvqmpt_lab.vqmpt.config import (
+    EPSILON,
+    ModelConfig,
+    PointCloudConfig,
+    SetAbstractionConfig,
+    TransformerConfig,
+    require_point_cloud,
+)
+from cvqmpt_lab.vqmpt.dictionary import (
+    CrossAttentionLayer,
+    Dictionary,
+    Quantizer,
+    SelfAttentionLayer,
+)
+
+START_TOKEN = -1.0  # every entry of the vector that stands between the context and the first code
+
+Scene = tuple[Tensor, Tensor]
+"""Scene tokens (s, m, d_model), padded to the scene with most of them, and which are no padding (s,
+m) bool.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class TokenLevel:
+    """Tokens of one level."""
+
+    features: Tensor  # (b, m, d)
+    centres: Tensor  # (b, m, 3): the points they stand for [m]
+
+
+class PointConvolution(nn.Module):
+    """Perceptron over every edge, maximum over the edges of a centre: max_j h([x_j, p_j - p_i]).
+
+    Each layer of h is linear, ReLU, batch norm, in this order; the statistics are taken over edges.
+    """
+
+    def __init__(self, input_dim: int, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        self.local_nn = nn.Sequential(
+            *(
+                nn.Sequential(nn.Linear(before, after), nn.ReLU(), nn.BatchNorm1d(after))
+                for before, after in zip((input_dim + 3, *widths), widths, strict=False)
+            )
+        )
+
+    def forward(self, edges: Tensor, centre: Tensor, n_centres: int) -> Tensor:
+        """Reduce edges to centres.
+
+        Args:
+            edges: (e, d + 3).
+            centre: (e,) int64, ascending: the centre each edge belongs to; each has one at least.
+            n_centres: number of centres.
+
+        Returns:
+            (n_centres, widths[-1]).
+        """
+        messages = self.local_nn(edges)
+        # the same values; slower, but with a far faster gradient
+        if messages.requires_grad:
+            lengths = torch.bincount(centre, minlength=n_centres)
+            return torch.segment_reduce(messages, "max", lengths=lengths, axis=0, unsafe=True)
+        index = centre[:, None].expand_as(messages)
+        start = messages.new_zeros(n_centres, messages.shape[-1])
+        return start.scatter_reduce(0, index, messages, "amax", include_self=False)
+
+
+class SetAbstraction(nn.Module):
+    """One level."""
+
+    def __init__(self, input_dim: int, config: SetAbstractionConfig) -> None:
+        super().__init__()
+        self.conv = PointConvolution(input_dim, config.widths)
+        self.config = config
+
+    def forward(self, level: TokenLevel) -> TokenLevel:
+        """Abstract features (b, n, d) at n points to fewer centres."""
+        points, features = level.centres, level.features
+        chosen = farthest_point_sampling(points, math.ceil(self.config.ratio * points.shape[1]))
+        centres = points.gather(1, chosen[..., None].expand(-1, -1, 3))
+        batch, m = centres.shape[:2]
+        point, centre = ball_query(points, centres, self.config.radius, self.config.max_neighbours)
+        offsets = points.reshape(-1, 3)[point] - centres.reshape(-1, 3)[centre]
+        edges = torch.cat((features.flatten(0, 1)[point], offsets), dim=-1)
+        return TokenLevel(self.conv(edges, centre, batch * m).unflatten(0, (batch, m)), centres)
+
+
+class PointCloudEncoder(nn.Module):
+    """Two set abstractions on raw metric points; no further code of position is added."""
+
+    def __init__(self, config: PointCloudConfig) -> None:
+        super().__init__()
+        self.sa1_module = SetAbstraction(3, config.sa1)
+        self.sa2_module = SetAbstraction(config.sa1.widths[-1], config.sa2)
+
+    def forward(self, points: Tensor) -> TokenLevel:
+        """Encode clouds (b, n, 3) [m, robot base frame], checked by `require_point_cloud`."""
+        return self.sa2_module(self.sa1_module(TokenLevel(points, points)))
+
+    def constant_features(self, least: float = 1e-6) -> float:
+        """Share of token features of a variance below `least`: no cloud changes them.
+
+        Their units never get through the ReLU.
+        """
+        norms = [part for part in self.modules() if isinstance(part, nn.BatchNorm1d)]
+        variance = norms[-1].running_var
+        assert variance is not None
+        return float((variance < least).float().mean())
+
+
+def farthest_point_sampling(points: Tensor, count: int) -> Tensor:
+    """Indices (b, count) of points (b, n, 3), each the farthest from those before it.
+
+    The first is 0, ties go to the lowest index. InvalidInputError when count is not in 1..n.
+    """
+    n = points.shape[1]
+    if not 1 <= count <= n:
+        raise InvalidInputError(
+            f"farthest point sampling of {count} from {n} points; give 1 to {n}"
+        )
+    if points.device.type == "cpu":
+        each = [_farthest_of_one(cloud.detach().numpy(), count) for cloud in points]
+        return torch.from_numpy(np.stack(each))
+    return _farthest_of_batch(points.detach(), count)
+
+
+def _farthest_of_one(points: np.ndarray, count: int) -> np.ndarray:
+    """Farthest points (count,) of one cloud (n, 3); numpy is five times as fast as torch here."""
+    axes = points.T.copy()
+    indices = np.zeros(count, dtype=np.int64)
+    nearest = np.full(len(points), np.inf, dtype=points.dtype)
+    offsets, distance = np.empty_like(axes), np.empty_like(nearest)
+    latest = 0
+    for k in range(1, count):
+        np.subtract(axes, axes[:, latest, None], out=offsets)
+        np.multiply(offsets, offsets, out=offsets)
+        np.add.reduce(offsets, axis=0, out=distance)
+        np.minimum(nearest, distance, out=nearest)
+        latest = int(nearest.argmax())
+        indices[k] = latest
+    return indices
+
+
+def _farthest_of_batch(points: Tensor, count: int) -> Tensor:
+    """Farthest points (b, count) of all clouds (b, n, 3) at once, for an accelerator."""
+    rows = torch.arange(len(points), device=points.device)
+    indices = torch.zeros(len(points), count, dtype=torch.int64, device=points.device)
+    nearest = torch.full(points.shape[:2], torch.inf, dtype=points.dtype, device=points.device)
+    for k in range(1, count):
+        squares = (points - points[rows, indices[:, k - 1]][:, None]).square()
+        nearest = torch.minimum(nearest, squares[..., 0] + squares[..., 1] + squares[..., 2])
+        indices[:, k] = nearest.argmax(dim=1)
+    return indices
+
+
+def ball_query(
+    points: Tensor,
+    centres: Tensor,
+    radius: float,
+    max_neighbours: int,
+    pairs_at_once: int = 1 << 17,
+) -> tuple[Tensor, Tensor]:
+    """Points in balls around centres; a centre that is one of the points is its own neighbour.
+
+    Args:
+        points: (b, n, 3) [m].
+        centres: (b, m, 3) [m].
+        radius: of the balls [m]; points are closer than that.
+        max_neighbours: points of each centre; of more, those of lowest index are taken.
+        pairs_at_once: distances held at once: half a megabyte stays in the cache.
+
+    Returns:
+        Pairs (e,), (e,) int64 of a point and a centre, indices into the clouds laid end to end.
+        Centres ascend, and the points of one centre too.
+    """
+    batch, n, m = len(points), points.shape[1], centres.shape[1]
+    axes = points.mT.contiguous()
+    near = torch.empty(batch, m, n, dtype=torch.bool, device=points.device)
+    at_once = max(1, pairs_at_once // (batch * n))
+    for first in range(0, m, at_once):
+        block = centres[:, first : first + at_once, :, None]
+        squares = (axes[:, None, 0] - block[:, :, 0]).square_()
+        for axis in (1, 2):
+            squares += (axes[:, None, axis] - block[:, :, axis]).square_()
+        torch.lt(squares, radius * radius, out=near[:, first : first + at_once])
+    row, point = _true_places(near.flatten(0, 1))
+    sizes = torch.bincount(row, minlength=batch * m)
+    rank = torch.arange(len(row), device=row.device) - (sizes.cumsum(0) - sizes)[row]
+    first_ones = rank < max_neighbours
+    row, point = row[first_ones], point[first_ones]
+    return row // m * n + point, row
+
+
+def _true_places(mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Rows and columns of what is true in mask (r, c), row by row."""
+    if mask.device.type != "cpu":
+        row, column = mask.nonzero(as_tuple=True)
+        return row, column
+    # ten times as fast as torch
+    flat = torch.from_numpy(np.flatnonzero(mask.numpy()))
+    return flat // mask.shape[1], flat % mask.shape[1]
+
+
+class CrossAttentionContext(nn.Module):
+    """Embeds start and goal and lets each attend to the scene tokens, but not to the other."""
+
+    def __init__(self, joint_dim: int, sizes: TransformerConfig) -> None:
+        super().__init__()
+        self.to_latent_embedding = nn.Sequential(
+            nn.Linear(joint_dim, sizes.d_inner),
+            nn.ReLU(),
+            nn.Linear(sizes.d_inner, sizes.d_model),
+            nn.Dropout(sizes.dropout),
+            nn.LayerNorm(sizes.d_model),
+        )
+        self.layer_stack = nn.ModuleList(CrossAttentionLayer(sizes) for _ in range(sizes.n_layers))
+        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
+
+    def forward(self, start_goal: Tensor, scene: Tensor, visible: Tensor | None = None) -> Tensor:
+        """Context M (b, t, d_model).
+
+        Args:
+            start_goal: (b, t, joint_dim) normalised joints.
+            scene: (b, m, d_model) tokens.
+            visible: (b, m) bool, False where padded.
+        """
+        tokens = self.to_latent_embedding(start_goal)
+        for layer in self.layer_stack:
+            tokens = layer(tokens, scene, visible)
+        return self.layer_norm(tokens)
+
+
+class SceneContext(nn.Module):
+    """Point cloud encoder and cross attention: the ``context_state`` of published checkpoints."""
+
+    def __init__(
+        self, joint_dim: int, point_cloud: PointCloudConfig, sizes: TransformerConfig
+    ) -> None:
+        super().__init__()
+        self.env_encoder = PointCloudEncoder(point_cloud)
+        self.context_encoder = CrossAttentionContext(joint_dim, sizes)
+
+    def encode_scene(self, clouds: list[Tensor]) -> Scene:
+        """Tokens of clouds (n_i, 3) [m].
+
+        Batch norm statistics are per cloud when clouds differ in size.
+        """
+        if len({len(cloud) for cloud in clouds}) == 1:
+            tokens = self.env_encoder(torch.stack(clouds)).features
+            return tokens, tokens.new_ones(tokens.shape[:2], dtype=torch.bool)
+        each = [self.env_encoder(cloud[None]).features[0] for cloud in clouds]
+        longest = max(len(tokens) for tokens in each)
+        padded = torch.stack([F.pad(tokens, (0, 0, 0, longest - len(tokens))) for tokens in each])
+        sizes = torch.tensor([len(tokens) for tokens in each], device=padded.device)
+        return padded, torch.arange(longest, device=padded.device) < sizes[:, None]
+
+
+class AutoRegressiveModel(nn.Module):
+    """Transformer without position code whose tokens all attend to each other."""
+
+    def __init__(self, n_classes: int, sizes: TransformerConfig) -> None:
+        super().__init__()
+        self.layer_stack = nn.ModuleList(SelfAttentionLayer(sizes) for _ in range(sizes.n_layers))
+        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
+        self.class_pred = nn.Linear(sizes.d_model, n_classes)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """Logits (b, n_classes) of what follows tokens (b, t, d_model), read at the last one."""
+        *before, last = self.layer_stack
+        for layer in before:
+            tokens = layer(tokens)
+        token = last(tokens, read=tokens[:, -1:])
+        return self.class_pred(self.layer_norm(token[:, 0]))
+
+
+class PublishedSequenceModel(nn.Module):
+    """Context and autoregressive model.
+
+    The sequence is [M_start, M_goal, S, c_1, ..., c_i], S a constant. Since tokens are not causal,
+    each prefix is a sample of its own, and prediction is read at its last token. Codes enter
+    through the dictionary's `Quantizer.lookup`, without gradient, and a linear layer where the
+    dictionary has another width.
+    """
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        point_cloud, sequence = config.stage2
+        self.context = SceneContext(config.joint_dim, point_cloud, sequence.context)
+        self.autoregressive = AutoRegressiveModel(config.goal_class + 1, sequence.transformer)
+        given, width = config.dictionary.transformer.d_model, sequence.transformer.d_model
+        self.enter = nn.Identity() if given == width else nn.Linear(given, width)
+
+    def encode_scene(self, clouds: Sequence[Tensor] | Tensor) -> Scene:
+        """Encode clouds (n_i, 3) [m, robot base frame]; errors as of `require_point_cloud`."""
+        for cloud in clouds:
+            require_point_cloud(cloud)
+        return self.context.encode_scene(list(clouds))
+
+    @torch.inference_mode()
+    def encode_cloud(self, points: np.ndarray) -> Scene:
+        """Encode one cloud (m, 3) float32 [m, robot base frame], for planning."""
+        return self.encode_scene([torch.tensor(points)])
+
+    def encode_context(self, scene: Scene, start: Tensor, goal: Tensor) -> Tensor:
+        """Context M (b, 2, d_model) of starts and goals (b, joint_dim), as many of each scene."""
+        times, left = divmod(len(start), len(scene[0]))
+        if left:
+            raise InvalidInputError(
+                f"{len(start)} starts and goals for {len(scene[0])} scenes; give equally many for "
+                f"each"
+            )
+        # starts and goals of a scene ignore each other
+        ends = torch.stack((start, goal), 1).view(len(scene[0]), 2 * times, -1)
+        return self.context.context_encoder(ends, *scene).view(len(start), 2, -1)
+
+    def prefix_logits(self, context: Tensor, codes: Tensor, quantizer: Quantizer) -> Tensor:
+        """Logits of what follows a prefix, of pi(h_j = i | h_1 ... h_(j-1), M).
+
+        Args:
+            context: (b, 2, d_model) M, of `encode_context`.
+            codes: (b, t) int64, h_1 ... h_t.
+            quantizer: the dictionary's, frozen.
+
+        Returns:
+            (b, n_classes): the codes, the start token and the goal token.
+        """
+        with torch.no_grad():
+            embedded = quantizer.lookup(codes)
+        start_token = torch.full_like(context[:, :1], START_TOKEN)
+        tokens = torch.cat((context, start_token, self.enter(embedded)), dim=1)
+        return self.autoregressive(tokens)
+
+    @torch.inference_mode()
+    def decoder(
+        self,
+        dictionary: Dictionary,
+        scene: Scene,
+        start: np.ndarray | Tensor,
+        goal: np.ndarray | Tensor,
+    ) -> StepDecoder:
+        """What beam search asks, for starts and goals (q, joint_dim), queries grouped by scene."""
+        context = self.encode_context(scene, torch.as_tensor(start), torch.as_tensor(goal))
+        return _PrefixDecoder(self, dictionary.quantizer, context)
+
+
+class _PrefixDecoder:
+    """A `StepDecoder` that keeps the prefixes alone and runs the model on all of each."""
+
+    def __init__(
+        self, model: PublishedSequenceModel, quantizer: Quantizer, context: Tensor
+    ) -> None:
+        # context (rows, 2, d_model)
+        self._model, self._quantizer, self._context = model, quantizer, context
+        self._codes = torch.zeros(len(context), 0, dtype=torch.int64, device=context.device)
+
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Classes and log-probabilities (queries, n_classes) of the first code."""
+        classes, log_p = self._log_probabilities()
+        log_p[:, -1] = -np.inf
+        return classes, log_p
+
+    def advance(self, parents: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Replace the rows; see `StepDecoder`."""
+        rows, added = (
+            torch.from_numpy(given).to(self._context.device) for given in (parents, codes)
+        )
+        self._context = self._context[rows]
+        self._codes = torch.cat((self._codes[rows], added[:, None]), dim=1)
+        return self._log_probabilities()
+
+    @torch.inference_mode()
+    def _log_probabilities(self) -> tuple[np.ndarray, np.ndarray]:
+        logits = self._model.prefix_logits(self._context, self._codes, self._quantizer)
+        log_p = log_softmax(logits.float().cpu().numpy())
+        log_p[:, -2] = -np.inf  # the start token
+        return np.broadcast_to(np.arange(log_p.shape[1]), log_p.shape), log_p
