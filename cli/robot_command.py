@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     if args.srdf_out:
         write_text(args.srdf_out, srdf_text(robot.name, robot.left_out_pairs))
     if args.picture:
-        from cvqmpt_lab.show.draw import draw
+        from cvqmpt_lab.show.picture import draw
 
         draw(robot, args.picture)
     return 0

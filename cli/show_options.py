@@ -20,7 +20,7 @@ PAGE = ".html"
 SHOW: Options = {
     "pictures": {
         "--picture": option(
-            "a still picture: start, goal and the way between; of a task, the end of each phase",
+            "a still picture: start, goal and the path between; of a task, the end of each phase",
             type=Path,
             metavar="P.png",
         ),
@@ -62,6 +62,7 @@ def show_solution(
     carried: what the hand is shown with where the problem does not model it.
     """
     lines = []
+    suffix = None if args.save is None else args.save.suffix
     if args.picture:
         from cvqmpt_lab.show.picture import draw_solution, draw_task
 
@@ -71,35 +72,26 @@ def show_solution(
         else:
             what = f"picture of {', '.join(draw_task(solution, args.picture))}"
         lines.append(f"{what} written to {args.picture}")
-    if args.save and args.save.suffix == FILM:
-        from cvqmpt_lab.show.film import film_solution, film_task
+    if suffix == FILM:
+        from cvqmpt_lab.show.film import film_solution
 
-        if isinstance(solution, Solution):
-            film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
-        else:
-            film_task(solution, args.save, progress=ProgressBar("film"))
+        film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
         lines.append(f"film written to {args.save}")
-    if args.save and args.save.suffix == PAGE:
-        from cvqmpt_lab.show.web_page import save_page, save_task_page
+    if suffix == PAGE:
+        from cvqmpt_lab.show.web_page import save_page
 
-        if isinstance(solution, Solution):
-            notes = save_page(solution, args.save, carried)
-        else:
-            notes = save_task_page(solution, args.save)
+        notes = save_page(solution, args.save, carried)
         size = args.save.stat().st_size / 1e6
-        lines += [
+        lines.append(
             f"page written to {args.save} ({size:.1f} MB); open it in a browser, no network is "
-            f"needed",
-            *notes,
-        ]
-    recording = args.save if args.save and args.save.suffix == RECORDING else None
-    if recording or args.view:
-        from cvqmpt_lab.show.recording import log_solution, log_task
+            "needed"
+        )
+        lines += notes
+    if suffix == RECORDING or args.view:
+        from cvqmpt_lab.show.recording import log_solution
 
-        if isinstance(solution, Solution):
-            log_solution(solution, save=recording, view=args.view, carried=carried)
-        else:
-            log_task(solution, args.save)
+        recording = args.save if suffix == RECORDING else None
+        log_solution(solution, recording, args.view, carried)
         if recording:
             lines.append(f"recording written to {recording}; open it with: rerun {recording}")
     return lines

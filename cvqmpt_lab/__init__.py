@@ -13,7 +13,7 @@ _HOME = {
     "certify": "certificate",
     "ConvexMesh": "scene.shapes",
     "Cylinder": "scene.shapes",
-    "draw": "show.draw",
+    "draw": "show.picture",
     "film_solution": "show.film",
     "GaussianMixture": "search.planner_interface",
     "JointPath": "search.result",

@@ -10,7 +10,7 @@ from typing import Any
 
 def load_ipython_extension(shell: Any) -> None:
     """Register the pictures with a shell of IPython; `%load_ext cvqmpt_lab.show` calls it."""
-    from cvqmpt_lab.show.draw import register_pictures
+    from cvqmpt_lab.show.picture import register_pictures
 
     register_pictures(shell)
 

@@ -11,7 +11,6 @@ from cvqmpt_lab.poses import rotation_matrices
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.show.meshes import Colour
 
-LEGEND_ROOM = 0.45  # of a plot's height, kept free above its curves
 BOUND_COLOUR: Colour = (0.80, 0.20, 0.20)
 
 
@@ -36,7 +35,7 @@ class Plot:
         """Of the vertical axis, with room for the legend above the curves."""
         low, high = self.extremes
         height = max(high - low, 1e-3)
-        return low - 0.05 * height, high + LEGEND_ROOM * height
+        return low - 0.05 * height, high + 0.45 * height
 
     @property
     def extremes(self) -> tuple[float, float]:

@@ -19,8 +19,9 @@ from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.show.meshes import Viewpoint, poses_along
+from cvqmpt_lab.show.bodies import poses_along
 from cvqmpt_lab.show.picture import still_image
+from cvqmpt_lab.show.raster import Viewpoint
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, resolve_model, weights_digest
 from experiments.figures.code_update import (
     WHEN,

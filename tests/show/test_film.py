@@ -7,15 +7,13 @@ import pytest
 from PIL import Image
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.show import film
 from cvqmpt_lab.show.film import film_solution, save_film
 
 FRAMES = [np.full((21, 31, 3), shade, np.uint8) for shade in (0, 90, 250)]
 
 
-def test_the_robot_moves_from_start_to_goal(solution, tmp_path, monkeypatch):
-    monkeypatch.setattr(film, "FRAMES", 4)
-    film_solution(solution, tmp_path / "a.gif", (120, 80))
+def test_the_robot_moves_from_start_to_goal(solution, tmp_path):
+    film_solution(solution, tmp_path / "a.gif", (120, 80), pictures=5)
     with Image.open(tmp_path / "a.gif") as shown:
         assert shown.n_frames >= 5
         shown.seek(0)

@@ -13,29 +13,20 @@ from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.show import film, task_frames
-from cvqmpt_lab.show.marks import constraint_marks
-from cvqmpt_lab.show.meshes import (
-    GOAL_COLOUR,
-    MOST_CORNERS,
-    ROBOT_COLOUR,
-    Viewpoint,
-    hull_mesh,
-    joined,
-    rasterise,
-    robot_meshes,
+from cvqmpt_lab.show.bodies import (
+    constraint_marks,
+    frames,
+    ground_height,
+    meshes_of,
+    robot_bodies,
+    scene_bodies,
+    seen_of_task,
 )
-from cvqmpt_lab.show.picture import (
-    NAME_LETTERS,
-    Label,
-    Layer,
-    blend,
-    draw_solution,
-    draw_task,
-    stage_of,
-    strip,
-)
-from cvqmpt_lab.show.recording import TASK_TIMELINE, log_task
+from cvqmpt_lab.show.film import film_solution
+from cvqmpt_lab.show.meshes import hull_mesh, joined
+from cvqmpt_lab.show.picture import draw_solution, draw_task, strip
+from cvqmpt_lab.show.raster import Stage, Viewpoint
+from cvqmpt_lab.show.recording import log_solution
 
 
 def test_picture_has_the_size_and_shows_the_trace(solution, tmp_path):
@@ -53,7 +44,7 @@ def test_fine_hulls_are_drawn_by_few_corners_close_to_the_whole():
     points = rng.normal(size=(20_000, 3))
     plate = points / np.linalg.norm(points, axis=1)[:, None] * (0.3, 0.2, 0.01)
     mesh = hull_mesh(plate)
-    assert mesh is hull_mesh(plate.copy()) and len(mesh.corners) < 2 * MOST_CORNERS
+    assert mesh is hull_mesh(plate.copy()) and len(mesh.corners) < 600
     directions = rng.normal(size=(200, 3))
     drawn, whole = (
         np.max(corners @ directions.T, axis=0) for corners in (mesh.corners.reshape(-1, 3), plate)
@@ -62,12 +53,11 @@ def test_fine_hulls_are_drawn_by_few_corners_close_to_the_whole():
 
 
 def test_a_ghost_that_stands_where_the_robot_stands_is_not_seen(problem):
-    stage = stage_of(problem, Viewpoint(), (60, 40))
-    picture = stage.picture(robot_meshes(problem, problem.start, ROBOT_COLOUR))
-    before = picture.image.copy()
-    ghost = Layer(joined(robot_meshes(problem, problem.start, GOAL_COLOUR)), 0.5)
-    blend(picture, ghost, rasterise(ghost.mesh, stage.viewpoint, stage.shape), stage.viewpoint)
-    assert np.array_equal(picture.image, before)
+    still = meshes_of(scene_bodies(problem.scene))
+    stage = Stage(still, ground_height(problem.scene), Viewpoint(), (60, 40))
+    robot = meshes_of(robot_bodies(problem, problem.start[None]))
+    ghost = stage.layer(joined(robot), 0.5)
+    assert np.array_equal(stage.image(robot, [ghost]), stage.image(robot))
 
 
 @pytest.mark.parametrize(
@@ -88,7 +78,7 @@ def test_planes_and_lines_are_drawn_where_the_hand_may_be(problem, region, exten
 
 
 def test_the_cone_of_a_tilt_is_as_wide_as_its_bound(problem):
-    cone, _ = constraint_marks(problem, problem.start[None])[:2]
+    cone, *_ = constraint_marks(problem, problem.start[None])
     apex = problem.robot.pose(problem.start)[:3, 3]
     rays = cone.corners.reshape(-1, 3) - apex
     rays = rays[np.linalg.norm(rays, axis=1) > 1e-6]
@@ -104,21 +94,19 @@ def test_unwritable_picture_is_refused(unsolved, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_pictures_and_recording(task_solution, tmp_path, monkeypatch):
+def test_pictures_film_and_recording_of_a_task(task_solution, tmp_path):
     phases = [outcome.phase.name for outcome in task_solution.outcomes]
-    monkeypatch.setattr(task_frames, "PERIOD", 1.0)
-    monkeypatch.setattr(film, "TASK_FRAMES", 8)
     names = draw_task(task_solution, tmp_path / "task.png", size=(60, 40))
     assert names == ["start", *phases]
-    height = 40 + len(strip([Label("1  start")], 60, NAME_LETTERS))
+    height = 40 + len(strip([("1  start", None)], 60, 24))
     assert imread(tmp_path / "task.png").shape[:2] == (2 * height + 6, 3 * 60 + 2 * 6)
-    film.film_task(task_solution, tmp_path / "task.gif", size=(60, 40))
+    film_solution(task_solution, tmp_path / "task.gif", size=(60, 40), pictures=8)
     with Image.open(tmp_path / "task.gif") as moving:
         assert moving.n_frames > len(phases)
-    log_task(task_solution, tmp_path / "task.rrd")
+    log_solution(task_solution, tmp_path / "task.rrd")
     moments: dict[str, int] = {}
     for chunk in RrdReader(tmp_path / "task.rrd").stream():
-        if TASK_TIMELINE in chunk.timeline_names:
+        if "task_time" in chunk.timeline_names:
             moments[chunk.entity_path] = moments.get(chunk.entity_path, 0) + chunk.num_rows
     assert moments.pop("/phase") == len(task_solution.task.phases)
     assert f"/world/moving/{CAN_NAME}" in moments and f"/world/moving/{DOOR}/handle_bar" in moments
@@ -127,5 +115,6 @@ def test_pictures_and_recording(task_solution, tmp_path, monkeypatch):
         and "/world/moving/mustard_bottle" not in moments
     )
     duration = sum(outcome.trajectory.duration for outcome in task_solution.outcomes)
-    assert set(moments.values()) == {len(list(task_frames.frames(task_solution)))}
-    assert min(moments.values()) > duration / task_frames.PERIOD
+    assert set(moments.values()) == {len(frames(task_solution))}
+    assert min(moments.values()) > duration / 0.1
+    assert len(seen_of_task(task_solution, most=8).labels) == 8
