@@ -1,14 +1,11 @@
-"""The planners by name: columns of the paper's tables, ours, and controls that isolate one part
-each.
+"""Planners by name: columns of the paper's tables, ours, and controls that isolate one part each.
 
-A planner is four stages (see `search.planner_interface`): observe a scene, predict where to sample, update that
-towards the constraint, search. Its stages are made, and its weights loaded, when they are first
-asked for.
+A planner is up to four stages, see `search.planner_interface`. They are made, and weights are
+loaded, when they are first used.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,17 +15,23 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.external import entry_point_names, external_planner, is_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import InformedRoadmaps
-from cvqmpt_lab.search.controls import AroundPath, solved_paths, straight_line, unconstrained_guide
+from cvqmpt_lab.search.controls import AroundPath
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import Stages
-from cvqmpt_lab.search.roadmap import RoadmapPath, no_costs, other_costs, scene_costs
+from cvqmpt_lab.search.roadmap import (
+    HALTON,
+    UNIFORM,
+    RoadmapPath,
+    no_costs,
+    other_costs,
+    scene_costs,
+    spread_roadmap,
+)
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.vqmpt.sampler_choice import NAMED, PREFIX, SamplerChoice
 
 VQ_MPT = "vq_mpt"  # the shipped weights
-UNIFORM, HALTON = "uniform", "halton"  # sequences of `search.roadmap`
-UNIFORM_DRAWS = 3  # of independent nodes: what is luck among roadmaps
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +39,10 @@ class Method:
     """A planner by name."""
 
     name: str
-    # of a problem's robot and load, and a model, see `stages`
+    # makes the stages for a problem's robot and attachments, and a model
     build: Callable[[PlanningProblem, str], Stages]
     weights: str | None = None  # kind of weights it needs, a key of `vqmpt.weights.SHIPPED`
-    # of the manifold, which exist where joints are more than the constraint's bounded rows
+    # charts of the manifold need more joints than the constraint has bounded rows
     needs_charts: bool = False
     model: str | None = None  # name or folder of its weights; None for the shipped ones
     sampler: SamplerChoice | None = None  # of a learned sampler under the paper's search
@@ -58,8 +61,9 @@ class Method:
         return replace(self, model=model)
 
     def with_cloud(self, points: np.ndarray) -> "Method":
-        """The same on measured points (p, 3) [m, base frame];
-        its stages refuse to be made if it takes no cloud.
+        """The same on measured points (p, 3) [m, base frame].
+
+        Making its stages raises InvalidInputError if it uses no cloud.
         """
 
         def build(problem: PlanningProblem, model: str) -> Stages:
@@ -81,17 +85,13 @@ class Method:
             )
         if self.weights is None:
             return ""
-        from cvqmpt_lab.vqmpt.weights import (
-            incompatibility,
-            robot_signature,  # reads weights
-        )
+        from cvqmpt_lab.vqmpt import weights  # reads weights
 
-        return incompatibility(
-            self.model or self.weights, self.weights, robot_signature(problem.robot)
-        )
+        robot = weights.robot_signature(problem.robot)
+        return weights.incompatibility(self.model or self.weights, self.weights, robot)
 
     def stages(self, problem: PlanningProblem) -> Stages:
-        """What it does with the robot of a problem that it can serve, and what it carries."""
+        """The stages for the robot and attachments of a problem that it can serve."""
         return self.build(problem, self.model or self.weights or "")
 
 
@@ -123,15 +123,11 @@ def _roadmap(
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs,
     oracle: bool = False,
 ) -> Method:
-    """A roadmap of a dictionary's nodes where there are weights, else of spread ones;
-    costs, oracle: of its edges.
-    """
+    """A roadmap of the dictionary's nodes if it has weights, else of nodes spread evenly."""
 
     def build(problem: PlanningProblem, model: str) -> Stages:
         robot, load = problem.robot, problem.attachments
         if weights is None:
-            from cvqmpt_lab.search.roadmap import spread_roadmap
-
             roadmap = spread_roadmap(robot, load, sequence, draw)
         else:
             from cvqmpt_lab.vqmpt.learned_sampler import free_dictionary  # reads weights
@@ -148,18 +144,6 @@ def _roadmap(
 def _product(name: str, choice: SamplerChoice) -> Method:
     """A learned sampler under the paper's search."""
     return replace(_learned(name, "learned", name=name, choice=choice), sampler=choice)
-
-
-def _straight_line(name: str, uniform_share: float) -> Method:
-    return Method.simple(
-        name, predict=partial(straight_line, AroundPath(name, uniform_share=uniform_share))
-    )
-
-
-def _external(name: str) -> Method:
-    """An external planner, see `cvqmpt_lab.external`."""
-    planner = external_planner(name)
-    return replace(Method.simple(name, predict=planner), external=planner.made_by)
 
 
 def _by_name(*methods: Method) -> dict[str, Method]:
@@ -188,23 +172,22 @@ _RENAMED = {
 }
 
 CONTROLS = _by_name(
-    Method.simple("guided-birrt", predict=partial(unconstrained_guide, AroundPath("guide"))),
-    _straight_line("straight-line", 0.15),
-    _straight_line("straight-line-only", 0.0),
-    *(
-        _roadmap(f"roadmap-uniform-{draw}", sequence=UNIFORM, draw=draw)
-        for draw in range(UNIFORM_DRAWS)
+    Method.simple("guided-birrt", predict=AroundPath("guide").unconstrained),
+    Method.simple("straight-line", predict=AroundPath("straight-line").straight_line),
+    Method.simple(
+        "straight-line-only",
+        predict=AroundPath("straight-line-only", uniform_share=0.0).straight_line,
     ),
+    # three draws of independent nodes show the variance among roadmaps
+    *(_roadmap(f"roadmap-uniform-{draw}", sequence=UNIFORM, draw=draw) for draw in range(3)),
     _roadmap("roadmap-wrong-scene", VQ_MPT, costs=other_costs),
     _roadmap("roadmap-no-scene", VQ_MPT, costs=no_costs),
     _roadmap("roadmap-true-edges", VQ_MPT, costs=no_costs, oracle=True),
-    Method.simple(
-        "solved-paths", predict=partial(solved_paths, AroundPath("solved-paths", std=0.25))
-    ),
+    Method.simple("solved-paths", predict=AroundPath("solved-paths", std=0.25).solved_paths),
 )
 
+# on weights of the authors' architecture, imported or trained: none ship
 PUBLISHED = _by_name(_product("cvq-published", NAMED["cvq-published"]))
-"""On weights of the authors' architecture, imported or trained: none ship."""
 
 WITHOUT_WEIGHTS = tuple(
     name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is None
@@ -217,10 +200,13 @@ def is_removed(name: str) -> bool:
 
 
 def planner_named(name: str, model: str | None = None) -> Method:
-    """The planner or control of that name; model: name or folder of its weights, None for the
-    shipped ones.
+    """The planner or control of that name.
 
     External planners are ``package.module:planner`` and entry points, see `cvqmpt_lab.external`.
+
+    Args:
+        name: of the planner.
+        model: name or folder of its weights; None for the shipped ones.
     """
     if name in _RENAMED:
         raise InvalidInputError(
@@ -235,7 +221,8 @@ def planner_named(name: str, model: str | None = None) -> Method:
     if name.startswith(PREFIX):
         found = _product(name, SamplerChoice.of(name.removeprefix(PREFIX)))
     elif is_external(name):
-        found = _external(name)
+        planner = external_planner(name)
+        found = replace(Method.simple(name, predict=planner), external=planner.made_by)
     if found is None:
         others = [*entry_point_names(), "package.module:planner"]
         known = [*PLANNERS, *CONTROLS, *PUBLISHED, f"{PREFIX}random+wide, ..."]
@@ -244,9 +231,7 @@ def planner_named(name: str, model: str | None = None) -> Method:
 
 
 def default_planner(problem: PlanningProblem) -> tuple[str, str]:
-    """The planner for a problem where none is named, and why:
-    `roadmap` where it was measured and did better.
-    """
+    """The planner for a problem where none is named, and the reason."""
     if any(isinstance(region, TaskSpaceRegionChain) for region in problem.constraint):
         return "birrt", "the hand holds a mechanism, for which no roadmap was measured"
     return (
@@ -256,9 +241,7 @@ def default_planner(problem: PlanningProblem) -> tuple[str, str]:
 
 
 def require_fit(method: Method, problem: PlanningProblem) -> None:
-    """Refuse a problem that a planner cannot serve:
-    InvalidInputError says why, and which planners can.
-    """
+    """InvalidInputError if a planner cannot serve a problem: why, and which planners can."""
     reason = method.incompatibility(problem)
     if reason:
         others = [

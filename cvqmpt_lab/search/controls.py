@@ -1,6 +1,4 @@
-"""Proposals that need no network, the controls of learned ones:
-straight lines, unconstrained or solved paths.
-"""
+"""Controls of learned distributions: Gaussians around paths that need no network."""
 
 from dataclasses import dataclass
 
@@ -18,18 +16,17 @@ from cvqmpt_lab.search.result import JointPath, PlanResult
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-LINES = 3  # to the nearest goals
-SOLVED_PATHS = 6  # of which the shortest is taken
-
 
 @dataclass(frozen=True)
 class AroundPath:
-    """Equal Gaussians at waypoints along paths, and a uniform share."""
+    """Gaussians of equal weight at waypoints along paths, and a uniform share."""
 
     name: str
     std: float = 0.5  # [rad] of each Gaussian, in every joint
     uniform_share: float = 0.15
     spacing: float = 0.5  # [rad] between waypoints along a path
+    lines: int = 3  # of `straight_line`, to the nearest goals
+    tries: int = 6  # of `solved_paths`, of which the shortest path is taken
 
     def mixture(self, query: Query, *paths: JointPath) -> SamplingDistribution:
         """The distribution around paths."""
@@ -39,44 +36,47 @@ class AroundPath:
             means, covariance, query.uniform, self.uniform_share, self.name
         )
 
+    def straight_line(self, query: Query, observation: Observation) -> Proposal:
+        """Gaussians along the straight lines to the nearest goals; nothing is checked."""
+        goals = query.nearest_goals(self.lines)
+        lines = [JointPath(np.stack([query.start, goal])) for goal in goals]
+        return Proposal(self.mixture(query, *lines))
 
-def straight_line(around: AroundPath, query: Query, observation: Observation) -> Proposal:
-    """Gaussians along the straight lines to the goals nearest to the start; nothing is checked."""
-    lines = [JointPath(np.stack([query.start, goal])) for goal in query.nearest_goals(LINES)]
-    return Proposal(around.mixture(query, *lines))
+    def solved_paths(self, query: Query, observation: Observation) -> Proposal:
+        """Gaussians around the shortest of several solutions of the problem: a bound of mixtures.
 
+        Uniform samples where no path is found. The work of finding the paths is not counted, their
+        time is.
+        """
+        aside, best = ConstrainedSpace(query.space.problem, query.space.backend), None
+        for _ in range(self.tries):
+            if query.deadline.spent():
+                break
+            budget = query.deadline.rest()
+            found = BiRRT().search(
+                aside, query.start, query.goals, query.uniform, budget, query.rng
+            )
+            if found.path is not None:
+                shorter = simplify(aside, found.path, query.rng).path
+                if best is None or shorter.length < best.length:
+                    best = shorter
+        return Proposal(query.uniform if best is None else self.mixture(query, best))
 
-def solved_paths(around: AroundPath, query: Query, observation: Observation) -> Proposal:
-    """Around the shortest of several paths that solve the very problem, found beforehand: the bound
-    of all mixtures.
-
-    Uniform samples where no path is found. The work of finding them is not counted, their time is.
-    """
-    aside, best = ConstrainedSpace(query.space.problem, query.space.backend), None
-    for _ in range(SOLVED_PATHS):
-        if query.deadline.spent():
-            break
-        budget = query.deadline.rest()
-        path = (
-            BiRRT().search(aside, query.start, query.goals, query.uniform, budget, query.rng).path
+    def unconstrained(self, query: Query, observation: Observation) -> Proposal:
+        """Gaussians around an unconstrained path, whose planning is counted."""
+        path, found = unconstrained_path(query)
+        if path is not None:
+            return Proposal(self.mixture(query, path), vertices=found.vertices)
+        return Proposal(
+            query.uniform,
+            detail="no unconstrained path",
+            vertices=found.vertices,
+            failure=found.status,
         )
-        shorter = None if path is None else simplify(aside, path, query.rng).path
-        if shorter is not None and (best is None or shorter.length < best.length):
-            best = shorter
-    return Proposal(query.uniform if best is None else around.mixture(query, best))
-
-
-def unconstrained_guide(around: AroundPath, query: Query, observation: Observation) -> Proposal:
-    """Around an unconstrained path, which is planned and paid for first."""
-    path, found = unconstrained_path(query)
-    if path is None:
-        detail = "no unconstrained path"
-        return Proposal(query.uniform, detail=detail, vertices=found.vertices, failure=found.status)
-    return Proposal(around.mixture(query, path), vertices=found.vertices)
 
 
 def unconstrained_path(query: Query) -> tuple[JointPath | None, PlanResult]:
-    """A path of a query without its constraint, shortened, or None; and the search that found it."""
+    """A shortened path of a query without its constraint, or None; and the search for it."""
     free = query.space.unconstrained()
     found = BiRRT().search(
         free, query.start, query.goals, query.uniform, query.deadline.budget, query.rng

@@ -18,8 +18,6 @@ from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search.motion import CLEARANCES, GAP, Space
 
-SURE = 18.0  # log odds above which P(free) counts as 1
-
 
 class EdgeCosts(NamedTuple):
     """What motions cost beyond their length: weight * -log P(free).
@@ -37,9 +35,7 @@ class EdgeCosts(NamedTuple):
 
 @kernel(inline="source")
 def smallest_clearance(space, grid, lowest):
-    """The smaller of lowest and the smallest clearance [m] of the robot's balls, posed in the
-    scratch, in a grid.
-    """
+    """The smaller of lowest and the smallest clearance [m] of the posed robot's balls in a grid."""
     r, t, robot = space.scratch.link_rotation, space.scratch.link_translation, space.robot
     for k in range(robot.order.shape[0]):
         body = robot.order[k]
@@ -59,7 +55,8 @@ def smallest_clearance(space, grid, lowest):
 def negative_log(costs, clearance):
     """-log P(free) of a motion with that smallest clearance [m]."""
     odds = costs.slope * max(clearance, NEAREST) + costs.bias
-    return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds))) if odds < SURE else 0.0
+    # at log odds of 18, P(free) is 1 to double precision of the costs
+    return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds))) if odds < 18.0 else 0.0
 
 
 @kernel(inline="machine")

@@ -1,12 +1,14 @@
-"""Shortest paths on a roadmap whose nodes are put on the manifold, and checked, only when a path
-needs them.
+"""Lazy shortest paths on a roadmap under a constraint.
 
-A lazy probabilistic roadmap (Bohlin and Kavraki 2000) under a constraint: A* believes every node
-and edge that has not been found blocked. The nodes of the path it returns are projected and
-checked, then its edges, coarsely; what fails is blocked and the search repeated. The fine check is
-the caller's, who blocks what fails it. An edge not yet checked costs more the less likely it is to
-be free; clearances that tell are read when the search takes the edge, one by one, as long as no
-other edge is cheaper.
+A lazy probabilistic roadmap (Bohlin and Kavraki 2000): A* assumes that every node and edge that is
+not known to be blocked is free. The nodes of the path it returns are projected and checked, then
+its edges, coarsely; what fails is blocked and the search repeated. The caller makes the fine check
+and blocks what fails it. An edge from a to b that is not yet checked costs
+
+    (f(a) + f(b)) / 2 * |b - a| - w log P(free),    f(q) = 1 + penalty |F(q)|
+
+P(free) follows from clearances along the edge (`edge_costs`). They are read one by one when the
+search takes the edge, until another edge is cheaper.
 """
 
 from typing import Annotated, NamedTuple
@@ -41,7 +43,7 @@ def push(keys, values, size, key, value):
 
 @kernel(inline="machine")
 def drop_smallest(keys, values, size):
-    """Take the first of size entries out of the binary heap."""
+    """Remove the smallest key from the binary heap of size entries."""
     last = size - 1
     key, value = keys[last], values[last]
     i = 0
@@ -62,24 +64,21 @@ UNLIMITED = np.inf  # [rad] of a motion on the manifold; its neighbours' distanc
 
 
 class RoadmapArrays(NamedTuple):
-    """N nodes, a start and G goals, and room for searches. Rows of `nodes`:
-    N nodes, the start, G goals.
-    """
+    """A roadmap, a query and work arrays; rows of `nodes` are N nodes, the start and G goals."""
 
     nodes: Annotated[np.ndarray, "rows n"]  # configurations, projected in place [rad or m]
     neighbours: Annotated[np.ndarray, "int32 inner links"]  # nodes that a row leads to, or -1
     edge: Annotated[np.ndarray, "int8 inner links"]  # verdicts on those edges
     goal_edge: Annotated[np.ndarray, "int8 inner goals"]
-    """Verdicts on the edges from each row to each goal; BLOCKED where there is none."""
+    # verdicts on the edges from each row to each goal; BLOCKED where there is none
     node: Annotated[np.ndarray, "int8 rows"]  # verdicts
     penalty: float  # edges at a node cost 1 + penalty * |F| times their length
-    longest: float  # [rad] paths that are believed to cost as much or more are not looked for
+    longest: float  # [rad] paths that cost as much or more are not searched for
     clearance: Annotated[np.ndarray, "rows"]  # [m] of nodes; inf: not yet read
     lowest: Annotated[np.ndarray, "inner exits"]
-    """Smallest clearance [m] read so far along each edge, and along those to each goal."""
+    # smallest clearance [m] read so far along each edge, and along those to each goal
     known: Annotated[np.ndarray, "int32 inner exits"]
-    """4 times how many clearances were read along an edge, plus `_state` of its ends at that time.
-    """
+    # 4 times how many clearances were read along an edge, plus `_state` of its ends at that time
     # >= 1, how much longer edges at a node count; 0: not yet computed
     factor: Annotated[np.ndarray, "rows"]
     to_go: Annotated[np.ndarray, "rows"]  # distance to the nearest goal [rad]
@@ -99,8 +98,7 @@ def nearest_nodes(
     chosen: Annotated[np.ndarray, "int32 k"],
     squares: Annotated[np.ndarray, "k"],
 ):
-    """Write the indices of the k rows nearest to target among the first count, closest first, into
-    chosen.
+    """Write the k rows nearest to target among the first count into chosen, nearest first.
 
     squares: their squared distances.
     """
@@ -125,9 +123,7 @@ def link_query(
     chosen: Annotated[np.ndarray, "int32 links"],
     squares: Annotated[np.ndarray, "links"],
 ):
-    """Link the start and every goal to their chosen.shape[0] nearest nodes; chosen, squares:
-    work arrays.
-    """
+    """Link start and goals to as many nearest nodes as `chosen`, a work array, has entries."""
     goals = roadmap.goal_edge.shape[1]
     count = roadmap.nodes.shape[0] - 1 - goals
     for i in range(roadmap.nodes.shape[0]):
@@ -150,13 +146,13 @@ def link_query(
 
 @kernel(inline="machine")
 def _state(roadmap, here, there):
-    """One more than how many ends of an edge have been put on the manifold."""
+    """One more than the number of an edge's ends that are projected."""
     return 1 + (roadmap.node[here] == FREE) + (roadmap.node[there] == FREE)
 
 
 @kernel(inline="source")
 def _factor(space, roadmap, i):
-    """How much longer edges at node i count: 1 + penalty |F|, of where the node was first seen."""
+    """Cost factor f = 1 + penalty |F(q)| of node i, at its place before projection."""
     if roadmap.factor[i] == 0.0:
         scratch = space.scratch
         forward_kinematics(
@@ -175,7 +171,7 @@ def _factor(space, roadmap, i):
 
 @kernel
 def _read_node(space, roadmap, costs, i):
-    """Read the clearance at node i, once for each place that it lies at."""
+    """Read the clearance at node i, once before and once after its projection."""
     if roadmap.clearance[i] == np.inf:
         roadmap.clearance[i] = reading(
             space, costs, roadmap.nodes[i], roadmap.nodes[i], 0, FARTHEST
@@ -184,7 +180,7 @@ def _read_node(space, roadmap, costs, i):
 
 @kernel(inline="source")
 def _read_edge(space, roadmap, costs, row, slot, there):
-    """Read the next clearance along an edge; by how much its -log P(free) grows."""
+    """Read the next clearance along an edge; return the increase of its -log P(free)."""
     before, k = roadmap.lowest[row, slot], roadmap.known[row, slot] // 4
     lowest = before
     if k == 0:
@@ -199,12 +195,11 @@ def _read_edge(space, roadmap, costs, row, slot, there):
 
 @kernel
 def _astar(space, roadmap, costs):
-    """Row of the goal that the cheapest believed path leads to, or -1; parent and slot hold the
-    path.
+    """Row of the goal that the cheapest path leads to, or -1; parent and slot hold the path.
 
     Lazy weighted A* (Cohen, Phillips and Likhachev 2014): an edge enters the queue at its length
-    and what is known of its clearance. When it comes out, clearances along it are read, as many as
-    it takes until another edge is cheaper.
+    and what is known of its clearance. When it comes out, clearances along it are read until
+    another edge is cheaper.
     """
     goals, k = roadmap.goal_edge.shape[1], roadmap.neighbours.shape[1]
     start, exits, size = roadmap.nodes.shape[0] - 1 - goals, k + goals, 0
@@ -288,7 +283,7 @@ def _astar(space, roadmap, costs):
 
 @kernel(inline="source")
 def _node_free(space, roadmap, i, drift):
-    """Put node i on the manifold, not further than drift [rad], and check it; the verdict is kept."""
+    """Project node i by at most drift [rad] and check it; the verdict is kept."""
     if roadmap.node[i] == UNKNOWN:
         for j in range(roadmap.nodes.shape[1]):
             space.state[j] = roadmap.nodes[i, j]
@@ -303,9 +298,7 @@ def _node_free(space, roadmap, i, drift):
 
 @kernel(inline="source")
 def _settle_edge(roadmap, a, b, verdict):
-    """Keep the verdict on the edge on which the last search came from row a to row b, and on the
-    same backwards.
-    """
+    """Keep a verdict on the edge by which the last search came from row a to row b."""
     slot, k = np.int64(roadmap.slot[b]), roadmap.neighbours.shape[1]
     if slot >= k:
         roadmap.goal_edge[a, slot - k] = verdict
@@ -318,9 +311,7 @@ def _settle_edge(roadmap, a, b, verdict):
 
 @kernel(inline="source")
 def _join_nodes(space, roadmap, path, length, ends, states):
-    """Write the states of the motions along a path's nodes;
-    their number, or NO_PATH with an edge newly blocked.
-    """
+    """Write the states along a path's nodes; their number, or NO_PATH with an edge blocked."""
     n, size = roadmap.nodes.shape[1], 1
     for j in range(n):
         states[0, j] = roadmap.nodes[path[length - 1], j]
@@ -347,16 +338,23 @@ def search(
     ends: Annotated[np.ndarray, "int64 longest"],
     states: Annotated[np.ndarray, "room n"],
 ):
-    """Write the states of the shortest path found that holds, coarsely, into states.
+    """Write the states of the shortest path that passes the coarse checks into states.
+
+    The motions between states are not checked yet.
 
     Args:
+        space: the planning space.
+        roadmap: roadmap and query.
+        costs: of edges that are not checked yet.
+        most_searches: at most so many A* searches.
         drift: nodes that projection moves further than this are left out [rad].
-        path, ends: rows of the path's nodes from goal to start, and where each edge's states end.
-        states: motions between them are not checked yet.
+        path: written, rows of the path's nodes from goal to start.
+        ends: written, where the states of each edge end.
+        states: written.
 
     Returns:
-        Number of states, or NO_PATH when there is no path left, none within most_searches, or no
-        room. Number of nodes on the last believed path. Number of searches.
+        Number of states, or NO_PATH when there is no path, none within most_searches, or no room;
+        number of nodes on the last candidate path; number of searches.
     """
     length = 0
     for searched in range(most_searches):
@@ -389,11 +387,9 @@ def keep_informed(
     goals: Annotated[np.ndarray, "goals n"],
     longest: float,
 ):
-    """Put draws on the manifold; those free and on a way shorter than longest [rad] go first, in
-    order.
+    """Project draws and move those in the informed set that are free to the front, in order.
 
-    A way is straight from start to a draw, and from there to the nearest of goals. Returns their
-    number.
+    The set is { q : |q - start| + min_g |q - g| < longest [rad] }. Returns their number.
     """
     kept = 0
     for i in range(draws.shape[0]):

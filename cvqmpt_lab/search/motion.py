@@ -1,7 +1,6 @@
-"""The planning space as kernels see it, and motions in it: one projected step, and the fine check
-of a motion.
+"""The planning space in compiled code, and motions in it: projected steps and the fine check.
 
-Collision is answered by the compiled checker or, when `exact` is set, by a callback into Python
+Collisions are found by the compiled checker or, when `exact` is set, by a callback into Python
 (coal).
 """
 
@@ -48,12 +47,11 @@ class Space(NamedTuple):
     exact: bool  # whether states are checked through the callback
     check: int  # address of the callback; of an object numba takes 0.5 ms a call to find the type
     query: Annotated[np.ndarray, "n"]  # through which the callback is asked
+    # configurations that the compiled checker blocks but the meshes allow; near them the callback
+    # decides
     doubtful: Annotated[np.ndarray, "doubtful n"]
-    """Configurations that the compiled checker blocks but the meshes allow;
-    near them the callback decides.
-    """
+    # no point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad]
     swing: Annotated[np.ndarray, "n"]
-    """No point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad]."""
     counters: Annotated[np.ndarray, "int64 5"]  # PROJECTIONS to CLEARANCES
     state: Annotated[np.ndarray, "n"]  # work array
     scratch: ProjectionScratch  # work arrays of projections
@@ -61,7 +59,7 @@ class Space(NamedTuple):
 
 @kernel(inline="source")
 def project_state(space, q):
-    """Project q (n,) in place and count it; True on success, with link poses ready in the scratch."""
+    """Project q (n,) in place and count it; True on success, with link poses in the scratch."""
     iterations = project(
         space.kinematics, space.regions, q, space.tolerance, space.max_iterations, space.scratch
     )
@@ -85,8 +83,9 @@ def _near_doubtful(space, q):
 
 @kernel(inline="source")
 def posed_state_valid(space, q, clearance):
-    """Whether q, whose link poses are in the scratch, keeps space.margin + clearance [m] (exact:
-    the margin).
+    """Whether q, whose link poses are in the scratch, keeps space.margin + clearance [m].
+
+    The exact backend checks the margin alone.
     """
     space.counters[STATE_CHECKS] += 1
     if not space.exact:
@@ -171,11 +170,20 @@ def distance(a, b):
 def step_towards(space, origin, target, longest, out):
     """One step of ConstrainedExtend (paper, Algorithm 3): move, project, check.
 
-    origin, target: (n,). longest: of the step [rad]. out: (n,), the new state when the result is
-        not STOPPED.
-    Returns STOPPED, ADVANCED or REACHED. A step is refused when projection fails, drifts further
-    than DEVIATION * step, is longer than `longest`, does not come closer to the target, or
-    collides.
+        q_new = Project(q + min(1, step / |q_target - q|) (q_target - q))
+
+    A step is refused when projection fails, when it is longer than DEVIATION * step or `longest`,
+    does not come closer to the target, or collides.
+
+    Args:
+        space: the planning space.
+        origin: q (n,).
+        target: q_target (n,).
+        longest: of the step [rad].
+        out: (n,), written: q_new when the result is not STOPPED.
+
+    Returns:
+        STOPPED, ADVANCED or REACHED.
     """
     n = origin.shape[0]
     remaining = distance(origin, target)
@@ -201,13 +209,20 @@ def bisect_motion(
     longest: float,
     out: Annotated[np.ndarray, "capacity n"],
 ):
-    """Join origin and target on the manifold by projected midpoints, coarse to fine: most failures
-    cost few states.
+    """Join two states on the manifold by projected midpoints, from coarse to fine.
 
-    longest: give up when the motion becomes longer than this [rad]. out: (k, n), the states after
-        origin up to target.
-    Returns the number of states, or 0 when one cannot be projected, collides, or lies too far from
-    its neighbour.
+    Between neighbours a and b lies Project((a + b) / 2). Most failures cost few states.
+
+    Args:
+        space: the planning space.
+        origin: (n,).
+        target: (n,).
+        longest: a motion that becomes longer is none [rad].
+        out: written, the states after origin up to target.
+
+    Returns:
+        Number of states, or 0 when one cannot be projected, collides, or lies too far from its
+        neighbour.
     """
     pieces = 1
     while distance(origin, target) > GAP * space.step * pieces:
@@ -241,9 +256,7 @@ def bisect_motion(
 
 @kernel(inline="source")
 def _place_between(space, a, b, fraction):
-    """Put the state at a fraction of the straight joint motion from a to b into space.state;
-    pose its links.
-    """
+    """Write a + fraction (b - a) into space.state and pose its links."""
     for j in range(a.shape[0]):
         space.state[j] = a[j] + fraction * (b[j] - a[j])
     forward_kinematics(
@@ -253,7 +266,7 @@ def _place_between(space, a, b, fraction):
 
 @kernel(inline="source")
 def _near_half_turn(space):
-    """Whether a region of the state whose residual was asked last is turned by almost pi."""
+    """Whether a region is turned by almost pi in the state whose residual was computed last."""
     displacement = space.scratch.displacement
     for k in range(displacement.shape[0]):
         x, y, z = displacement[k, 6], displacement[k, 7], displacement[k, 8]
@@ -264,8 +277,7 @@ def _near_half_turn(space):
 
 @kernel
 def chord_on_manifold(space, a, b):
-    """Whether the straight joint motion between two states on the manifold stays within CHORD of
-    it.
+    """Whether |F| stays below CHORD on the straight motion between two states on the manifold.
 
     The middle is worst, unless the rotation vector comes close to its kink at angle pi: then the
     motion is checked every KINK.
@@ -293,12 +305,15 @@ def chord_on_manifold(space, a, b):
 
 @entry
 def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.ndarray, "n"]):
-    """Whether b and the straight joint motion towards it are free of collision, every state of it.
+    """Whether b and every state of the straight joint motion towards it are free of collision.
 
-    A stretch is free when the robot at its middle keeps a distance that no point of it can cover in
-    half the stretch (Schwarzer, Saha and Latombe 2005). Stretches that are not are halved until
-    that distance is as small as the margin, which every free state keeps. The exact backend, which
-    knows no distances, checks states every space.resolution.
+    A stretch with change dq is free when the robot at its middle keeps the distance that no point
+    can exceed in half the stretch (Schwarzer, Saha and Latombe 2005):
+
+        d(q_middle) > 1/2 sum_j swing_j |dq_j|
+
+    Other stretches are halved until that distance is as small as the margin, which every free state
+    keeps. The exact backend, which knows no distances, checks states every space.resolution.
     """
     pieces, sweep = 1, 0.0  # [m] no point moves further than sweep
     for j in range(a.shape[0]):
@@ -341,11 +356,11 @@ def segment_valid(space, a, b):
 def refine_and_check(
     space: Space, states: Annotated[np.ndarray, "count n"], out: Annotated[np.ndarray, "capacity n"]
 ):
-    """Copy a path into out (k, n), with projected states put in until every straight motion is
-    short and good.
+    """Copy a path into out, with projected states put in until every straight motion is good.
 
-    Returns the number of states in out, and the first segment of the path that cannot be refined or
-    is not free, or -1.
+    Returns:
+        Number of states in out, and the first segment of the path that cannot be refined or is not
+        free, or -1.
     """
     count, n = states.shape
     for j in range(n):
@@ -382,12 +397,18 @@ def edge_verdicts(
     edge_free: Annotated[np.ndarray, "bool edges"],
     most_checks: int,
 ):
-    """Write whether each node, and each straight motion between the two nodes of an edge, is free
-    of collision.
+    """Write whether nodes, and the straight motions of edges, are free of collision.
 
-    edge_free: edges that come in as False count as blocked. most_checks: give up after so many
-        state checks.
-    Returns whether all was checked.
+    Args:
+        space: the planning space.
+        nodes: (k, n) [rad].
+        edges: (e, 2), rows of nodes.
+        node_free: (k,), written.
+        edge_free: (e,), written; edges that come in as False count as blocked.
+        most_checks: at most so many state checks.
+
+    Returns:
+        Whether all was checked.
     """
     checks = space.counters[STATE_CHECKS] + most_checks
     for i in range(nodes.shape[0]):

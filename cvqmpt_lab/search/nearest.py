@@ -15,8 +15,6 @@ from cvqmpt_lab.jit import kernel
 
 BLOCK = 1024  # nodes
 LEAF = 16  # nodes in a leaf; BLOCK is LEAF times a power of two
-DEEPEST = 64  # levels of a search
-ROUNDING = 1.0 - 1e-12  # squared distances to boxes are lowered by this factor against rounding
 
 
 class NearestIndex(NamedTuple):
@@ -24,11 +22,9 @@ class NearestIndex(NamedTuple):
 
     # node numbers, sorted by leaves within each search tree
     order: Annotated[np.ndarray, "int32 2 capacity"]
+    # lower and upper corner of the nodes below each inner node and leaf, heap by heap [rad or m]
     box: Annotated[np.ndarray, "2 boxes 2 n"]
-    """Lower and upper corner of the nodes below each inner node and leaf, heap by heap [rad or m].
-    """
-    indexed: Annotated[np.ndarray, "int64 2"]
-    """How many nodes of each tree are in the index, a multiple of BLOCK."""
+    indexed: Annotated[np.ndarray, "int64 2"]  # nodes in the index, a multiple of BLOCK
     stack: Annotated[np.ndarray, "int64 levels"]  # boxes still to be searched
     bound: Annotated[np.ndarray, "levels"]  # squared distances of these
 
@@ -40,8 +36,8 @@ def nearest_index(capacity: int, n: int) -> NearestIndex:
         np.zeros((2, capacity), dtype=np.int32),
         np.empty((2, 2 * capacity // LEAF, 2, n)),
         np.zeros(2, dtype=np.int64),
-        np.zeros(DEEPEST, dtype=np.int64),
-        np.zeros(DEEPEST),
+        np.zeros(64, dtype=np.int64),
+        np.zeros(64),
     )
 
 
@@ -56,9 +52,7 @@ def enlarged_index(index: NearestIndex, capacity: int) -> NearestIndex:
 
 @kernel
 def _split(nodes, order, first, last, axis):
-    """Sort order[first:last] so far that its first half lies below the second along an axis
-    (quickselect).
-    """
+    """Partition order[first:last] at its middle along an axis (quickselect)."""
     low, high, middle = first, last - 1, (first + last) // 2
     while low < high:
         pivot = nodes[order[(low + high) // 2], axis]
@@ -107,9 +101,7 @@ def _build(nodes, order, box, first, count):
 
 @kernel
 def index_new_nodes(index, tree, nodes, size):
-    """Bring the index up to the last whole block of the first size rows of nodes (capacity, n) of a
-    tree.
-    """
+    """Add the whole blocks among the first `size` nodes (capacity, n) of a tree to the index."""
     while index.indexed[tree] + BLOCK <= size:
         end = index.indexed[tree] // BLOCK + 1
         count = (end & -end) * BLOCK
@@ -135,7 +127,8 @@ def _square_of_box(box, i, target):
     for j in range(target.shape[0]):
         outside = max(max(box[i, 0, j] - target[j], target[j] - box[i, 1, j]), 0.0)
         square += outside * outside
-    return ROUNDING * square
+    # lowered against rounding
+    return (1.0 - 1e-12) * square
 
 
 @kernel
@@ -168,9 +161,7 @@ def _search(index, tree, nodes, target, first, count, best, nearest):
 
 @kernel
 def nearest_node(index, tree, nodes, size, target):
-    """Number of the row of nodes (capacity, n) closest to target (n,), among the first size;
-    the first of equals.
-    """
+    """The row argmin_i |nodes_i - target| among the first `size`; the first of equals."""
     best, nearest = np.inf, np.int64(0)
     for i in range(index.indexed[tree], size):
         square = _square(nodes, i, target)

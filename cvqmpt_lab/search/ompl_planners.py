@@ -23,14 +23,10 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 ou.setLogLevel(ou.LogLevel.LOG_NONE)
 
 DELTA = 0.05  # manifold step [rad]
-EXPLORATION, EPSILON, RHO, ALPHA = 0.8, 0.1, 0.25, math.pi / 8
-MAX_CHARTS, BACKOFF = 200, 0.75
 
 
 class _Manifold(ob.Constraint):
-    """The space's constraint as OMPL asks for it;
-    projection is the whole Newton loop of the kernels.
-    """
+    """The space's constraint for OMPL; projection is the Newton loop of Algorithm 1."""
 
     def __init__(self, space: ConstrainedSpace) -> None:
         super().__init__(space.robot.dof, space.dim, space.settings.tolerance)
@@ -100,8 +96,7 @@ class _Run:
     ) -> None:
         self._space = space
         if space.dim:
-            self._states = STATE_SPACES[manifold](_joint_space(space), _Manifold(space))
-            self._states.setDelta(DELTA)
+            self._states = _state_space(manifold, _joint_space(space), _Manifold(space))
             information = (
                 ob.TangentBundleSpaceInformation
                 if manifold == "tangent-bundle"
@@ -129,10 +124,9 @@ class _Run:
         self.vertices = 0
 
     def _inside(self, q: np.ndarray) -> np.ndarray:
-        """The configuration itself, or its projection when it stands between the inset and the true
-        bounds.
+        """The configuration itself, or its projection when it lies outside the tightened bounds.
 
-        OMPL refuses a start or goal off its manifold; the little way there is part of the path.
+        OMPL refuses a start or goal off its manifold; the motion there becomes part of the path.
         """
         moved = np.array(q)
         residual, _ = self._space.residual_and_jacobian(moved)
@@ -144,9 +138,7 @@ class _Run:
         return moved
 
     def _state(self, q: np.ndarray):
-        """An OMPL state at q, to be copied before the next is made;
-        atlas and tangent bundle anchor a chart there.
-        """
+        """An OMPL state at q, to be copied before the next is made, with a chart if there are any."""
         if self._space.dim:
             self._given.copy([float(x) for x in q])
         else:
@@ -156,13 +148,8 @@ class _Run:
             self._states.anchorChart(self._given)
         return self._given
 
-    def _read(self, state) -> np.ndarray:
-        return np.array([state[i] for i in range(self._space.robot.dof)])
-
     def run(self, budget: Budget, began: float) -> tuple[PlanStatus, JointPath | None]:
-        """Search until a path passes the fine check or the budget is spent;
-        after a grazing path it searches again.
-        """
+        """Search until a path passes the fine check or the budget is spent."""
         steps = 0
 
         def spent() -> bool:
@@ -175,7 +162,9 @@ class _Run:
 
         while True:
             self._planner.solve(ob.PlannerTerminationCondition(spent))
-            self.vertices += self._count_vertices()
+            data = ob.PlannerData(self._information)
+            self._planner.getPlannerData(data)
+            self.vertices += data.numVertices()
             if not self._problem.hasExactSolution():
                 break
             path = self._dense_path()
@@ -186,16 +175,13 @@ class _Run:
         late = budget.iterations is None or steps <= budget.iterations
         return PlanStatus.TIMEOUT if late else PlanStatus.ITERATION_LIMIT, None
 
-    def _count_vertices(self) -> int:
-        data = ob.PlannerData(self._information)
-        self._planner.getPlannerData(data)
-        return data.numVertices()
-
     def _dense_path(self) -> JointPath | None:
-        """The solution walked along the manifold at DELTA spacing, every state projected."""
+        """The solution interpolated along the manifold every DELTA, every state projected."""
         solution = self._problem.getSolutionPath()
         solution.interpolate()
-        states = [self._read(solution.getState(i)) for i in range(solution.getStateCount())]
+        joints = range(self._space.robot.dof)
+        given = [solution.getState(i) for i in range(solution.getStateCount())]
+        states = [np.array([state[j] for j in joints]) for state in given]
         if not all(self._space.project(q) for q in states[1:-1]):
             return None
         first, last = (self._moved.get(q.tobytes()) for q in (states[0], states[-1]))
@@ -204,11 +190,10 @@ class _Run:
 
 
 def _validity(space: ConstrainedSpace) -> Callable[..., bool]:
-    """Whether a state is inside the limits (OMPL's geodesics do not check them) and free of
-    collision.
+    """A function: whether a state is inside the limits and free of collision.
 
-    OMPL's objects hold this function and no garbage collector sees that: it must not hold them in
-    return.
+    OMPL's geodesics do not check limits. OMPL's objects hold this function and no garbage collector
+    sees that: it must not hold them in return.
     """
     lower, upper = space.robot.lower - 1e-9, space.robot.upper + 1e-9
     q = np.empty(space.robot.dof)
@@ -231,26 +216,24 @@ def _joint_space(space: ConstrainedSpace) -> ob.RealVectorStateSpace:
     return joints
 
 
-def _with_atlas_parameters(css):
-    css.setExploration(EXPLORATION)
-    css.setEpsilon(EPSILON)
-    css.setRho(RHO)
-    css.setAlpha(ALPHA)
-    css.setMaxChartsPerExtension(MAX_CHARTS)
-    css.setBackoff(BACKOFF)
-    return css
-
-
-def _atlas(joints: ob.RealVectorStateSpace, manifold: _Manifold):
-    css = _with_atlas_parameters(ob.AtlasStateSpace(joints, manifold))
-    css.setSeparated(True)
-    return css
+def _state_space(manifold: str, joints: ob.RealVectorStateSpace, constraint: _Manifold):
+    """OMPL's constrained state space, with the published experiment code's atlas parameters."""
+    states = STATE_SPACES[manifold](joints, constraint)
+    if manifold != "projected":
+        states.setExploration(0.8)
+        states.setEpsilon(0.1)
+        states.setRho(0.25)
+        states.setAlpha(math.pi / 8)
+        states.setMaxChartsPerExtension(200)
+        states.setBackoff(0.75)
+    if manifold == "atlas":
+        states.setSeparated(True)
+    states.setDelta(DELTA)
+    return states
 
 
 STATE_SPACES = {
     "projected": ob.ProjectedStateSpace,
-    "atlas": _atlas,
-    "tangent-bundle": lambda joints, manifold: _with_atlas_parameters(
-        ob.TangentBundleStateSpace(joints, manifold)
-    ),
+    "atlas": ob.AtlasStateSpace,
+    "tangent-bundle": ob.TangentBundleStateSpace,
 }

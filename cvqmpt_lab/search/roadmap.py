@@ -41,17 +41,19 @@ NODES = 1024
 NEIGHBOURS = 20  # that each node is linked to, at most
 TRIED = 30  # of its nearest nodes
 BLOCKS = 32  # of NODES configurations each, at most, of which free ones become nodes
-STEP = 0.2  # [rad] between states of a motion that are checked
 UNIFORM, HALTON = "uniform", "halton"
 
 
 def nearest_rows(
     nodes: np.ndarray, targets: np.ndarray, count: int, apart: bool = False
 ) -> np.ndarray:
-    """Rows (t, count) of the nodes (N, n) nearest to each of targets (t, n), nearest first, at most
-    N.
+    """Rows (t, count) of the nodes nearest to each target, nearest first.
 
-    apart: targets are the nodes, each of which is not its own neighbour.
+    Args:
+        nodes: (N, n) [rad].
+        targets: (t, n) [rad].
+        count: of rows, at most N.
+        apart: targets are the nodes, each of which is not its own neighbour.
     """
     squares = (targets**2).sum(axis=1)[:, None] + (nodes**2).sum(axis=1) - 2.0 * targets @ nodes.T
     if apart:
@@ -71,17 +73,16 @@ class Roadmap:
 
     @staticmethod
     def of(nodes: np.ndarray, neighbours: int = 12) -> "Roadmap":
-        """Link each node to its nearest ones;
-        InvalidInputError when there are not more nodes than neighbours.
-        """
+        """Link each node to its nearest ones; InvalidInputError when there are too few nodes."""
         if len(nodes) <= neighbours:
             raise InvalidInputError(f"a roadmap of {len(nodes)} nodes; give more than {neighbours}")
         return Roadmap(nodes, nearest_rows(nodes, nodes, neighbours, apart=True).astype(np.int32))
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of samples around a node (n, n) [rad^2]:
-        on average they lie as far from it as the nearest node.
+        """Covariance d^2 / n I of samples around a node, (n, n) [rad^2].
+
+        d^2 is the mean squared distance of neighbouring nodes.
         """
         linked = self.neighbours[:, 0] >= 0
         squares = ((self.nodes[self.neighbours[linked, 0]] - self.nodes[linked]) ** 2).sum(axis=1)
@@ -89,9 +90,7 @@ class Roadmap:
         return np.eye(n) * (squares.mean() if linked.any() else 1.0) / n
 
     def near(self, start: np.ndarray, robot: Robot) -> "Roadmap":
-        """The same with joints that turn more than once turned as near to start (n,) as their
-        limits allow.
-        """
+        """The same roadmap, hinges turned by whole turns as near to start (n,) as limits allow."""
         turns = robot.turning
         if not turns.any():
             return self
@@ -105,19 +104,22 @@ class Roadmap:
 def spread_roadmap(
     robot: Robot, attachments: tuple[Attachment, ...] = (), sequence: str = HALTON, draw: int = 0
 ) -> Roadmap:
-    """NODES configurations spread over the joint ranges, fewer where hardly any is free of
-    self-collision.
+    """NODES configurations over the joint ranges; fewer if most self-collide.
 
-    sequence: HALTON, scrambled, covers the ranges evenly; UNIFORM are independent draws. draw: its
-        seed.
     Of joints that turn more than once one turn is covered, see `Roadmap.near`.
+
+    Args:
+        robot: the robot.
+        attachments: what it carries.
+        sequence: HALTON, scrambled, covers the ranges evenly; UNIFORM are independent draws.
+        draw: seed of the sequence.
     """
     made_of = f"{sequence} {draw}".encode()
     return _kept(robot, attachments, made_of, lambda space: _free_draws(space, sequence, draw))
 
 
 def linked_roadmap(robot: Robot, attachments: tuple[Attachment, ...], nodes: np.ndarray) -> Roadmap:
-    """Those of given configurations (N, n) that are free of self-collision."""
+    """The roadmap of those nodes (N, n) that are free of self-collision."""
     return _kept(robot, attachments, nodes.tobytes(), lambda space: nodes[space.valid_batch(nodes)])
 
 
@@ -127,7 +129,7 @@ def _kept(
     made_of: bytes,
     nodes_of: Callable[[ConstrainedSpace], np.ndarray],
 ) -> Roadmap:
-    """The roadmap of the nodes that a function gives, from the cache where it is there."""
+    """The roadmap of the nodes that a function returns, kept in the user's cache."""
     middle = 0.5 * (robot.lower + robot.upper)
     alone = PlanningProblem(
         robot.name, robot, Scene("empty", ()), middle, middle[None], attachments=attachments
@@ -191,36 +193,35 @@ def _free_draws(space: ConstrainedSpace, sequence: str, draw: int) -> np.ndarray
 
 
 def _linked(space: ConstrainedSpace, nodes: np.ndarray) -> np.ndarray:
-    """Nearest nodes (N, NEIGHBOURS) int32 of each, nearest first, that a free straight motion leads
-    to; -1 for none.
+    """Nearest nodes (N, NEIGHBOURS) int32 of each that a free straight motion leads to, or -1.
 
-    Joints that turn more than once take the shorter way round.
+    Hinges that turn more than once take the shorter turn.
     """
     turns = space.robot.turning
     table = np.full((len(nodes), NEIGHBOURS), -1, dtype=np.int32)
     for i, node in enumerate(nodes):
-        way = nodes - node
-        way[:, turns] -= TURN * np.round(way[:, turns] / TURN)
-        squares = (way**2).sum(axis=1)
+        change = nodes - node
+        change[:, turns] -= TURN * np.round(change[:, turns] / TURN)
+        squares = (change**2).sum(axis=1)
         squares[i] = np.inf
         tried = min(TRIED, len(nodes) - 1)
         near = np.argpartition(squares, tried - 1)[:tried] if tried else np.empty(0, dtype=int)
         near = near[np.argsort(squares[near], kind="stable")]
-        free = near[_motions_free(space, node, way[near])][:NEIGHBOURS]
+        free = near[_motions_free(space, node, change[near])][:NEIGHBOURS]
         table[i, : len(free)] = free
     return table
 
 
-def _motions_free(space: ConstrainedSpace, origin: np.ndarray, ways: np.ndarray) -> np.ndarray:
-    """Whether the states every STEP of the motions from origin (n,) along each of ways (k, n) are
-    free, (k,) bool.
-    """
-    pieces = np.maximum(np.ceil(np.linalg.norm(ways, axis=1) / STEP), 1.0).astype(int)
-    motion = np.repeat(np.arange(len(ways)), pieces - 1)
+def _motions_free(
+    space: ConstrainedSpace, origin: np.ndarray, changes: np.ndarray, step: float = 0.2
+) -> np.ndarray:
+    """Whether straight motions from origin (n,) by changes (k, n) are free every step [rad], (k,)."""
+    pieces = np.maximum(np.ceil(np.linalg.norm(changes, axis=1) / step), 1.0).astype(int)
+    motion = np.repeat(np.arange(len(changes)), pieces - 1)
     first = np.cumsum(pieces - 1) - (pieces - 1)
     share = (np.arange(len(motion)) - first[motion] + 1) / pieces[motion]
-    free = np.ones(len(ways), dtype=bool)
-    free[motion[~space.valid_batch(origin + share[:, None] * ways[motion])]] = False
+    free = np.ones(len(changes), dtype=bool)
+    free[motion[~space.valid_batch(origin + share[:, None] * changes[motion])]] = False
     return free
 
 
@@ -239,9 +240,7 @@ class RoadmapSearchSettings:
 
 
 def scene_costs(space: ConstrainedSpace) -> EdgeCosts:
-    """Edge costs in the scene that a space checks, whose distances its checker has computed
-    already.
-    """
+    """Edge costs in the scene of a space, from the distances that its checker has."""
     return EdgeCosts(space.arrays.scene.grid)
 
 
@@ -270,10 +269,17 @@ class RoadmapQuery:
         longest: float = np.inf,
         known: int = kernels.UNKNOWN,
     ) -> None:
-        """Link start (n,) and goals (k, n) to the roadmap.
+        """Link start and goals to the roadmap.
 
-        longest: paths that are believed to cost more are not looked for [rad]. known: of all nodes;
-            FREE ones are on the manifold.
+        Args:
+            space: the planning space.
+            roadmap: nodes and links.
+            start: (n,) [rad].
+            goals: (k, n) [rad].
+            settings: of the search.
+            costs: of edges.
+            longest: paths that cost more are not searched for [rad].
+            known: verdict on all nodes; FREE ones are on the manifold.
         """
         self._costs, self._longest = costs, longest
         self._settings, self._space, self._arrays = (
@@ -286,9 +292,7 @@ class RoadmapQuery:
         self._set_up(roadmap.nodes, roadmap.neighbours, verdict)
 
     def _set_up(self, nodes: np.ndarray, table: np.ndarray, verdict: np.ndarray) -> None:
-        """Link start and goals to nodes (N, n) that lead to those in table (N, k); verdict (N,):
-        is known of them.
-        """
+        """Link start and goals to nodes (N, n) with links (N, k) and verdicts (N,)."""
         settings, (start, goals) = self._settings, self._ends
         count, total = len(nodes), len(nodes) + 1 + len(goals)
         links = min(settings.links, count)
@@ -319,10 +323,9 @@ class RoadmapQuery:
         self._graph.to_go[:] *= settings.greed
 
     def add_nodes(self, added: np.ndarray) -> None:
-        """Link more nodes (a, n) to the roadmap, to each other and to start and goals.
+        """Link more nodes (a, n) to the roadmap, to each other, and to start and goals.
 
-        Verdicts on nodes and on edges between them stay; those on edges of start and goals are
-        forgotten.
+        Verdicts on nodes and on edges between them are kept, those on edges of start and goals not.
         """
         before, count, half = self._graph, self._count, self._settings.links // 2
         nodes = np.concatenate([before.nodes[:count], added])
@@ -356,8 +359,9 @@ class RoadmapQuery:
             verdicts[found == kernels.BLOCKED] = kernels.BLOCKED
 
     def next_path(self, deadline: Deadline) -> JointPath | None:
-        """The shortest path that is on the manifold and free, or None;
-        each search counts as an iteration.
+        """The shortest path that is on the manifold and free, or None.
+
+        Each A* search counts as an iteration.
         """
         path, ends = np.empty(LONGEST_PATH, dtype=np.int64), np.empty(LONGEST_PATH, dtype=np.int64)
         states = np.empty((64 * LONGEST_PATH, self._graph.nodes.shape[1]))
@@ -402,10 +406,10 @@ class RoadmapQuery:
 
 @dataclass(frozen=True, eq=False)
 class RoadmapPath:
-    """A path through the roadmap, projected node by node; samples around the nodes found free when
-    there is none.
+    """Proposes a path through the roadmap, projected node by node.
 
-    While there is no path, nodes near start and goals are added, which a roadmap may have none of.
+    While there is none, nodes near start and goals are added, which a roadmap may lack. If that
+    does not help, it proposes samples around the nodes found free.
     """
 
     roadmap: Roadmap
@@ -416,51 +420,44 @@ class RoadmapPath:
     drawn: int = 128  # nodes added at once
     spread: float = 1.0  # [rad] largest standard deviation of those from an end
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
-    oracle: bool = False  # blocked nodes and edges are known at no cost: the bound of all roadmaps
+    # blocked nodes and edges are known at no cost: a bound of all roadmaps
+    oracle: bool = False
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
-        """Search the roadmap with the query's constraint."""
+        """Search the roadmap under the query's constraint."""
         if len(self.roadmap.nodes) < FEWEST:
             few = f"birrt: {len(self.roadmap.nodes)} nodes are no roadmap"
             return Proposal(query.uniform, fallback=few)
         deadline = query.deadline
         roadmap = self.roadmap.near(query.start, query.space.robot)
-        asked = RoadmapQuery(
+        search = RoadmapQuery(
             query.space, roadmap, query.start, query.goals, self.settings, self.costs(query.space)
         )
         if self.oracle:
-            asked.avoid(self._searched_before(query, roadmap))
-        path = asked.next_path(deadline)
+            aside = ConstrainedSpace(query.space.problem, query.space.backend)
+            before = RoadmapQuery(
+                aside, roadmap, query.start, query.goals, self.settings, self.costs(aside)
+            )
+            before.next_path(Deadline(deadline.budget, aside))
+            search.avoid(before)
+        path = search.next_path(deadline)
         for _ in range(self.draws):
             if path is not None or deadline.spent():
                 break
-            asked.add_nodes(self._near_ends(query))
-            path = asked.next_path(deadline)
-        free = asked.free_nodes
-        known = asked.configurations(free[free < len(roadmap.nodes)])
+            search.add_nodes(self._near_ends(query))
+            path = search.next_path(deadline)
+        free = search.free_nodes
+        known = search.configurations(free[free < len(roadmap.nodes)])
         around = GaussianMixture.equal(
             known, roadmap.covariance, query.uniform, self.uniform_share, self.name
         )
         if path is not None:
             return Proposal(around, vertices=len(free) + 2, path=path)
-        lost = (
-            f"birrt around {len(known)} free nodes: no roadmap path after {asked.searches} searches"
-        )
+        lost = f"birrt around {len(known)} free nodes: no roadmap path after {search.searches} searches"
         return Proposal(around, vertices=len(known), fallback=lost)
 
-    def _searched_before(self, query: Query, roadmap: Roadmap) -> RoadmapQuery:
-        """A query that has found its path, or that there is none, in a space of its own."""
-        aside = ConstrainedSpace(query.space.problem, query.space.backend)
-        before = RoadmapQuery(
-            aside, roadmap, query.start, query.goals, self.settings, self.costs(aside)
-        )
-        before.next_path(Deadline(query.deadline.budget, aside))
-        return before
-
     def _near_ends(self, query: Query) -> np.ndarray:
-        """Configurations on the manifold (at most `drawn`, n), half of them around the start, half
-        around goals.
-        """
+        """Projected draws (at most `drawn`, n), half around the start, half around goals."""
         rng, robot = query.rng, query.space.robot
         centres = np.tile(query.start, (self.drawn, 1))
         centres[::2] = query.goals[rng.integers(len(query.goals), size=len(centres[::2]))]

@@ -1,4 +1,4 @@
-"""Shortening a path on the manifold: the same routine, bounded the same way, for every planner."""
+"""Shortcuts on the manifold: the same post-processing of paths for every planner."""
 
 import time
 from dataclasses import dataclass
@@ -13,6 +13,8 @@ from cvqmpt_lab.search.result import Counters, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 KEEP = 0.999  # a shortcut must be shorter than this share of what it replaces
+ROUND = 16  # shortcuts tried before the clock is read
+SWEEP = 112  # shortcuts from the longest to the shortest
 
 
 @kernel
@@ -37,9 +39,7 @@ def _locate(states, count, along):
 
 @kernel
 def _replace(states, count, a, b, detour, size):
-    """Put detour (size rows, last one equal to states[b]) between states[a] and states[b];
-    new count.
-    """
+    """Put detour (size rows, the last one is states[b]) after states[a]; return the new count."""
     shift = a + size - b
     n = states.shape[1]
     if shift > 0:
@@ -58,9 +58,7 @@ def _replace(states, count, a, b, detour, size):
 
 @kernel(inline="source")
 def _shorter_motion(space, states, a, b, detour):
-    """Write a direct, free motion from states[a] to states[b] into detour if it is shorter;
-    its size or 0.
-    """
+    """Write a direct, free and shorter motion between two states into detour; its size or 0."""
     if b - a < 2:
         return 0
     old = 0.0
@@ -102,16 +100,9 @@ def shortcut(
     return count
 
 
-ROUND = 16  # shortcuts tried before the clock is read
-SWEEP = 112  # shortcuts from the longest to the shortest
-# share of the path's length that a shortcut replaces, give or take SPREAD
-LONGEST, SHORTEST = 0.5, 0.05
-SPREAD = 0.3
-
-
 @dataclass(frozen=True)
 class SimplifySettings:
-    """When to stop. Without seconds the result depends on path and seed alone."""
+    """Bounds of the shortening; without seconds the result depends on path and seed alone."""
 
     attempts: int = SWEEP  # shortcuts tried at most
     seconds: float | None = None  # wall time at most [s]; None: not limited
@@ -169,12 +160,20 @@ def simplify(
     )
 
 
-def _picks(rng: np.random.Generator, tried: int, count: int) -> np.ndarray:
-    """Ends (count, 2) of the next shortcuts, as shares of the path's length:
-    long ones first, then ever shorter.
+def _picks(
+    rng: np.random.Generator,
+    tried: int,
+    count: int,
+    longest: float = 0.5,
+    shortest: float = 0.05,
+    spread: float = 0.3,
+) -> np.ndarray:
+    """Ends (count, 2) of the next shortcuts, as shares of the path's length.
+
+    Spans fall from the longest to the shortest in a sweep, each varied by up to `spread`.
     """
     swept = (tried + np.arange(count)) % SWEEP / SWEEP
-    spans = LONGEST * (SHORTEST / LONGEST) ** swept * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, count)
+    spans = longest * (shortest / longest) ** swept * rng.uniform(1.0 - spread, 1.0 + spread, count)
     begins = rng.random(count) * (1.0 - spans)
     picks = np.stack([begins, begins + spans], axis=1)
     if tried == 0:
