@@ -1,7 +1,7 @@
-"""The certificate of a path: an independent check, also between states, that uses no compiled
-function of the planners.
+"""The certificate of a path: an independent check of every state, also between the path's own.
 
-Poses and rotation vectors come from pinocchio, distances from coal.
+It uses no compiled function of the planners: poses and rotation vectors come from pinocchio,
+distances from coal.
 """
 
 from dataclasses import dataclass
@@ -98,8 +98,13 @@ def certify(
     checker: CollisionChecker | None = None,
     clearance: bool = True,
 ) -> Certificate:
-    """Judge every state of a path: collision, limits, constraint;
-    and its step size, start and goal.
+    """Check every state of a path q(s): no collision, limits, |F(q(s))| <= TOLERANCE; and its ends.
+
+    Args:
+        problem: start, goals, constraint, robot and scene.
+        path: straight joint motions between states.
+        checker: the exact checker; None for the problem's own.
+        clearance: whether the smallest distance is measured.
     """
     checker = checker or problem.collision_checker()
     unusable = _unusable(problem, path.states)
@@ -159,15 +164,13 @@ def _place(states: np.ndarray, q: np.ndarray | None) -> float | None:
 
 
 def _closest(checker: CollisionChecker, proof: MotionProof) -> tuple[Nearest, np.ndarray]:
-    """Smallest distance at the states with least room in the proof, or at the colliding one;
-    and the state (n,).
-    """
+    """Smallest distance at the states with least room in the proof, and the state (n,)."""
     places = proof.tightest[:CLEARANCE_STATES] if proof.colliding is None else [proof.colliding]
     return min(((checker.nearest(q), q) for q in places), key=lambda found: found[0].distance)
 
 
 def _unusable(problem: PlanningProblem, states: np.ndarray) -> tuple[Fault, ...]:
-    """Why states are no path of this robot, or too far apart or outside its limits to be looked at."""
+    """Faults of states that are no path of this robot, or too far away for a proof."""
     if np.ndim(states) != 2 or np.shape(states)[1] != problem.robot.dof or len(states) < 2:
         text = (
             f"states have shape {np.shape(states)}, a path needs (2 or more, {problem.robot.dof})"

@@ -48,7 +48,7 @@ NUMBERS = {float: types.float64, int: types.int64, bool: types.boolean}
 DTYPES = ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")
 PACKAGE = Path(__file__).parent
 FILES = [file for file in sorted(PACKAGE.rglob("*.py")) if b"cvqmpt_lab.jit" in file.read_bytes()]
-# digest of every file with kernels: numba does not notice when a function that another calls changes
+# digest of all files with kernels: numba does not notice when a function that another calls is new
 SOURCES = sources_digest(*FILES)
 
 

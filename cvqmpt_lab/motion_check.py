@@ -55,9 +55,9 @@ class DryRun(NamedTuple):
 def certified_motion(
     problem: PlanningProblem, path: JointPath, settings: TimingSettings | None = None
 ) -> Trajectory:
-    """The fastest motion along a path whose cubics, as a controller interpolates them, are
-    certified.
+    """The fastest certified motion along a path.
 
+    The certificate is of the cubics between its points, as a controller interpolates them.
     InvalidInputError: the path does not move, the robot has no acceleration limits, or no motion is
     certified.
     """
@@ -82,10 +82,16 @@ def dry_run(
     current: np.ndarray | None = None,
     tolerance: float = 0.01,
 ) -> DryRun:
-    """Judge a path or trajectory before it is sent to an arm that stands at current (n,).
+    """Check a path or trajectory before it is sent to an arm.
 
     InvalidInputError: joints of another robot, times without velocities, or times that do not
     increase.
+
+    Args:
+        problem: start, goals, constraint, robot and scene.
+        motion: the path or trajectory.
+        current: (n,), where the arm stands [rad or m]; None: it is not checked.
+        tolerance: between `current` and where the motion begins [rad or m].
     """
     motion = motion.of_joints(problem.robot.joint_names)
     states, robot = motion.positions, problem.robot

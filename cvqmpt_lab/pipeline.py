@@ -83,22 +83,31 @@ def solve(
     use_cache: bool = True,
     near_goals_first: bool = False,
 ) -> Solution:
-    """Draw goals, observe, predict, update, search, shorten, certify; all randomness from seed and
-    start.
+    """Draw goals, observe, predict, update, search, shorten, certify.
 
-    Calls from several threads run one after the other: OMPL's random numbers, clouds and costs of
-    edges that are remembered, and the number of BLAS threads belong to the process. Several
-    processes plan at the same time.
+    All randomness comes from seed and start. Calls from several threads run one after the other:
+    OMPL's random numbers, caches of clouds and edge costs, and the number of BLAS threads belong to
+    the process. Several processes plan at the same time.
 
-    optimize: spent after the first path on other ways and shortening; the result is never longer
-        than that path.
-    use_cache: False charges the planner for whatever it computes from the cloud, although it may
-        remember the scene.
-    near_goals_first: where hinges turn more than once, the nearest goals are tried alone first:
-        others are turns away.
-    Raises InvalidProblemError for a start or goal that collides or violates the constraint,
-    InvalidInputError for a method that cannot serve the problem (weights of another robot, no
-    constraint).
+    Args:
+        problem: what is planned.
+        method: a planner or its name.
+        budget: of prediction and search.
+        seed: of random numbers.
+        backend: of state checks, "compiled" or "exact".
+        simplification: bounds of the shortening.
+        clearance: whether the certificate measures the smallest distance.
+        optimize: budget after the first path for other paths and shortening; the result is never
+            longer than that path.
+        use_cache: False charges the planner for all that it computes from the cloud, although it
+            may be cached.
+        near_goals_first: where hinges turn more than once, the nearest goals are tried alone first:
+            others are whole turns away.
+
+    Raises:
+        InvalidProblemError: a start or goal collides or violates the constraint.
+        InvalidInputError: the method cannot serve the problem (weights of another robot, no
+            constraint).
     """
     require_kind("problem", problem, PlanningProblem, LOAD)
     Budget.require(budget)
@@ -143,9 +152,10 @@ def solve(
     drawn_from = proposal.distribution if sampled else None
     shorter = None
     if plan.path is not None:
-        shorter = (
-            _as_is(plan.path) if plan.as_is else simplify(space, plan.path, rng, simplification)
-        )
+        # the path of an external planner is not post-processed
+        shorter = Simplified(plan.path, 0.0, Counters())
+        if not plan.as_is:
+            shorter = simplify(space, plan.path, rng, simplification)
     wall = time.perf_counter() - called - goal_seconds - observation.seconds
     found = Solution(
         problem,
@@ -168,17 +178,10 @@ def solve(
     return _with_better(found, best, improvement, clearance)
 
 
-def _as_is(path: JointPath) -> Simplified:
-    """A path of others, which nobody shortens."""
-    return Simplified(path, 0.0, Counters())
-
-
 def _with_better(
     found: Solution, best: JointPath, improvement: Improvement, clearance: bool
 ) -> Solution:
-    """A solution with a path that is no longer than its own, unless that one is refused a
-    certificate.
-    """
+    """The solution with a path that is no longer, if that is certified."""
     assert found.simplified is not None
     certificate = certify(found.problem, best, clearance=clearance)
     if not certificate.valid:
@@ -194,11 +197,9 @@ def solve_many(
     seed: int = 0,
     **options: Any,
 ) -> list[Solution]:
-    """Solve problems one after the other, those of one scene together, so that its arrays are made
-    once.
+    """Solve problems one after the other, those of one scene together: its arrays are made once.
 
-    Options and errors are those of `solve`; each solution is the one that it gives. Solutions come
-    in the order of the problems.
+    Options, errors and solutions are those of `solve`, in the order of the problems.
     """
     method = planner_named(method) if isinstance(method, str) else method
     scenes: dict[Any, list[int]] = {}

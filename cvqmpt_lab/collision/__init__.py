@@ -1,1 +1,1 @@
-"""Whether states and motions are free of collision: compiled and conservative, and exact by coal."""
+"""Collision checks of states and motions: compiled and conservative, and exact by coal."""

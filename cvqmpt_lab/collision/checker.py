@@ -1,9 +1,9 @@
-"""Whether a posed robot touches an obstacle or itself: conservative by construction.
+"""Collision check of a posed robot, compiled and conservative: "free" is proven.
 
 The balls of each body are checked from large to small; where the distance grid shows that a ball is
 free, all below it are. Pieces in the other leaves are checked against each nearby obstacle by
-`separation.separated`, which needs a separating slab to say "free". Poses that are not finite are
-collisions.
+`separation.separated`: free means that a separating slab was found. Poses that are not finite count
+as collisions.
 """
 
 import numpy as np
@@ -79,9 +79,9 @@ def _outside(x, half):
 
 @kernel
 def _touches_primitive(pieces, piece, scene, item, pose, centre, reach, margin):
-    """Whether a piece comes within margin of a primitive of an item; pose: world in link.
+    """Whether a piece comes within margin of a primitive of an item.
 
-    centre, reach: a ball that holds the piece and the margin, in the link's frame.
+    pose: of the world in the link. centre, reach: a ball around piece and margin, in the link.
     """
     frame = compose(scene.shapes.rotation[item], scene.shapes.translation[item], pose)
     radius = scene.bounds[item, 15]
@@ -106,7 +106,7 @@ def _touches_primitive(pieces, piece, scene, item, pose, centre, reach, margin):
 
 @kernel(inline="source")
 def _touches_item(r, t, robot, scene, link, node, where, margin):
-    """Whether an item is within margin of the piece in leaf node, whose ball is centred on x, y, z."""
+    """Whether an item is within margin of the piece in a leaf; where: its ball's place and cell."""
     x, y, z, ix, iy, iz, inside = where
     piece, reach = robot.leaf[node], robot.sphere[node, 3] + margin
     listed = inside and reach <= scene.reach
@@ -182,9 +182,7 @@ def _touches_body(robot, piece, x, y, z, radius, other, pose, margin):
 
 @kernel(inline="source")
 def _bodies_touch(r, t, robot, a, b, xa, ya, za, margin):
-    """Whether two bodies come within margin; xa, ya, za:
-    where the largest ball of a is in the world.
-    """
+    """Whether two bodies come within margin; xa, ya, za: centre of a's largest ball."""
     la, lb = robot.body_link[a], robot.body_link[b]
     node, end, root = robot.body_start[a], robot.body_end[a], robot.body_start[b]
     xb, yb, zb = _placed(r, t, lb, robot.sphere, root)
@@ -212,8 +210,17 @@ def _bodies_touch(r, t, robot, a, b, xa, ya, za, margin):
 
 @kernel
 def in_contact(link_rotation, link_translation, robot, scene, margin):
-    """Whether the robot comes within margin [m] of an obstacle or itself, or a link pose is not
-    finite.
+    """Whether a posed robot comes within a margin of an obstacle or of itself.
+
+    Args:
+        link_rotation: (p, 3, 3), from forward_kinematics.
+        link_translation: (p, 3) [m].
+        robot: its pieces.
+        scene: obstacles.
+        margin: [m].
+
+    Returns:
+        True in contact, or if a link pose is not finite.
     """
     for k in range(robot.order.shape[0]):
         if _touches_obstacle(link_rotation, link_translation, robot, scene, robot.order[k], margin):

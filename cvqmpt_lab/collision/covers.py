@@ -157,7 +157,7 @@ def sphere_tree(pieces: Sequence[Piece]) -> SphereTree:
 
 
 class Cloud(NamedTuple):
-    """Boxes along the axes of one frame, each inflated by a radius; points are boxes of size zero."""
+    """Boxes along the axes of one frame, inflated by a radius; points are boxes of size zero."""
 
     centre: np.ndarray  # (k, 3) [m]
     half: np.ndarray  # (k, 3) half edges [m]

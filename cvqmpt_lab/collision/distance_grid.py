@@ -1,5 +1,4 @@
-"""A grid of distances to the nearest obstacle: one look-up shows that a ball is free of all
-obstacles.
+"""A grid of lower bounds on distances to obstacles: balls with smaller radius are free.
 
 Each cell holds a lower bound, rounded down to a byte, and each block of 2^3 cells a list of the
 obstacles nearby. The grid is filled by blocks of 8^3 cells: obstacles that can matter inside a
@@ -43,9 +42,7 @@ class DistanceGrid(NamedTuple):
 
 @kernel(inline="machine")
 def _distances(bounds, i, x, y, z, half):
-    """Distances of obstacle i from a cube (lower bound;
-    exact for parallel axes) and from its centre [m].
-    """
+    """Distances of obstacle i from a cube (a lower bound) and from its centre [m]."""
     dx, dy, dz = x - bounds[i, 9], y - bounds[i, 10], z - bounds[i, 11]
     cube2 = centre2 = 0.0
     # axis-aligned, the common case
@@ -65,10 +62,9 @@ def _distances(bounds, i, x, y, z, half):
 
 @kernel
 def _relevant(bounds, grid, corner, candidates, reach, near, kept):
-    """Copy to kept the candidates that can be nearest somewhere in a block, or are within reach of
-    it; how many.
+    """Copy the candidates that can be nearest somewhere in a block, or within its reach, to kept.
 
-    near: (candidates,), of those kept the distance from the block [m].
+    near: (candidates,), written: distances from the block of those kept [m]. Returns their number.
     """
     half, nearest, n = 0.5 * COARSE * grid.cell, RANGE, 0
     x, y, z = corner[0] + half, corner[1] + half, corner[2] + half
@@ -84,9 +80,7 @@ def _relevant(bounds, grid, corner, candidates, reach, near, kept):
 
 @kernel
 def _gaps(low, high, first, edge, gaps):
-    """Write squared distances of intervals of an edge, one after the other from first on, from
-    low..high [m^2].
-    """
+    """Write squared distances [m^2] of consecutive intervals, from `first` on, from low..high."""
     for k in range(gaps.shape[0]):
         gap = max(low - (first + (k + 1) * edge), first + k * edge - high, 0.0)
         gaps[k] = gap * gap
@@ -94,9 +88,7 @@ def _gaps(low, high, first, edge, gaps):
 
 @kernel
 def _lower(best2, x, yz):
-    """Lower squared distances best2 (COARSE, COARSE^2) to the sums of x (COARSE,) and yz
-    (COARSE^2,).
-    """
+    """best2[i, j] = min(best2[i, j], x[i] + yz[j]) of squared distances."""
     for cx in range(COARSE):
         gap2 = x[cx]
         for c in range(COARSE * COARSE):
@@ -106,7 +98,7 @@ def _lower(best2, x, yz):
 
 @kernel
 def _lower_inflated(best, x, yz, inflation):
-    """The same for distances best, less an inflation radius [m]."""
+    """best[i, j] = min(best[i, j], sqrt(x[i] + yz[j]) - inflation) of distances [m]."""
     for cx in range(COARSE):
         gap2 = x[cx]
         for c in range(COARSE * COARSE):
@@ -116,10 +108,9 @@ def _lower_inflated(best, x, yz, inflation):
 
 @kernel
 def _add_straight(bounds, i, grid, reach, matters, work):
-    """Lower the distances of a block's cells to those from a box along the axes; append it to its
-    lists.
+    """Lower the distances of a block's cells to those from a box along the axes, and list it.
 
-    matters: False when no distance of the block can be lowered. work: see `_Work`.
+    matters: False when no distance of the block can be lowered. work: see `Work`.
     """
     inflation = bounds[i, 15]
     for a in range(3):
@@ -284,9 +275,7 @@ def assign(
     items: Annotated[np.ndarray, "int32 listed"],
     fill: bool,
 ):
-    """Count (fill False) or write (fill True) the obstacles within RANGE of each coarse block;
-    span: work array.
-    """
+    """Count, or with `fill` write, the obstacles within RANGE of each block; span: work array."""
     low, high = span[0], span[1]
     for i in range(bounds.shape[0]):
         for a in range(3):
@@ -314,7 +303,17 @@ def assign(
 def distance_grid(
     bounds: np.ndarray, lower: np.ndarray, upper: np.ndarray, cell: float, reach: float = REACH
 ) -> DistanceGrid:
-    """Return the grid over the box lower..upper (3,) [m] around obstacles with bounds (n, COLUMNS)."""
+    """The grid over a box around obstacles.
+
+    Each cell holds a lower bound of min_i min_{x in cell} d(x, obstacle_i), at most RANGE.
+
+    Args:
+        bounds: (k, COLUMNS), oriented boxes around obstacles.
+        lower: (3,) corner of the grid [m].
+        upper: (3,) corner of the grid [m].
+        cell: edge of a cell [m].
+        reach: obstacles within it are listed [m].
+    """
     edge = COARSE * cell
     origin = np.asarray(lower, dtype=float).copy()
     blocks = np.maximum(np.ceil((np.asarray(upper) - origin) / edge - 1e-9).astype(np.int64), 1)
@@ -362,7 +361,7 @@ def _work_arrays(most: int) -> Work:
 
 @kernel(inline="machine")
 def cell_of(grid, x, y, z):
-    """Return the cell (3 ints) of a point and whether the point lies in the grid (else cell 0)."""
+    """The cell (3 ints) of a point and whether the point lies in the grid (else cell 0)."""
     scale = grid.cells_per_metre
     fx, fy, fz = (
         (x - grid.origin[0]) * scale,
@@ -377,7 +376,7 @@ def cell_of(grid, x, y, z):
 
 @kernel(inline="machine")
 def known_distance(grid, ix, iy, iz):
-    """Return the lower bound stored in a cell [m]."""
+    """The lower bound stored in a cell [m]."""
     return grid.distance[ix, iy, iz] * STEP
 
 

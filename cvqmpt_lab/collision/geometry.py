@@ -283,7 +283,7 @@ def scene_geometry(
 
 
 def _bounds(specs: Sequence[ShapeSpec]) -> np.ndarray:
-    """Oriented boxes (n, COLUMNS) around shapes, inflated by a radius; exact for boxes and spheres."""
+    """Oriented boxes (n, COLUMNS) around shapes, inflated; exact for boxes and spheres."""
     rows = np.zeros((len(specs), COLUMNS))
     for row, spec in zip(rows, specs, strict=True):
         R, middle, half = spec.T_owner_shape[:3, :3], np.zeros(3), np.zeros(3)

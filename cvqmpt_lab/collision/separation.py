@@ -1,9 +1,10 @@
-"""Nearest point to the origin on a simplex of up to four points, in scalars (the inner step of
-GJK).
+"""Separation of two convex shapes by GJK (Gilbert, Johnson and Keerthi 1988), in scalars.
 
-Voronoi-region tests after Ericson, "Real-Time Collision Detection", section 5.1. Each function
-returns ``(n, p0, p1, p2, v)``: the smallest face that carries the nearest point (its first n points
-count) and that point v. Points are tuples of three floats [m].
+Only measured slabs count: "separated" is proven. The inner step finds the nearest point to the
+origin on a simplex of up to four points, by the Voronoi-region tests in Ericson, "Real-Time
+Collision Detection", section 5.1. Its functions return ``(n, p0, p1, p2, v)``: the smallest face
+that carries the nearest point (its first n points count) and that point v. Points are tuples of
+three floats [m].
 """
 
 from typing import Annotated, NamedTuple
@@ -18,7 +19,7 @@ _FLAT = 1e-12
 
 @kernel
 def dot(a, b):
-    """Return the inner product of two 3-tuples."""
+    """Inner product of two 3-tuples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -94,9 +95,7 @@ def _beyond_face(a, b, c, opposite):
 
 @kernel
 def _nearest_on_tetrahedron(a, b, c, d):
-    """Return the nearest point on tetrahedron abcd, where d is the newest corner;
-    n = 4 when it encloses.
-    """
+    """Nearest point on tetrahedron abcd, where d is the newest corner; n = 4 when it encloses."""
     found = (4, a, b, c, _ORIGIN)
     best = 1e300
     if _beyond_face(d, a, b, c):
@@ -117,7 +116,7 @@ def _nearest_on_tetrahedron(a, b, c, d):
 
 @kernel(inline="machine")
 def nearest_on_simplex(n, p0, p1, p2, newest):
-    """Return the nearest point to the origin on the hull of the first n points and the newest one."""
+    """Nearest point to the origin on the hull of the first n points and the newest one."""
     if n == 0:
         return 1, newest, newest, newest, newest
     if n == 1:
@@ -127,7 +126,6 @@ def nearest_on_simplex(n, p0, p1, p2, newest):
     return _nearest_on_tetrahedron(p0, p1, p2, newest)
 
 
-# Separation of two convex shapes: GJK that answers only with slabs it has measured.
 HULL, BOX, CYLINDER, SPHERE = 0, 1, 2, 3
 MAX_HULL_VERTICES = 1 << 16
 _INDEX_MASK = np.int64(MAX_HULL_VERTICES - 1)
@@ -159,7 +157,7 @@ class ConvexShapes(NamedTuple):
 
 @kernel(inline="machine")
 def _hull_support(x, y, z, size, d):
-    """Return the vertex farthest along d among x, y, z (n,), to about 1e-10 of the hull's size.
+    """The vertex s_H(d) = argmax_x x . d among x, y, z (n,), to about 1e-10 of the hull's size.
 
     The low bits of each (positive) projection hold the index of its vertex: the search becomes a
     maximum of integers, the only form that compiles to vector instructions.
@@ -175,7 +173,7 @@ def _hull_support(x, y, z, size, d):
 
 @kernel(inline="machine")
 def _core_support(kind, size, x, y, z, d):
-    """Return the point of a core, in its own frame, farthest along d (3 scalars)."""
+    """The point of a core, in its own frame, farthest along d (3 scalars)."""
     if kind == HULL:
         return _hull_support(x, y, z, size, d)
     if kind == BOX:
@@ -189,7 +187,7 @@ def _core_support(kind, size, x, y, z, d):
 
 @kernel(inline="machine")
 def _posed_support(kind, size, x, y, z, pose, d):
-    """Return the point of a posed core farthest along d; pose is 9 rotation entries by row, then 3."""
+    """The point of a posed core farthest along d; pose: 9 rotation entries by rows, then 3."""
     local = (
         pose[0] * d[0] + pose[3] * d[1] + pose[6] * d[2],
         pose[1] * d[0] + pose[4] * d[1] + pose[7] * d[2],
@@ -207,7 +205,15 @@ def _posed_support(kind, size, x, y, z, pose, d):
 def _gjk(
     ka, size_a, xa, ya, za, pose_a, kb, size_b, xb, yb, zb, pose_b, axis, above, below, tolerance
 ):
-    """Return the widest slab found between two cores [m]; see `separating_gap` for when it stops."""
+    """The widest slab between two cores [m]: GJK.
+
+    With supports s_A, s_B and a direction v from B towards A, the empty slab across v is
+
+        gap(v) = v . (s_A(-v) - s_B(v)) / |v|
+
+    The next v is the point nearest to the origin on the simplex of the last s_A - s_B. See
+    `separating_gap` for when it stops.
+    """
     v = axis
     n = np.int64(0)
     p0 = p1 = p2 = axis
@@ -239,7 +245,7 @@ def _gjk(
 
 @kernel(inline="machine")
 def compose(r, t, pose):
-    """Return pose (12-tuple) followed by rotation r (3, 3) and translation t (3,) inside it."""
+    """Pose (12-tuple) followed by rotation r (3, 3) and translation t (3,) inside it."""
     return (
         pose[0] * r[0, 0] + pose[1] * r[1, 0] + pose[2] * r[2, 0],
         pose[0] * r[0, 1] + pose[1] * r[1, 1] + pose[2] * r[2, 1],
@@ -258,15 +264,22 @@ def compose(r, t, pose):
 
 @kernel(inline="machine")
 def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
-    """Return the widest empty slab found between shape i of a and shape j of b [m].
+    """The widest empty slab found between shape i of a and shape j of b [m].
 
     A positive gap is certified: the slab was measured with the support points of both shapes. Zero
-    or less means that no slab was found. The search stops when a slab is wider than ``above``, when
-    the distance is known to be at most ``below``, or when the gap is within ``tolerance`` of the
-    distance.
+    or less means that no slab was found.
 
-    pose: of b's owner in the frame of a's owner, 12-tuple: rotation by rows, then translation [m].
-    axis: first direction tried, 3-tuple from b towards a of any length, in the frame of a's owner.
+    Args:
+        a: shapes.
+        i: number of a shape of a.
+        b: shapes.
+        j: number of a shape of b.
+        pose: of b's owner in the frame of a's owner, 12-tuple: rotation by rows, then translation
+            [m].
+        axis: first direction, 3-tuple from b towards a of any length, in the frame of a's owner.
+        above: stop when a slab is wider [m].
+        below: stop when the distance is known to be at most this [m].
+        tolerance: stop when the gap is so close to the distance [m].
     """
     inflation = a.radius[i] + b.radius[j]
     sa, na, sb, nb = a.vertex_start[i], a.vertex_count[i], b.vertex_start[j], b.vertex_count[j]
@@ -302,9 +315,7 @@ def separated(a, i, b, j, pose, axis, margin):
 
 @kernel
 def distance(a, i, b, j, pose, axis, tolerance):
-    """Return a lower bound [m] of the distance of two shapes, at most tolerance below it;
-    0 in contact.
-    """
+    """Lower bound [m] on the distance of two shapes, within tolerance; 0 in contact."""
     return max(separating_gap(a, i, b, j, pose, axis, np.inf, 0.0, tolerance), 0.0)
 
 

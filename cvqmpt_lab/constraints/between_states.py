@@ -10,14 +10,12 @@ from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.robot.robot import Robot
 
+# no entry of the rotation vector has a larger second derivative, per squared sum of the joints'
+# turns: |Jl^-1| is at most pi / 2, its derivative 1.29, and the angular velocity changes by half
 BEND = 2.81
-"""No entry of the rotation vector has a larger second derivative, per squared sum of the joints'
-turns: the left Jacobian's inverse is at most pi / 2, its derivative 1.29, and the angular velocity
-changes at most by half.
-"""
-# Nor a larger first one, up to angle pi, where the rotation vector changes its sign
+# nor a larger first one, up to angle pi, where the rotation vector changes its sign
 RATE = 0.5 * np.pi
-MOST_PARTS, ROUNDS = 8, 4  # Into how many a stretch is cut at once, and how often
+ROUNDS = 4  # how often stretches are cut
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,7 @@ class Violation:
 
     radians: float  # [rad]
     metres: float  # [m]
-    largest: float  # Bound on either at any state, checked or not [m, rad]
+    largest: float  # bound on either at any state, checked or not [m, rad]
     at: np.ndarray | None  # (n,), the worst state, or None without regions
 
 
@@ -36,11 +34,20 @@ def largest_violation(
     states: np.ndarray,
     spacing: float,
     tolerance: float,
+    most_parts: int = 8,
 ) -> Violation:
-    """How far straight joint motions through states (m, n), m >= 1, leave regions, by pinocchio.
+    """How far straight joint motions leave regions, between states too, by pinocchio.
 
-    Checks states every `spacing` [rad], and closer where the violation in between may exceed
-    `tolerance` [m, rad], until one state's violation does.
+    On a stretch with turns D = sum_j |dq_j|, no rotation entry exceeds the larger of its ends by
+    more than BEND / 8 D^2 (or RATE / 2 D near angle pi, where its sign changes).
+
+    Args:
+        robot: the robot.
+        regions: the constraint.
+        states: (m, n), m >= 1 [rad or m].
+        spacing: between states checked at first [rad].
+        tolerance: stretches are cut where the bound exceeds it and no state does [m, rad].
+        most_parts: into how many a stretch is cut at once, up to ROUNDS times.
     """
     radians = metres = highest = 0.0
     at, most = None, -np.inf
@@ -54,7 +61,7 @@ def largest_violation(
             allowed = np.maximum(tolerance - use.highest, 1e-3 * use.between)
             ratio = use.between / allowed
             parts = np.clip(
-                np.ceil(np.where(use.flips, ratio, np.sqrt(ratio))), 2, MOST_PARTS
+                np.ceil(np.where(use.flips, ratio, np.sqrt(ratio))), 2, most_parts
             ).astype(int)
             counts = np.where(doubtful, parts, 1)
             known, q = np.concatenate([[0], np.cumsum(counts)]), _cut(q, counts)
@@ -70,9 +77,7 @@ def largest_violation(
 
 
 def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
-    """States (m, n) with the straight segments between them cut into pieces of at most spacing
-    [rad].
-    """
+    """States (m, n) with segments cut into pieces of at most `spacing` [rad]."""
     lengths = np.linalg.norm(np.diff(states, axis=0), axis=1)
     counts = np.maximum(1, np.ceil(lengths / spacing)).astype(int)
     return _cut(states, counts)

@@ -28,25 +28,26 @@ MAX_ITERATIONS = 20
 ATTEMPTS = 12  # random configurations Newton's method starts from, per pose
 NEAR = 0.3  # [rad] standard deviation of starts around a given configuration
 POSES = 25  # drawn at once
-HANDS = 4000  # random configurations by which the hand's reach is measured
-SPREADS = (0.3, 0.2, 0.1, 0.05)  # [rad or m] around the best of them, round by round
-MOST_PAIRS = 3  # of colliding pieces that are named
 SAMPLE_MARGIN = 1e-3  # [m] kept from obstacles by sampled starts and goals
 ONE_POSE = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
 
 
-def solve_poses(robot: Robot, poses: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
-    """Configurations inside the limits that reach end-effector poses (k, 4, 4):
-    k arrays (<= ATTEMPTS, n).
-    """
-    return _solved(robot, poses, first_guesses(robot, rng, len(poses), ATTEMPTS), ())
-
-
-def _solved(
-    robot: Robot, poses: np.ndarray, guesses: np.ndarray, within: Sequence[TaskSpaceRegion]
+def solve_poses(
+    robot: Robot,
+    poses: np.ndarray,
+    guesses: np.ndarray,
+    within: Sequence[TaskSpaceRegion] = (),
 ) -> list[np.ndarray]:
-    """The same from first guesses (k, attempts, n), which it overwrites, inside regions kept at the
-    same time.
+    """Configurations inside the limits that reach end-effector poses, by Newton's method.
+
+    Args:
+        robot: the robot.
+        poses: (k, 4, 4) in the base frame [m].
+        guesses: (k, a, n), where Newton's method starts; overwritten [rad or m].
+        within: regions kept at the same time.
+
+    Returns:
+        k arrays (at most a, n).
     """
     regions, reached = pose_regions(robot, within), np.empty(guesses.shape[:2], dtype=np.int64)
     reach_poses(
@@ -64,25 +65,17 @@ def _solved(
 
 
 def pose_regions(robot: Robot, within: Sequence[TaskSpaceRegion] = ()) -> Regions:
-    """A region that is one pose, to be written into its reference frame, and regions kept at the
-    same time.
-    """
+    """A region that is one pose, to be written into its reference frame, and regions kept, too."""
     return stack_regions(robot, (ONE_POSE, *within))
 
 
 def first_guesses(
-    robot: Robot,
-    rng: np.random.Generator,
-    poses: int,
-    attempts: int,
-    near: np.ndarray | None = None,
+    robot: Robot, rng: np.random.Generator, poses: int, near: np.ndarray | None = None
 ) -> np.ndarray:
-    """Configurations (poses, attempts, n) that Newton's method starts from, anywhere or `NEAR` one
-    (n,).
-    """
-    shape = (poses, attempts, robot.dof)
+    """Configurations (poses, ATTEMPTS, n) anywhere, or `NEAR` one (n,)."""
+    shape = (poses, ATTEMPTS, robot.dof)
     if near is None:
-        return robot.random_configurations(rng, poses * attempts).reshape(shape)
+        return robot.random_configurations(rng, poses * ATTEMPTS).reshape(shape)
     return near + NEAR * rng.standard_normal(shape)
 
 
@@ -91,9 +84,9 @@ class GoalSample:
     """Result of sampling a goal region."""
 
     configurations: np.ndarray  # (k, n), free of collision [rad or m]
-    poses_tried: int  # Poses drawn
-    unreachable: int  # Poses without an inverse-kinematics solution
-    colliding: int  # Poses with solutions, none of them free of collision
+    poses_tried: int  # poses drawn
+    unreachable: int  # poses without an inverse-kinematics solution
+    colliding: int  # poses with solutions, none of them free of collision
 
     @property
     def outcome(self) -> str:
@@ -122,11 +115,11 @@ def sample_region(
     unreachable = colliding = tried = 0
     while len(found) < count and tried < max_poses:
         poses = region.sample_poses(rng, min(POSES, max_poses - tried))
-        guesses = first_guesses(robot, rng, len(poses), ATTEMPTS, near)
-        # no more than needed
+        guesses = first_guesses(robot, rng, len(poses), near)
+        # as many poses at once as configurations are wanted: no more than needed are solved
         few = (slice(first, first + count) for first in range(0, len(poses), count))
         for candidates in (
-            one for part in few for one in _solved(robot, poses[part], guesses[part], within)
+            one for part in few for one in solve_poses(robot, poses[part], guesses[part], within)
         ):
             tried += 1
             free = next((q for q in candidates if not checker.in_collision(q)), None)
@@ -147,22 +140,17 @@ def why_none(
     checker: CollisionChecker,
     constraint: Sequence[TaskSpaceRegion],
 ) -> str:
-    """The reasons that hold, "; " between them: out of reach, against the constraint, in collision;
-    "" if none.
-    """
+    """The reasons: out of reach, against the constraint, in collision; "" if none is known."""
     rng = np.random.default_rng(0)
     T = region.sample_poses(rng, POSES)
-    found = solve_poses(robot, T, rng)
+    found = solve_poses(robot, T, first_guesses(robot, rng, len(T)))
     missed = T[[len(rows) == 0 for rows in found]]
-    reasons = (
-        _reach(robot, missed, rng) if len(missed) else "",
-        *(
-            _broken(member, T)
-            for member in constraint
-            if not isinstance(member, TaskSpaceRegionChain)
-        ),
-        _collisions(checker, np.concatenate(found)),
-    )
+    reasons = [_reach(robot, missed, rng)] if len(missed) else []
+    for member in constraint:
+        if not isinstance(member, TaskSpaceRegionChain):
+            broken = broken_bound(member, displaced(member, T, member.T0_w[None]))
+            reasons += [f"every pose breaks {broken}"] if broken else []
+    reasons.append(_collisions(checker, np.concatenate(found)))
     return "; ".join(filter(None, reasons))
 
 
@@ -175,52 +163,45 @@ def _reach(robot: Robot, T: np.ndarray, rng: np.random.Generator) -> str:
             f"they lie {away.min():.2f} m or more from {robot.joint_names[0]}, the hand "
             f"reaches {reach:.2f} m"
         )
-    turned = sum(_position_reached(robot, pose, rng) for pose in T)
+    turned = 0
+    for pose in T:
+        place = TaskSpaceRegion(pose, np.eye(4), np.array([[0.0, 0.0]] * 3 + [[-FREE, FREE]] * 3))
+        manifold = RegionConstraint(robot, (place,))
+        guesses = first_guesses(robot, rng, 1)[0]
+        turned += any(manifold.project(q) is not None for q in guesses)
     if turned:
         return (
             f"turned otherwise the hand gets to {turned} of {len(T)} of their places, turned "
             f"as asked to none"
         )
-    near = (
-        f"from {away.min():.2f} m on from {robot.joint_names[0]}, where the hand reaches "
-        f"{reach:.2f} m"
+    return (
+        f"they lie from {away.min():.2f} m on from {robot.joint_names[0]}, where the hand reaches "
+        f"{reach:.2f} m, but the joint limits do not let it get there"
     )
-    return f"they lie {near}, but the joint limits do not let it get there"
 
 
-def hand_reach(robot: Robot) -> float:
-    """Distance [m] from the first joint that the hand gets to, in random configurations and around
-    the best one.
+def hand_reach(robot: Robot, count: int = 4000) -> float:
+    """Distance [m] from the first joint that the hand reaches.
+
+    Found by `count` random configurations, and by more around the best one.
     """
     axis, rng = robot.kinematics.translation[0], np.random.default_rng(0)
-    configurations, best, reach = robot.random_configurations(rng, HANDS), robot.lower, 0.0
-    for spread in SPREADS:
+    configurations, best, reach = robot.random_configurations(rng, count), robot.lower, 0.0
+    # standard deviations [rad or m], round by round
+    for spread in (0.3, 0.2, 0.1, 0.05):
         away = np.linalg.norm(robot.poses(configurations)[:, :3, 3] - axis, axis=1)
         if away.max() > reach:
             best, reach = configurations[away.argmax()], float(away.max())
-        near = best + spread * rng.standard_normal((HANDS // 8, robot.dof))
+        near = best + spread * rng.standard_normal((count // 8, robot.dof))
         configurations = near.clip(robot.lower, robot.upper)
     return reach
 
 
-def _position_reached(robot: Robot, T: np.ndarray, rng: np.random.Generator) -> bool:
-    """Whether the hand gets to the place of a pose (4, 4), turned in any way."""
-    place = TaskSpaceRegion(T, np.eye(4), np.array([[0.0, 0.0]] * 3 + [[-FREE, FREE]] * 3))
-    manifold = RegionConstraint(robot, (place,))
-    return any(manifold.project(q) is not None for q in first_guesses(robot, rng, 1, ATTEMPTS)[0])
-
-
-def _broken(member: TaskSpaceRegion, T: np.ndarray) -> str:
-    """How the best of poses (k, 4, 4) breaks a region of the constraint; "" when one keeps it."""
-    said = broken_bound(member, displaced(member, T, member.T0_w[None]))
-    return f"every pose breaks {said}" if said else ""
-
-
 def _collisions(checker: CollisionChecker, configurations: np.ndarray) -> str:
-    """With what configurations (k, n) collide, the most frequent pairs first; "" when one is free."""
+    """The pairs that collide in configurations (k, n), most frequent first; "" if one is free."""
     pairs = [str(checker.colliding_pair(q)) for q in configurations if checker.in_collision(q)]
     if len(pairs) < len(configurations) or not pairs:
         return ""
-    most = Counter(pairs).most_common(MOST_PAIRS)
+    most = Counter(pairs).most_common(3)
     with_what = ", ".join(f"{pair} in {count}" for pair, count in most)
     return f"all {len(pairs)} configurations that reach them collide: {with_what}"

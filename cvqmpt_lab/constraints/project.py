@@ -26,13 +26,13 @@ STALLED = 0.9
 class ProjectionScratch(NamedTuple):
     """Work arrays of a projection with n joints, k regions and m bounded rows."""
 
-    link_rotation: Annotated[np.ndarray, "p 3 3"]  # Link poses
-    link_translation: Annotated[np.ndarray, "p 3"]  # Link poses [m]
-    displacement: Annotated[np.ndarray, "k 9"]  # What `residual` leaves for `jacobian`
-    residual: Annotated[np.ndarray, "m"]  # [m, rad]
-    jacobian: Annotated[np.ndarray, "m n"]  # (m, n)
-    normal: Annotated[np.ndarray, "m m"]  # Normal matrix of Newton's method, factorised
-    multiplier: Annotated[np.ndarray, "m"]  # Its solution
+    link_rotation: Annotated[np.ndarray, "p 3 3"]  # link poses
+    link_translation: Annotated[np.ndarray, "p 3"]  # link poses [m]
+    displacement: Annotated[np.ndarray, "k 9"]  # written by `residual` for `jacobian`
+    residual: Annotated[np.ndarray, "m"]  # F [m, rad]
+    jacobian: Annotated[np.ndarray, "m n"]  # J
+    normal: Annotated[np.ndarray, "m m"]  # Cholesky factor of J J^T
+    multiplier: Annotated[np.ndarray, "m"]  # (J J^T)^-1 F
     step: Annotated[np.ndarray, "n"]  # Newton step [rad or m]
 
 
@@ -106,9 +106,7 @@ def newton_step(scratch, out):
 
 @kernel(inline="source")
 def _hold_joints_at_limits(kinematics, q, scratch):
-    """Take joints that stand at a limit and would leave it out of the Jacobian;
-    whether there are any.
-    """
+    """Zero the columns of J of joints that would leave a limit; whether there are any."""
     found = False
     for j in range(q.shape[0]):
         below = q[j] <= kinematics.lower[j] and scratch.step[j] < 0.0
@@ -121,7 +119,7 @@ def _hold_joints_at_limits(kinematics, q, scratch):
 
 @kernel(inline="source")
 def newton(kinematics, regions, q, tolerance, max_iterations, stop_on_stall, scratch):
-    """Move q (n,) in place as `project` does; stop_on_stall: give up as soon as |F| hardly falls."""
+    """`project` with early exit: stop_on_stall gives up as soon as |F| hardly falls."""
     for j in range(q.shape[0]):
         q[j] = min(max(q[j], kinematics.lower[j]), kinematics.upper[j])
     rotation, translation = scratch.link_rotation, scratch.link_translation
@@ -157,31 +155,24 @@ def project(
     max_iterations: int,
     scratch: ProjectionScratch,
 ):
-    """Move q (n,) in place onto the manifold and inside the joint limits.
+    """Algorithm 1: move q in place onto the manifold and inside the joint limits.
 
-    Returns Newton iterations used, or -1 - iterations when |F| > tolerance after max_iterations.
+        while |F(q)| > tolerance:   q <- q - J^+(q) F(q)
+
     On success scratch holds the link poses of q, ready for a collision check.
+
+    Args:
+        kinematics: of the robot.
+        regions: the constraint.
+        q: (n,), changed [rad or m].
+        tolerance: of |F| [m, rad].
+        max_iterations: Newton steps at most.
+        scratch: work arrays.
+
+    Returns:
+        Newton steps taken, or -1 - steps on failure.
     """
     return newton(kinematics, regions, q, tolerance, max_iterations, False, scratch)
-
-
-@entry
-def project_batch(
-    kinematics: Kinematics,
-    regions: Regions,
-    configurations: Annotated[np.ndarray, "count n"],
-    tolerance: float,
-    max_iterations: int,
-    scratch: ProjectionScratch,
-    iterations: Annotated[np.ndarray, "int64 count"],
-):
-    """Project every row of configurations (b, n) in place;
-    writes iterations (b,), < 0 where it failed.
-    """
-    for i in range(configurations.shape[0]):
-        iterations[i] = project(
-            kinematics, regions, configurations[i], tolerance, max_iterations, scratch
-        )
 
 
 @entry
@@ -196,12 +187,10 @@ def reach_poses(
     scratch: ProjectionScratch,
     iterations: Annotated[np.ndarray, "int64 count attempts"],
 ):
-    """Project configurations (k, a, n) in place onto one pose each: `regions` with its reference
-    frame put there.
+    """Project configurations (k, a, n) in place onto k poses of the first region's reference frame.
 
-    rotations, translations: (k, 3, 3) and (k, 3) [m], poses for the reference frame of the only
-        region.
-    iterations: (k, a), written: Newton's, < 0 where a configuration did not get there.
+    rotations, translations: (k, 3, 3) and (k, 3) [m], the poses. iterations: (k, a), written, as
+        `project` returns.
     """
     for i in range(configurations.shape[0]):
         for row in range(3):

@@ -27,9 +27,7 @@ NEAR_PI = 1e-4  # [rad] above pi - NEAR_PI, the axis is read from the symmetric 
 
 @kernel
 def _axis_near_pi(a, b, c, cosine, angle, x, y, z):
-    """Rotation vector near angle pi:
-    (R + R^T) / 2 = cos(t) I + (1 - cos(t)) u u^T holds the axis u.
-    """
+    """Rotation vector t u near angle pi: (R + R^T) / 2 = cos(t) I + (1 - cos(t)) u u^T."""
     if a[0] >= b[1] and a[0] >= c[2]:
         ux, uy, uz = a[0] - cosine, 0.5 * (a[1] + b[0]), 0.5 * (a[2] + c[0])
     elif b[1] >= c[2]:
@@ -44,8 +42,9 @@ def _axis_near_pi(a, b, c, cosine, angle, x, y, z):
 
 @kernel
 def rotation_vector(a, b, c):
-    """Axis times angle (3 floats) [rad] of the rotation with columns a, b, c;
-    the angle lies in [0, pi].
+    """Log(R) = axis * angle (3 floats) [rad] of the rotation R with columns a, b, c.
+
+    The angle lies in [0, pi].
     """
     x, y, z = 0.5 * (b[2] - c[1]), 0.5 * (c[0] - a[2]), 0.5 * (a[1] - b[0])
     sine = np.sqrt(x * x + y * y + z * z)
@@ -113,7 +112,7 @@ def _into_reference(regions, k, link_rotation, x, y, z):
 
 @kernel(inline="source")
 def _displacement(regions, k, link_rotation, link_translation):
-    """End point in the world (3), then displacement of region k: position (3), rotation vector (3)."""
+    """End point in the world (3); then x of region k: position (3), rotation vector (3)."""
     link, base = regions.link[k], regions.base[k]
     offset, origin = regions.end_translation, regions.reference_translation
     x, y, z = _turned(link_rotation, link, offset[k, 0], offset[k, 1], offset[k, 2])
@@ -181,11 +180,11 @@ def _pick(vector, axis):
 
 @kernel(inline="machine")
 def residual(regions, link_rotation, link_translation, out, displacement):
-    """Write the residual (m,) into out; link poses come from forward_kinematics.
+    """Write F = min(x - lower, 0) + max(x - upper, 0) (m,) into out; return |F|^2.
 
-    displacement: (k, 9), end point in the world, position and rotation vector of each region, for
-        `jacobian`.
-    Returns the squared norm of the residual.
+    x is the displacement of the regions, see above. Link poses come from forward_kinematics.
+    displacement: (k, 9), written for `jacobian`: end point in the world, position and rotation
+        vector of each region.
     """
     m = regions.region.shape[0]
     first, square = 0, 0.0
@@ -219,11 +218,13 @@ def _log_map_rate(vector, factor, square, w):
 def jacobian(
     kinematics, regions, link_rotation, link_translation, displacement, full, out_of_bounds, out
 ):
-    """Write the Jacobian (m, n) of the residual into out.
+    """Write J = dF/dq (m, n) into out: rows of v_j and of Jl^-1(e) w_j for each joint j.
+
+    v_j, w_j: velocity and angular velocity of the end frame against the reference.
 
     displacement, out_of_bounds: what `residual` wrote for the same link poses.
     full: rows inside their bounds keep the derivative of x instead of zero (the full-rank form
-    that tangent-space planners need).
+        that tangent-space planners need).
     """
     n = kinematics.parent.shape[0]
     m = regions.region.shape[0]
@@ -269,9 +270,7 @@ def batch_residual_and_jacobian(
     residuals: Annotated[np.ndarray, "count m"],
     jacobians: Annotated[np.ndarray, "count m n"],
 ):
-    """Write residuals and Jacobians of configurations; rotation, translation, displacement:
-    work arrays.
-    """
+    """Write F (b, m) and dF/dq (b, m, n) of configurations (b, n); the rest are work arrays."""
     for i in range(configurations.shape[0]):
         forward_kinematics(kinematics, configurations[i], rotation, translation)
         residual(regions, rotation, translation, residuals[i], displacement)

@@ -1,6 +1,4 @@
-"""How much of its bounds a path uses: the state closest to each bound or furthest over it;
-which bound is broken.
-"""
+"""How much of its bounds a path uses, and which bound is broken most."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,15 +16,13 @@ UNITS = ("m",) * 3 + ("rad",) * 3
 
 @dataclass(frozen=True)
 class BoundUse:
-    """The state of a path that stands closest to a bound of one entry of one region, or furthest
-    beyond it.
-    """
+    """Largest use of one entry's bounds along a path."""
 
-    region: int  # Which of the regions, from 0
-    row: int  # Which row of its `Bw`, 0 to 5
-    value: float  # Displacement there [m] or [rad]
-    lower: float  # Lower bound, -inf where there is none [m] or [rad]
-    upper: float  # Upper bound, inf where there is none [m] or [rad]
+    region: int  # which of the regions, from 0
+    row: int  # of its `Bw`, 0 to 5
+    value: float  # displacement closest to a bound, or furthest beyond it [m] or [rad]
+    lower: float  # lower bound, -inf where there is none [m] or [rad]
+    upper: float  # upper bound, inf where there is none [m] or [rad]
 
     @property
     def excess(self) -> float:
@@ -48,28 +44,20 @@ class BoundUse:
 
 
 def bounds_text(regions: Sequence[TaskSpaceRegion]) -> str:
-    """For people: "rotation about y -0.1 to 0.1 rad, rotation about z ...";
-    regions are divided by semicolons.
-    """
-    texts = (
-        ", ".join(
-            f"{ROWS[row]} {low:g} to {high:g} {UNITS[row]}" for row, (low, high) in _bounded(region)
+    """For people: "rotation about y -0.1 to 0.1 rad, rotation about z ..."; ";" between regions."""
+    texts = []
+    for region in regions:
+        bounds = [(row, *region.Bw[row]) for row in region.bounded_rows]
+        texts.append(
+            ", ".join(f"{ROWS[k]} {low:g} to {high:g} {UNITS[k]}" for k, low, high in bounds)
         )
-        for region in regions
-    )
     return "; ".join(texts) or "none"
-
-
-def _bounded(region: TaskSpaceRegion) -> list[tuple[int, FloatArray]]:
-    """Row and bounds (2,) of each entry that can be violated."""
-    return [(int(row), region.Bw[row]) for row in region.bounded_rows]
 
 
 def bound_usage(
     robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.ndarray
 ) -> tuple[BoundUse, ...]:
-    """The largest use of every bound of a constraint, `problem.constraint`, over states (m, n), m
-    >= 1.
+    """The largest use of every bound of regions over states (m, n), m >= 1.
 
     Poses by pinocchio: nothing here is shared with the planners' kernels.
     """
@@ -84,36 +72,26 @@ def bound_usage(
 
 
 def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
-    """Where the end effector stands in a region, (m, 6):
-    position [m] and rotation vector [rad] that `Bw` bounds.
-    """
+    """Displacements x (m, 6) of the end effector at states (m, n), which `Bw` bounds [m, rad]."""
     return displaced(region, robot.poses(states), region.reference_poses(robot, states))
 
 
 def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray) -> np.ndarray:
-    """The same (m, 6) of end-effector poses (m, 4, 4), where the region's frame stands at
-    references (1 or m, 4, 4).
+    """Displacements (m, 6): x = (t, Log R) of T = (T0_w)^-1 T0_e (Tw_e)^-1 with parts t and R.
+
+    Args:
+        region: the region.
+        poses: T0_e (m, 4, 4) of the end effector [m].
+        references: T0_w (1 or m, 4, 4) of the region's frame [m].
     """
     T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
     return np.hstack([T[:, :3, 3], rotation_vectors(T[:, :3, :3])])
 
 
-KINDS = {
-    (4, 5): "upright",
-    (3, 4, 5): "fixed-orientation",
-    (2,): "plane",
-    (0, 1): "line",
-    tuple(range(6)): "pose",
-}
-"""Names of regions in problem files (see `named`) by the rows that they bound."""
-
-
 def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
-    """Which bound the displacement of (m, 6) that breaks a region least breaks most, and by how
-    much.
+    """The bound that the best of displacements x (m, 6) breaks most; "" if it keeps the region.
 
-    "`upright` by 0.41 rad: rotation about y 0.51 of 0.1 rad (it tilts by 29°)"; "" when one keeps
-    the region to 1e-4.
+    "`upright` by 0.41 rad: rotation about y 0.51 of 0.1 rad (it tilts by 29°)".
     """
     rows = region.bounded_rows
     lower, upper = region.Bw[rows].T
@@ -123,7 +101,15 @@ def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
         return ""
     row = int(rows[excess[k].argmax()])
     use = BoundUse(0, row, float(x[k, row]), *map(float, region.Bw[row]))
-    kind = KINDS.get(tuple(rows.tolist()), "the region")
+    # names of regions in problem files (see `named`) by the rows that they bound
+    kinds = {
+        (4, 5): "upright",
+        (3, 4, 5): "fixed-orientation",
+        (2,): "plane",
+        (0, 1): "line",
+        (0, 1, 2, 3, 4, 5): "pose",
+    }
+    kind = kinds.get(tuple(rows.tolist()), "the region")
     tilt = np.degrees(np.arccos(np.clip(rotation_matrices(x[k, None, 3:])[0, 0, 0], -1.0, 1.0)))
     tilts = f" (it tilts by {tilt:.0f}°)" if kind == "upright" else ""
     return f"`{kind}` by {use.excess:.3g} {use.unit}: {use}{tilts}"

@@ -9,8 +9,8 @@
         Swap(T_a, T_b)
 
 Samples come from any distribution; with the uniform one this is CBiRRT. Every state is projected
-(F(q) = 0, paper, Algorithm 1) and checked. A path found is then checked at fine resolution; a motion
-that hits an obstacle between its states is cut out of its tree, and the search goes on.
+(F(q) = 0, paper, Algorithm 1) and checked. A path found is checked finely; a motion that hits
+an obstacle between its states is cut out of its tree, and the search goes on.
 """
 
 import time
@@ -254,7 +254,7 @@ class BiRRT:
         )
 
     def _use(self, space: ConstrainedSpace, trees: Trees, samples: np.ndarray, deadline: float):
-        """Grow with one batch until the deadline; the trees, and a path that passed the fine check."""
+        """Grow with one batch; the trees, and a path that passed the fine check or None."""
         arrays = space.arrays._replace(step=self.step)
         most = len(samples) if deadline == np.inf else self.clock_batch
         first = 0

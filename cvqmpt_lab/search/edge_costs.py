@@ -22,7 +22,7 @@ from cvqmpt_lab.search.motion import CLEARANCES, GAP, Space
 class EdgeCosts(NamedTuple):
     """What motions cost beyond their length: weight * -log P(free).
 
-    slope, bias: fitted to 32 256 exactly checked edges of three arms (docs/training_log.md, part 3).
+    slope, bias: fitted to 32 256 edges of three arms (docs/training_log.md, part 3).
     """
 
     grid: DistanceGrid  # of the scene

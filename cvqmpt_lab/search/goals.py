@@ -1,4 +1,4 @@
-"""Goal configurations drawn from a region of poses: solved and checked in compiled code."""
+"""Goal configurations drawn from a region of poses: inverse kinematics and checks, compiled."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -37,26 +37,27 @@ class Seeds(NamedTuple):
     configurations: Annotated[np.ndarray, "rows n"]  # [rad or m]
     rotations: Annotated[np.ndarray, "rows 3 3"]  # of the end effector
     translations: Annotated[np.ndarray, "rows 3"]  # of the end effector [m]
-    length: float  # A hand this far off is as far as one turned by a radian [m]
+    length: float  # [m] a hand this far off counts as one turned by a radian
 
 
 class Poses(NamedTuple):
-    """Where the hand shall be, and what came of it."""
+    """Poses for the hand, and the configurations found."""
 
     rotations: Annotated[np.ndarray, "count 3 3"]  # of the end effector
     translations: Annotated[np.ndarray, "count 3"]  # of the end effector [m]
     # that reach them, where the verdict says so [rad or m]
     configurations: Annotated[np.ndarray, "count n"]
+    # REACHED by a free configuration, UNTRIED, UNREACHABLE so far, or COLLIDING if only others did
     verdict: Annotated[np.ndarray, "int64 count"]
-    """REACHED by a free configuration, UNTRIED, UNREACHABLE so far, or COLLIDING where only others
-    reached it.
-    """
     reached: Annotated[np.ndarray, "int64 count"]  # numbers of the poses reached, in that order
 
 
 @kernel(inline="source")
 def _nearest_seed(seeds, first, look, rotation, translation):
-    """The one of `look` seeds from the first that puts the hand nearest to a pose."""
+    """The one of `look` seeds from the first whose hand pose (R_k, t_k) is nearest to (R, t).
+
+    It minimises |t_k - t|^2 / length^2 + |R_k - R|^2 over the first two columns of R.
+    """
     nearest, least = first, np.inf
     for k in range(first, first + look):
         shift = turn = 0.0
@@ -92,11 +93,20 @@ def reach_free(
     """Find a free configuration for each of several poses, until there are as many as wanted.
 
     Args:
-        regions: the first is the pose to be reached, the others hold at the same time.
+        kinematics: of the robot.
+        regions: the first is the pose to be reached; the others hold at the same time.
+        robot: pieces of the robot.
+        scene: obstacles.
         margin: to be kept from obstacles [m].
-        firsts, look: an attempt starts from the best of `look` seeds from number
-            firsts[attempt, pose] on; a multiple of VISIT attempts a pose.
+        seeds: configurations that Newton's method starts from.
+        firsts: an attempt starts from the best of `look` seeds from number firsts[attempt, pose]
+            on; a multiple of VISIT attempts a pose.
+        look: see `firsts`.
+        tolerance: on the pose [m, rad].
+        max_iterations: of Newton's method.
         stop_on_stall: attempts that stall are given up.
+        scratch: work arrays.
+        wanted: number of configurations.
         poses: configurations and verdicts are written.
 
     Returns:
@@ -136,10 +146,7 @@ def reach_free(
     return found
 
 
-SEEDS = 8192  # configurations anywhere, made once a robot
-SEEDS_NEAR = 512  # configurations around a given one
-LOOK = 16
-SHARE_OF_REACH = 0.3  # that a hand must be shifted to be as far off as one turned by a radian
+LOOK = 16  # seeds compared for an attempt
 
 
 def sample_goals(
@@ -152,18 +159,26 @@ def sample_goals(
 ) -> GoalSample:
     """Up to count collision-free configurations in a problem's goal region, one per pose.
 
-    Where joints turn by more than a full turn, every second one is taken by the turns nearest to
-    the start: else most goals of an arm with several such joints are whole turns away, and none may
-    be on the start's side.
+    Where joints turn by more than a full turn, every second configuration is turned by whole turns
+    towards the start: else most goals of an arm with several such joints are whole turns away.
 
-    within: regions that hold at the same time; that of a held handle puts its door where the hand
-        is.
-    near: configuration (n,) that Newton's method starts around, instead of anywhere.
+    Args:
+        problem: the problem; its goal region must not be None.
+        rng: random numbers.
+        count: of configurations.
+        max_poses: at most so many poses are drawn.
+        within: regions kept at the same time; that of a held handle puts its door where the hand
+            is.
+        near: configuration (n,) that Newton's method starts around, instead of anywhere.
     """
     robot, region = problem.robot, problem.goal_region
     assert region is not None
     regions = pose_regions(robot, within)
-    seeds = _seeds_anywhere(robot) if near is None else _seeds_near(robot, near, rng)
+    if near is None:
+        seeds = _seeds_anywhere(robot)
+    else:
+        scattered = near + NEAR * rng.standard_normal((512, robot.dof))
+        seeds = _seeds(robot, np.clip(scattered, robot.lower, robot.upper))
     T = region.sample_poses(rng, max_poses)
     poses = Poses(
         np.ascontiguousarray(T[:, :3, :3]),
@@ -183,7 +198,7 @@ def sample_goals(
         LOOK,
         TOLERANCE,
         MAX_ITERATIONS,
-        near is None,  # from a given posture the way may be long
+        near is None,  # from a given posture progress may be slow
         projection_scratch(robot.dof, regions),
         count,
         poses,
@@ -199,9 +214,7 @@ def sample_goals(
 
 
 def _turned_near(configurations: np.ndarray, start: np.ndarray, robot: Robot) -> np.ndarray:
-    """The same postures (k, n), hinges turned by whole turns to where limits allow nearest to a
-    start (n,).
-    """
+    """The same postures (k, n), hinges turned by whole turns as near to start as limits allow."""
     whole = 2.0 * np.pi * np.round((configurations - start) / (2.0 * np.pi))
     turned = configurations - np.where(robot.kinematics.prismatic, 0.0, whole)
     return np.where((turned >= robot.lower) & (turned <= robot.upper), turned, configurations)
@@ -210,13 +223,7 @@ def _turned_near(configurations: np.ndarray, start: np.ndarray, robot: Robot) ->
 @lru_cache(maxsize=8)
 def _seeds_anywhere(robot: Robot) -> Seeds:
     """Uniform configurations, always the same."""
-    return _seeds(robot, robot.random_configurations(np.random.default_rng(0), SEEDS))
-
-
-def _seeds_near(robot: Robot, near: np.ndarray, rng: np.random.Generator) -> Seeds:
-    """Configurations scattered around one (n,), inside the limits."""
-    scattered = near + NEAR * rng.standard_normal((SEEDS_NEAR, robot.dof))
-    return _seeds(robot, np.clip(scattered, robot.lower, robot.upper))
+    return _seeds(robot, robot.random_configurations(np.random.default_rng(0), 8192))
 
 
 def _seeds(robot: Robot, configurations: np.ndarray) -> Seeds:
@@ -227,5 +234,5 @@ def _seeds(robot: Robot, configurations: np.ndarray) -> Seeds:
         configurations,
         rotations[:, link] @ T[:3, :3],
         translations[:, link] + rotations[:, link] @ T[:3, 3],
-        SHARE_OF_REACH * robot.reach,
+        0.3 * robot.reach,
     )

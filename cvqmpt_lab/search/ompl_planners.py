@@ -138,7 +138,7 @@ class _Run:
         return moved
 
     def _state(self, q: np.ndarray):
-        """An OMPL state at q, to be copied before the next is made, with a chart if there are any."""
+        """An OMPL state at q with its chart, to be copied before the next is made."""
         if self._space.dim:
             self._given.copy([float(x) for x in q])
         else:

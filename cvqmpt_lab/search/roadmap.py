@@ -215,7 +215,7 @@ def _linked(space: ConstrainedSpace, nodes: np.ndarray) -> np.ndarray:
 def _motions_free(
     space: ConstrainedSpace, origin: np.ndarray, changes: np.ndarray, step: float = 0.2
 ) -> np.ndarray:
-    """Whether straight motions from origin (n,) by changes (k, n) are free every step [rad], (k,)."""
+    """Whether motions from origin (n,) by changes (k, n) are free every step [rad], (k,)."""
     pieces = np.maximum(np.ceil(np.linalg.norm(changes, axis=1) / step), 1.0).astype(int)
     motion = np.repeat(np.arange(len(changes)), pieces - 1)
     first = np.cumsum(pieces - 1) - (pieces - 1)
@@ -453,7 +453,8 @@ class RoadmapPath:
         )
         if path is not None:
             return Proposal(around, vertices=len(free) + 2, path=path)
-        lost = f"birrt around {len(known)} free nodes: no roadmap path after {search.searches} searches"
+        lost = f"no roadmap path after {search.searches} searches"
+        lost = f"birrt around {len(known)} free nodes: {lost}"
         return Proposal(around, vertices=len(known), fallback=lost)
 
     def _near_ends(self, query: Query) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The planning space of a problem: projection and state checks, counted, the same for all planners."""
+"""The planning space of a problem: projection and state checks, counted, for all planners."""
 
 import ctypes
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The exact checker: names, distances, margins, attachments, and broad phase against the pair loop."""
+"""The exact checker: names, distances, margins, loads, and broad phase against pair loop."""
 
 import time
 
@@ -248,7 +248,7 @@ def test_a_cloud_is_its_balls(panda):
 
 @pytest.mark.parametrize("count", [10, 1500])
 def test_clouds_out_of_reach_are_no_obstacle_and_no_crash(panda, count):
-    """Clouds in reach, of any size and with any origin, are seen: properties/test_obstacles_inside."""
+    """Clouds in reach, of any size and origin, are seen: properties/test_obstacles_inside."""
     points = np.random.default_rng(6).uniform(49.9, 50.1, (count, 3))
     scene = scene_with(SceneObject("cloud", PointCloud(points, 0.005), np.eye(4)))
     assert CollisionChecker(panda, scene).clearance(HOME) == CollisionChecker(

@@ -28,7 +28,7 @@ def sampled(motion, spacing):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_proofs_and_samples_agree(panda, open_kitchen, seed):
-    """Motions of three segments from free states: proven free, or seen to collide, and never both."""
+    """Motions of three segments: proven free, or seen to collide, and never both."""
     scene = open_kitchen if seed == 0 else random_scene(seed)
     checker = CollisionChecker(panda, scene, (carried_can(),) if seed == 2 else ())
     rng = np.random.default_rng(seed)

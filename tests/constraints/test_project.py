@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cvqmpt_lab.constraints.inverse_kinematics import solve_poses
-from cvqmpt_lab.constraints.project import project_batch, projection_scratch
+from cvqmpt_lab.constraints.inverse_kinematics import first_guesses, solve_poses
+from cvqmpt_lab.constraints.project import project, projection_scratch
 from cvqmpt_lab.constraints.task_space_region import (
     MAX_ITERATIONS,
     TOLERANCE,
@@ -28,13 +28,13 @@ UNREACHABLE = region_at((5.0, 0.0, 0.0), 0.1)
 
 
 def project_all(robot, regions, configurations):
-    """Projected copies and Newton iterations of the batch kernel."""
+    """Projected copies and Newton iterations of the kernel."""
     q = configurations.copy()
     arrays = stack_regions(robot, regions)
     scratch = projection_scratch(robot.dof, arrays)
-    iterations = np.empty(len(q), dtype=np.int64)
-    project_batch(robot.kinematics, arrays, q, TOLERANCE, MAX_ITERATIONS, scratch, iterations)
-    return q, iterations
+    bounds = TOLERANCE, MAX_ITERATIONS
+    iterations = [project(robot.kinematics, arrays, row, *bounds, scratch) for row in q]
+    return q, np.array(iterations)
 
 
 def at_limits(robot, samples, share):
@@ -117,10 +117,11 @@ def test_inverse_kinematics_reaches_the_pose(panda):
     solved = 0
     for q in 0.8 * panda.random_configurations(rng, 20) + 0.1 * (panda.lower + panda.upper):
         T = panda.pose(q)
-        solutions = solve_poses(panda, T[None], rng)[0]
+        solutions = solve_poses(panda, T[None], first_guesses(panda, rng, 1))[0]
         solved += len(solutions) > 0
         for solution in solutions:
             np.testing.assert_allclose(panda.pose(solution), T, atol=2e-6)
             assert panda.joint_outside_limits(solution) is None
     assert solved >= 18
-    assert len(solve_poses(panda, UNREACHABLE.T0_w[None], rng)[0]) == 0
+    guesses = first_guesses(panda, rng, 1)
+    assert len(solve_poses(panda, UNREACHABLE.T0_w[None], guesses)[0]) == 0

@@ -1,4 +1,4 @@
-"""Goals drawn in compiled code: as diverse as those of plain inverse kinematics, free, and counted."""
+"""Goals drawn in compiled code: as diverse as by plain inverse kinematics, free, counted."""
 
 from dataclasses import replace
 

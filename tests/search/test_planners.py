@@ -258,7 +258,7 @@ def test_ompl_keeps_nothing_of_a_run(problem, manifold):
 
 @pytest.mark.parametrize("manifold", STATE_SPACES)
 def test_states_given_to_ompl_leave_no_memory_behind(problem, manifold):
-    """The binding frees no state that Python allocates: 96 bytes each, once 2 kB a run of 20 goals."""
+    """The binding frees no state that Python allocates: 96 bytes each, 2 kB a run of 20 goals."""
     space, goals = ConstrainedSpace(problem), np.repeat(problem.goals[:1], 100, axis=0)
     search, rng = OmplSearch(manifold), np.random.default_rng(0)
 
