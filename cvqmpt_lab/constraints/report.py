@@ -8,7 +8,6 @@ import numpy as np
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegion
 from cvqmpt_lab.poses import rotation_matrices, rotation_vectors
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.values import FloatArray
 
 ROWS = (*(f"position {axis}" for axis in "xyz"), *(f"rotation about {axis}" for axis in "xyz"))
 UNITS = ("m",) * 3 + ("rad",) * 3
