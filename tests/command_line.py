@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cli.main import main
 
+SCAN_START = "-0.9,0.3,0,-2.0,0,2.3,0.8"  # of the arm in the scan that tests share
 ROOT = Path(__file__).resolve().parents[1]
 
 

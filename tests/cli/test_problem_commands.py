@@ -40,9 +40,8 @@ def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tm
     assert max(map(abs, data["start"].values())) < np.pi
     validator = Draft202012Validator(json.loads((path.parent / data["$schema"]).read_text()))
     assert list(validator.iter_errors(data)) == []
-    assert list(
-        validator.iter_errors({**data, "robot": {"urdf": "a.urdf", "end_efector": "tool0"}})
-    )
+    wrong = {**data, "robot": {"urdf": "a.urdf", "end_efector": "tool0"}}
+    assert list(validator.iter_errors(wrong))
     problem = with_sampled_goals(PlanningProblem.load(path))[0]
     space = ConstrainedSpace(problem)
     assert all(direct_motion(space, problem.start, goal) is None for goal in problem.goals[1::2])
@@ -71,35 +70,19 @@ def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, c
     assert found["joints"] == list(problem.robot.joint_names) and len(found["configurations"]) == 3
     for q in np.array(found["configurations"]):
         np.testing.assert_allclose(problem.robot.pose(q)[:3, 3], (-0.3, 0.5, 0.3), atol=1e-5)
-        assert (
-            not problem.collision_checker().in_collision(q)
-            and not problem.manifold.residual(q).any()
-        )
+        assert not problem.collision_checker().in_collision(q)
+        assert not problem.manifold.residual(q).any()
 
 
 def test_files_that_a_problem_names_lie_beside_it(mine, capsys):
     data = json.loads(mine.read_text())
     (mine.parent / "room.json").write_text(json.dumps(data["scene"]))
     mine.write_text(json.dumps({**data, "scene": "room.json"}))
-    assert (
-        main(
-            [
-                "ik",
-                "--problem-file",
-                str(mine),
-                "--pose",
-                "-0.3, 0.5, 0.3, 3.14, 0, 0",
-                "--seed",
-                "0",
-            ]
-        )
-        == 0
-    )
+    words = ["ik", "--problem-file", str(mine), "--pose", "-0.3, 0.5, 0.3, 3.14, 0, 0"]
+    assert main([*words, "--seed", "0"]) == 0
 
 
 def test_a_pose_out_of_reach_has_no_configuration(mine, capsys):
     assert main(["ik", "--problem-file", str(mine), "--pose", "5 0 0 0 0 0"]) == 1
-    assert (
-        "0 of 1 configurations; of 100 poses, 100 without inverse kinematics"
-        in capsys.readouterr().out
-    )
+    said = "0 of 1 configurations; of 100 poses, 100 without inverse kinematics"
+    assert said in capsys.readouterr().out

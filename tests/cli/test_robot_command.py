@@ -52,18 +52,10 @@ def test_joints_are_locked(capsys, arm_file, slider_arm_urdf):
     data = json.loads(arm_file.read_text())
     data["start"], data["goals"] = data["start"][1:], [data["goals"][0][1:]]
     arm_file.write_text(json.dumps(data))
-    words = [
-        "plan",
-        "--problem-file",
-        arm_file,
-        "--urdf",
-        slider_arm_urdf,
-        "--end-effector",
-        "tool",
-    ]
+    words = f"plan --problem-file {arm_file} --urdf {slider_arm_urdf} --end-effector tool".split()
     assert "robot slider_arm needs (4,)" in refused(capsys, *words)
     words += ["--lock", "rail=0.2", "--iterations", "20000"]
-    assert main([str(word) for word in words]) == 0
+    assert main(words) == 0
 
 
 def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_file(
@@ -71,17 +63,13 @@ def test_options_alone_speak_of_the_files_own_robot_whose_path_is_seen_from_the_
 ):
     data = json.loads(arm_file.read_text())
     (arm_file.parent / "arm.urdf").write_bytes(slider_arm_urdf.read_bytes())
-    data["robot"] = {
-        "urdf": "arm.urdf",
-        "end_effector": "tool",
-        "locked": {"rail": data["start"][0]},
-    }
+    locked = {"rail": data["start"][0]}
+    data["robot"] = {"urdf": "arm.urdf", "end_effector": "tool", "locked": locked}
     data["start"], data["goals"] = data["start"][1:], [data["goals"][0][1:]]
     arm_file.write_text(json.dumps(data))
     words = ["plan", "--problem-file", str(arm_file), "--iterations", "20000"]
     assert main(words) == 0
-    assert (
-        main([*words, "--acceleration", "2", "--trajectory", str(arm_file.parent / "t.csv")]) == 0
-    )
+    timed = ["--acceleration", "2", "--trajectory", str(arm_file.parent / "t.csv")]
+    assert main([*words, *timed]) == 0
     capsys.readouterr()
     assert "robot slider_arm needs (2,)" in refused(capsys, *words, "--lock", "bend=0")

@@ -92,8 +92,10 @@ def test_all_planners_reproduce_and_render_without_torch(bare, tmp_path):
         "1",
         "--jobs",
         "1",
+        "--planners",
+        "all",
     ]
-    words += ["--planners", "all", "--out", str(tmp_path / "run")]
+    words += ["--out", str(tmp_path / "run")]
     code = f"from cli.main import main; raise SystemExit(main({words!r}))"
     done = subprocess.run([sys.executable, "-c", code], env=bare, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

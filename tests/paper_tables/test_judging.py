@@ -94,10 +94,8 @@ def test_holm_compares_sorted_p_with_growing_levels_and_stops_at_the_first_above
     assert rulings([with_p(0.03), with_p(0.04)]) == [Ruling.TOO_FEW] * 2
     assert rulings([with_p(0.05)]) == [Ruling.HOLDS], "the level itself is significant"
     other = Claim("vertices", 0.0, ("x",), incomparable="counted otherwise")
-    assert rulings([with_p(None, claim=other), with_p(0.04)]) == [
-        Ruling.INCOMPARABLE,
-        Ruling.HOLDS,
-    ]
+    ruled = rulings([with_p(None, claim=other), with_p(0.04)])
+    assert ruled == [Ruling.INCOMPARABLE, Ruling.HOLDS]
 
 
 def test_a_claim_holds_where_all_hold_and_does_not_where_one_does_not():
@@ -118,23 +116,15 @@ def test_tests_against_values_by_hand():
 def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
     assert ratio_of_means_interval([(1.0, 1.0), (3.0, 1.0)])[:1] == (2.0,)
     assert ratio_of_means_interval([(1.0, 2.0)] * 5)[:3] == (0.5, 0.5, 0.5)
-    assert ratio_of_means_interval([]).n == 0 and ratio_of_means_interval([(1.0, 4.0)])[:2] == (
-        0.25,
-        None,
-    )
+    assert ratio_of_means_interval([]).n == 0
+    assert ratio_of_means_interval([(1.0, 4.0)])[:2] == (0.25, None)
     assert pair_of("p", [(1.0, 1.0), (4.0, 1.0)]) == Pair("p", 2.5, 1.0, pytest.approx(2.0))
-    made = [
-        (planner, seed, value)
-        for planner, values in {"a": (10, 30), "b": (5, 5)}.items()
-        for seed, value in enumerate(values)
-    ]
     rows = {
         name: [
-            a_row("p", name, seed=s, n_projections=v, n_state_checks=0)
-            for p, s, v in made
-            if p == name
+            a_row("p", name, seed=seed, n_projections=value, n_state_checks=0)
+            for seed, value in enumerate(values)
         ]
-        for name in "ab"
+        for name, values in {"a": (10, 30), "b": (5, 5)}.items()
     }
     failed = a_failure("q", "b", n_projections=1, n_state_checks=1)
     (pair,) = paired_values(
@@ -206,10 +196,8 @@ def test_statements_name_planners_that_ran_and_reductions_are_signed_changes():
         for name, t in (("opt-cvq-mpt", 0.1), ("ompl-projected", 0.4))
     ]
     found = effects_of(Claim("time", 0.5, ("ompl-projected", "mpnet")), rows, ())
-    assert [(effect.baseline, effect.paired.n) for effect in found] == [
-        ("ompl-projected", 8),
-        ("mpnet", 0),
-    ]
+    pairs_of = [(effect.baseline, effect.paired.n) for effect in found]
+    assert pairs_of == [("ompl-projected", 8), ("mpnet", 0)]
     assert percent(found[0], found[0].paired) == "−75 [−75, −75]"
     assert effects_of(Claim("time", 0.5, ("mpnet",), "cvq-mpt"), rows, ()) == []
 

@@ -1,0 +1,120 @@
+"""`cvqmpt doctor`, `completion` and `bench`: what is here, what a shell completes, what it takes."""
+
+import json
+import re
+import shutil
+import subprocess
+from importlib import metadata
+
+import pytest
+from command_line import refused
+
+from cli import setup_command
+from cli.main import COMMANDS, main
+from cvqmpt_lab.planners import CONTROLS, PLANNERS
+from cvqmpt_lab.vqmpt import weights
+from cvqmpt_lab.vqmpt.weights import weights_digest
+
+ASK = """source "$1"; shift; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1))
+$(complete -p cvqmpt | sed 's/.*-F \\([^ ]*\\).*/\\1/') cvqmpt "${@: -1}" "${@: -2:1}"; printf '%s\\n' "${COMPREPLY[@]}"
+"""
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory):
+    """The script for bash, in a file."""
+    path = tmp_path_factory.mktemp("completion") / "cvqmpt"
+    with pytest.MonkeyPatch.context() as patch, path.open("w") as handle:
+        patch.setattr("sys.stdout", handle)
+        assert main(["completion", "bash"]) == 0
+    return path
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        (("pl",), {"plan"}),
+        (("",), set(COMMANDS)),
+        (("plan", "place-task", "--planner", ""), {*PLANNERS, *CONTROLS}),
+        (("plan", "place-task", "--planner", "cvq-w"), {"cvq-wide"}),
+        (("reproduce", "place-task-w"), {"place-task-with-can"}),
+        (("robot", "xa"), {"xarm7"}),
+        (("table", "--ompl"), {"--ompl-log"}),
+    ],
+)
+def test_bash_offers(script, words, offered):
+    asked = ["bash", "-c", ASK, "bash", script, "cvqmpt", *words]
+    done = subprocess.run(asked, capture_output=True, text=True)
+    assert set(done.stdout.split()) == offered, done.stderr
+
+
+def test_an_unknown_shell_is_refused(capsys):
+    assert "'nope'" in (line := refused(capsys, "completion", "nope")) and "bash" in line
+
+
+def findings(capsys):
+    """State and text of everything that was printed, by name."""
+    line = r"^(ok|BROKEN|without) +(\S+) +(.*(?:\n {20}.*)*)"
+    found = re.findall(line, capsys.readouterr().out, re.MULTILINE)
+    return {what: (state, " ".join(text.split())) for state, what, text in found}
+
+
+def test_here_everything_needed_is_fine(capsys):
+    assert main(["doctor"]) == 0
+    found = findings(capsys)
+    assert "BROKEN" not in {state for state, _ in found.values()}
+    assert f"numba {metadata.version('numba')}" in found["packages"][1]
+    assert found["[train]"] == ("ok", f"torch {metadata.version('torch')}")
+    assert weights_digest(weights.WEIGHTS / "vq_mpt")[:16] in found["vq_mpt"][1]
+
+
+def test_a_missing_package_and_a_missing_extra_name_their_cure(capsys, monkeypatch):
+    real = metadata.version
+    gone = {"coal", "torch"}
+
+    def version(name):
+        if name in gone:
+            raise metadata.PackageNotFoundError(name)
+        return real(name)
+
+    monkeypatch.setattr(setup_command.metadata, "version", version)
+    assert main(["doctor"]) == 1
+    found = findings(capsys)
+    state, text = found["packages"]
+    assert state == "BROKEN" and "coal MISSING" in text and "pip install 'coal" in text
+    assert found["[train]"] == (
+        "without",
+        "torch MISSING; .venv/bin/pip install -c constraints.txt -e '.[train]'",
+    )
+
+
+def test_damaged_weights_are_broken(capsys, monkeypatch, tmp_path):
+    folder = tmp_path / "vq_mpt"
+    folder.mkdir()
+    for path in (weights.WEIGHTS / "vq_mpt").iterdir():
+        (folder / path.name).write_bytes(
+            path.read_bytes()[: 2000 if path.suffix == ".safetensors" else None]
+        )
+    monkeypatch.setattr(weights, "WEIGHTS", tmp_path)
+    assert main(["doctor"]) == 1
+    found = findings(capsys)
+    assert found["vq_mpt"][0] == found["mpnet"][0] == "BROKEN"
+    assert "is damaged" in found["vq_mpt"][1] and "no weights in" in found["mpnet"][1]
+
+
+@pytest.mark.parametrize(
+    ("bench", "figure"),
+    [("stages", "certificate"), ("paper-check", "PyBullet: 66 distances between 11 links")],
+)
+def test_benches_print_their_figures_and_write_them(capsys, tmp_path, bench, figure):
+    """That they run; times are nobody's pass or fail."""
+    if bench == "paper-check":
+        pytest.importorskip("pybullet")
+    out = tmp_path / "figures.json"
+    assert main(["bench", bench, "--problems", "1", "--json", str(out)]) == 0
+    lines, figures = capsys.readouterr().out.splitlines(), json.loads(out.read_text())
+    assert [line.split("  ")[0] for line in lines] == [item["name"] for item in figures]
+    assert figure in [item["name"] for item in figures]
+    assert all(0.0 < item["low"] <= item["median"] <= item["high"] for item in figures)
+    assert [path.name for path in tmp_path.iterdir()] == ["figures.json"]
