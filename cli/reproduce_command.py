@@ -15,13 +15,7 @@ from cli.options import (
     own_command,
     positive_int,
 )
-from cli.problem_options import (
-    BUDGET,
-    budget,
-    optimize_budget,
-    optimize_option,
-    planner_list,
-)
+from cli.problem_options import BUDGET, budget, optimize_budget, optimize_option, planner_list
 from cli.tables_command import page_of, show_tables, verdict_lines, write_report
 from cvqmpt_lab.benchmarks.suite import SUITES, Suite, folder_suite, suite_named
 from cvqmpt_lab.errors import InvalidInputError

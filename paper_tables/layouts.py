@@ -71,9 +71,7 @@ EFFORT = {
     "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
 }
 ROLLOUTS = {  # only where a planner joins states of rollouts
-    "rollouts_alone": Column(
-        "by rollouts alone [%]", "%", share_of(partial(_said, ROLLOUTS_ALONE))
-    ),
+    "rollouts_alone": Column("by rollouts alone [%]", "%", share_of(partial(_said, ROLLOUTS_ALONE)))
 }
 PAPER_COST = {
     "paper_cost_median": Column("time at the paper's cost [s]", "s", median_of("paper_cost")),

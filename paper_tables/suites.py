@@ -142,10 +142,7 @@ SUITES: Mapping[str, Suite] = {
     "robots": Suite(
         title="Nine arms of seven makers in held-out scenes, hand upright",
         planners=("birrt", "ompl-projected", "roadmap"),
-        amounts=(
-            Amount(seeds=3, cutoff=5.0),
-            Amount(profile="small", problems=20, cutoff=2.0),
-        ),
+        amounts=(Amount(seeds=3, cutoff=5.0), Amount(profile="small", problems=20, cutoff=2.0)),
         table=partial(group_table, what="arm", notes=ARM_NOTES),
     ),
     # the last three planners are entry points, see `experiments.peers`; not everybody has them

@@ -119,11 +119,7 @@ SUITES: Mapping[str, Suite] = {
         Suite("peers", range(30), single_goal_problem, _CAN, new_scenes=False),
         Suite("sensor", range(30), _sensor),
         Suite(
-            "multi-sequence",
-            range(10),
-            _multi_sequence,
-            new_scenes=False,
-            settings={"speed": SLOW},
+            "multi-sequence", range(10), _multi_sequence, new_scenes=False, settings={"speed": SLOW}
         ),
     )
 }

@@ -5,12 +5,7 @@ what the hand keeps, from where to where, and what it carries.
 import numpy as np
 import pytest
 
-from cvqmpt_lab.benchmarks.constraint_task import (
-    MOVED,
-    NAMES,
-    constraint_problem,
-    trivial,
-)
+from cvqmpt_lab.benchmarks.constraint_task import MOVED, NAMES, constraint_problem, trivial
 from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.results.row import split_problem
 
