@@ -3,6 +3,7 @@ list or write the problems of a suite, write one to start from, or import a scen
 """
 
 import argparse
+import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import cvqmpt_lab
 from cli.options import FLAG, Options, ProgressBar, option, positive_int, writable_file
 from cli.problem_options import ROBOT, robot_source
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.suite import SUITES
+from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import json_text, make_folder, read_text, write_text
@@ -107,9 +108,9 @@ def _export(args: argparse.Namespace) -> int:
 
 def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem | Task]]:
     """The suite's problems with their index; unsolvable ones are printed, and how many there are."""
-    if args.what not in SUITES:
+    if os.sep in args.what:
         raise UnknownChoiceError("suite", args.what, SUITES)
-    suite = SUITES[args.what]
+    suite = suite_named(args.what)
     indices = suite.problems[: args.problems]
     bar, unsolvable = ProgressBar(f"{args.action} {suite.name}"), 0
     for done, index in enumerate(indices, start=1):
