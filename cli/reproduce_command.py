@@ -23,8 +23,7 @@ from cvqmpt_lab.files import write_text
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.warm_up import compile_kernels
-from experiments.amounts import PROFILES, parts_of, planners_of
-from experiments.experiment import Experiment
+from experiments.experiment import PROFILES, Experiment, parts_of, planners_of
 from experiments.figures.paper import reproduce_figure
 from experiments.run import default_jobs, executor_for, run_experiment
 from paper_tables.suites import render_directory

@@ -1,4 +1,6 @@
-"""What is run: every problem, planner and seed of an experiment, and what decides its rows."""
+"""What is run: every problem, planner and seed of an experiment, what decides its rows, and the
+profiles of all suites.
+"""
 
 import math
 from collections.abc import Iterable
@@ -6,10 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.benchmarks.suite import Suite, suite_named
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, whole_number
 from cvqmpt_lab.external import is_external
-from cvqmpt_lab.planners import Method, is_removed, planner_named, require_fit
+from cvqmpt_lab.planners import PLANNERS, Method, is_removed, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason, ResultRow, RowKey, one_line
 from cvqmpt_lab.search.anytime import check_units
@@ -17,6 +19,10 @@ from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
+from paper_tables.suites import SUITES, Amount
+
+# what is committed, two hours on two cores, and a little of it, three minutes
+PROFILES = ("full", "small")
 
 
 @dataclass(frozen=True)
@@ -156,3 +162,57 @@ def externals_of(planners: Iterable[str]) -> dict[str, str]:
     """Distributions and versions of external planners, by the planner's name."""
     made_by = {name: planner_named(name).external for name in planners}
     return {name: text for name, text in made_by.items() if text}
+
+
+class Part(NamedTuple):
+    """An experiment of a profile."""
+
+    folder: str  # of its results
+    experiment: Experiment
+    command: list[str]  # that runs it alone, without --out and --jobs
+
+
+def planners_of(suite: Suite) -> tuple[str, ...]:
+    """What runs on a suite unless others are named; on a folder those that can serve all of it."""
+    if not suite.digests:
+        return SUITES[suite.name].planners
+    problems = [suite.solvable(name) for name in suite.problems]
+    return tuple(
+        name
+        for name, method in PLANNERS.items()
+        if not any(
+            isinstance(problem, PlanningProblem) and method.incompatibility(problem)
+            for problem in problems
+        )
+    )
+
+
+def parts_of(profile: str) -> list[Part]:
+    """What a profile runs, in order; UnknownChoiceError lists the profiles."""
+    if profile not in PROFILES:
+        raise UnknownChoiceError("profile", profile, PROFILES)
+    chosen = [
+        (name, amount)
+        for name, suite in SUITES.items()
+        for amount in suite.amounts
+        if amount.profile == profile
+    ]
+    return [_part(*each) for each in sorted(chosen, key=lambda each: each[1].late)]
+
+
+def _part(name: str, amount: Amount) -> Part:
+    suite = suite_named(name)
+    experiment = Experiment(
+        suite=name,
+        problems=tuple(suite.problems[: amount.problems]),
+        planners=amount.planners or planners_of(suite),
+        seeds=tuple(range(amount.seeds)),
+        budget=Budget(seconds=amount.cutoff),
+    )
+    command = ["cvqmpt", "reproduce", name]
+    command += ["--seeds", str(amount.seeds), "--cutoff", f"{amount.cutoff:g}"]
+    if amount.problems is not None:
+        command += ["--problems", str(amount.problems)]
+    if amount.planners is not None:
+        command += ["--planners", ",".join(amount.planners)]
+    return Part(amount.folder or name, experiment, command)

@@ -11,8 +11,8 @@ from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
-from experiments import amounts
-from experiments.amounts import parts_of
+from experiments import experiment
+from experiments.experiment import parts_of
 from paper_tables.suites import ALL, Amount, Suite
 from paper_tables.suites import SUITES as reported
 
@@ -71,7 +71,7 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
 ):
     one = Amount(profile="small", problems=1, cutoff=5.0)
     suite = Suite(title="Place task", planners=("birrt",), amounts=(one,))
-    monkeypatch.setattr(amounts, "SUITES", {"place-task": suite})
+    monkeypatch.setattr(experiment, "SUITES", {"place-task": suite})
     words = ["reproduce", "all", "--profile", "small", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0
     assert "A path to turn: problem 0, birrt, seed 0" in (tmp_path / "report.html").read_text()
