@@ -187,7 +187,7 @@ class Tagged:
             )
         if not isinstance(name, str) or name not in self.choices:
             raise UnknownChoiceError(at(where, self.key), name, (*self.choices, *self.by_path))
-        return from_plain(self.choices[name], fields, where)
+        return _object(self.choices[name], False, fields, where)
 
     def write(self, value: Any) -> dict[str, Any]:
         """Its name, then its fields."""
@@ -245,10 +245,8 @@ def _object(kind: Any, complete: bool, value: Any, where: str) -> Any:
     listed, defaults = ", ".join(readers), {} if complete else field_defaults(kind)
     for name in mapping(value, where, listed):
         if name not in readers and name != COMMENT:
-            raise InvalidInputError(
-                f"{at(where, shown(name)[1:-1])} is unknown{nearest(name, readers)}; "
-                f"fields: {listed}"
-            )
+            unknown = f"{at(where, shown(name)[1:-1])} is unknown{nearest(name, readers)}"
+            raise InvalidInputError(f"{unknown}; fields: {listed}")
     for name in readers:
         if name not in value and name not in defaults:
             raise InvalidInputError(f"{at(where, name)} is missing; fields: {listed}")
@@ -258,7 +256,7 @@ def _object(kind: Any, complete: bool, value: Any, where: str) -> Any:
     with located(where):
         if not issubclass(kind, Checked):
             return kind(**parts)
-        made = _made(kind, {**field_defaults(kind), **parts})
+        made = _made(kind, {**defaults, **parts})
         made._check()
         return made
 

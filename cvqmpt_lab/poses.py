@@ -13,7 +13,6 @@ from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.values import LARGEST, TURN, Array, FloatArray
 
-ORTHONORMAL = 1e-6 + 1e-5 * np.eye(3)  # how far R R^T of a rotation matrix may be from the identity
 MATRIX = Array((4, 4), "numbers, or {xyz, rpy} or {xyz, quaternion}")
 
 
@@ -80,26 +79,50 @@ class Placement:
         return T
 
 
+def _not_rigid(T: FloatArray) -> str | None:
+    """Why a finite matrix (4, 4) is no rigid pose, in words, or None.
+
+    A rotation has R R^T = 1 and det R > 0.
+    """
+    # one pose of many: with floats ten times faster than with arrays
+    x, y, z, last = T.tolist()
+    if last != [0.0, 0.0, 0.0, 1.0]:
+        return f"last row is {last}, not 0 0 0 1"
+    rows = x[:3], y[:3], z[:3]
+    for i, a in enumerate(rows):
+        for k, b in enumerate(rows):
+            product = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+            if not abs(product - (i == k)) <= (1.1e-5 if i == k else 1e-6):
+                return "rotation part is not orthonormal"
+    normal = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
+    far = _far(T)
+    if far is None and normal[0] * z[0] + normal[1] * z[1] + normal[2] * z[2] < 0.0:
+        return "rotation part is mirrored"
+    return far
+
+
+def _far(T: FloatArray) -> str | None:
+    off = max(map(abs, T[:3, 3].tolist()))
+    if off <= LARGEST:
+        return None
+    return f"position is {off:.3g} m off, more than {LARGEST:g}; give metres"
+
+
 class PoseForm:
     """A matrix, or a position with angles or a quaternion."""
 
     def read(self, value: Any, where: str) -> FloatArray:
         """A read-only rigid pose (4, 4)."""
         if isinstance(value, Mapping):
-            value = from_plain(Placement, value, where).matrix
-        T = MATRIX.read(value, where)
-        R = T[:3, :3]
-        if not np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)):
-            fault = f"last row is {T[3].tolist()}, not 0 0 0 1"
-        elif np.abs(R).max() > 2.0 or not (np.abs(R @ R.T - np.eye(3)) <= ORTHONORMAL).all():
-            fault = "rotation part is not orthonormal"
-        elif not (off := np.abs(T[:3, 3]).max()) <= LARGEST:
-            fault = f"position is {off:.3g} m off, more than {LARGEST:g}; give metres"
-        elif np.linalg.det(R) < 0.0:
-            fault = "rotation part is mirrored"
+            T = from_plain(Placement, value, where).matrix + 0.0
+            T.setflags(write=False)
+            fault = _far(T)
         else:
-            return T
-        raise InvalidInputError(f"{where} is no rigid pose: its {fault}")
+            T = MATRIX.read(value, where)
+            fault = _not_rigid(T)
+        if fault is not None:
+            raise InvalidInputError(f"{where} is no rigid pose: its {fault}")
+        return T
 
     def write(self, value: FloatArray) -> Any:
         """The position if the rotation is the identity, else the matrix, which is exact."""

@@ -25,7 +25,7 @@ from __future__ import annotations  # so `help` shows forms by their names
 
 import threading
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Annotated, Any, ClassVar, Self
 
@@ -41,7 +41,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     RegionConstraint,
     TaskSpaceRegionChain,
 )
-from cvqmpt_lab.errors import InvalidProblemError, mapping, unique
+from cvqmpt_lab.errors import InvalidProblemError, mapping, shown, unique
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
@@ -79,7 +79,8 @@ class GoalsForm(Array):
 
 
 RobotOfSource = Annotated[Robot, RobotForm()]
-States = Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")]
+GOALS = GoalsForm((None, None), "numbers [rad or m]")
+States = Annotated[FloatArray, GOALS]
 Regions = Annotated[tuple[Region, ...], OneOrMore(Region)]
 Clearance = Annotated[
     float,
@@ -191,6 +192,9 @@ class PlanningProblem(Document):
                     f"{self.name}: {what} has shape {array.shape}, robot {self.robot.name} needs "
                     f"{shape}"
                 )
+        states = np.vstack([self.start, self.goals])
+        if ((states >= self.robot.lower) & (states <= self.robot.upper)).all():
+            return
         for label, q in self.labelled_configurations():
             outside = self.robot.joint_outside_limits(q)
             if outside is not None:
@@ -230,8 +234,11 @@ class PlanningProblem(Document):
         return RegionConstraint(self.robot, self.constraint)
 
     def with_goals(self, goals: np.ndarray) -> PlanningProblem:
-        """The same problem with goal configurations (k, n)."""
-        return replace(self, goals=goals)
+        """The same problem with goal configurations (k, n) [rad or m]; no more is checked again."""
+        where = f"PlanningProblem {shown(self.name)}: goals"
+        problem = self.changed(goals=GOALS.read(goals, where))
+        problem._check_configurations()
+        return problem
 
     def random_stream(self, *keys: int) -> np.random.Generator:
         """Random numbers that depend on keys (a seed) and the start;

@@ -152,9 +152,8 @@ class Scene(Checked):
             (item, tuple(name for name in item.moves if name not in gone))
             for item in self.articulations
         )
-        joints = (replace(item, moves=left) for item, left in moves)
-        return replace(
-            self,
+        joints = (item.changed(moves=left) for item, left in moves)
+        return self.changed(
             objects=tuple(item for item in self.objects if item.name not in gone),
             articulations=tuple(item for item in joints if item.moves),
         )
@@ -173,11 +172,11 @@ class Scene(Checked):
         moved = {
             part.name: replace(part, T_world_object=motion @ part.T_world_object) for part in parts
         }
-        return replace(
-            self,
+        return self.changed(
             objects=tuple(moved.get(item.name, item) for item in self.objects),
             articulations=tuple(
-                replace(item, value=value) if item is joint else item for item in self.articulations
+                item.changed(value=float(value)) if item is joint else item
+                for item in self.articulations
             ),
         )
 

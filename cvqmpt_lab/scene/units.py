@@ -55,8 +55,14 @@ def refuse_far(scene: Scene, where: str = "scene") -> None:
 def distance(item: SceneObject) -> float:
     """Distance [m] from the world's origin that an obstacle has at least; exact for a box."""
     if isinstance(item.shape, Box):
-        inside = np.abs(np.linalg.inv(item.T_world_object)[:3, 3]) - 0.5 * np.array(item.shape.size)
-        return float(np.linalg.norm(np.maximum(inside, 0.0)))
+        T = item.T_world_object
+        origin = (T[:3, 3] @ T[:3, :3]).tolist()  # of the world, mirrored, in the box's frame
+        return math.hypot(
+            *(
+                max(abs(x) - 0.5 * size, 0.0)
+                for x, size in zip(origin, item.shape.size, strict=True)
+            )
+        )
     return max(
         math.dist(item.T_world_object[:3, 3], (0.0, 0.0, 0.0)) - bounding_radius(item.shape), 0.0
     )

@@ -18,7 +18,7 @@ an object a gap of 1 mm or more from what it stands on.
 from __future__ import annotations  # so `help` shows forms by their names
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
@@ -49,10 +49,10 @@ class Move(Checked):
     def legs(self) -> tuple[Move, ...]:
         """Moves to each of the regions of `through`, "NAME/1" and so on, and the one to the goal."""
         stops = (
-            replace(self, name=f"{self.name}/{k}", goal=region, through=())
+            self.changed(name=f"{self.name}/{k}", goal=region, through=())
             for k, region in enumerate(self.through, start=1)
         )
-        return (*stops, replace(self, through=()))
+        return (*stops, self.changed(through=()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ class Task(Document):
     def in_legs(self) -> Task:
         """The same task with every move that goes through regions as several moves."""
         legs = (phase.legs if isinstance(phase, Move) else (phase,) for phase in self.phases)
-        return replace(self, phases=tuple(leg for several in legs for leg in several))
+        return self.changed(phases=tuple(leg for several in legs for leg in several))
 
 
 def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:
