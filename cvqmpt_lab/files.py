@@ -6,9 +6,6 @@ import json
 import math
 import os
 import re
-import stat
-import threading
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,8 +13,6 @@ from typing import Any
 from cvqmpt_lab.errors import InvalidInputError, shown
 
 TEMPORARY = re.compile(r"\..+\.\d+\.tmp")  # names that `replacing` gives
-_WARNED = threading.Event()  # set once this process has warned of a cache folder
-_UMASK = threading.RLock()  # the umask belongs to the whole process
 
 
 @contextlib.contextmanager
@@ -68,93 +63,6 @@ def make_folder(path: Path) -> Path:
             f"cannot make folder {path}: {error.strerror}; choose a writable one"
         ) from error
     return Path(path)
-
-
-def cache_folder() -> Path:
-    """The folder of this user's caches; it need not exist."""
-    return named_folder("XDG_CACHE_HOME", "~/.cache") / "cvqmpt_lab"
-
-
-def named_folder(variable: str, otherwise: str | Path) -> Path:
-    """Full path of the folder that an environment variable names, or of another if it is not set or
-    empty.
-    """
-    named = os.environ.get(variable) or otherwise
-    try:
-        return Path(named).expanduser().absolute()
-    except (RuntimeError, OSError) as error:  # no such user, or the working folder was removed
-        raise InvalidInputError(
-            f"{variable}: no folder {shown(str(named))} ({error}); set it to the full path of a "
-            f"folder"
-        ) from error
-
-
-def trusted_cache(folder: Path) -> Path | None:
-    """A cache folder that only the user and root can change, made if need be; None if there is
-    none.
-
-    Machine code and pickles in a cache run with the user's rights. A folder that others could have
-    changed is not used, nor one that is empty and cannot be written: another one in the temporary
-    folder is, with one warning a process.
-    """
-    import tempfile  # most commands use no cache
-
-    user = os.getuid() if hasattr(os, "getuid") else "user"
-    faults = []
-    for place in (folder, Path(tempfile.gettempdir(), f"cvqmpt_lab-{user}", folder.name)):
-        try:
-            with written_by_owner_only():
-                place.mkdir(parents=True, exist_ok=True)
-            place = place.resolve()  # no link on the way can be set to another folder afterwards
-            fault = _exposed(place)
-            if fault is None and not os.access(place, os.W_OK) and not any(place.iterdir()):
-                fault = f"{place} is not writable"
-        except OSError as error:
-            fault = f"{place} is not writable ({error.strerror})"
-        if fault is None:
-            break
-        faults.append(fault)
-    if faults and not _WARNED.is_set():
-        _WARNED.set()
-        instead = (
-            f"{place} is used" if len(faults) == 1 else f"{faults[1]}: everything is computed again"
-        )
-        cure = "set XDG_CACHE_HOME and NUMBA_CACHE_DIR to folders that only you can write"
-        warnings.warn(f"cache: {faults[0]}; {instead}; {cure}", stacklevel=3)
-    return place if len(faults) < 2 else None
-
-
-def _exposed(place: Path) -> str | None:
-    """Why others can change a folder or a file in it, in words, or None;
-    above it, folders may be sticky, as /tmp.
-    """
-    if not hasattr(os, "getuid"):
-        return None  # Windows: rights are no part of the mode, and profiles are the user's own
-    with os.scandir(place) as inside:
-        paths = [*(item.path for item in inside), str(place), *map(str, place.parents)]
-    for path in paths:
-        try:
-            found = os.lstat(path)
-        except FileNotFoundError:  # another process has just replaced it
-            continue
-        if found.st_uid not in (0, os.getuid()):
-            return f"{path} belongs to another user (id {found.st_uid})"
-        sticky = found.st_mode & stat.S_ISVTX and path in map(str, place.parents)
-        if stat.S_ISLNK(found.st_mode) or (found.st_mode & 0o022 and not sticky):
-            return f"others can write {path} (chmod go-w cures that)"
-    return None
-
-
-@contextlib.contextmanager
-def written_by_owner_only() -> Iterator[None]:
-    """Make files and folders that group and others cannot write, whatever the process's umask."""
-    with _UMASK:
-        before = os.umask(0o022)
-        os.umask(before | 0o022)
-        try:
-            yield
-        finally:
-            os.umask(before)
 
 
 def require_regular_file(path: Path, what: str = "file", use: str = "read") -> Path:

@@ -29,9 +29,14 @@ from numba import config, from_dtype, njit, types
 from numba.core.caching import FunctionCache, UserProvidedCacheLocator
 from numba.extending import intrinsic
 
-from cvqmpt_lab.disk_cache import sources_digest
+from cvqmpt_lab.caches import (
+    cache_folder,
+    named_folder,
+    sources_digest,
+    trusted_cache,
+    written_by_owner_only,
+)
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import cache_folder, named_folder, trusted_cache, written_by_owner_only
 
 OPTIONS = {
     "error_model": "numpy",

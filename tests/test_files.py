@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from cvqmpt_lab import files
+from cvqmpt_lab import caches
+from cvqmpt_lab.caches import cache_folder, trusted_cache
 from cvqmpt_lab.errors import LONGEST_LINE, InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.files import (
-    cache_folder,
     json_value,
     locked,
     make_folder,
@@ -22,7 +22,6 @@ from cvqmpt_lab.files import (
     read_text,
     replacing,
     require_regular_file,
-    trusted_cache,
     write_bytes,
     write_text,
 )
@@ -141,7 +140,7 @@ def cache(tmp_path, monkeypatch):
     nothing was warned of yet.
     """
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    monkeypatch.setattr(files, "_WARNED", threading.Event())
+    monkeypatch.setattr(caches, "_WARNED", threading.Event())
     before = os.umask(0o002)
     place = trusted_cache(tmp_path / "own" / "cache" / "things")
     os.umask(before)
@@ -190,7 +189,7 @@ def test_without_a_place_for_the_cache_a_temporary_one_is_used_and_without_that_
     """Nobody, root included, can make a folder below a file."""
     for temporary in (tmp_path / "temporary", cache / "file"):
         monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-        monkeypatch.setattr(files, "_WARNED", threading.Event())
+        monkeypatch.setattr(caches, "_WARNED", threading.Event())
         found, told = trusted_cache(cache / "file" / "below"), str(recwarn.pop(UserWarning).message)
         assert (
             f"{cache}/file/below is not writable" in told

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from cvqmpt_lab.caches import cached_arrays
 from cvqmpt_lab.collision.covers import ANY_RADIUS, Cloud
 from cvqmpt_lab.collision.exact import carried_pairs, reach_with
 from cvqmpt_lab.collision.geometry import (
@@ -21,7 +22,6 @@ from cvqmpt_lab.collision.geometry import (
     swing,
 )
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
-from cvqmpt_lab.disk_cache import cached_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import SOURCES
 from cvqmpt_lab.robot.robot import Robot

@@ -16,7 +16,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.disk_cache import cached_arrays, sources_digest
+from cvqmpt_lab.caches import cached_arrays, sources_digest
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_text
 from cvqmpt_lab.robot.hulls import coal_distance

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cvqmpt_lab.caches import cached_arrays, sources_digest
 from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.collision.exact import reach_with
-from cvqmpt_lab.disk_cache import cached_arrays, sources_digest
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cvqmpt_lab.caches import LruCache, cached_arrays, sources_digest
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.disk_cache import cached_arrays, sources_digest
 from cvqmpt_lab.errors import InvalidInputError, whole_number
-from cvqmpt_lab.latest import Latest
 from cvqmpt_lab.scene.cells import seen_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
@@ -36,7 +35,7 @@ class Observer:
         whole_number("scenes kept by an observer", scenes, 1)
         whole_number("seed", seed)
         self.settings = CameraSettings.like_training() if settings is None else settings
-        self.seed, self._clouds = seed, Latest[np.ndarray](scenes)
+        self.seed, self._clouds = seed, LruCache[np.ndarray](scenes)
 
     def __call__(self, scene: Scene) -> np.ndarray:
         """The cloud (m, 3) [m] of a scene, not to be written to."""

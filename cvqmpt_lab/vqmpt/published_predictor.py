@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.caches import LruCache
 from cvqmpt_lab.errors import InvalidInputError, require_torch
-from cvqmpt_lab.latest import Latest
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence, beam_search
 from cvqmpt_lab.vqmpt.codebook import ModelConfigurations
@@ -52,7 +52,7 @@ class Predictor:
         assert checkpoint.sequence_model is not None
         self._dictionary, self._network = checkpoint.dictionary, checkpoint.sequence_model
         self._length = model.config.stage2[1].max_length
-        self._scenes = Latest[Any](SCENES)
+        self._scenes = LruCache[Any](SCENES)
 
     def encode_scene(self, cloud: np.ndarray, use_cache: bool = True) -> Any:
         """Scene tokens of a cloud (m, 3) [m, robot base frame]; cached for the last clouds.

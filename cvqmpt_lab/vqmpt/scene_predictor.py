@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.caches import LruCache
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.latest import Latest
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.sensing.virtual import CameraSettings, thinned
@@ -436,7 +436,7 @@ class SceneTransformerPredictor:
         """
         self.robot, self.network = robot, SceneNetwork(model, robot)
         require_own_dictionary(model)
-        self._scenes = Latest[EncodedScene](SCENES)
+        self._scenes = LruCache[EncodedScene](SCENES)
 
     def encode(
         self, cloud: np.ndarray, use_cache: bool = True, most_points: int = 1024

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cvqmpt_lab import disk_cache as kept
-from cvqmpt_lab.disk_cache import cached_arrays
+from cvqmpt_lab import caches as kept
+from cvqmpt_lab.caches import cached_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.poses import pose
@@ -79,9 +79,8 @@ def test_of_cached_arrays_the_oldest_are_deleted_and_without_a_cache_they_are_ma
     tmp_path, monkeypatch
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(kept, "MOST", 2)
     for key in (b"a", b"b", b"c"):
-        cached_arrays("things", key, lambda key=key: {"x": np.frombuffer(key, np.uint8)})
+        cached_arrays("things", key, lambda key=key: {"x": np.frombuffer(key, np.uint8)}, most=2)
     assert len(list((tmp_path / "cvqmpt_lab" / "things").iterdir())) == 2
     monkeypatch.setattr(kept, "trusted_cache", lambda folder: None)
     assert cached_arrays("things", b"c", lambda: {"x": POINTS})["x"] is POINTS

@@ -1,0 +1,176 @@
+"""Caches of what is slow to make: the latest in memory, arrays on disk.
+
+A folder of the cache is used only if the user and root alone can change it.
+"""
+
+import contextlib
+import hashlib
+import io
+import os
+import stat
+import threading
+import warnings
+import zipfile
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError, shown
+from cvqmpt_lab.files import replacing
+
+Made = TypeVar("Made")
+_WARNED = threading.Event()  # set once this process has warned of a cache folder
+_UMASK = threading.RLock()  # the umask belongs to the whole process
+
+
+class LruCache(Generic[Made]):
+    """Least-recently-used cache of at most `most` values."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._made = most, OrderedDict[Hashable, Made]()
+
+    def get(self, key: Hashable, make: Callable[[], Made], use_cache: bool = True) -> Made:
+        """The value of a key, made if it is not there, or always without `use_cache`."""
+        if not use_cache or key not in self._made:
+            self._made[key] = make()
+            if len(self._made) > self._most:
+                self._made.popitem(last=False)
+        self._made.move_to_end(key)
+        return self._made[key]
+
+
+def sources_digest(*places: Path) -> str:
+    """Hash of every source file in folders, or of single files, in hexadecimal."""
+    digest = hashlib.sha256()
+    for place in places:
+        for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+            digest.update(str(path.relative_to(place.parent)).encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def cached_arrays(
+    kind: str,
+    made_of: bytes,
+    make: Callable[[], Mapping[str, np.ndarray]],
+    fits: Callable[[Mapping[str, np.ndarray]], bool] = lambda arrays: True,
+    most: int = 256,
+) -> dict[str, np.ndarray]:
+    """What `make` returns, read from the cache on disk if it is there.
+
+    Args:
+        kind: folder of the cache.
+        made_of: all that the arrays depend on, the sources that make them included.
+        fits: whether arrays that were read can be what `make` returns; if not, they are made anew.
+        most: files of one kind; the oldest are deleted first.
+    """
+    folder = trusted_cache(cache_folder() / kind)
+    if folder is None:
+        return dict(make())
+    path = folder / f"{hashlib.sha256(made_of).hexdigest()[:32]}.npz"
+    with (
+        contextlib.suppress(OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile),
+        np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as found,
+    ):
+        read = dict(found)
+        if fits(read):
+            return read
+    made: dict[str, Any] = dict(make())
+    with contextlib.suppress(InvalidInputError):  # no writable cache: made again the next time
+        with written_by_owner_only(), replacing(path) as temporary, temporary.open("wb") as handle:
+            np.savez(handle, **made)
+        with contextlib.suppress(OSError):  # another process may delete them, too
+            kept = sorted(folder.glob("*.npz"), key=lambda p: p.stat().st_mtime_ns)
+            for old in kept[:-most]:
+                old.unlink()
+    return made
+
+
+def cache_folder() -> Path:
+    """The folder of this user's caches; it need not exist."""
+    return named_folder("XDG_CACHE_HOME", "~/.cache") / "cvqmpt_lab"
+
+
+def named_folder(variable: str, otherwise: str | Path) -> Path:
+    """Full path of the folder that an environment variable names, or of another if it is not set or
+    empty.
+    """
+    named = os.environ.get(variable) or otherwise
+    try:
+        return Path(named).expanduser().absolute()
+    except (RuntimeError, OSError) as error:  # no such user, or the working folder was removed
+        raise InvalidInputError(
+            f"{variable}: no folder {shown(str(named))} ({error}); set it to the full path of a "
+            f"folder"
+        ) from error
+
+
+def trusted_cache(folder: Path) -> Path | None:
+    """A cache folder that only the user and root can change, made if need be; None if there is
+    none.
+
+    Machine code and pickles in a cache run with the user's rights. A folder that others could have
+    changed is not used, nor one that is empty and cannot be written: another one in the temporary
+    folder is, with one warning a process.
+    """
+    import tempfile  # most commands use no cache
+
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    faults = []
+    for place in (folder, Path(tempfile.gettempdir(), f"cvqmpt_lab-{user}", folder.name)):
+        try:
+            with written_by_owner_only():
+                place.mkdir(parents=True, exist_ok=True)
+            place = place.resolve()  # no link on the way can be set to another folder afterwards
+            fault = _exposed(place)
+            if fault is None and not os.access(place, os.W_OK) and not any(place.iterdir()):
+                fault = f"{place} is not writable"
+        except OSError as error:
+            fault = f"{place} is not writable ({error.strerror})"
+        if fault is None:
+            break
+        faults.append(fault)
+    if faults and not _WARNED.is_set():
+        _WARNED.set()
+        instead = (
+            f"{place} is used" if len(faults) == 1 else f"{faults[1]}: everything is computed again"
+        )
+        cure = "set XDG_CACHE_HOME and NUMBA_CACHE_DIR to folders that only you can write"
+        warnings.warn(f"cache: {faults[0]}; {instead}; {cure}", stacklevel=3)
+    return place if len(faults) < 2 else None
+
+
+def _exposed(place: Path) -> str | None:
+    """Why others can change a folder or a file in it, in words, or None;
+    above it, folders may be sticky, as /tmp.
+    """
+    if not hasattr(os, "getuid"):
+        return None  # Windows: rights are no part of the mode, and profiles are the user's own
+    with os.scandir(place) as inside:
+        paths = [*(item.path for item in inside), str(place), *map(str, place.parents)]
+    for path in paths:
+        try:
+            found = os.lstat(path)
+        except FileNotFoundError:  # another process has just replaced it
+            continue
+        if found.st_uid not in (0, os.getuid()):
+            return f"{path} belongs to another user (id {found.st_uid})"
+        sticky = found.st_mode & stat.S_ISVTX and path in map(str, place.parents)
+        if stat.S_ISLNK(found.st_mode) or (found.st_mode & 0o022 and not sticky):
+            return f"others can write {path} (chmod go-w cures that)"
+    return None
+
+
+@contextlib.contextmanager
+def written_by_owner_only() -> Iterator[None]:
+    """Make files and folders that group and others cannot write, whatever the process's umask."""
+    with _UMASK:
+        before = os.umask(0o022)
+        os.umask(before | 0o022)
+        try:
+            yield
+        finally:
+            os.umask(before)
