@@ -2,13 +2,14 @@
 worth, each by itself. Products of them plan beside the same search with uniform samples.
 """
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import product
+from operator import attrgetter
 from typing import NamedTuple
 
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import Interval, problem_key
+from cvqmpt_lab.results.statistics import Interval
 from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED, PREFIX
 from paper_tables import table_engine as table
 from paper_tables.measures import (
@@ -104,12 +105,10 @@ class Contrast(NamedTuple):
         return table.entry(self.title, first, runs, columns, suffix="_contrast")
 
     def _ratio(self, second: Rows, value: Value, first: Rows, runs: SuiteRuns) -> Interval:
-        return paired_ratio(first, second, value, partial(_without, self.factor))
-
-
-def _without(factor: str, row: ResultRow) -> Hashable:
-    """What the rows of a pair share."""
-    return problem_key(row), tuple(getattr(row, name) for name in FACTORS if name != factor)
+        # rows of a pair share everything else
+        others = [name for name in FACTORS if name != self.factor]
+        shared = attrgetter("suite", "problem", "seed", *others)
+        return paired_ratio(first, second, value, shared)
 
 
 CONTRASTS = (

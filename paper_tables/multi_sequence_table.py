@@ -33,35 +33,37 @@ def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) 
     groups: dict[tuple, list[ResultRow]] = {}
     for row in sorted_rows(rows):
         groups.setdefault(row.run_key, []).append(row)
-    return [_task_row(group, phases) for group in groups.values()]
-
-
-def _task_row(group: Sequence[ResultRow], phases: Collection[str] | None) -> ResultRow:
-    failed = next((row for row in group if not row.solved), None)
-    counted = [row for row in group if phases is None or split_problem(row.problem).phase in phases]
-    detail = (
-        f"{split_problem(failed.problem).phase}: {failed.detail or failed.fail_reason}"
-        if failed
-        else None
-    )
-    return ResultRow(
-        suite=group[0].suite,
-        problem=group[0].item,
-        planner=group[0].planner,
-        seed=group[0].seed,
-        backend=group[0].backend,
-        solved=failed is None,
-        fail_reason=failed.fail_reason if failed else None,
-        detail=detail,
-        certified=True if failed is None else None,
-        t_total_s=sum(row.t_total_s or 0.0 for row in counted),
-        execution_time_s=sum(row.execution_time_s or 0.0 for row in counted)
-        if failed is None
-        else None,
-        path_length_rad=sum(row.path_length_rad or 0.0 for row in counted)
-        if failed is None
-        else None,
-    )
+    tasks = []
+    for group in groups.values():
+        failed = next((row for row in group if not row.solved), None)
+        counted = [
+            row for row in group if phases is None or split_problem(row.problem).phase in phases
+        ]
+        detail = (
+            f"{split_problem(failed.problem).phase}: {failed.detail or failed.fail_reason}"
+            if failed
+            else None
+        )
+        task = ResultRow(
+            suite=group[0].suite,
+            problem=group[0].item,
+            planner=group[0].planner,
+            seed=group[0].seed,
+            backend=group[0].backend,
+            solved=failed is None,
+            fail_reason=failed.fail_reason if failed else None,
+            detail=detail,
+            certified=True if failed is None else None,
+            t_total_s=sum(row.t_total_s or 0.0 for row in counted),
+            execution_time_s=sum(row.execution_time_s or 0.0 for row in counted)
+            if failed is None
+            else None,
+            path_length_rad=sum(row.path_length_rad or 0.0 for row in counted)
+            if failed is None
+            else None,
+        )
+        tasks.append(task)
+    return tasks
 
 
 def of_tasks(measure: Measure, phases: Collection[str] | None = None) -> Measure:
