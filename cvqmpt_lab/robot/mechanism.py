@@ -5,7 +5,6 @@ Planners and kernels treat the door as part of the arm: its pieces are links, it
 
 from __future__ import annotations  # so `help` shows forms by their names
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -18,8 +17,6 @@ from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume
 from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, kinematics_arrays
 from cvqmpt_lab.values import Array, FloatArray, Length, Name
-
-JOINT_MODELS = {"hinge": pin.JointModelRZ, "slider": pin.JointModelPZ}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,30 +62,48 @@ class ArticulatedObject(Checked):
 def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     """The robot with one more joint, its last: that of a door or drawer, whose pieces become links.
 
-    The scene must not hold these pieces any more: `scene.articulation.take_out` gives both.
+    A part's pose is T_world_joint Rot_z(q_n) T for a hinge, T_world_joint Trans_z(q_n) T for a
+    slider. The scene must not hold these pieces any more: `scene.articulation.take_out` gives both.
     """
     _check_names(robot, item)
     model, geometry = robot.model.copy(), robot.collision_model.copy()
-    joint = _add_joint(model, item)
+    joint = model.addJoint(
+        0,
+        pin.JointModelRZ() if item.kind == "hinge" else pin.JointModelPZ(),
+        pin.SE3(item.T_world_joint),
+        item.name,
+        # effort
+        np.full(1, np.inf),
+        np.array([item.velocity], dtype=float),
+        np.array([item.lower], dtype=float),
+        np.array([item.upper], dtype=float),
+    )
+    above = model.addJointFrame(joint)
+    for part in item.parts:
+        model.addFrame(pin.Frame(part.name, joint, above, pin.SE3(part.T), pin.FrameType.BODY))
     arm = range(geometry.ngeoms)
-    parts = _add_pieces(geometry, item.parts, joint)
-    casing = _add_pieces(geometry, item.casing, 0)
+    for carrier, pieces in ((joint, item.parts), (0, item.casing)):
+        for piece in pieces:
+            hull = convex_hull(piece.vertices)
+            added = pin.GeometryObject(piece.name, carrier, pin.SE3(piece.T), hull)
+            geometry.addGeometryObject(added)
     objects = geometry.geometryObjects
-    pairs = [
-        (i, k)
-        for k in parts
-        for i in arm
-        if (objects[i].name, objects[k].name) not in item.may_touch
-    ]
-    pairs += [(i, k) for k in casing for i in arm if objects[i].parentJoint != 0]
+    parts = range(len(arm), len(arm) + len(item.parts))
+    casing = range(parts.stop, len(objects))
+    pairs = []
+    for k in parts:
+        pairs += [(i, k) for i in arm if (objects[i].name, objects[k].name) not in item.may_touch]
+    for k in casing:
+        pairs += [(i, k) for i in arm if objects[i].parentJoint != 0]
     for i, k in pairs:
         geometry.addCollisionPair(pin.CollisionPair(i, k))
     left_out = [LeftOut(*names, "may touch") for names in item.may_touch]
-    left_out += [
-        LeftOut(part.name, fixed.name, "casing") for part in item.parts for fixed in item.casing
-    ]
+    for part in item.parts:
+        left_out += [LeftOut(part.name, fixed.name, "casing") for fixed in item.casing]
     frames = axis_frames(model)
     accelerations = robot.acceleration_limits
+    if accelerations is not None:
+        accelerations = np.append(accelerations, item.acceleration)
     return replace(
         robot,
         name=f"{robot.name}+{item.name}",
@@ -99,9 +114,7 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
         links=(*robot.links, *(link_geometry(objects[k], frames) for k in (*parts, *casing))),
         self_collision_pairs=(*robot.self_collision_pairs, *pairs),
         left_out_pairs=(*robot.left_out_pairs, *left_out),
-        acceleration_limits=None
-        if accelerations is None
-        else np.append(accelerations, item.acceleration),
+        acceleration_limits=accelerations,
     )
 
 
@@ -121,27 +134,3 @@ def _check_names(robot: Robot, item: ArticulatedObject) -> None:
         for what, name, names in zip(("robot piece", "part"), pair, (pieces, parts), strict=True):
             if name not in names:
                 raise UnknownChoiceError(f"{what} in 'may_touch' of {item.name!r}", name, names)
-
-
-def _add_joint(model: pin.Model, item: ArticulatedObject) -> int:
-    """Append the joint and a body frame for each part; the index of the joint."""
-    joint = model.addJoint(
-        0,
-        JOINT_MODELS[item.kind](),
-        pin.SE3(item.T_world_joint),
-        item.name,
-        np.full(1, np.inf),  # effort
-        np.array([item.velocity], dtype=float),
-        np.array([item.lower], dtype=float),
-        np.array([item.upper], dtype=float),
-    )
-    above = model.addJointFrame(joint)
-    for part in item.parts:
-        model.addFrame(pin.Frame(part.name, joint, above, pin.SE3(part.T), pin.FrameType.BODY))
-    return joint
-
-
-def _add_pieces(geometry: pin.GeometryModel, parts: Sequence[Part], joint: int) -> list[int]:
-    """Append convex hulls carried by a joint; their indices."""
-    hulls = ((part.name, joint, pin.SE3(part.T), convex_hull(part.vertices)) for part in parts)
-    return [geometry.addGeometryObject(pin.GeometryObject(*hull)) for hull in hulls]
