@@ -1,4 +1,4 @@
-"""Planners of others: how they are found, and that whatever they do is a row."""
+"""External planners: how they are found, and that whatever they do is a row."""
 
 import ctypes
 import json
@@ -23,7 +23,7 @@ from experiments.executors import Lost, local_processes
 from experiments.experiment import Experiment
 from experiments.run import executor_for, run_experiment
 
-PLANNERS = '''
+PLANNERS = """
 import os, time
 import numpy as np
 from cvqmpt_lab import Budget, solve
@@ -33,12 +33,9 @@ def good(problem, budget, seed):
     path = solve(problem, "birrt", budget, seed).simplified
     return None if path is None else path.path.states
 
-def sparse(problem, budget, seed):
-    """Corners of a motion far too long to be free."""
-    return [problem.start, problem.robot.upper, problem.goals[0]]
-
-def proposal(problem, budget, seed):
-    return Proposal(Uniform(problem.robot.lower, problem.robot.upper, "theirs"))
+# corners of a motion far too long to be free
+sparse = lambda problem, *_: [problem.start, problem.robot.upper, problem.goals[0]]
+proposal = lambda problem, *_: Proposal(Uniform(problem.robot.lower, problem.robot.upper, "theirs"))
 
 def printing(problem, budget, seed):
     print("a word")
@@ -51,17 +48,10 @@ def raising(problem, budget, seed):
 def leaving(problem, budget, seed):
     raise SystemExit(3)
 
-def nan(problem, budget, seed):
-    return np.full((4, 7), np.nan)
-
-def flat(problem, budget, seed):
-    return problem.start
-
-def text(problem, budget, seed):
-    return "a path"
-
-def nothing(problem, budget, seed):
-    return None
+nan = lambda problem, budget, seed: np.full((4, 7), np.nan)
+flat = lambda problem, budget, seed: problem.start
+text = lambda problem, budget, seed: "a path"
+nothing = lambda problem, budget, seed: None
 
 def late(problem, budget, seed):
     time.sleep(1.4 * budget.seconds)
@@ -82,7 +72,7 @@ class Counting:
         raise ValueError(f"call {self.calls}, seed {seed}")
 
 number = 3
-'''
+"""
 METADATA = "Metadata-Version: 2.1\nName: their-planners\nVersion: 1.2\n"
 
 

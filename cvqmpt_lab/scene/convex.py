@@ -70,8 +70,7 @@ class FilledCells:
     def voids(
         self, planes: FloatArray, low: FloatArray, high: FloatArray
     ) -> Callable[[int, float], float]:
-        """A function from an axis and a coordinate to the area [m^2] there of a hull but not of the
-        solid.
+        """The area [m^2] of a hull that is not solid, a function of an axis and a coordinate.
 
         planes: (p, 4) of the hull: outward normals, and offsets [m] that are negative for an origin
             inside.

@@ -275,9 +275,7 @@ def squared_speeds(
 def _velocity_rows(
     curve: SmoothCurve, velocity: np.ndarray, bound: np.ndarray
 ) -> sparse.csr_matrix:
-    """Velocity limits in the middle of intervals, where bounds (g,) at their ends do not imply
-    them.
-    """
+    """Velocity limits in the middle of intervals, where bounds (g,) at the ends imply none."""
     middle = 0.5 * (curve.grid[1:] + curve.grid[:-1])
     half = 0.5 * (np.abs(curve.spline(middle, 1)) / velocity).max(axis=1) ** 2
     interval = np.flatnonzero(half * (bound[1:] + bound[:-1]) > 1.0)

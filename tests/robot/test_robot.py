@@ -95,13 +95,8 @@ def test_sine_and_cosine_are_numpys():
     spread = [
         rng.uniform(-largest, largest, 100_000) for largest in (1e-8, 1.0, np.pi, 100.0, 1e4, 1e5)
     ]
-    for angles in (
-        *spread,
-        exact,
-        np.nextafter(exact, np.inf),
-        np.nextafter(exact, -np.inf),
-        np.zeros(1),
-    ):
+    beside = np.nextafter(exact, np.inf), np.nextafter(exact, -np.inf)
+    for angles in (*spread, exact, *beside, np.zeros(1)):
         for value, expected in zip(of(angles), (np.sin(angles), np.cos(angles)), strict=True):
             worst = np.argmax(np.abs(value - expected))
             assert np.abs(value - expected)[worst] <= 1e-15, angles[worst]
@@ -127,10 +122,8 @@ def test_no_point_moves_further_than_the_bound(request, name):
     for size in 10.0 ** rng.uniform(-3.0, -0.7, 40):
         q = robot.random_configurations(rng, 1)[0]
         hull = q + size * rng.standard_normal((3, robot.dof))
-        (bounds,), (between,) = (
-            sweep.in_world(q[None], hull[None]),
-            sweep.between(q[None], hull[None]),
-        )
+        (bounds,) = sweep.in_world(q[None], hull[None])
+        (between,) = sweep.between(q[None], hull[None])
         before = placed(robot, geometry, q)
         for weights in rng.dirichlet(np.ones(4), 10):
             after = placed(robot, geometry, weights @ np.vstack([hull, q]))

@@ -77,11 +77,8 @@ def test_a_refused_curve_is_drawn_closer_to_the_path(paths, limits):
         return ("too far",) if seen[-1] > 2e-4 else ()
 
     motion = time_path(paths[0], limits, FULL, too_far)
-    assert (
-        len(seen) > 1
-        and seen[0] > 2e-4
-        and segment_distances(motion.positions, paths[0]).max() <= 2e-4
-    )
+    assert len(seen) > 1 and seen[0] > 2e-4
+    assert segment_distances(motion.positions, paths[0]).max() <= 2e-4
     with pytest.raises(InvalidInputError, match=r"refused even .* rad from it: never"):
         time_path(paths[0], limits, FULL, lambda motion: ("never",))
 
@@ -113,10 +110,8 @@ def test_another_arm_has_the_velocities_of_its_urdf_and_must_be_given_accelerati
         _ = load_robot(slider_arm_urdf, "tool").joint_limits
     given = load_robot(slider_arm_urdf, "tool", acceleration_limits=[1.0, 2.0, 3.0, 4.0])
     assert given.joint_limits.velocity.tolist() == [1.0] * 4
-    for again in (
-        robot_from_source(json.loads(json.dumps(given.source))),
-        pickle.loads(pickle.dumps(given)),
-    ):
+    written = robot_from_source(json.loads(json.dumps(given.source)))
+    for again in (written, pickle.loads(pickle.dumps(given))):
         assert again.joint_limits.acceleration.tolist() == [1.0, 2.0, 3.0, 4.0]
     locked = load_robot(
         slider_arm_urdf, "tool", locked={"lift": 0.0}, acceleration_limits=[1.0, 3.0, 4.0]
@@ -217,22 +212,13 @@ def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, sl
     PlanningProblem(
         "reach", slider_arm, Scene("empty", ()), [0.0] * 4, [[0.3, 0.2, -0.4, 1.0]]
     ).save(file)
-    words = (
-        "--problem-file",
-        file,
-        "--urdf",
-        slider_arm_urdf,
-        "--end-effector",
-        "tool",
-        "--trajectory",
-        out,
-    )
+    words = f"--problem-file {file} --urdf {slider_arm_urdf} --end-effector tool".split()
+    words += ["--trajectory", str(out)]
     assert "--acceleration" in refused(capsys, "plan", *words) and not out.exists()
     text = planned(capsys, *words, "--acceleration", "1,2,2,3", "--speed", "1")
     assert out.read_text().startswith("time,rail_position,lift_position,")
-    assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0, (
-        "1 rad at 1 rad/s, from rest to rest"
-    )
+    # 1 rad at 1 rad/s, from rest to rest
+    assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0
 
 
 @pytest.mark.parametrize(
