@@ -41,7 +41,7 @@ def published_config():
 
 
 def random_checkpoint(robot, config=None, *, goal_bias=6.0, metadata=METADATA):
-    """A checkpoint whose decisions depend on its input; `goal_bias` makes the goal token likelier."""
+    """A checkpoint whose decisions depend on its input; `goal_bias` is for the goal token."""
     config = published_config() if config is None else config
     torch.manual_seed(0)
     dictionary = Dictionary(config)

@@ -12,7 +12,7 @@ UPPER = [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]
 
 
 def kinematics():
-    """The Panda's chain (Craig parameters a, d, alpha), its joint origins and a point on the hand."""
+    """The Panda's chain (Craig parameters a, d, alpha), and points on its joints and hand."""
     parameters = [
         (0, 0.333, 0),
         (0, 0, -1),

@@ -204,9 +204,7 @@ def packed(robot: Robot, configurations: np.ndarray) -> np.ndarray:
 
 
 def dataset_card(folder: Path) -> str:
-    """What a dataset holds, counted from its shards, and how far two labels of one problem lie
-    apart.
-    """
+    """What a dataset holds, and how far two labels of one problem lie apart."""
     dataset = open_dataset(folder)
     every = range(len(dataset.families))
     lines = [
@@ -250,9 +248,7 @@ def _card_row(dataset: PathDataset, name: str, families: Sequence[int]) -> str:
 
 
 def _ratio(dataset: PathDataset, twins: np.ndarray) -> str:
-    """Mean waypoint distance of twins to their first labels, over that of the latter to the
-    straight line.
-    """
+    """Mean waypoint distance of twins to first labels, over that of these to the straight line."""
     if len(twins) == 0:
         return "-"
     span = np.array(dataset.robot.upper) - np.array(dataset.robot.lower)

@@ -1,5 +1,6 @@
-"""Point clouds of shapes, new in every epoch:
-drawn on surfaces, or depth images of noisy cameras as in evaluation.
+"""Point clouds of shapes, new in every epoch.
+
+Points are drawn on surfaces, or measured by noisy depth cameras as in evaluation.
 """
 
 from dataclasses import dataclass, field
@@ -22,8 +23,6 @@ SOLIDS = (  # by the kind of a shape
 # The evaluation camera's range with a sixteenth of its pixels, which still are more than a cloud's
 # points.
 SMALL = Intrinsics.from_fov(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
-ROUNDS = 6  # of drawing points, at most
-MARGIN = 1e-4  # [m] points this close to another shape's surface still lie outside it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +59,9 @@ class CloudSettings:
 
 
 def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Points (settings.points, 3) float32 [m] on surfaces of shapes, not inside others, inside the
-    crop.
+    """Points (settings.points, 3) float32 [m] on surfaces of shapes, outside others, in the crop.
 
-    Few points are repeated; in an empty scene they lie far below the robot, at the crop's lower
-    end.
+    Few points are repeated; in an empty scene they lie below the robot, at the crop's lower end.
     """
     by_cameras = settings.measured > 0.0 and rng.random() < settings.measured
     points = (_measured if by_cameras else _drawn)(shapes, settings, rng)
@@ -88,9 +85,10 @@ def _drawn(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) ->
     if len(shapes):
         weights = _areas(shapes) * np.exp(settings.density * rng.standard_normal(len(shapes)))
         hides = rng.random() < settings.occlusion
-        places = _camera_positions(settings, rng)  # drawn in any case
+        # drawn in any case
+        places = _camera_positions(settings, rng)
         cameras, chance = (places, 0.5) if hides else (None, 0.7)
-        for _ in range(ROUNDS):
+        for _ in range(6):
             draw = min(int(missing / chance * 1.15) + 16, 20 * settings.points)
             seen = _visible_points(shapes, weights, cameras, settings.crop, draw, rng)
             found.append(seen[:missing])
@@ -111,8 +109,16 @@ def _measured(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator)
 def measured_points(
     shapes: Shapes, places: np.ndarray, target: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Points (k, 3) float32 [m] that cameras at places (c, 3), looking at target (3,), measure, in
-    random order.
+    """Points that depth cameras measure, in random order.
+
+    Args:
+        shapes: of the scene.
+        places: (c, 3) [m], where cameras stand.
+        target: (3,) [m], what they look at.
+        rng: draws materials and noise.
+
+    Returns:
+        (k, 3) float32 [m].
     """
     described = zip(shapes.kind, shapes.size.astype(float), shapes.pose.astype(float), strict=True)
     solids: list[Solid] = [SOLIDS[kind](T, size) for kind, size, T in described]
@@ -134,9 +140,7 @@ def _areas(shapes: Shapes) -> np.ndarray:
 
 
 def _camera_positions(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Where one or more cameras stand (c, 3):
-    2 m from the crop's centre, above its floor plane [m].
-    """
+    """Where cameras stand (c, 3) [m]: 2 m from the crop's centre, not below it."""
     directions = rng.standard_normal((int(rng.integers(1, settings.cameras + 1)), 3))
     directions[:, 2] = np.abs(directions[:, 2])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -172,9 +176,7 @@ def _visible_points(
 def _surface(
     kind: np.ndarray, size: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Uniform points on the surfaces of shapes (p,), in their own frames, and outward normals,
-    float32.
-    """
+    """Uniform points on surfaces of shapes (p,), in their frames, and outward normals, float32."""
     local, normal = np.zeros((2, len(kind), 3), dtype=np.float32)
     for place, sampler in ((BOX, _on_boxes), (CYLINDER, _on_cylinders), (SPHERE, _on_spheres)):
         rows = np.flatnonzero(kind == place)
@@ -231,8 +233,10 @@ def _inside_crop(points: np.ndarray, crop: CropSettings) -> np.ndarray:
     return np.einsum("pi,pi->p", offset, offset) <= crop.radius**2
 
 
-def _inside_others(points: np.ndarray, own: np.ndarray, shapes: Shapes) -> np.ndarray:
-    """Whether each point (p, 3) of shape `own` (p,) lies inside another shape."""
+def _inside_others(
+    points: np.ndarray, own: np.ndarray, shapes: Shapes, margin: float = 1e-4
+) -> np.ndarray:
+    """Whether each point (p, 3) of shape `own` (p,) lies deeper than `margin` in another shape."""
     kind, size, pose = shapes.kind, shapes.size, shapes.pose
     rotation = pose[:, :, :3]
     # local = R^T (x - t), all shapes at once
@@ -246,14 +250,14 @@ def _inside_others(points: np.ndarray, own: np.ndarray, shapes: Shapes) -> np.nd
         inverse = np.ascontiguousarray(rotation[rows].transpose(0, 2, 1)).reshape(-1, 3)
         local = (inverse @ axes).reshape(len(rows), 3, -1)
         local -= origin[rows, :, None]
-        half = 0.5 * size[rows, :, None] - np.float32(MARGIN)
+        half = 0.5 * size[rows, :, None] - np.float32(margin)
         if place == BOX:
             np.abs(local, out=local)
             within = local < half
             inside[rows] = within[:, 0] & within[:, 1] & within[:, 2]
             continue
         np.multiply(local[:, :2], local[:, :2], out=local[:, :2])
-        radius = np.maximum(size[rows, :1] - np.float32(MARGIN), 0.0) ** 2
+        radius = np.maximum(size[rows, :1] - np.float32(margin), 0.0) ** 2
         squares = local[:, 0] + local[:, 1]
         if place == SPHERE:
             squares += local[:, 2] * local[:, 2]

@@ -1,4 +1,4 @@
-"""Data, both stages of training and a prediction, through the command line, on the smoke profile."""
+"""Data, both stages and a prediction, through the command line, on the smoke profile."""
 
 import json
 

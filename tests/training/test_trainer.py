@@ -1,4 +1,4 @@
-"""Whole trainings on a tiny dataset: learning, continuing, repeating, refusing, several processes."""
+"""Whole trainings on a tiny dataset: learning, continuing, repeating, refusing, processes."""
 
 import csv
 import dataclasses
@@ -44,25 +44,14 @@ def changed(profile, changes):
 
 
 SIZES = {"n_layers": 2, "n_heads": 2, "d_k": 8, "d_v": 8, "d_model": 16, "d_inner": 24}
-STAGE1 = {
-    "epochs": 2,
-    "batch": 4,
-    "row": 16,
-    "batches_per_epoch": 6,
-    "restart_every": 4,
-    "restart_epochs": 1,
-}
+STAGE1 = {"epochs": 2, "batch": 4, "row": 16, "batches_per_epoch": 6}
+STAGE1 |= {"restart_every": 4, "restart_epochs": 1}
 FEW = {"scenes": 2, "paths_per_scene": 3, "batches_per_epoch": None, "validation_paths": 8}
 FEW |= {"cloud": {"points": 48}}
 MPNET = {
     "mpnet": {"epochs": 2},
     "mpnet.batches": {**to_plain(SMOKE.mpnet.batches, complete=True), **FEW},
-    "mpnet_model": {
-        "n_points": 48,
-        "code_dim": 28,
-        "encoder_widths": [16],
-        "planner_widths": [32, 16],
-    },
+    "mpnet_model": {"n_points": 48, "encoder_widths": [16], "planner_widths": [32, 16]},
 }
 WORDS = {"model.dictionary.transformer": SIZES, "model.dictionary.n_codes": 16}
 TINY = changed(PROFILES["compact"], {"name": "tiny", "stage1": STAGE1, **WORDS, **MPNET})
@@ -130,12 +119,8 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
     assert metadata["data_sha256"] == open_dataset(data).sha256 and metadata["seed"] == 0
     assert metadata["kinematics"]["points"] == kinematics()["points"]
     assert losses["validation_nll"] == float(rows[losses["epoch"] - 1]["validation_nll"])
-    assert {p.name for p in dictionary.iterdir()} == {
-        "training.json",
-        "state.pt",
-        "curves.csv",
-        "model",
-    }
+    files = {path.name for path in dictionary.iterdir()}
+    assert files == {"training.json", "state.pt", "curves.csv", "model"}
 
 
 @pytest.mark.parametrize("precision", ["float32", "bf16"])

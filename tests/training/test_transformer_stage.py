@@ -1,4 +1,4 @@
-"""What the scene transformer learns from labels of motions to codes, and where fine-tuning begins."""
+"""What the scene transformer learns from labels of motions, and where fine-tuning begins."""
 
 from dataclasses import replace
 

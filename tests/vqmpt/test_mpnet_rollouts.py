@@ -56,7 +56,7 @@ def ready(network):
 
 
 def heading_network(share=0.5):
-    """Proposes current + share * (goal - current); dropout of copies of its inputs makes it noisy."""
+    """Proposes current + share * (goal - current), noisy by dropout of copies of its inputs."""
     network = random_network(replace(CONFIG, planner_widths=(14 * COPIES, 8)))
     with torch.no_grad():
         for parameter in network.parameters():
