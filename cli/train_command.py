@@ -1,6 +1,4 @@
-"""`cvqmpt train`: train a dictionary, a transformer or MPNet;
-resumable, needs torch and numpy only.
-"""
+"""`cvqmpt train`: train a dictionary, a transformer or MPNet; needs torch and numpy only."""
 
 import argparse
 import json

@@ -1,5 +1,6 @@
-"""MPNet, a baseline:
-one network encodes the cloud, another proposes the next configuration on the way to the goal.
+"""MPNet, a baseline: a network encodes the cloud, another proposes the next configuration.
+
+q_(t+1) = g(q_t, q_goal, z), z = e(cloud), both perceptrons with PReLU.
 """
 
 import torch
@@ -37,32 +38,23 @@ class MPNet(nn.Module):
         return self.encoder(points.flatten(1))
 
     def forward(
-        self,
-        current: Tensor,
-        goal: Tensor,
-        code: Tensor,
-        *,
-        stochastic: bool = True,
-        generator: torch.Generator | None = None,
+        self, current: Tensor, goal: Tensor, code: Tensor, *, stochastic: bool = True
     ) -> Tensor:
-        """Propose the next configuration (b, joint_dim) from current towards goal (b, joint_dim),
-        not clipped.
+        """Propose the next configuration; planning computes the same in numpy, `mpnet_rollouts`.
 
-        code (b, code_dim): of `encode`. stochastic: with dropout, as in training; drawn from
-        generator, for runs that repeat. Planning computes the same without torch, see
-        `mpnet_rollouts`.
+        Args:
+            current: (b, joint_dim) q_t, normalised to [-1, 1].
+            goal: (b, joint_dim), likewise.
+            code: (b, code_dim) z, of `encode`.
+            stochastic: with dropout, as in training.
+
+        Returns:
+            (b, joint_dim), not clipped.
         """
-        x = torch.cat((code, current, goal), dim=-1)
+        x, share = torch.cat((code, current, goal), dim=-1), self.config.dropout
         for i, layer in enumerate(self.hidden):
             x = layer(x)
-            if stochastic and i < len(self.hidden) - 1:
-                x = dropout(x, self.config.dropout, generator)
+            if stochastic and share > 0.0 and i < len(self.hidden) - 1:
+                kept = torch.rand(x.shape, device=x.device) >= share
+                x = x * kept / (1.0 - share)
         return self.out(x)
-
-
-def dropout(x: Tensor, probability: float, generator: torch.Generator | None = None) -> Tensor:
-    """Drop units of x and scale up the others; unlike torch's own, repeatable by a generator."""
-    if probability == 0.0:
-        return x
-    left = torch.rand(x.shape, generator=generator, device=x.device) >= probability
-    return x * left / (1.0 - probability)
