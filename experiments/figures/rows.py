@@ -153,6 +153,9 @@ def _curve(path: Path) -> list[Mapping[str, object]]:
         return []
     batch = settings["profile"][stage]["scenes"] * settings["profile"][stage]["paths"]
     lines = csv.DictReader(read_bytes(path).decode().splitlines())
+    # sequences of encoded paths follow no roadmap
+    if "validation_cross_entropy_ways" not in (lines.fieldnames or ()):
+        return []
     return [
         {
             "training": path.parent.name,
