@@ -29,12 +29,11 @@ FORMAT = "cvqmpt-model-1"
 CONFIG_FILE = "config.json"
 TRAINED_FOLDER = "model"  # where in its folder a training leaves its best weights
 VQ_MPT, MPNET = "vq-mpt", "mpnet"  # architectures
-CONFIGS: dict[str, type[ModelConfig] | type[MPNetConfig]] = {
-    VQ_MPT: ModelConfig,
-    MPNET: MPNetConfig,
+ARCHITECTURES: dict[str, tuple[type[ModelConfig] | type[MPNetConfig], tuple[str, ...]]] = {
+    VQ_MPT: (ModelConfig, ("dictionary", "sequence_model", "transformer")),
+    MPNET: (MPNetConfig, ("mpnet",)),
 }
-PARTS = {VQ_MPT: ("dictionary", "sequence_model", "transformer"), MPNET: ("mpnet",)}
-"""Files of each architecture; the first is always there, the others where they were trained."""
+"""Sizes and files of each; the first file is always there, the others where they were trained."""
 TRANSFORMER = "transformer"
 TRAINED_BY = {
     TRANSFORMER: "train one: cvqmpt train transformer --data DIR --out DIR",
@@ -119,8 +118,8 @@ class RobotSignature:
 class StoredModel:
     """A trained model as plain data."""
 
-    architecture: str  # key of CONFIGS
-    config: Any  # of the type that CONFIGS says
+    architecture: str  # key of ARCHITECTURES
+    config: Any  # of the type that ARCHITECTURES says
     robot: RobotSignature
     parts: Mapping[str, Mapping[str, np.ndarray]]  # arrays by name, by name of the part
     metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
@@ -272,7 +271,7 @@ def read_model(
     Args:
         folder: of the weights.
         robot: that they must be of; None for any.
-        architecture: key of CONFIGS; None for any.
+        architecture: key of ARCHITECTURES; None for any.
         left_out: a part that is not read.
 
     Raises:
@@ -281,10 +280,10 @@ def read_model(
     """
     description = read_description(folder, architecture, robot)
     of, listed = description["architecture"], description["sha256"]
-    if of not in CONFIGS:
-        raise UnknownChoiceError(f"architecture in {Path(folder) / CONFIG_FILE}", of, CONFIGS)
-    config = from_plain(CONFIGS[of], description["model"], "model", complete=True)
-    first, *others = PARTS[of]
+    if of not in ARCHITECTURES:
+        raise UnknownChoiceError(f"architecture in {Path(folder) / CONFIG_FILE}", of, ARCHITECTURES)
+    sizes, (first, *others) = ARCHITECTURES[of]
+    config = from_plain(sizes, description["model"], "model", complete=True)
     names = [first, *(name for name in others if name in listed and name != left_out)]
     parts = {name: _read_part(folder, listed, name) for name in names}
     return StoredModel(of, config, description["robot"], parts, description["metadata"])
@@ -341,7 +340,7 @@ def resolve_model(
 
     Args:
         model: a name of `SHIPPED`, a folder of weights or of a training; None for the shipped ones.
-        architecture: key of CONFIGS; None for any.
+        architecture: key of ARCHITECTURES; None for any.
         robot: that the weights must be of; None for any.
 
     Raises:
