@@ -1,6 +1,7 @@
 """Intrinsics and extrinsics of depth cameras from small json or yaml files."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,6 @@ from cvqmpt_lab.scene.cloud_files import file_bytes, kind_of, parsing
 from cvqmpt_lab.sensing.camera import Intrinsics
 from cvqmpt_lab.values import Array, FloatArray
 
-LARGEST = 2**16  # [bytes] of a file; calibrations take one thousand
-ROUNDED = 1e-3  # that a rotation matrix may be from orthonormal: three digits were written down
-FORMS = (
-    "width, height, fx, fy, cx, cy, or width, height and camera_matrix (ROS), K or intrinsic_matrix"
-)
-
 
 def read_intrinsics(path: Path | str) -> Intrinsics:
     """Read our own fields, ROS's camera_info, Open3D's, or a matrix K; errors name the file."""
@@ -29,7 +24,11 @@ def read_intrinsics(path: Path | str) -> Intrinsics:
 
 
 def _intrinsics(data: Any) -> Intrinsics:
-    fields = mapping(data, "", FORMS)
+    forms = (
+        "width, height, fx, fy, cx, cy, or width, height and camera_matrix (ROS), K or "
+        "intrinsic_matrix"
+    )
+    fields = mapping(data, "", forms)
     name = next(
         (name for name in ("camera_matrix", "K", "k", "intrinsic_matrix") if name in fields), None
     )
@@ -87,7 +86,8 @@ def _rigid(data: Any) -> Any:
         return from_plain(Placement, ordered, "T_world_camera").matrix
     T = np.array(MATRIX.read(data, "T_world_camera"))
     R = T[:3, :3]
-    rounded = np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() <= ROUNDED
+    # three digits may have been written down
+    rounded = np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() <= 1e-3
     if rounded and np.linalg.det(R) > 0.0:
         from scipy.spatial.transform import Rotation  # a third of a second to import
 
@@ -111,19 +111,13 @@ def _read_settings(path: Path | str, what: str) -> Any:
     """
     path = Path(path)
     parse = PARSERS[kind_of(path, PARSERS, what)]
-    data = file_bytes(path, what)
+    data = file_bytes(path, what, most=2**16)
     with parsing(path, what):
-        if len(data) > LARGEST:
-            raise InvalidInputError(f"it has {len(data)} bytes; {LARGEST} at most")
         return parse(data.decode("utf-8"))
 
 
-def _from_json(text: str) -> Any:
-    return json_value(text, "it")
-
-
 PARSERS: Mapping[str, Callable[[str], Any]] = {
-    ".json": _from_json,
+    ".json": partial(json_value, what="it"),
     ".yaml": yaml_value,
     ".yml": yaml_value,
 }

@@ -28,8 +28,6 @@ from cvqmpt_lab.sensing.render import View
 from cvqmpt_lab.values import FloatArray
 
 MILLIMETRES = 0.001  # [m] of one unit of a 16-bit image, as depth cameras write them
-SIXTEEN_BITS = ("I;16", "I;16B", "I;16L")  # what Pillow calls them
-EXPANSION = 1100  # bytes, at most, that PNG packs into one
 
 
 def read_capture(
@@ -121,12 +119,13 @@ def _read_png(data: bytes, lens: Intrinsics) -> np.ndarray:
     from PIL import Image
 
     with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-        if image.mode not in SIXTEEN_BITS:
+        if image.mode not in ("I;16", "I;16B", "I;16L"):
             raise InvalidInputError(
                 f"it is a picture of mode {image.mode}, no depth: give the 16-bit depth image"
             )
         _check_size((image.height, image.width), lens)
-        if image.width * image.height * 2 > EXPANSION * len(data):
+        # PNG packs at most 1100 bytes into one
+        if image.width * image.height * 2 > 1100 * len(data):
             raise InvalidInputError(
                 "its header says more pixels than the file can hold: cut short?"
             )
@@ -145,8 +144,7 @@ def _check_size(shape: tuple[int, ...], lens: Intrinsics) -> None:
     if shape != (lens.height, lens.width):
         raise InvalidInputError(
             f"the image has {shape[1]} x {shape[0]} pixels, the intrinsics are for {lens.width} x "
-            f"{lens.height}; "
-            "give those of this image (fx, fy, cx, cy grow with its size)"
+            f"{lens.height}; give those of this image (fx, fy, cx, cy grow with its size)"
         )
 
 

@@ -11,10 +11,6 @@ from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import LinkGeometry, Robot
 from cvqmpt_lab.values import FloatArray
 
-# grids of at most this many cells a point are counted cell by cell, which needs no sorting
-DENSE = 8
-MOST_CELLS = 2**62
-
 
 @dataclass(frozen=True)
 class BoxCrop:
@@ -103,7 +99,7 @@ def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
     places = [(axis - axis.min()) / voxel + 0.5 for axis in columns]
     across = [np.floor(place.max()) + 1.0 for place in places]
     cells = float(np.prod(across))
-    if not cells < MOST_CELLS:
+    if not cells < 2**62:
         raise InvalidInputError(
             f"voxel of {voxel:g} m is too small for a cloud that is "
             f"{np.ptp(points, axis=0).max():.3g} m long; "
@@ -111,7 +107,8 @@ def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
         )
     x, y, z = (place.astype(np.int64) for place in places)
     cell = (x * int(across[1]) + y) * int(across[2]) + z
-    if cells <= DENSE * len(points):
+    # counting cell by cell needs no sorting
+    if cells <= 8 * len(points):
         count = np.bincount(cell)
     else:
         _, cell, count = np.unique(cell, return_inverse=True, return_counts=True)

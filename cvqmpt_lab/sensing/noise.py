@@ -14,17 +14,14 @@ figure was found a field says "assumed".
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.sensing.render import NOTHING, Solid, View, incidence
 
 WEAKEST = 0.15 / 5.46**2  # [1/m^2] the light of the specified range's end
-EDGE = 0.02  # [m] between depths of neighbouring pixels on different solids that count as an edge
-GLARE = np.cos(np.radians(5.0))  # least cosine at which shiny surfaces blind the camera; assumed
 
 
 class Materials(NamedTuple):
@@ -67,25 +64,9 @@ class DepthNoise:
     # [m] mean of what mirrored light adds to the depth of a shiny surface; assumed
     multipath: float = 0.02
     quantum: float = 0.001  # [m] depths are whole multiples of it
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value >= 0.0:
-                raise InvalidInputError(f"{name} of depth noise is {value}; give 0 or more")
-        if self.edge_lost + self.edge_flying > 1.0:
-            raise InvalidInputError(
-                f"edge_lost and edge_flying of depth noise are {self.edge_lost} and "
-                f"{self.edge_flying}; "
-                "give shares whose sum is at most 1"
-            )
-
-    def times(self, factor: float) -> "DepthNoise":
-        """All errors larger by a factor (quantisation aside); edges at most all lost or flying."""
-        larger = {item.name: factor * getattr(self, item.name) for item in fields(self)}
-        edges = max(1.0, larger["edge_lost"] + larger["edge_flying"])
-        for name in ("edge_lost", "edge_flying"):
-            larger[name] /= edges
-        return replace(self, **(larger | {"quantum": self.quantum}))
+    glare: float = 5.0  # [deg] off its normal at which a shiny surface blinds the camera; assumed
+    # [m] between depths of neighbouring pixels on different solids that count as an edge
+    edge: float = 0.02
 
 
 def measured(
@@ -103,13 +84,13 @@ def measured(
     reflectivity, gloss = (np.append(values, 0.0)[solid] for values in materials)
     cosine = incidence(view, solids)[rows, columns]
     light = reflectivity * (1.0 - gloss) * cosine / depth**2  # s [1/m^2]
-    light = np.where((gloss > 0.0) & (cosine > GLARE), 0.0, light)
+    light = np.where((gloss > 0.0) & (cosine > np.cos(np.radians(noise.glare))), 0.0, light)
     valid = found & (
         light * np.exp(noise.flicker * rng.standard_normal(light.shape)) > noise.weakest
     )
     z = _with_errors(np.where(found, depth, 1.0), light, noise, rng)
     z += noise.multipath * gloss * rng.exponential(size=z.shape)
-    near, far, edge = _edges(view)
+    near, far, edge = _edges(view, noise.edge)
     fate, between = rng.random((2, *z.shape))
     lost, flying = noise.edge_lost, noise.edge_lost + noise.edge_flying
     flies = edge & (fate >= lost) & (fate < flying)
@@ -141,9 +122,9 @@ def _with_errors(
     return depth * (1.0 + scale) + offset + spread * rng.standard_normal(depth.shape)
 
 
-def _edges(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Least and largest depth around each pixel, and whether two solids lie there, one well behind
-    the other.
+def _edges(view: View, least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Least and largest depth around each pixel, and whether two solids lie there, one at
+    least so far [m] behind the other.
     """
     height, width = view.depth.shape
     depth = np.pad(view.depth, 1, mode="edge")
@@ -156,4 +137,4 @@ def _edges(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             np.minimum(near, around, out=near)
             np.maximum(far, around, out=far, where=np.isfinite(around))
             other |= solid[down : down + height, right : right + width] != view.solid
-    return near, far, other & (far > near + EDGE)
+    return near, far, other & (far > near + least)

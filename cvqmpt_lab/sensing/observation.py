@@ -16,10 +16,6 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud, thinned, visible_points
 
-FEWEST = 2  # points that networks need
-# [m] added to smaller clouds: under the base
-BELOW = np.array([[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]])
-
 
 class Observer:
     """Gives the cloud of a scene, always the same one; by default like training's clouds.
@@ -50,8 +46,7 @@ class Observer:
         if len(near) == 0:
             raise InvalidInputError(
                 f"none of the cloud's {len(points)} points is in the region that networks know, "
-                f"{crop}: give it in "
-                "metres, in the frame of the robot's base"
+                f"{crop}: give it in metres, in the frame of the robot's base"
             )
         measured = replace(self.settings, noise=0.0)  # it has its own
         cloud = thinned(near, measured, np.random.default_rng(self.seed))
@@ -70,8 +65,9 @@ class Observer:
             "clouds", made_of, lambda: {"cloud": camera_cloud(scene, self.settings, rng)}
         )
         cloud = arrays["cloud"]
-        if len(cloud) < FEWEST:
-            cloud = np.concatenate([cloud, BELOW])
+        # networks need two points: under the base
+        if len(cloud) < 2:
+            cloud = np.concatenate([cloud, [[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]]])
         cloud.setflags(write=False)
         return cloud
 

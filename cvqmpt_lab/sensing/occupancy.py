@@ -16,8 +16,6 @@ from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm
 from cvqmpt_lab.values import FloatArray
 
-MOST_CELLS = 1 << 27  # of the box in which unknown cells are searched; one byte each
-
 
 @dataclass(frozen=True, kw_only=True)
 class MapSettings:
@@ -65,18 +63,22 @@ def occupancy_map(
     return map_of_points(points, settings.resolution, settings.padding)
 
 
-def _unknown(settings: MapSettings, captures: Sequence[Cloud], arm: Arm | None) -> FloatArray:
-    """Middles (k, 3) [m] of cells in the box that no ray crossed."""
+def _unknown(
+    settings: MapSettings, captures: Sequence[Cloud], arm: Arm | None, most: int = 1 << 27
+) -> FloatArray:
+    """Middles (k, 3) [m] of cells in the box that no ray crossed, of which it may hold `most`; one
+    byte each.
+    """
     if not captures:
         raise InvalidInputError(
             "unknown space is occupied, but the captures with their cameras' poses are missing"
         )
     first: FloatArray = np.floor(np.divide(settings.lower, settings.resolution))
     across = (np.ceil(np.divide(settings.upper, settings.resolution)) - first).astype(np.int64)
-    if across.prod() > MOST_CELLS:
+    if across.prod() > most:
         raise InvalidInputError(
             f"box from {settings.lower} to {settings.upper} m holds {across.prod():.2g} cells of "
-            f"{settings.resolution:g} m, more than {MOST_CELLS:.2g}; give a smaller box or larger "
+            f"{settings.resolution:g} m, more than {most:.2g}; give a smaller box or larger "
             f"cells"
         )
     known = np.zeros(across, dtype=bool)

@@ -12,22 +12,10 @@ from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.values import FloatArray
 
 TOLERANCE = 0.01  # [m] from a plane that counts as on it: table tops bend, and cameras err
-TRIPLES = 1000  # planes tried; one in a hundred lies on a table that is a fifth of the cloud
-JUDGES = 3000  # points that choose among them
-FITTED = 50_000  # points, at most, that the chosen one is fitted to
-ROUNDS = 3  # of least squares
-GAP = 0.05  # [m] between points of one table
-LEAST = 0.1  # share of the points that a supporting plane must hold
-FEWEST = 30  # points that a supporting plane must hold
 CAMERA_UP = np.array([0.0, -1.0, 0.0])  # of an optical frame: x right, y down, z ahead
-CAMERA_AHEAD = np.array([0.0, 0.0, 1.0])
-# nearer to the camera's axis, "ahead" is the image's upper side
-STRAIGHT = np.cos(np.radians(11.0))
 # from a table's normal to the camera's up: it may look straight down
 CAMERA_TILT = np.radians(100.0)
 WORLD_TILT = np.radians(15.0)  # the same for the world's up, when the camera's pose is known
-# quantile of the table's points that counts as its edge: beyond it lies what the camera half saw
-EDGE = 0.02
 
 
 class SupportingPlane(NamedTuple):
@@ -40,16 +28,32 @@ class SupportingPlane(NamedTuple):
 
 
 def supporting_plane(
-    points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator
+    points: FloatArray,
+    up: FloatArray,
+    tilt: float,
+    rng: np.random.Generator,
+    least: float = 0.1,
+    fewest: int = 30,
+    most: int = 50_000,
+    rounds: int = 3,
 ) -> SupportingPlane:
-    """Plane that holds the most of points (m, 3) [m] with its normal within tilt [rad] of `up`
-    (3,), by RANSAC and SVD.
+    """The plane `n x = d` that holds the most points, by RANSAC and then least squares (SVD).
 
-    InvalidInputError: no such plane holds `LEAST` of the points.
+    Args:
+        points: (m, 3) [m].
+        up: (3,), from which the normal n is at most `tilt` [rad] off.
+        tilt: see `up`.
+        rng: draws triples of points.
+        least: share of the points that it must hold.
+        fewest: number of points that it must hold.
+        most: points that it is fitted to.
+        rounds: of least squares.
+
+    Raises InvalidInputError if no such plane holds enough points.
     """
-    some = points[rng.integers(len(points), size=min(len(points), FITTED))]
+    some = points[rng.integers(len(points), size=min(len(points), most))]
     normal, offset = _ransac(some, up, tilt, rng)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         held = some[np.abs(some @ normal - offset) <= TOLERANCE]
         if len(held) < 3:
             break
@@ -60,20 +64,27 @@ def supporting_plane(
     heights = points @ normal - offset
     on = np.abs(heights) <= TOLERANCE
     share = float(on.mean())
-    if share < LEAST or on.sum() < FEWEST or normal @ up < np.cos(tilt):
+    if share < least or on.sum() < fewest or normal @ up < np.cos(tilt):
         raise InvalidInputError(
             f"no supporting plane: the best one holds {on.sum()} of {len(points)} points, "
-            f"{LEAST:.0%} and {FEWEST} are "
+            f"{least:.0%} and {fewest} are "
             "needed; crop the cloud to the table, or give the camera's pose"
         )
     return SupportingPlane(normal, offset, share, float(np.sqrt(np.mean(heights[on] ** 2))))
 
 
 def _ransac(
-    points: FloatArray, up: FloatArray, tilt: float, rng: np.random.Generator
+    points: FloatArray,
+    up: FloatArray,
+    tilt: float,
+    rng: np.random.Generator,
+    triples: int = 1000,
+    judges: int = 3000,
 ) -> tuple[FloatArray, float]:
-    """Normal (3,) and offset [m] of the best of many planes through three points."""
-    a, b, c = points[rng.integers(len(points), size=(3, TRIPLES))]
+    """Normal (3,) and offset [m] of the best of `triples` planes through three points, by the
+    number of `judges` near them; one in a hundred lies on a table that is a fifth of the cloud.
+    """
+    a, b, c = points[rng.integers(len(points), size=(3, triples))]
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1)
     normals[lengths > 0.0] /= lengths[lengths > 0.0, None]
@@ -83,31 +94,40 @@ def _ransac(
         return up, np.inf
     normals, a = normals[allowed], a[allowed]
     offsets = np.einsum("ij,ij->i", normals, a)
-    judges = points[rng.integers(len(points), size=min(len(points), JUDGES))]
-    counts = (np.abs(judges @ normals.T - offsets) <= TOLERANCE).sum(axis=0)
+    some = points[rng.integers(len(points), size=min(len(points), judges))]
+    counts = (np.abs(some @ normals.T - offsets) <= TOLERANCE).sum(axis=0)
     best = int(np.argmax(counts))
     return normals[best], float(offsets[best])
 
 
 def level_pose(
-    points: FloatArray, plane: SupportingPlane, front: tuple[float, float, float]
+    points: FloatArray,
+    plane: SupportingPlane,
+    front: tuple[float, float, float],
+    edge: float = 0.02,
 ) -> FloatArray:
     """T_world_camera (4, 4) that puts a table level, ahead of the camera's eye, its near edge's
     middle at `front` [m].
 
-    points: (m, 3) [m] in the optical frame, in which the plane was found.
+    Args:
+        points: (m, 3) [m] in the optical frame, in which the plane was found.
+        plane: of the table.
+        front: middle of the table's near edge [m].
+        edge: quantile of the table's points that counts as its edge: beyond it lies what the camera
+            half saw.
     """
-    straight_down = abs(plane.normal[2]) > STRAIGHT
+    # nearer to the camera's axis than 11 deg, "ahead" is the image's upper side
+    straight_down = abs(plane.normal[2]) > np.cos(np.radians(11.0))
     T = np.eye(4)
-    T[:3, :3] = _axes(plane.normal, CAMERA_UP if straight_down else CAMERA_AHEAD)
+    T[:3, :3] = _axes(plane.normal, CAMERA_UP if straight_down else np.array([0.0, 0.0, 1.0]))
     table = points[on_table(points, plane)] @ T[:3, :3].T
-    near = np.quantile(table[:, 0], EDGE)
-    middle = np.quantile(table[:, 1], (EDGE, 1.0 - EDGE)).mean()
+    near = np.quantile(table[:, 0], edge)
+    middle = np.quantile(table[:, 1], (edge, 1.0 - edge)).mean()
     T[:3, 3] = np.array(front) - (near, middle, plane.offset)
     return T
 
 
-def on_table(points: FloatArray, plane: SupportingPlane, gap: float = GAP) -> np.ndarray:
+def on_table(points: FloatArray, plane: SupportingPlane, gap: float = 0.05) -> np.ndarray:
     """Which of points (m, 3) [m] lie on the largest patch of the plane without wider gaps [m]:
     a mask (m,).
     """

@@ -19,7 +19,6 @@ from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, near_robot, outliers, 
 from cvqmpt_lab.sensing.plane import (
     CAMERA_TILT,
     CAMERA_UP,
-    GAP,
     WORLD_TILT,
     SupportingPlane,
     box_around,
@@ -29,7 +28,6 @@ from cvqmpt_lab.sensing.plane import (
 )
 from cvqmpt_lab.values import FloatArray
 
-NEIGHBOURHOOD = 3.0  # voxels around a point in which its neighbours are counted
 RESOLUTION = 0.02  # edge of a map's cells [m]
 
 
@@ -50,7 +48,7 @@ class ScanSettings:
     crop: BoxCrop | BallCrop | None = None  # which points stay [m, robot base frame]; None: all
     voxel: float = 0.01  # edge of the grid in whose cells points are averaged [m]
     robot_margin: float = 0.05  # points this near to the robot are taken for the robot [m]
-    neighbours: int = 2  # points with fewer others within `NEIGHBOURHOOD` voxels go; 0 keeps all
+    neighbours: int = 2  # points with fewer others within three voxels go; 0 keeps all
     # what becomes of the points of the supporting plane
     plane: Literal["keep", "box", "remove"] = "keep"
 
@@ -132,7 +130,7 @@ def scan(
     plane = table = None
     if settings.plane != "keep":
         plane = supporting_plane(points, np.array([0.0, 0.0, 1.0]), WORLD_TILT, rng)
-        flat = on_table(points, plane, max(GAP, 2.0 * settings.voxel))
+        flat = on_table(points, plane, max(0.05, 2.0 * settings.voxel))
         table = box_around(points[flat], plane) if settings.plane == "box" else None
         left = points[~flat]
         steps.append(Step("supporting plane", len(points), len(left)))
@@ -167,7 +165,7 @@ def _filters(
     settings: ScanSettings, arm: Arm | None
 ) -> Iterator[tuple[str, Callable[[FloatArray], FloatArray]]]:
     """What is done to points (m, 3) [m], by name, in order."""
-    crop, reach = settings.crop, NEIGHBOURHOOD * settings.voxel
+    crop, reach = settings.crop, 3.0 * settings.voxel
     if crop is not None:
         yield "crop", lambda points: points[crop.contains(points)]
     yield "voxels", lambda points: voxel_means(points, settings.voxel)
