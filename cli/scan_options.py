@@ -1,4 +1,4 @@
-"""The options of a scan: cameras, filters, obstacles; the scan that they ask for, and its report."""
+"""Options of a scan (cameras, filters, obstacles), the scan made by them, and its report."""
 
 import argparse
 import json
@@ -29,7 +29,7 @@ SCAN: Options = {
         ),
         "--extrinsics": option(
             "pose of the camera in the robot's base frame, x right, y down, z ahead: 4x4, xyz + "
-            "quaternion or rpy, ROS's translation + rotation; without, points are in the base frame",
+            "quaternion or rpy, ROS's translation + rotation; else points are in the base frame",
             type=Path,
             metavar="F.json|yaml",
             **REPEATED,
@@ -114,7 +114,7 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], arm: Arm | None) ->
 
 
 def scene_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
-    """The scan as the obstacles that the options say; arm: the robot, which stands in known space."""
+    """The scan as obstacles; arm: the robot, which stands in known space."""
     if args.radius is not None:
         return made.scene(PointCloud(made.points, args.radius) if len(made.points) else None)
     if len(made.points) == 0 and args.unknown == "free":

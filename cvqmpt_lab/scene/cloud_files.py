@@ -72,7 +72,7 @@ def write_cloud(path: Path | str, points: FloatArray) -> None:
 
 
 def file_bytes(path: Path, what: str, most: int = 2**31) -> bytes:
-    """The content of a regular file; a pipe, a folder or one of more than `most` bytes is refused."""
+    """The content of a regular file; nothing else, and no more than `most` bytes."""
     if path.exists() and not path.is_file():
         raise InvalidInputError(f"cannot read {what} {path}: it is no regular file")
     if path.exists() and path.stat().st_size > most:
@@ -173,7 +173,7 @@ def _read_npy(data: bytes) -> np.ndarray:
 
 
 def _read_lines(data: bytes) -> np.ndarray:
-    """Lines of numbers, the first three of which count, separated by blanks, commas or semicolons."""
+    """Lines of numbers between blanks, commas or semicolons; the first three count."""
     return _numbers(data.decode("utf-8").replace(",", " ").replace(";", " "), range(3))
 
 

@@ -21,7 +21,7 @@ PUBLISHED_CAMERAS = cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (4
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """Where cameras stand and what becomes of what they see; defaults are the published kitchen's."""
+    """Where cameras stand and how their points are thinned; by default the published kitchen's."""
 
     # by default those of the published kitchen clouds
     cameras: tuple[Camera, ...] = PUBLISHED_CAMERAS
@@ -100,7 +100,7 @@ def views_of(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -
 
 
 def solids_of(objects: Sequence[SceneObject]) -> list[Solid]:
-    """What cameras see of scene objects; InvalidInputError names one that is a point cloud already."""
+    """What cameras see of scene objects; InvalidInputError names one that is a cloud already."""
     return [_solid(item) for item in objects]
 
 

@@ -353,7 +353,7 @@ def _arc(
 
 
 def _axes(reach: float, T: np.ndarray, length: float = 0.08, radius: float = 0.004) -> list[Mesh]:
-    """Rods along x, y and z of a frame (4, 4), as long and thick as a share of the robot's reach."""
+    """Rods along x, y, z of a frame (4, 4); length and radius are shares of the robot's reach."""
     ends = (T[:3, 3] + length * reach * T[:3, k] for k in range(3))
     return [rod(T[:3, 3], end, radius * reach) for end in ends]
 

@@ -43,7 +43,7 @@ class Viewpoint:
         )
 
     def screen(self, points: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """Points (..., 3) [m] as (column, row [pixels], depth [m]) in a picture of (rows, columns)."""
+        """Points (..., 3) [m] as (column, row [pixels], depth [m]) of a picture."""
         right, down, depth = np.moveaxis((points - self.eye) @ self.axes.T, -1, 0)
         scale = 0.5 * shape[0] / np.tan(0.5 * self.height_angle) / np.maximum(depth, self.near)
         return np.stack(
@@ -201,7 +201,7 @@ class Shadow:
         self._blocked[view.rows, view.columns] = view.depth + bias
 
     def may_reach(self, across: np.ndarray) -> np.ndarray:
-        """Which points may be in the shadow; across: their coordinates (k, 2) [m] along `sun_axes`."""
+        """Which points may be in the shadow; across: (k, 2) [m] across the sunlight."""
         middle = self._from_sun.axes[:2] @ self._middle
         return (np.abs(across - middle) < 1.2 * self._reach).all(axis=1)
 
@@ -313,7 +313,7 @@ class Stage:
         return Layer(view, mesh.colours[view.face] * (sky + sunlight)[:, None], opacity, behind)
 
     def image(self, moving: Sequence[Mesh], layers: Sequence[Layer] = ()) -> np.ndarray:
-        """Colours (height, width, 3), 8 bit, of the scene, meshes that move and layers over both."""
+        """Colours (height, width, 3), 8 bit, of scene, moving meshes and layers over both."""
         picture = self.picture(moving)
         for layer in layers:
             picture.blend(layer)

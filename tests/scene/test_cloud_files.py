@@ -1,4 +1,4 @@
-"""Clouds are read as they were written; files that contradict themselves are refused in one line."""
+"""Clouds are read as they were written; contradictory files are refused in one line."""
 
 import os
 
@@ -45,13 +45,21 @@ FAR = POINTS.copy()
 FAR[5, 2] = -1e300
 MANY = 10**9
 BAD = {
-    "many.pcd": (pcd(POINTS[:0], "binary", WIDTH=MANY, POINTS=MANY), "1000000000 points, the file "
-                                                                     "holds 0"),
+    "many.pcd": (
+        pcd(POINTS[:0], "binary", WIDTH=MANY, POINTS=MANY),
+        "1000000000 points, the file holds 0",
+    ),
     "many_text.pcd": (pcd(POINTS[:0], "ascii", WIDTH=MANY, POINTS=MANY), "1000000000 points"),
-    "many_packed.pcd": (pcd(POINTS, "binary_compressed", WIDTH=MANY, POINTS=MANY), "1000000000 points of 16 bytes"),
+    "many_packed.pcd": (
+        pcd(POINTS, "binary_compressed", WIDTH=MANY, POINTS=MANY),
+        "1000000000 points of 16 bytes",
+    ),
     "cut.pcd": (pcd(POINTS)[:-600], "40 points, the file holds 2: cut short"),
     "cut_text.pcd": (pcd(POINTS, "ascii")[:-600], "40 points, the file holds|invalid column index"),
-    "counts_text.pcd": (pcd(POINTS, "ascii", COUNT="1 1 1 2"), "COUNT other than 1; write it as binary"),
+    "counts_text.pcd": (
+        pcd(POINTS, "ascii", COUNT="1 1 1 2"),
+        "COUNT other than 1; write it as binary",
+    ),
     "cut_packed.pcd": (pcd(POINTS, "binary_compressed")[:-30], "its compressed part"),
     "cut_header.pcd": (pcd(POINTS)[:60], "no line DATA"),
     "negative.pcd": (pcd(POINTS, WIDTH=-40, POINTS=-40), "says -40 points"),
@@ -64,12 +72,18 @@ BAD = {
     "no_points.pcd": (pcd(POINTS, POINTS=None), "no POINTS"),
     "nothing.pcd": (pcd(POINTS[:0]), "none of its 0 points"),
     "many.ply": (ply(POINTS, head="element vertex 1000000000"), "cannot be read .*cut short"),
-    "many_text.ply": (ply(POINTS, "ascii", head="element vertex 1000000000"), "1000000000 points, the file holds 40"),
+    "many_text.ply": (
+        ply(POINTS, "ascii", head="element vertex 1000000000"),
+        "1000000000 points, the file holds 40",
+    ),
     "cut.ply": (ply(POINTS)[:-20], "cannot be read .*cut short"),
     "list.ply": (ply(POINTS, kind="list uchar float"), "no plain numbers"),
     "property.ply": (ply(POINTS, kind="quaternion"), "'quaternion'.*no plain numbers"),
     "face.ply": (ply(POINTS, head="element face 3"), "binary vertices"),
-    "format.ply": (ply(POINTS).replace(b"binary_little", b"binary_middle"), "header of ascii or binary"),
+    "format.ply": (
+        ply(POINTS).replace(b"binary_little", b"binary_middle"),
+        "header of ascii or binary",
+    ),
     "page.ply": (b"<!DOCTYPE html>", "begin with a PLY header"),
     "huge.npy": (npy(POINTS).replace(b"(40, 3)", b"(99999999, 3)")[:200], "another size|header"),
     "cut.npy": (npy(POINTS)[:-1], "another size"),
@@ -83,7 +97,7 @@ BAD = {
     "words.xyz": (b"1 2 three\n", "three"),
     "empty.xyz": (b"# nothing\n", "none of its 0 points"),
     "binary.xyz": (bytes(range(128, 256)), "utf-8"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BAD)

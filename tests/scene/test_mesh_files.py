@@ -57,7 +57,7 @@ def test_pieces_hold_the_mesh_and_little_more(name):
 
 
 def winding(triangles):
-    """How often a mesh (f, 3, 3) goes around the origin: the sum of its solid angles, in full ones."""
+    """How often a mesh (f, 3, 3) goes around the origin: its solid angles over 4 pi."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
     volume = (a * np.cross(b, c)).sum(axis=1)

@@ -20,7 +20,7 @@ AXIAL = DepthNoise(**dict.fromkeys(OTHERS, 0.0))
 
 
 def plate(distance, turn=0.0, size=9.0):
-    """A thin plate whose middle is `distance` [m] before the camera, turned [rad] from facing it."""
+    """A thin plate `distance` [m] before the camera, turned [rad] from facing it."""
     T = pose((distance - 1.0, 0.0, 0.0)) @ pose((0.0, 0.0, 0.0), turn) @ pose((5e-4, 0.0, 0.0))
     return solids_of([SceneObject("plate", Box((1e-3, size, size)), T)])
 

@@ -1,4 +1,4 @@
-"""Films hold a picture for each moment; what cannot be written is refused before anything is drawn."""
+"""Films hold a picture for each moment; what cannot be written is refused."""
 
 from pathlib import Path
 
