@@ -31,6 +31,8 @@ from cvqmpt_lab.values import scalar
 
 Reader: TypeAlias = Callable[[Any, str], Any]
 COMMENT = "_comment"
+# mypy takes classes that define __hash__ for arguments that no cache can have
+cached: Any = cache
 
 
 def from_plain(kind: Any, value: Any, where: str = "", complete: bool = False) -> Any:
@@ -143,14 +145,14 @@ class Document(Checked):
         return data
 
 
-@cache
+@cached
 def field_kinds(kind: Any) -> dict[str, Any]:
     """The annotation of each field of a dataclass."""
     hints = typing.get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.init}
 
 
-@cache
+@cached
 def field_defaults(kind: Any) -> dict[str, Any]:
     """The default of each field of a dataclass that has one."""
     defaults = {}
@@ -232,7 +234,7 @@ def _reader(kind: Any, complete: bool) -> Reader:
     return partial(scalar, kind)
 
 
-@cache
+@cached
 def _field_readers(kind: Any, complete: bool) -> dict[str, Reader]:
     return {name: _reader(part, complete) for name, part in field_kinds(kind).items()}
 
