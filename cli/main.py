@@ -1,4 +1,4 @@
-"""`cvqmpt`: a module has its commands in COMMANDS: run(args) -> exit code, and a table of options."""
+"""`cvqmpt`: each module has in COMMANDS what runs its commands, and their tables of options."""
 
 import argparse
 import importlib

@@ -1,6 +1,4 @@
-"""Options and checks that several subcommands share;
-light, so that training runs on a bare machine.
-"""
+"""Options and checks that commands share; light, so that training runs on a bare machine."""
 
 import argparse
 import contextlib
@@ -104,7 +102,7 @@ def writable_file(path: Path) -> Path:
 
 
 def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
-    """Finite numbers separated by commas or blanks; as many as there are names, if there are any."""
+    """Finite numbers separated by commas or blanks; as many as names, if there are any."""
     try:
         found = [float(word) for word in text.replace(",", " ").split()]
     except ValueError:

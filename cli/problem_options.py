@@ -199,7 +199,7 @@ def optimize_option(usual: str = "") -> Options:
 
 
 def optimize_budget(args: argparse.Namespace, usual: float | None = None) -> Budget | None:
-    """What --optimize asks for, in the unit that bounds the run; `usual` [s] where it is left out."""
+    """What --optimize asks for, in the unit that bounds the run; usual: its default [s]."""
     if args.optimize is None and args.cutoff is None and args.iterations is not None:
         return None  # a run that repeats
     seconds = usual if args.optimize is None else args.optimize

@@ -107,7 +107,7 @@ def _export(args: argparse.Namespace) -> int:
 
 
 def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem | Task]]:
-    """The suite's problems with their index; unsolvable ones are printed, and how many there are."""
+    """The suite's problems with their index; unsolvable ones are printed and counted."""
     if os.sep in args.what:
         raise UnknownChoiceError("suite", args.what, SUITES)
     suite = suite_named(args.what)

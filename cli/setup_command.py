@@ -147,7 +147,8 @@ def completion(args: argparse.Namespace) -> int:
         if action.dest in names:
             action.choices = list(names[action.dest])
         elif action.type is Path:
-            action.complete = shtab.DIR if action.metavar == "DIR" else shtab.FILE  # type: ignore[attr-defined]
+            kind = shtab.DIR if action.metavar == "DIR" else shtab.FILE
+            action.complete = kind  # type: ignore[attr-defined]
     print(shtab.complete(parser, args.shell))
     return 0
 

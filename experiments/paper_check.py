@@ -70,7 +70,7 @@ def paper_check(problem: PlanningProblem) -> list[Measured]:
 
 
 def _links(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
-    """Pose row and corners (n, 3) [m, in its frame] of every link with collision geometry, by name."""
+    """Pose row and corners (n, 3) [m, link frame] of every link with collision geometry."""
     found: dict[str, tuple[int, list[np.ndarray]]] = {}
     for piece in robot.links:
         found.setdefault(piece.name.rpartition("_")[0], (piece.link, []))[1].append(

@@ -12,8 +12,8 @@ from cvqmpt_lab.results.row import FailReason, ResultRow
 from paper_tables.suites import directory_rows
 
 STATUSES = (
-    "Unknown status", "Invalid start", "Invalid goal", "Unrecognized goal type", "Timeout", "Approximate solution",
-    "Exact solution", "Crash", "Abort", "Infeasible",
+    "Unknown status", "Invalid start", "Invalid goal", "Unrecognized goal type", "Timeout",
+    "Approximate solution", "Exact solution", "Crash", "Abort", "Infeasible",
 )  # fmt: skip
 """OMPL's own, in its order: a database of several logs keeps one list."""
 STATUS_OF: Mapping[FailReason | None, str] = {

@@ -1,4 +1,4 @@
-"""What the paper says of its planners, as statements that rows can contradict: published/claims.toml.
+"""What the paper says of its planners, as statements that rows can contradict: claims.toml.
 
 Rows of the place task existed when the statements were written; the rules of `judging` know no
 suite or planner.

@@ -132,7 +132,7 @@ def _solved(problem: PlanningProblem, matters: bool) -> bool:
 
 
 def _axes(robot: Robot) -> list[str]:
-    """Axes of the end effector that may point up: as the tool looks down its last axis, then any."""
+    """Axes of the end effector that may point up: first that of a tool that looks down."""
     _, T_link_hand = robot.end_effector_link
     outward = T_link_hand[2, :3] * (-1.0 if T_link_hand[2, 3] < 0.0 else 1.0)
     down = np.eye(4)

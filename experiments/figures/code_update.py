@@ -67,7 +67,7 @@ class CodeUpdate:
         )
 
     def rows(self) -> list[dict[str, object]]:
-        """A row a Gaussian: F^T F at its mean, mean of F^T F of its draws, share where F is zero."""
+        """A row a Gaussian: F^T F at its mean, its mean over draws, share of draws with F = 0."""
         centres, g = {}, {}
         for when in WHEN:
             mixture: GaussianMixture = getattr(self, when)

@@ -173,7 +173,7 @@ def _curve(path: Path) -> list[Mapping[str, object]]:
 
 
 def training_figure(rows: Sequence[Mapping[str, object]]) -> Figure:
-    """One pair of axes for each cross entropy; a colour for each training, a dash for each cloud."""
+    """A panel for each cross entropy; a colour for each training, a dash for each cloud."""
     figure = Figure(figsize=(9.6, 4.4), layout="constrained")
     names = list(dict.fromkeys(str(row["training"]) for row in rows))
     for axes, (which, words) in zip(figure.subplots(1, 2), MEASURES.items(), strict=True):

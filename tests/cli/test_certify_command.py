@@ -260,7 +260,7 @@ def test_a_trajectory_that_swings_out_between_its_points_is_refused(judged, traj
 def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(
     judged, panda, acceleration, code, curve
 ):
-    """Joint 1 swings by 0.3 rad above a board; the quintic turns joint 2 down by up to 0.234 rad."""
+    """Joint 1 swings by 0.3 rad above a board; the quintic turns joint 2 down by 0.234 rad."""
     start = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8])
     goal = start + 0.3 * np.eye(7)[0]
     hand = panda.pose(start)[:3, 3]

@@ -1,4 +1,4 @@
-"""`cvqmpt problems` and `cvqmpt ik`: files to start from, files of suites, configurations for them."""
+"""`cvqmpt problems` and `cvqmpt ik`: files to start from, of suites, configurations for them."""
 
 import json
 from dataclasses import replace

@@ -31,7 +31,7 @@ def reproduce(folder, out, *more):
 
 @pytest.fixture
 def folder(tmp_path):
-    """Two problems, one of which names its scene; the schema for editors, a hidden file and a note."""
+    """Two problems, one of which names its scene; the schema, a hidden file and a note."""
     folder = tmp_path / "my shelves"
     folder.mkdir()
     for index, name in enumerate(("b2", "b10")):

@@ -1,4 +1,4 @@
-"""`cvqmpt doctor`, `completion` and `bench`: what is here, what a shell completes, what it takes."""
+"""`cvqmpt doctor`, `completion`, `bench`: what is here, what a shell completes, what it takes."""
 
 import json
 import re
@@ -16,7 +16,8 @@ from cvqmpt_lab.vqmpt import weights
 from cvqmpt_lab.vqmpt.weights import weights_digest
 
 ASK = """source "$1"; shift; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1))
-$(complete -p cvqmpt | sed 's/.*-F \\([^ ]*\\).*/\\1/') cvqmpt "${@: -1}" "${@: -2:1}"; printf '%s\\n' "${COMPREPLY[@]}"
+$(complete -p cvqmpt | sed 's/.*-F \\([^ ]*\\).*/\\1/') cvqmpt "${@: -1}" "${@: -2:1}"
+printf '%s\\n' "${COMPREPLY[@]}"
 """
 
 

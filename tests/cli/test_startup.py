@@ -13,8 +13,8 @@ from cvqmpt_lab.planners import PLANNERS
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = (
-    "torch", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.ndimage", "matplotlib", "cvxpy", "ompl",
-    "PIL", "rerun", "trimesh", "collada", "paper_tables", "urllib.request",
+    "torch", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.ndimage", "matplotlib",
+    "cvxpy", "ompl", "PIL", "rerun", "trimesh", "collada", "paper_tables", "urllib.request",
 )  # fmt: skip
 IMPORT = ("--dictionary-dir", "d", "--ar-dir", "a", "--out", "o")
 LEARNED = ("safetensors", "cvqmpt_lab.vqmpt.weights")

@@ -43,8 +43,9 @@ def database(tmp_path):
 
 def test_every_row_is_a_run_of_its_planner(database):
     found = database.execute(
-        """SELECT plannerConfigs.name, problem, seed, solved, status, fail_reason, time, simplification_time,
-        solution_length, simplified_solution_length, graph_states, projections, state_checks, clearance
+        """SELECT plannerConfigs.name, problem, seed, solved, status, fail_reason, time,
+        simplification_time, solution_length, simplified_solution_length, graph_states,
+        projections, state_checks, clearance
         FROM runs JOIN plannerConfigs ON plannerid = plannerConfigs.id ORDER BY runs.id"""
     ).fetchall()
     assert found == [

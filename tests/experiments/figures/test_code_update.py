@@ -1,4 +1,4 @@
-"""The update's figures: what they draw is what the planners sample; numbers, pictures, the command."""
+"""The update's figures draw what the planners sample; numbers, pictures, the command."""
 
 import csv
 import json
