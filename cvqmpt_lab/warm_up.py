@@ -1,5 +1,6 @@
-"""What a process does once before any clock starts:
-load weights, compile or load kernels, make the robot's arrays.
+"""Work that a process does once before any clock starts.
+
+It loads weights, compiles or loads kernels, and makes the robot's arrays.
 """
 
 import time
@@ -22,19 +23,19 @@ from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.shortcut import SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
-ITERATIONS = 20
-SHORTCUTS = 16
-POINTS = 2048  # of the made-up cloud
-START = (0.99468491, 0.49509914, -1.24378071, -2.26869377, 1.93524067, 1.26551103, -1.58268202)
-"""An upright hand that touches nothing in the kitchen [rad]."""
+FEW = Budget(iterations=20)
 
 
 def compile_kernels(announce: Callable[[str], None]) -> float:
-    """Compile every kernel and call those that planners call; seconds it took.
+    """Compile every kernel and call those that planners call.
 
     The first time two processes share the work.
 
-    announce: called before anything is compiled, which takes about a minute.
+    Args:
+        announce: called before anything is compiled, which takes about a minute.
+
+    Returns:
+        Seconds that it took.
     """
     began = time.perf_counter()
     if not compiled_before(everything=True):
@@ -47,7 +48,10 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
             compile_all(0, 2)
             others.result()
         compile_all()
-    start, robot = np.array(START), panda()
+    robot = panda()
+    # an upright hand that touches nothing in the kitchen [rad]
+    start = (0.99468491, 0.49509914, -1.24378071, -2.26869377, 1.93524067, 1.26551103, -1.58268202)
+    start = np.array(start)
     pose = TaskSpaceRegion(robot.pose(start), np.eye(4), np.zeros((6, 2)))
     problem = PlanningProblem(
         "warm-up", robot, kitchen(), start, np.empty((0, robot.dof)), (upright(),), goal_region=pose
@@ -70,16 +74,19 @@ def warm_up(
     backend: str,
     announce: Callable[[str], None] | None = None,
 ) -> None:
-    """Take a problem's robot through every stage of a method once, in an empty scene and with a
-    made-up cloud.
+    """Take a robot through every stage of a planner, in an empty scene with a random cloud.
 
-    Nothing of the problem itself is computed or remembered, so that solving it afterwards takes,
-    and reports, what it takes in a process that has planned before. The certificate is left out:
-    nobody is charged for it.
+    Nothing of the problem itself is computed or cached: solving it afterwards takes as long as in a
+    process that has planned before. The certificate, which is not timed, is left out.
 
-    announce: called before anything is compiled, which takes a while.
+    Args:
+        problem: gives the robot, its load and the constraint.
+        method: the planner.
+        backend: of state checks.
+        announce: called before anything is compiled, which takes a while.
     """
-    if method.external:  # which may use ours; whatever else it prepares, it is charged for
+    # an external planner may use our search; whatever else it prepares is timed
+    if method.external:
         method = planner_named("birrt")
     if announce is not None and not compiled_before():
         announce("compiling kernels, once per machine and version ...")
@@ -90,24 +97,23 @@ def warm_up(
 
 
 def _propose(problem: PlanningProblem, method: Method, backend: str) -> None:
-    """What a method does before it searches, with a made-up cloud, for a problem with goals."""
+    """Observe, predict and update once with a random cloud, for a problem with goals."""
     rng = np.random.default_rng(0)
     stages = method.stages(problem)
-    query = Query.of(ConstrainedSpace(problem, backend), Budget(iterations=ITERATIONS), rng)
-    proposal = stages.predict(query, Observation(rng.uniform(-1.0, 1.0, (POINTS, 3)), 0.0))
+    query = Query.of(ConstrainedSpace(problem, backend), FEW, rng)
+    proposal = stages.predict(query, Observation(rng.uniform(-1.0, 1.0, (2048, 3))))
     if stages.update is not None:
         stages.update(query, proposal)
 
 
 def _search(problem: PlanningProblem, method: Method, backend: str) -> None:
-    """What a method does once it searches, with uniform samples, for a problem with goals."""
+    """Search and shorten once with uniform samples, for a problem with goals."""
     rng = np.random.default_rng(0)
     space = ConstrainedSpace(problem, backend)
-    query = Query.of(space, Budget(iterations=ITERATIONS), rng)
+    query = Query.of(space, FEW, rng)
     search(method.stages(problem).search or BiRRT(), query, Proposal(query.uniform))
-    simplify(
-        space, JointPath(np.array([problem.start, problem.start])), rng, SimplifySettings(SHORTCUTS)
-    )
+    still = JointPath(np.array([problem.start, problem.start]))
+    simplify(space, still, rng, SimplifySettings(attempts=16))
     trees = plant(problem.start, problem.goals, capacity=8)
-    # else only after a failed fine check
+    # else called only after a failed fine check
     remove_child_of_segment(trees, np.zeros((2, 2), dtype=np.int64), 0)

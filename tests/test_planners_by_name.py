@@ -1,8 +1,11 @@
-"""Weights serve the robot that they were trained for, and no other."""
+"""Planners by name: weights serve the robot they were trained for alone; each can be warmed up."""
 
 import numpy as np
 import pytest
 
+from cvqmpt_lab import warm_up
+from cvqmpt_lab.benchmarks.door_task import door_problem
+from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
@@ -53,3 +56,11 @@ def test_what_was_removed_is_refused_with_what_replaces_it(find, name, instead):
     with pytest.raises(InvalidInputError, match="was removed") as refusal:
         find(name)
     assert instead in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_every_planner_can_be_warmed_up_on_problems_it_serves(name):
+    for problem in (place_problem(1003), door_problem(0)):
+        method = planner_named(name)
+        if not method.incompatibility(problem):
+            warm_up.warm_up(problem, method, "compiled")

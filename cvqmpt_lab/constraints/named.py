@@ -109,14 +109,12 @@ class Near:
 
 
 BY_POSITION = {"plane": Plane, "line": Line, "pose": Near}
+# what may stand for a region: `{"upright": {...}}` or `{"upright": 0.1}`, its first field
 NAMED: Mapping[str, Any] = {
     "upright": Upright,
     "fixed-orientation": FixedOrientation,
     **BY_POSITION,
 }
-"""What may stand for a region, `{"upright": {...}}` or `{"upright":
-0.1}`, a value of its first field.
-"""
 
 
 def region(name: str, **fields: Any) -> TaskSpaceRegion:

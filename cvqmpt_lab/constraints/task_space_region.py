@@ -1,5 +1,6 @@
-"""Task-space regions: bounds on the pose of a frame of the robot (Berenson et al. 2011;
-paper, section IV-A).
+"""Task-space regions: bounds on the pose of the end effector.
+
+Berenson et al. 2011; paper, section IV-A.
 """
 
 from __future__ import annotations  # so `help` shows forms by their names
@@ -73,26 +74,26 @@ Bounds = Annotated[FloatArray, BoundsForm()]
 
 @dataclass(frozen=True, eq=False)
 class TaskSpaceRegion(Checked):
-    """Poses of the end effector e seen from a frame w, within bounds."""
+    """Poses T0_e of the end effector whose displacement x from a frame w lies within bounds:
+
+    lower <= x <= upper, x = (t, Log R), with t, R the parts of (T0_w)^-1 T0_e (Tw_e)^-1.
+    """
 
     T0_w: Pose  # (4, 4), pose of w in the world
     Tw_e: Pose  # (4, 4), pose of e in w when the displacement is zero
+    # (6, 2), lower and upper bounds of position x, y, z [m] and rotation vector x, y, z [rad];
+    # +-inf (null in json) leaves an entry free, a rotation entry also when it spans [-pi, pi]
     Bw: Bounds
-    """(6, 2), lower and upper bounds of position x, y, z [m] and rotation vector x, y, z [rad];
-    +-inf (null in json) leaves an entry free, a rotation entry also when it spans [-pi, pi].
-    """
 
     def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
         """Pose row that carries frame w (0 = the world), and T_link_w (4, 4)."""
         return 0, self.T0_w
 
     def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
-        """T_world_w at configurations q (k, n), by pinocchio:
-        (1, 4, 4) where it is the same at all, else (k, 4, 4).
-        """
+        """T_world_w (k, 4, 4) at q (k, n), by pinocchio; (1, 4, 4) if it is fixed."""
         return self.T0_w[None]
 
-    @property
+    @cached_property
     def bounded_rows(self) -> np.ndarray:
         """Indices (m,) of the entries of Bw that can be violated."""
         lower, upper = self.Bw.T
@@ -100,7 +101,7 @@ class TaskSpaceRegion(Checked):
         return np.flatnonzero((lower > -limit) | (upper < limit))
 
     def sample_poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Poses T_world_e (count, 4, 4) drawn uniformly between the bounds; free turns within +-pi."""
+        """Poses T0_w T(x) Tw_e (count, 4, 4), x uniform in the bounds; free turns in +-pi."""
         lower, upper = self.Bw.T.copy()
         if np.isinf(self.Bw[:3]).any():
             raise InvalidInputError(
@@ -127,8 +128,7 @@ class TaskSpaceRegion(Checked):
 
 @dataclass(frozen=True, eq=False)
 class TaskSpaceRegionChain(TaskSpaceRegion):
-    """A region that hangs on a link which the robot moves (TSR chain): poses of e seen from a frame
-    w of that link.
+    """TSR chain: a region whose frame w is fixed to a link that the robot moves.
 
     The chain goes from the world through the joints that move `base`, e.g. the hinge of a door, and
     one region to the end effector. The joints are the robot's (see `with_articulated_object`), free
@@ -136,11 +136,12 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
     the base frame.
     """
 
-    base: Name  # Name of a body frame of the robot, e.g. "dagger_door_left/handle_bar"
+    base: Name  # name of a body frame of the robot, e.g. "dagger_door_left/handle_bar"
 
     def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
-        """Pose row that carries frame w, and T_link_w (4, 4);
-        UnknownChoiceError when there is no such base.
+        """Pose row that carries frame w, and T_link_w (4, 4).
+
+        UnknownChoiceError: there is no such base.
         """
         row, T_link_base = robot.link_of(self.base)
         return row, T_link_base @ self.T0_w
@@ -156,11 +157,10 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
 
 @lru_cache(maxsize=16)
 def upright(tilt: float = 0.1, axis: str = "x") -> TaskSpaceRegion:
-    """An axis of the hand ("x", "-z", ...) points up within tilt [rad]; yaw about it and position
-    are free.
+    """An axis of the hand ("x", "-z", ...) points up; yaw about it and position are free.
 
-    With the hand's x the published experiment code's constraint: rotation vector of R_t^T R,
-    entries 1 and 2 in +-0.1 rad.
+    With R_t the upright orientation, entries 1 and 2 of Log(R_t^T R) lie in +-tilt [rad]. With the
+    hand's x and 0.1 rad this is the constraint of the published experiment code.
     """
     T0_w, Tw_e = np.eye(4), np.eye(4)
     T0_w[:3, :3] = UPRIGHT_ROTATION
@@ -182,14 +182,20 @@ class RegionConstraint:
     members: tuple[TaskSpaceRegion, ...]
 
     def residual(self, q: np.ndarray) -> np.ndarray:
-        """Signed distance outside the bounds, (m,) or (b, m) [m, rad]."""
+        """F(q), the signed distance of x outside its bounds, (m,) or (b, m) [m, rad]."""
         return self.residual_and_jacobian(q)[0]
 
     def residual_and_jacobian(
         self, q: np.ndarray, full: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
-        """F(q) and dF/dq, (m,) and (m, n) or (b, m) and (b, m, n);
-        rows inside their bounds are zero unless full.
+        """F(q) and J(q) = dF/dq.
+
+        Args:
+            q: (n,) or (b, n) [rad or m].
+            full: rows inside their bounds are dx/dq instead of zero.
+
+        Returns:
+            (m,) and (m, n), or (b, m) and (b, m, n).
         """
         batch = np.array(q, dtype=float, order="C", ndmin=2)
         n, regions = self.robot.dof, self.regions
@@ -205,9 +211,7 @@ class RegionConstraint:
     def project(
         self, q: np.ndarray, tolerance: float = TOLERANCE, max_iterations: int = MAX_ITERATIONS
     ) -> np.ndarray | None:
-        """Move q (n,) onto the manifold by Algorithm 1, inside the joint limits;
-        None when it fails.
-        """
+        """Move q (n,) onto the manifold by Algorithm 1, inside the limits; None on failure."""
         q = np.array(q, dtype=float)
         regions = self.regions
         scratch = projection_scratch(self.robot.dof, regions)

@@ -1,4 +1,4 @@
-"""What a planning run gives back: status, path, counts, times."""
+"""The result of a planning run: status, path, counts, times."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, shown, whole_number
-
-MOST_ITERATIONS = 2**53  # more are no whole numbers in json
 
 
 class PlanStatus(StrEnum):
@@ -30,9 +28,7 @@ class PlanStatus(StrEnum):
 
 @dataclass(frozen=True)
 class Budget:
-    """When to give up:
-    after seconds, after iterations (bit-for-bit repeatable), or whichever is first.
-    """
+    """The end of a search: after seconds or iterations (repeatable bit for bit), or the first."""
 
     seconds: float | None = None
     iterations: int | None = None
@@ -41,7 +37,8 @@ class Budget:
         if self.seconds is None and self.iterations is None:
             raise InvalidInputError("a budget needs seconds, iterations or both")
         if self.iterations is not None:
-            whole = whole_number("budget iterations", self.iterations, 1, MOST_ITERATIONS)
+            # larger numbers are not exact in json
+            whole = whole_number("budget iterations", self.iterations, 1, 2**53)
             object.__setattr__(self, "iterations", whole)
         if self.seconds is not None and not (isinstance(self.seconds, Real) and self.seconds > 0):
             raise InvalidInputError(f"budget seconds {shown(self.seconds)}: give a number above 0")
@@ -111,9 +108,7 @@ class JointPath:
         return float(np.linalg.norm(np.diff(self.states, axis=0), axis=1).sum())
 
     def spaced(self, spacing: float) -> np.ndarray:
-        """States (k, n), k >= 2, evenly along the path and at most `spacing` [rad] of it apart,
-        ends included.
-        """
+        """States (k, n), k >= 2, evenly along the path at most `spacing` [rad] apart, with ends."""
         along = np.concatenate(
             [[0.0], np.cumsum(np.linalg.norm(np.diff(self.states, axis=0), axis=1))]
         )
@@ -123,7 +118,7 @@ class JointPath:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """What a search has grown from one or several roots."""
+    """A search tree with one or several roots."""
 
     nodes: np.ndarray  # (k, n) [rad or m]
     parent: np.ndarray  # (k,) index of each node's parent, -1 for roots
@@ -141,10 +136,10 @@ class PlanResult:
     sampler: str  # name of the distribution used
     trees: tuple[Tree, ...] = field(default=(), repr=False)
     detail: str = ""  # a few words more, e.g. about a failure
-    # what found the path if not what the planner's name promises, and why, or ""
+    # what found the path, and why, if that is not what the planner's name says; else ""
     fallback: str = ""
     timings: Timings = field(default_factory=Timings)  # which of the seconds were not search
-    as_is: bool = False  # a path of others: certified as it is; their work is not counted
+    as_is: bool = False  # the path of an external planner, certified as it is
 
     @property
     def search_seconds(self) -> float:
