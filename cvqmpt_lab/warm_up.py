@@ -50,8 +50,9 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
         compile_all()
     robot = panda()
     # an upright hand that touches nothing in the kitchen [rad]
-    start = (0.99468491, 0.49509914, -1.24378071, -2.26869377, 1.93524067, 1.26551103, -1.58268202)
-    start = np.array(start)
+    start = np.array(
+        [0.99468491, 0.49509914, -1.24378071, -2.26869377, 1.93524067, 1.26551103, -1.58268202]
+    )
     pose = TaskSpaceRegion(robot.pose(start), np.eye(4), np.zeros((6, 2)))
     problem = PlanningProblem(
         "warm-up", robot, kitchen(), start, np.empty((0, robot.dof)), (upright(),), goal_region=pose
