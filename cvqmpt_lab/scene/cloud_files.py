@@ -188,6 +188,9 @@ def _read_pcd(data: bytes) -> np.ndarray:
     if missing:
         raise InvalidInputError(f"its header has no {missing[0]}")
     names, count, body = header["FIELDS"], int(header["POINTS"][0]), data[top.end() :]
+    width, height = (int(header.get(key, [n])[0]) for key, n in (("WIDTH", count), ("HEIGHT", 1)))
+    if count < 0 or width * height != count:
+        raise InvalidInputError(f"its header says {count} points, but {width} x {height}")
     repeats = [int(word) for word in header.get("COUNT", ["1"] * len(names))]
     if not len(names) == len(header["TYPE"]) == len(header["SIZE"]) == len(repeats):
         raise InvalidInputError("FIELDS, SIZE, TYPE and COUNT of its header differ in length")
@@ -222,6 +225,9 @@ def _from_rows(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> n
             f"its header says {count} points, the file holds "
             f"{len(body) // max(1, row.itemsize)}: cut short?"
         )
+    # PCL fills the last page of a file with zeros
+    if body[count * row.itemsize :].strip(b"\0\n"):
+        raise InvalidInputError(f"its header says {count} points, but the file holds more")
     rows = np.frombuffer(body, row, count)
     return np.concatenate([rows[str(k)].astype(np.float64) for k in axes], axis=1)
 

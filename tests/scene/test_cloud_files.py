@@ -62,6 +62,8 @@ BAD = {
     ),
     "cut_packed.pcd": (pcd(POINTS, "binary_compressed")[:-30], "its compressed part"),
     "cut_header.pcd": (pcd(POINTS)[:60], "no line DATA"),
+    "more.pcd": (pcd(POINTS, WIDTH=3, POINTS=3), "the file holds more"),
+    "shape.pcd": (pcd(POINTS, WIDTH=7, HEIGHT=7), "7 x 7"),
     "negative.pcd": (pcd(POINTS, WIDTH=-40, POINTS=-40), "says -40 points"),
     "colour.pcd": (pcd(POINTS, fields="a b c rgb"), "no single column 'x'"),
     "twice.pcd": (pcd(POINTS, fields="x x y z"), "no single column 'x'"),
