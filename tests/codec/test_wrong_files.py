@@ -25,7 +25,7 @@ GOOD = {
     "goals": [READY],
 }
 SHAPE, POSE = "scene.objects.0.shape", "scene.objects.0.T_world_object"
-NONE = object()  # take the field out
+NONE = type(None)  # take the field out
 
 
 @pytest.mark.parametrize(
