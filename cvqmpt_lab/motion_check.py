@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
 SAME = 1e-9  # [rad or m] between quintic and cubic, below which one of them is judged
-# Share by which limits may be exceeded: cubic pieces between the points of a motion that
-# `time_path` timed to its limits have accelerations up to 4 % above the stated ones.
+# Share by which limits may be exceeded: the cubics of `time_path` do so by up to 4 %.
 OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
 # [rad] between states of a path that are taken for one: OMPL repeats some, which cannot be timed
 REPEATED = 1e-8

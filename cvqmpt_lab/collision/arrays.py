@@ -1,6 +1,6 @@
 """The arrays of the compiled collision checker, from a problem's robot, attachments and scene.
 
-Those of robots are kept in the user's cache: cutting hulls into pieces takes a quarter of a second.
+A robot's are kept in the user's cache: cutting its hulls into pieces takes a quarter of a second.
 """
 
 from collections.abc import Sequence
@@ -53,10 +53,7 @@ def stored_robot_geometry(
 
 @lru_cache(maxsize=8)
 def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> RobotGeometry:
-    """Convex pieces of the robot and of what it carries.
-
-    InvalidInputError, before anything is cut: a robot or attachment is too long or too large.
-    """
+    """Convex pieces of robot and attachments; InvalidInputError before cutting ones too large."""
     reach_with(robot, attachments)
     specs = [ShapeSpec(HULL, (), piece.vertices, piece.T_link_geometry) for piece in robot.links]
     for spec, piece in zip(specs, robot.links, strict=True):

@@ -1,7 +1,7 @@
 """Collision check of a posed robot, compiled and conservative: "free" is proven.
 
-The balls of each body are checked from large to small; where the distance grid shows that a ball is
-free, all below it are. Pieces in the other leaves are checked against each nearby obstacle by
+The balls of each body are checked from large to small; a ball that the distance grid shows to be
+free ends its branch. Pieces in the other leaves are checked against each nearby obstacle by
 `separation.separated`: free means that a separating slab was found. Poses that are not finite count
 as collisions.
 """

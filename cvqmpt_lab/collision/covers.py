@@ -1,7 +1,7 @@
 """Bounding volumes: a tree of balls around each body of a robot, boxes around points of a cloud.
 
-A hull is cut in two across its longest axis until the ball around each piece is small. The union of
-the pieces is the hull: checking the pieces whose balls may touch something checks the hull.
+A hull is cut in two across its longest axis until the ball around each piece is small. The pieces
+together are the hull: checking those whose balls may touch something checks the hull.
 """
 
 from collections.abc import Sequence
@@ -178,10 +178,7 @@ class Clusters(NamedTuple):
 
 
 def cluster_primitives(clouds: Sequence[Cloud], voxel: float) -> Clusters:
-    """Boxes around the primitives of clouds whose centres lie in the same voxel of this edge [m].
-
-    InvalidInputError: a primitive is not finite, or a radius is negative.
-    """
+    """Boxes around primitives with centres in one voxel [m]; InvalidInputError if malformed."""
     parts = [_cluster_cloud(cloud, k, voxel) for k, cloud in enumerate(clouds) if len(cloud.centre)]
     if not parts:
         none, start = np.empty((0, 3)), np.zeros(1, np.int64)

@@ -1,10 +1,10 @@
 """A grid of lower bounds on distances to obstacles: balls with smaller radius are free.
 
-Each cell holds a lower bound, rounded down to a byte, and each block of 2^3 cells a list of the
-obstacles nearby. The grid is filled by blocks of 8^3 cells: obstacles that can matter inside a
-block are collected, and each lowers the distances of all its cells. Distances from a box along the
-axes are sums of one term an axis, 24 in all, so that the 512 cells cost an addition and a
-comparison each. Turned boxes are measured cell by cell, where they can be nearest.
+Each cell holds a lower bound, rounded down to a byte; each block of 2^3 cells lists the obstacles
+nearby. The grid is filled by blocks of 8^3 cells: each obstacle that can matter inside a block
+lowers the distances of all its cells. For a box along the axes, squared distances are sums of one
+term an axis, 24 in all: each of 512 cells costs an addition and a comparison. Turned boxes are
+measured cell by cell, where they can be nearest.
 """
 
 from typing import Annotated, NamedTuple
@@ -231,10 +231,7 @@ def fill_blocks(
     first: int,
     used: int,
 ):
-    """Fill distances and lists of blocks from the first on, until `grid.items` is full.
-
-    Returns the block to go on with, and how many items are used.
-    """
+    """Fill blocks from first until `grid.items` is full; return the next block and items used."""
     blocks_y, blocks_z = grid.distance.shape[1] // COARSE, grid.distance.shape[2] // COARSE
     near, kept, items = work.near, work.kept, grid.items
     for block in range(first, block_start.shape[0] - 1):

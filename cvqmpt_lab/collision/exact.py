@@ -1,8 +1,8 @@
 """Exact collision checking with coal: convex hulls of the links against the shapes of a scene.
 
 The certificate and the `exact` backend use it. Links against each other are pinocchio's pairs;
-links against obstacles are coal's broad phases, one a link and one for the world, so that ten
-thousand obstacles cost no pairs.
+links against obstacles are coal's broad phases, one a link and one for the world: ten thousand
+obstacles need no pairs.
 """
 
 from bisect import bisect_left
@@ -217,11 +217,10 @@ class CollisionChecker:
     def nearest(self, q: np.ndarray) -> Nearest:
         """The smallest distance of all pairs, and the pair.
 
-        Pairs are measured in the order of the gaps between their boxes until a gap is larger than
-        the smallest distance so far.
+        Pairs are measured in the order of the gaps between their boxes until a gap exceeds the
+        smallest distance so far.
         """
-        # not by coal's broad phases: they hand every pair the same result, which then holds the
-        # last pair's distance, not the smallest
+        # coal's broad phases would return the last pair's distance, not the smallest
         nearest, geometry, results = Nearest(np.inf, None), self._geometry, self._own_results
         pin.updateGeometryPlacements(self._model, self._data, geometry, results, q)
         self._own.update()
@@ -279,10 +278,9 @@ class CollisionChecker:
 
 
 def _forget_guesses(results: pin.GeometryData) -> None:
-    """Let GJK begin at the boxes' centres: pinocchio begins where a pair's last call ended.
+    """Start GJK at the boxes' centres, not where a pair's last call ended.
 
-    The last digits of distances, and verdicts on contact, would then depend on what was asked
-    before.
+    Else the last digits of distances, and verdicts on contact, depend on earlier calls.
     """
     for requests, kind in (
         (results.collisionRequests, coal.CollisionRequest),
@@ -340,8 +338,8 @@ def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple
 def reach_with(robot: Robot, attachments: Sequence[Attachment], longest: float = 20.0) -> float:
     """Radius [m] of a ball around the base that neither the robot nor what it carries can leave.
 
-    InvalidInputError names what reaches further than `longest` [m]: a misplaced unit, whose
-    distance grid would take all memory.
+    InvalidInputError names what reaches further than `longest` [m]: its distance grid would take
+    all memory. The usual cause is a wrong unit.
     """
     reaches = {f"robot {robot.name}": robot.reach}
     carried = 0.0
@@ -367,8 +365,7 @@ def obstacles_within(scene: Scene, reach: float) -> Iterator[Solid]:
 
 
 def solids(name: str, shape: Shape, T: np.ndarray, reach: float = np.inf) -> Iterator[Solid]:
-    """The shape itself at pose T; of a small cloud its balls; of a large one and of a map, boxes in
-    reach.
+    """The shape at pose T; a small cloud as balls; a large one, or a map, as boxes in reach.
 
     Boxes are three times as fast to check as coal's octrees, which descend from 2^16 cells.
     """

@@ -1,5 +1,4 @@
-"""Robot and scene for the collision kernels: named tuples of arrays, and the functions that make
-them.
+"""Robot and scene for the collision kernels: named tuples of arrays and how they are made.
 
 A *piece* is a convex part of a robot geometry. A *body* is a set of geometries on one link that are
 checked against the same others; it has one tree of balls. An *item* is an obstacle, or a box around
@@ -59,10 +58,9 @@ class ShapeSpec(NamedTuple):
 
 
 def outline(spec: ShapeSpec, sides: int = 16) -> tuple[np.ndarray, float]:
-    """Points (k, 3) and a radius [m]: their hull, inflated, holds the shape.
+    """Points (k, 3) and a radius [m] whose inflated hull holds the shape, in the owner's frame.
 
-    The points are in the frame of the owner, a link or the world. A cylinder becomes a prism with
-    so many sides around it.
+    The owner is a link or the world. A cylinder becomes a prism with so many sides around it.
     """
     if spec.kind == HULL:
         points = spec.vertices
@@ -81,10 +79,7 @@ def outline(spec: ShapeSpec, sides: int = 16) -> tuple[np.ndarray, float]:
 
 
 def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
-    """Shapes as a struct of arrays, in the order given; of a mesh only the vertices of its hull.
-
-    InvalidInputError: a pose, size or vertex is not finite, or a mesh has no vertices.
-    """
+    """Shapes as arrays, in this order; of a mesh only its hull. InvalidInputError if malformed."""
     _check(specs)
     n = len(specs)
     size, radius = np.zeros((n, 3)), np.zeros(n)
@@ -169,9 +164,8 @@ def robot_geometry(
 ) -> RobotGeometry:
     """Pieces of a robot and their trees of balls.
 
-    specs: geometries, posed in their links. link: pose row of each; those of link 0, which is fixed
-        to the world, are not checked against obstacles. pairs: geometries to check against each
-        other.
+    specs: geometries, posed in their links. link: pose row of each; those of link 0, fixed to the
+        world, are not checked against obstacles. pairs: geometries to check against each other.
     """
     bodies, body_pairs = _bodies(link, pairs)
     piece_specs: list[ShapeSpec] = []
@@ -200,10 +194,7 @@ def robot_geometry(
 
 
 def swing(kinematics: Kinematics, robot: RobotGeometry) -> np.ndarray:
-    """Bounds (n,) on |dx/dq_j| of any point x of the robot at any configuration.
-
-    [m/rad] of hinges, 1 of sliders.
-    """
+    """Bounds (n,) on |dx/dq_j| of any point x of the robot [m/rad of hinges, 1 of sliders]."""
     n = len(kinematics.parent)
     extent = np.zeros(n + 1)  # of what hangs on each pose row, from its origin
     for row, first in zip(robot.body_link, robot.body_start, strict=True):
@@ -239,10 +230,7 @@ def _bodies(
 
 
 def _cut(spec: ShapeSpec, pieces: list[ShapeSpec]) -> list[Piece]:
-    """Append the pieces of one geometry and return them as leaves of a tree.
-
-    Cylinders and spheres stay one piece.
-    """
+    """Append the pieces of one geometry, cylinders and spheres whole; return a tree's leaves."""
     points, inflation = outline(spec)
     parts = [points] if spec.kind == SPHERE else cut_into_pieces(points)
     if spec.kind not in (HULL, BOX) or len(parts) == 1:

@@ -1,7 +1,6 @@
 """Bounds on how far points of a robot move while its configuration stays in a convex hull.
 
-They come from Jacobians and a ball around each link (Schwarzer, Saha and Latombe 2005, refined to
-second order).
+From Jacobians and a ball around each link (Schwarzer, Saha and Latombe 2005; here second order).
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,9 @@
 """Proof that a motion is free at every state, not only at samples (conservative advancement).
 
 A stretch of a motion is free when the distance by coal at its middle exceeds how far any link can
-move inside the stretch. A stretch that is not proven is cut in two, down to FINEST; one that is not
-proven even then is reported, although its middle is free. Nothing depends on which of several pairs
-coal finds first: that is chance.
+move inside the stretch. A stretch that is not proven is cut in two, down to FINEST; one still not
+proven is reported, although its middle is free. Nothing depends on which of several pairs coal
+finds first: that is chance.
 """
 
 from collections import deque
@@ -48,7 +48,7 @@ class MotionProof:
 def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
     """Prove that straight joint motions through states (m, n), m >= 1, touch nothing.
 
-    Returns at the first collision that is found.
+    Returns at the first collision.
     """
     line = _Polyline(states)
     obstacles = _walk(line, checker.clear_of_obstacles, checker.in_collision)

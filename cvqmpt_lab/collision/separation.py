@@ -75,8 +75,7 @@ def _nearest_on_triangle(a, b, c):
         return _nearest_on_segment(b, c)
     if not area2 > 0.0:
         return _nearest_on_segment(a, b)
-    # The foot of the perpendicular from the origin, along the normal: accurate even far from the
-    # corners.
+    # The foot of the perpendicular along the normal is accurate even far from the corners.
     height = dot(normal, a) / area2
     return 3, a, b, c, (height * normal[0], height * normal[1], height * normal[2])
 
@@ -135,15 +134,13 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 class ConvexShapes(NamedTuple):
-    """Convex shapes.
+    """Convex shapes: a core (below) inflated by ``radius``; a sphere is an inflated point.
 
-    Every shape is a core (below) inflated by ``radius``, so that a sphere is an inflated point.
-    Hulls have identity ``rotation`` and zero ``translation``: their vertices are in the owner's
-    frame.
+    Vertices of hulls are in the owner's frame: ``rotation`` is identity, ``translation`` zero.
     """
 
     kind: Annotated[np.ndarray, "int64 shapes"]  # HULL, BOX, CYLINDER (axis z) or SPHERE
-    # Half sizes of a box; (radius, radius, half length) of a cylinder; largest |coordinates| of a
+    # Half sizes of a box; (radius, radius, half length) of a cylinder; largest |x|, |y|, |z| of a
     # hull; 0 of a sphere
     size: Annotated[np.ndarray, "shapes 3"]  # [m]
     radius: Annotated[np.ndarray, "shapes"]  # Inflation of the core [m]; for a sphere its radius

@@ -1,7 +1,7 @@
 """Inverse kinematics as projection, and the reasons why a region of poses has no configuration.
 
-A pose is a task-space region whose bounds are all zero. Newton's method from random configurations
-works for any serial robot, by the projection that the planners use (paper, Algorithm 1).
+A pose is a task-space region with bounds of zero. Newton's method from random configurations, the
+planners' projection (paper, Algorithm 1), works for any serial robot.
 """
 
 from collections import Counter
@@ -105,10 +105,9 @@ def sample_region(
     within: Sequence[TaskSpaceRegion] = (),
     near: np.ndarray | None = None,
 ) -> GoalSample:
-    """Draw up to count collision-free configurations whose end effector lies in a region, one per
-    pose.
+    """Up to count collision-free configurations with the end effector in a region, one per pose.
 
-    within: regions kept at the same time; that of a held handle puts its door where the hand is.
+    within: regions kept at the same time; that of a held handle puts its door at the hand.
     near: configuration (n,) that Newton's method starts around, `NEAR` away, instead of anywhere.
     """
     found: list[np.ndarray] = []

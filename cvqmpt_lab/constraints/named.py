@@ -118,8 +118,7 @@ NAMED: Mapping[str, Any] = {
 
 
 def region(name: str, **fields: Any) -> TaskSpaceRegion:
-    """A region by its name with the fields that problem files give it: ``region("plane",
-    normal=..., point=...)``.
+    """A region by its name and a problem file's fields: ``region("plane", normal=..., point=...)``.
 
     Names and fields: see `NAMED`; UnknownChoiceError or InvalidInputError for others.
     """

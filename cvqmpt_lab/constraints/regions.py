@@ -42,10 +42,7 @@ def _axis_near_pi(a, b, c, cosine, angle, x, y, z):
 
 @kernel
 def rotation_vector(a, b, c):
-    """Log(R) = axis * angle (3 floats) [rad] of the rotation R with columns a, b, c.
-
-    The angle lies in [0, pi].
-    """
+    """Log(R) = axis * angle [rad] (3 floats), angle in [0, pi], of R with columns a, b, c."""
     x, y, z = 0.5 * (b[2] - c[1]), 0.5 * (c[0] - a[2]), 0.5 * (a[1] - b[0])
     sine = np.sqrt(x * x + y * y + z * z)
     cosine = 0.5 * (a[0] + b[1] + c[2] - 1.0)
@@ -144,11 +141,7 @@ def _displacement(regions, k, link_rotation, link_translation):
 
 @kernel(inline="source")
 def _relative_velocity(kinematics, regions, k, j, link_rotation, link_translation, end, linear):
-    """Velocity (3) and angular velocity (3) of the end frame against the reference, per unit of
-    joint j.
-
-    linear: whether the velocity is wanted; else it is zero.
-    """
+    """Velocity (3; zero unless linear) and angular velocity (3) of e in w, per unit of joint j."""
     with_link = kinematics.moves[j, regions.link[k]]
     if with_link == kinematics.moves[j, regions.base[k]]:  # both or neither move
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -221,7 +214,6 @@ def jacobian(
     """Write J = dF/dq (m, n) into out: rows of v_j and of Jl^-1(e) w_j for each joint j.
 
     v_j, w_j: velocity and angular velocity of the end frame against the reference.
-
     displacement, out_of_bounds: what `residual` wrote for the same link poses.
     full: rows inside their bounds keep the derivative of x instead of zero (the full-rank form
         that tangent-space planners need).

@@ -56,10 +56,7 @@ def bounds_text(regions: Sequence[TaskSpaceRegion]) -> str:
 def bound_usage(
     robot: Robot, regions: Sequence[TaskSpaceRegion], states: np.ndarray
 ) -> tuple[BoundUse, ...]:
-    """The largest use of every bound of regions over states (m, n), m >= 1.
-
-    Poses by pinocchio: nothing here is shared with the planners' kernels.
-    """
+    """The largest use of every bound of regions over states (m, n), m >= 1; poses by pinocchio."""
     uses = []
     for k, region in enumerate(regions):
         x = displacements(robot, region, states)
@@ -88,10 +85,7 @@ def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray
 
 
 def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
-    """The bound that the best of displacements x (m, 6) breaks most; "" if it keeps the region.
-
-    "`upright` by 0.41 rad: rotation about y 0.51 of 0.1 rad (it tilts by 29°)".
-    """
+    """The bound that the best of displacements x (m, 6) breaks most, in words, or ""."""
     rows = region.bounded_rows
     lower, upper = region.Bw[rows].T
     excess = np.maximum(lower - x[:, rows], x[:, rows] - upper)

@@ -1,7 +1,4 @@
-"""Task-space regions: bounds on the pose of the end effector.
-
-Berenson et al. 2011; paper, section IV-A.
-"""
+"""Task-space regions (Berenson et al. 2011; paper, section IV-A): bounds on the hand's pose."""
 
 from __future__ import annotations  # so `help` shows forms by their names
 
@@ -74,7 +71,7 @@ Bounds = Annotated[FloatArray, BoundsForm()]
 
 @dataclass(frozen=True, eq=False)
 class TaskSpaceRegion(Checked):
-    """Poses T0_e of the end effector whose displacement x from a frame w lies within bounds:
+    """Poses T0_e of the end effector whose displacement x from a frame w lies within bounds.
 
     lower <= x <= upper, x = (t, Log R), with t, R the parts of (T0_w)^-1 T0_e (Tw_e)^-1.
     """
@@ -139,10 +136,7 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
     base: Name  # name of a body frame of the robot, e.g. "dagger_door_left/handle_bar"
 
     def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
-        """Pose row that carries frame w, and T_link_w (4, 4).
-
-        UnknownChoiceError: there is no such base.
-        """
+        """Pose row that carries frame w, and T_link_w (4, 4); UnknownChoiceError: no such base."""
         row, T_link_base = robot.link_of(self.base)
         return row, T_link_base @ self.T0_w
 
@@ -173,10 +167,7 @@ def upright(tilt: float = 0.1, axis: str = "x") -> TaskSpaceRegion:
 
 @dataclass(frozen=True, eq=False)
 class RegionConstraint:
-    """The intersection of task-space regions of a robot's end effector, as a constraint F(q) = 0.
-
-    An empty intersection of regions (none given) is the unconstrained problem, m = 0.
-    """
+    """The intersection of regions of a robot's end effector as F(q) = 0; without regions m = 0."""
 
     robot: Robot
     members: tuple[TaskSpaceRegion, ...]

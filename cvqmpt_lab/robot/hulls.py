@@ -10,10 +10,9 @@ import pinocchio as pin
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import LinkGeometry, in_link
 
-# In coal 3.0 the first direction in which a process asks for the furthest point of a box decides,
-# for all boxes afterwards, whether they are larger by 1e-10 of their size on one side. They are: it
-# is decided here, along an axis. Else the last digits of all distances would depend on the first
-# problem of a process.
+# In coal 3.0 the direction of a process's first support point of a box decides, for all boxes after
+# it, on which side they are larger by 1e-10. It is set here: else the last digits of all distances
+# would depend on the first problem of a process.
 _BOX, _BESIDE = coal.Box(1.0, 1.0, 1.0), coal.Transform3s(np.eye(3), np.array([2.0, 0.0, 0.0]))
 coal.distance(
     _BOX, coal.Transform3s(), _BOX, _BESIDE, coal.DistanceRequest(), coal.DistanceResult()

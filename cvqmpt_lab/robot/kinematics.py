@@ -11,8 +11,7 @@ import numpy as np
 from cvqmpt_lab.jit import entry, kernel
 
 _TWO_OVER_PI = 2.0 / np.pi
-# pi / 2 as a sum of three doubles; the first two have 33 significant bits, so that k times them is
-# exact.
+# pi / 2 as a sum of three doubles; the first two have 33 bits, so that k times them is exact.
 _QUARTER_HIGH = 1.5707963267341256
 _QUARTER_MIDDLE = 6.077100506303966e-11
 _QUARTER_LOW = 2.0222662487959506e-21

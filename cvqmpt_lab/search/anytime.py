@@ -210,7 +210,7 @@ def informed_samples(
     """The informed sets of paths shorter than `length` [rad] to the goals, and these goals (k, n).
 
     stretch: upper bound on path length / straight length. Goals whose set it does not reduce are
-        left out, unless that leaves none.
+        left out, unless all are.
     """
     start, goals = space.problem.start, nearer_goals(space, length)
     reach = np.minimum(stretch * np.maximum(np.linalg.norm(goals - start, axis=1), LEAST), length)
@@ -292,9 +292,7 @@ def near_shortest(
     rng: np.random.Generator,
     settings: NearShortestSettings | None = None,
 ) -> JointPath | None:
-    """The shortest free path (on the manifold) found from start to goal (n,), or None when none was
-    found.
-    """
+    """The shortest free path found on the manifold from start to goal (n,), or None."""
     settings = settings or NearShortestSettings()
     trees, lower, upper = BiRRT(), space.robot.lower, space.robot.upper
     best: JointPath | None = None

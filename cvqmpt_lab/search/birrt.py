@@ -73,10 +73,9 @@ def plant(start: np.ndarray, goals: np.ndarray, capacity: int) -> Trees:
 
 @kernel(inline="source")
 def extend(space, nodes, parent, size, which, origin, target, reach):
-    """ConstrainedExtend: extend from node origin towards target (n,), adding every state.
+    """ConstrainedExtend: extend from node `origin` towards target (n,) by at most `reach` [rad].
 
-    reach: longest extension [rad]. Returns the index of the last node, and whether the target was
-        reached.
+    Adds every state. Returns the index of the last node, and whether the target was reached.
     """
     start = distance(nodes[origin], target)
     if start < 1e-9:
@@ -110,8 +109,7 @@ def grow(
 
     reach: longest extension towards a sample [rad].
 
-    Returns
-    -------
+    Returns:
         GROWING (samples used up), CONNECTED (trees.meeting holds the nodes) or FULL (capacity used
         up), and the index of the next unused sample.
     """
@@ -153,7 +151,7 @@ def extract_path(
     out: Annotated[np.ndarray, "longest n"],
     origin: Annotated[np.ndarray, "int64 longest 2"],
 ):
-    """Write the states of the path into out (k, n), their (tree, node) into origin; return k.
+    """Write the path's k states into out (k, n), their (tree, node) into origin; return k.
 
     out and origin have as many rows as both trees have nodes.
     """

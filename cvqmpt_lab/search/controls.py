@@ -45,8 +45,7 @@ class AroundPath:
     def solved_paths(self, query: Query, observation: Observation) -> Proposal:
         """Gaussians around the shortest of several solutions of the problem: a bound of mixtures.
 
-        Uniform samples where no path is found. The work of finding the paths is not counted, their
-        time is.
+        Uniform samples if no path is found. Finding the paths counts as time, not as work.
         """
         aside, best = ConstrainedSpace(query.space.problem, query.space.backend), None
         for _ in range(self.tries):

@@ -1,12 +1,11 @@
 """Probability that a straight motion is free, from clearances in the checker's distance grid.
 
-One logistic curve serves all robots, with d the smallest clearance of the robot's balls at states
-along the motion [m]:
+One logistic curve serves all robots:
 
     log (P(free) / (1 - P(free))) = slope * d + bias
 
-The collision checker has the grid anyway. Nothing is checked; a motion costs one to two
-microseconds. Self-collisions are not seen.
+d is the smallest clearance [m] of the robot's balls at states along the motion. Nothing is checked:
+a motion costs one to two microseconds. Self-collisions are not seen.
 """
 
 from typing import Annotated, NamedTuple
@@ -77,11 +76,9 @@ def reading(
     k: int,
     lowest: float,
 ):
-    """The smaller of lowest and reading k of the clearance [m] along the straight motion from a to
-    b (n,).
+    """The smaller of lowest and reading k of the clearance [m] between a and b (n,), straight.
 
-    It is read at b, then in the middle, at 1/4, 3/4, 1/8, ...; space.state and its scratch are
-    overwritten.
+    Readings are at b, the middle, 1/4, 3/4, 1/8, ...; space.state and its scratch are overwritten.
     """
     level, place = 1, 1.0
     while 2 * level <= k:

@@ -56,7 +56,7 @@ class Poses(NamedTuple):
 def _nearest_seed(seeds, first, look, rotation, translation):
     """The one of `look` seeds from the first whose hand pose (R_k, t_k) is nearest to (R, t).
 
-    It minimises |t_k - t|^2 / length^2 + |R_k - R|^2 over the first two columns of R.
+    Minimises |t_k - t|^2 / length^2 + |R_k - R|^2 over the first two columns of R.
     """
     nearest, least = first, np.inf
     for k in range(first, first + look):
@@ -160,16 +160,15 @@ def sample_goals(
     """Up to count collision-free configurations in a problem's goal region, one per pose.
 
     Where joints turn by more than a full turn, every second configuration is turned by whole turns
-    towards the start: else most goals of an arm with several such joints are whole turns away.
+    towards the start: else most goals of such arms are whole turns away.
 
     Args:
         problem: the problem; its goal region must not be None.
         rng: random numbers.
         count: of configurations.
         max_poses: at most so many poses are drawn.
-        within: regions kept at the same time; that of a held handle puts its door where the hand
-            is.
-        near: configuration (n,) that Newton's method starts around, instead of anywhere.
+        within: regions kept at the same time; that of a held handle puts its door at the hand.
+        near: configuration (n,) around which Newton's method starts, instead of anywhere.
     """
     robot, region = problem.robot, problem.goal_region
     assert region is not None

@@ -98,10 +98,7 @@ def nearest_nodes(
     chosen: Annotated[np.ndarray, "int32 k"],
     squares: Annotated[np.ndarray, "k"],
 ):
-    """Write the k rows nearest to target among the first count into chosen, nearest first.
-
-    squares: their squared distances.
-    """
+    """Write the k nearest of the first count rows, nearest first, and squares = |row - target|^2."""
     k, found = chosen.shape[0], 0
     for i in range(count):
         square = 0.0
@@ -338,9 +335,7 @@ def search(
     ends: Annotated[np.ndarray, "int64 longest"],
     states: Annotated[np.ndarray, "room n"],
 ):
-    """Write the states of the shortest path that passes the coarse checks into states.
-
-    The motions between states are not checked yet.
+    """Find the shortest path that passes the coarse checks; its motions are not checked yet.
 
     Args:
         space: the planning space.
@@ -415,7 +410,7 @@ def block_state(
     length: int,
     state: int,
 ):
-    """Block the edge of the path last found that the motion behind one of its states belongs to.
+    """Block the edge of the last path found that holds the motion behind one of its states.
 
     path, ends, length: as `search` wrote and returned them.
     """

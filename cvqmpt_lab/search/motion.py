@@ -1,7 +1,6 @@
 """The planning space in compiled code, and motions in it: projected steps and the fine check.
 
-Collisions are found by the compiled checker or, when `exact` is set, by a callback into Python
-(coal).
+The compiled checker finds collisions; when `exact` is set, a callback into Python (coal) does.
 """
 
 from typing import Annotated, NamedTuple
@@ -22,8 +21,7 @@ STOPPED, ADVANCED, REACHED = range(3)
 # OMPL's lambda: how much longer a projected step may be than planned, a motion than straight
 DEVIATION = 2.0
 GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
-# [m, rad] |F| on a straight motion between two states; above half the inset, the way in from the
-# rim
+# [m, rad] |F| on a straight motion between two states; above half the inset of bounds
 CHORD = 6e-4
 MOST_HALVINGS = 8
 NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
@@ -47,8 +45,7 @@ class Space(NamedTuple):
     exact: bool  # whether states are checked through the callback
     check: int  # address of the callback; of an object numba takes 0.5 ms a call to find the type
     query: Annotated[np.ndarray, "n"]  # through which the callback is asked
-    # configurations that the compiled checker blocks but the meshes allow; near them the callback
-    # decides
+    # blocked by the compiled checker but not by the meshes; near them the callback decides
     doubtful: Annotated[np.ndarray, "doubtful n"]
     # no point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad]
     swing: Annotated[np.ndarray, "n"]
@@ -83,10 +80,7 @@ def _near_doubtful(space, q):
 
 @kernel(inline="source")
 def posed_state_valid(space, q, clearance):
-    """Whether q, whose link poses are in the scratch, keeps space.margin + clearance [m].
-
-    The exact backend checks the margin alone.
-    """
+    """Whether q, posed in the scratch, keeps margin + clearance [m]; exact: the margin alone."""
     space.counters[STATE_CHECKS] += 1
     if not space.exact:
         rotation, translation = space.scratch.link_rotation, space.scratch.link_translation
@@ -217,12 +211,11 @@ def bisect_motion(
         space: the planning space.
         origin: (n,).
         target: (n,).
-        longest: a motion that becomes longer is none [rad].
+        longest: motions that become longer are refused [rad].
         out: written, the states after origin up to target.
 
     Returns:
-        Number of states, or 0 when one cannot be projected, collides, or lies too far from its
-        neighbour.
+        Number of states; 0 when one is not projected, collides, or is too far from its neighbour.
     """
     pieces = 1
     while distance(origin, target) > GAP * space.step * pieces:
@@ -279,8 +272,8 @@ def _near_half_turn(space):
 def chord_on_manifold(space, a, b):
     """Whether |F| stays below CHORD on the straight motion between two states on the manifold.
 
-    The middle is worst, unless the rotation vector comes close to its kink at angle pi: then the
-    motion is checked every KINK.
+    The middle is worst, except near the kink of the rotation vector at angle pi: there the motion
+    is checked every KINK.
     """
     scratch = space.scratch
     if scratch.residual.shape[0] == 0:
@@ -312,8 +305,8 @@ def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.nda
 
         d(q_middle) > 1/2 sum_j swing_j |dq_j|
 
-    Other stretches are halved until that distance is as small as the margin, which every free state
-    keeps. The exact backend, which knows no distances, checks states every space.resolution.
+    Other stretches are halved until that distance is at most the margin that every free state
+    keeps. The exact backend knows no distances: it checks states every space.resolution.
     """
     pieces, sweep = 1, 0.0  # [m] no point moves further than sweep
     for j in range(a.shape[0]):
@@ -359,8 +352,7 @@ def refine_and_check(
     """Copy a path into out, with projected states put in until every straight motion is good.
 
     Returns:
-        Number of states in out, and the first segment of the path that cannot be refined or is not
-        free, or -1.
+        Number of states in out, and the first segment that cannot be refined or is not free, or -1.
     """
     count, n = states.shape
     for j in range(n):

@@ -1,10 +1,9 @@
 """The nearest node of a growing tree, exactly, in sub-linear time.
 
-Nodes are put into search trees in blocks of BLOCK by their number. As in a binary counter, blocks
-are merged: with 13 blocks there are search trees over the first 8, the next 4 and the last one,
-each of them balanced and rebuilt (Bentley and Saxe 1980, "Decomposable searching problems"). What
-is younger than the last block is looked at one by one, so that small trees are searched as if there
-were no index.
+Nodes are indexed in blocks of BLOCK by their number. Blocks are merged as in a binary counter: 13
+blocks make balanced search trees over the first 8, the next 4 and the last one (Bentley and Saxe
+1980, "Decomposable searching problems"). Nodes after the last block are compared one by one, so
+small trees are searched without an index.
 """
 
 from typing import Annotated, NamedTuple

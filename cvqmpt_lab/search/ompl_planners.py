@@ -1,8 +1,8 @@
 """The paper's baselines from OMPL: RRTConnect on projected, atlas and tangent-bundle spaces.
 
-This file is the door to ompl. Projection, residual, Jacobian and state checks are the same kernels
-that `birrt` uses; parameters are those of the published experiment code. Without a constraint, as
-in some phases of tasks, all three are RRTConnect on the joints' space.
+Only this file imports ompl. Projection, residual, Jacobian and state checks are the kernels of
+`birrt`; parameters are those of the published experiment code. Without a constraint, as in some
+phases of tasks, all three are RRTConnect on the joints' space.
 """
 
 import math
@@ -37,10 +37,7 @@ class _Manifold(ob.Constraint):
         out[:] = self._space.residual_and_jacobian(np.array(x))[0]
 
     def jacobian(self, x: np.ndarray, out: np.ndarray) -> None:
-        """dF/dx at full rank: tangent spaces need rows also inside the bounds.
-
-        Counted as a Newton iteration.
-        """
+        """dF/dx with all rows (tangent spaces need full rank); counts as a Newton iteration."""
         self._space.arrays.counters[NEWTON_ITERATIONS] += 1
         out[:, :] = self._space.residual_and_jacobian(np.array(x), full=True)[1]
 
@@ -57,7 +54,7 @@ class _Manifold(ob.Constraint):
 class OmplSearch:
     """RRTConnect on one of OMPL's constrained state spaces.
 
-    OMPL 2.0.1 has no hook for a sampler, so the distribution given to `search` is not used: the
+    OMPL 2.0.1 has no hook for a sampler: the distribution given to `search` is not used, and the
     result says which one was.
     """
 
@@ -124,7 +121,7 @@ class _Run:
         self.vertices = 0
 
     def _inside(self, q: np.ndarray) -> np.ndarray:
-        """The configuration itself, or its projection when it lies outside the tightened bounds.
+        """The configuration, or its projection when it lies outside the tightened bounds.
 
         OMPL refuses a start or goal off its manifold; the motion there becomes part of the path.
         """
@@ -190,10 +187,9 @@ class _Run:
 
 
 def _validity(space: ConstrainedSpace) -> Callable[..., bool]:
-    """A function: whether a state is inside the limits and free of collision.
+    """A function: whether a state is inside the limits (OMPL's geodesics ignore them) and free.
 
-    OMPL's geodesics do not check limits. OMPL's objects hold this function and no garbage collector
-    sees that: it must not hold them in return.
+    OMPL holds it unseen by the garbage collector: it must not hold OMPL's objects in return.
     """
     lower, upper = space.robot.lower - 1e-9, space.robot.upper + 1e-9
     q = np.empty(space.robot.dof)

@@ -39,15 +39,15 @@ class Uniform:
     name: str = "uniform"
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Draw configurations (count, n)."""
+        """Draw q = mu_i + L_i eps (count, n), Sigma_i = L_i L_i^T; draws may leave the limits."""
         return rng.uniform(self.lower, self.upper, (count, len(self.lower)))
 
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixture:
-    """Weighted Gaussians, optionally mixed with a uniform share u (paper, eqn. sample_dist):
+    """Gaussians, optionally mixed with a uniform distribution U (paper, eqn. sample_dist).
 
-    p(q) = (1 - u) sum_i w_i N(q; mu_i, Sigma_i) + u U(q).
+    p(q) = (1 - u) sum_i w_i N(q; mu_i, Sigma_i) + u U(q), with the uniform share u.
     """
 
     means: np.ndarray  # (k, n) [rad or m]
@@ -295,7 +295,7 @@ class Stages:
 def search(
     method: Search, query: Query, proposal: Proposal, near: int = 0, near_share: float = 0.25
 ) -> PlanResult:
-    """Search from a proposal with what is left of the budget; time and work of both are added up.
+    """Search from a proposal with the rest of the budget; time and work of both are added up.
 
     Args:
         method: the search.

@@ -1,8 +1,8 @@
 """Roadmaps: nodes and their links, made once a robot; queries; and the planner `roadmap`.
 
-A roadmap holds configurations free of self-collision, linked along motions that are, too. That
-holds in every scene, so roadmaps are kept in the user's cache. What is read from there is checked
-again. A query searches a roadmap lazily in one scene under one constraint, see `lazy_roadmap`.
+A roadmap holds configurations and straight links free of self-collision. They hold in every scene:
+roadmaps are kept in the user's cache, and checked again when read. A query searches a roadmap
+lazily in one scene under one constraint, see `lazy_roadmap`.
 """
 
 from collections.abc import Callable, Mapping
@@ -53,7 +53,7 @@ def nearest_rows(
         nodes: (N, n) [rad].
         targets: (t, n) [rad].
         count: of rows, at most N.
-        apart: targets are the nodes, each of which is not its own neighbour.
+        apart: targets are the nodes; a node is not its own neighbour.
     """
     squares = (targets**2).sum(axis=1)[:, None] + (nodes**2).sum(axis=1) - 2.0 * targets @ nodes.T
     if apart:
@@ -80,7 +80,7 @@ class Roadmap:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance d^2 / n I of samples around a node, (n, n) [rad^2].
+        """Covariance d^2 / n I (n, n) [rad^2] of samples around a node.
 
         d^2 is the mean squared distance of neighbouring nodes.
         """
@@ -106,7 +106,7 @@ def spread_roadmap(
 ) -> Roadmap:
     """NODES configurations over the joint ranges; fewer if most self-collide.
 
-    Of joints that turn more than once one turn is covered, see `Roadmap.near`.
+    Joints that turn more than once get one turn, see `Roadmap.near`.
 
     Args:
         robot: the robot.
@@ -325,7 +325,7 @@ class RoadmapQuery:
     def add_nodes(self, added: np.ndarray) -> None:
         """Link more nodes (a, n) to the roadmap, to each other, and to start and goals.
 
-        Verdicts on nodes and on edges between them are kept, those on edges of start and goals not.
+        Verdicts on nodes and edges between them are kept, those on edges of start and goals not.
         """
         before, count, half = self._graph, self._count, self._settings.links // 2
         nodes = np.concatenate([before.nodes[:count], added])
@@ -359,10 +359,7 @@ class RoadmapQuery:
             verdicts[found == kernels.BLOCKED] = kernels.BLOCKED
 
     def next_path(self, deadline: Deadline) -> JointPath | None:
-        """The shortest path that is on the manifold and free, or None.
-
-        Each A* search counts as an iteration.
-        """
+        """The shortest free path on the manifold, or None; an A* search counts as an iteration."""
         path, ends = np.empty(LONGEST_PATH, dtype=np.int64), np.empty(LONGEST_PATH, dtype=np.int64)
         states = np.empty((64 * LONGEST_PATH, self._graph.nodes.shape[1]))
         length, bad = 0, -1
@@ -408,8 +405,8 @@ class RoadmapQuery:
 class RoadmapPath:
     """Proposes a path through the roadmap, projected node by node.
 
-    While there is none, nodes near start and goals are added, which a roadmap may lack. If that
-    does not help, it proposes samples around the nodes found free.
+    If there is none, nodes near start and goals are added. If that does not help, it proposes
+    samples around the nodes found free.
     """
 
     roadmap: Roadmap

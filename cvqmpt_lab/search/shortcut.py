@@ -83,11 +83,8 @@ def shortcut(
 ):
     """Try one shortcut per row of picks (m, 2), two fractions of the path's length in [0, 1].
 
-    states: (capacity, n), first count rows the path, changed in place. detour: (k, n) room.
-
-    Returns:
-        The new number of states. Every motion put in has been projected and checked at
-        space.resolution.
+    Motions put in are projected and checked at space.resolution. states: (capacity, n), its first
+    count rows are the path, changed in place. detour: (k, n) room. Returns the number of states.
     """
     for i in range(picks.shape[0]):
         length = path_length(states, count)

@@ -30,7 +30,7 @@ BACKENDS = ("compiled", "exact")
 class StateCheck:
     """A Python function ``valid(q) -> bool`` that compiled code calls by address.
 
-    The configuration is in `query`. An exception cannot cross compiled code: it is kept in `error`,
+    The configuration is in `query`. Exceptions cannot cross compiled code: one is kept in `error`,
     and the state counts as invalid. The object must outlive its use.
     """
 
@@ -73,8 +73,7 @@ class ConstrainedSpace:
         settings: step sizes and tolerances.
     """
 
-    # names of start and goals that the (conservative) state check blocks although the meshes allow
-    # them; within `kernels.DOUBT` of these, exact checks decide
+    # names of start and goals that only the conservative check blocks: exact checks decide near them
     doubtful: tuple[str, ...]
 
     def __init__(
@@ -203,14 +202,9 @@ class ConstrainedSpace:
             )
 
     def checked_path(self, states: np.ndarray) -> tuple[JointPath | None, int]:
-        """Refine a path where straight motions leave the manifold, and check it.
+        """Refine a path (m, n) [rad or m] where straight motions leave the manifold, and check it.
 
-        Args:
-            states: (m, n) [rad or m].
-
-        Returns
-        -------
-            The path and -1, or None and the index of the first segment that fails.
+        Returns the path and -1, or None and the index of the first segment that fails.
         """
         states = np.ascontiguousarray(states)
         capacity = 8 * len(states) + 4 * int(JointPath(states).length / self.settings.step) + 64
@@ -230,8 +224,8 @@ def direct_motion(
 ) -> JointPath | None:
     """The direct motion between two states: projected midpoints, from coarse to fine.
 
-    Most failures cost a few states. A motion more than DEVIATION times as long as straight is none.
-    What is found is checked at the space's fine resolution.
+    Most failures cost a few states. Motions more than DEVIATION times as long as straight are
+    refused. The result is checked at the space's fine resolution.
 
     Args:
         space: the planning space.

@@ -146,8 +146,7 @@ class _Run:
     seed: int
     timing: TimingSettings
     backend: str
-    # of 10 s: slides of tasks 100 to 124 that birrt, roadmap or ompl-projected finds take up to
-    # 0.24 s
+    # of 10 s: slides of tasks 100 to 124 take birrt, roadmap or ompl-projected up to 0.24 s
     first_share: float = 0.02
     most_retries: int = 10  # times that a task goes back to another goal
     retries: int = 0
@@ -218,8 +217,7 @@ class _Run:
         else:
             self.runs += 1
             try:
-                # each phase must observe its own world, also if an equal one was observed before:
-                # without the cache
+                # each phase must observe its own world, so not from the cache
                 solution = solve(
                     problem.with_goals(step.goals),
                     substitute if incompatible else self.method,

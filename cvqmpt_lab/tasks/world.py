@@ -21,8 +21,7 @@ from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Cylinder, Sphere
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Task, Turn
 
-# [m] and [rad] between an object and where a grasp expects it, at most; what is checked afterwards
-# is where the object truly is
+# [m] and [rad] between an object and where a grasp expects it; checks use its true pose
 IN_HAND, TURNED = 0.02, 0.1
 
 
