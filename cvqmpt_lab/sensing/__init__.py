@@ -1,3 +1,1 @@
-"""Cameras, depth images and scans:
-from what a depth camera saw, or would see, to a cloud or a scene.
-"""
+"""Cameras, depth images and scans: from what a depth camera measures to a cloud or a scene."""

@@ -1,8 +1,7 @@
-"""A pinhole camera without distortion: intrinsics, and its pose T_world_camera in the robot's base
-frame.
+"""A pinhole camera without distortion: intrinsics and its pose T_world_camera in the base frame.
 
-The camera's frame is optical: x to the right, y down, z ahead. Pixel (0, 0) is the middle of the
-upper left one.
+The camera frame is optical: x right, y down, z forward. Pixel (0, 0) is the centre of the upper
+left pixel.
 """
 
 import math
@@ -55,9 +54,7 @@ class Intrinsics(Checked):
         near: float = 1.0,
         far: float = 5.1,
     ) -> "Intrinsics":
-        """Square pixels and a centred image, by the vertical angle of view [deg]; default:
-        the published kitchen's.
-        """
+        """Square pixels, centred; the default field of view [deg] is the published kitchen's."""
         if not 0.0 < vertical_fov < 180.0:
             raise InvalidInputError(
                 f"intrinsics: vertical_fov {vertical_fov} deg; give one between 0 and 180"
@@ -71,10 +68,7 @@ class Intrinsics(Checked):
 
 
 def _axis(count: int, focal: float, principal: float) -> np.ndarray:
-    """(i - principal) / focal for i = 0 ...
-
-    count - 1, in the order of operations by which committed rows repeat.
-    """
+    """(i - principal) / focal, 0 <= i < count; the operations' order keeps committed rows."""
     centred = 0.5 * count / focal * ((np.arange(count) + 0.5) * 2.0 / count - 1.0)
     return centred - (principal - 0.5 * (count - 1)) / focal
 
@@ -107,9 +101,7 @@ class Camera:
 def look_at(
     eye: Sequence[float] | np.ndarray, target: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
 ) -> FloatArray:
-    """T_world_camera (4, 4) of an upright camera at eye (3,) that looks at target (3,), another
-    point [m].
-    """
+    """T_world_camera (4, 4) of an upright camera at eye (3,) [m] that looks at target (3,) [m]."""
     if not np.isfinite([*eye, *target]).all() or np.allclose(eye, target):
         raise InvalidInputError(f"camera at {eye} cannot look at {target}; give two points")
     ahead = np.subtract(target, eye)
@@ -128,9 +120,7 @@ def cameras_on_sphere(
     radius: float = 2.0,
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[Camera, ...]:
-    """Cameras at every pair of azimuth and elevation [deg], `radius` [m] from the point they look
-    at.
-    """
+    """Cameras at every pair of azimuth and elevation [deg], all `radius` [m] from their target."""
     cameras = []
     for elevation in np.radians(elevations):
         for azimuth in np.radians(azimuths):

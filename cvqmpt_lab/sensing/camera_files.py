@@ -61,11 +61,10 @@ def _intrinsics(data: Any) -> Intrinsics:
 
 
 def read_extrinsics(path: Path | str) -> FloatArray:
-    """Read T_world_camera (4, 4): a 4x4 matrix, {xyz, quaternion}, {xyz, rpy}, or ROS's
-    {translation, rotation}.
+    """Read T_world_camera (4, 4), alone or under the key "T_world_camera"; errors name the file.
 
-    It stands alone or as "T_world_camera"; a rounded matrix is made orthonormal. Errors name the
-    file.
+    A 4x4 matrix (if rounded, it is made orthonormal), {xyz, quaternion}, {xyz, rpy}, or ROS's
+    {translation, rotation}.
     """
     data = _read_settings(path, "extrinsics")
     if isinstance(data, Mapping) and set(data) == {"T_world_camera"}:
@@ -106,9 +105,7 @@ def _in_order(value: Any, axes: str) -> Any:
 
 
 def _read_settings(path: Path | str, what: str) -> Any:
-    """Plain dicts, lists and numbers of a json or yaml file, by its suffix;
-    `what` names it in errors.
-    """
+    """Plain dicts, lists and numbers of a json or yaml file; `what` names it in errors."""
     path = Path(path)
     parse = PARSERS[kind_of(path, PARSERS, what)]
     data = file_bytes(path, what, most=2**16)

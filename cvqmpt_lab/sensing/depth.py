@@ -1,6 +1,4 @@
-"""Depth images (16-bit PNG, or NPY with a number a pixel) and captures:
-what one camera saw, as points.
-"""
+"""Depth images (16-bit PNG, or NPY) and captures: what one camera saw, as points."""
 
 import io
 import json
@@ -62,8 +60,7 @@ def read_capture(
 
 
 def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -> FloatArray:
-    """Depth (height, width) along the camera's axis [m], NaN where the camera saw nothing; errors
-    name the file.
+    """Depth (height, width) along the camera's axis [m], NaN if not seen; errors name the file.
 
     scale: [m] of one unit; by default millimetres of a PNG, metres of an NPY of floats.
     """
@@ -79,18 +76,15 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
 
 
 def deprojected(depth: FloatArray, lens: Intrinsics) -> FloatArray:
-    """The points (height, width, 3) [m, camera frame] of a depth image (height, width) [m];
-    NaN stays.
-    """
+    """Points (height, width, 3) [m, camera frame] of a depth image (height, width) [m] or NaN."""
     x, y = lens.axes()
     return np.stack([depth * x, depth * y[:, None], depth], axis=-1)
 
 
 def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES) -> None:
-    """Write depth (height, width) [m] as a 16-bit PNG; what is not finite or does not fit becomes
-    0, not seen.
+    """Write depth (height, width) [m] as a 16-bit PNG, `scale` [m] per unit; 0 means not seen.
 
-    scale: [m] of one unit.
+    Depths that are not finite or do not fit become 0.
     """
     with np.errstate(invalid="ignore"):
         units = np.rint(depth / scale)
@@ -103,9 +97,7 @@ def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES)
 
 
 def write_view(view: View, folder: Path, name: str) -> tuple[Path, Path, Path]:
-    """Write name.png, name.intrinsics.json and name.extrinsics.json;
-    their paths are what `read_capture` takes.
-    """
+    """Write name.png, name.intrinsics.json, name.extrinsics.json: paths for `read_capture`."""
     ends = ("png", "intrinsics.json", "extrinsics.json")
     image, intrinsics, extrinsics = (folder / f"{name}.{end}" for end in ends)
     write_depth(image, view.depth)

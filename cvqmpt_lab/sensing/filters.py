@@ -88,9 +88,9 @@ def _piece(part: LinkGeometry) -> _Piece:
 
 
 def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
-    """Mean (m, 3) of the points (p, 3) in each cell of a grid that starts half a voxel [m] below
-    the least coordinates.
+    """Mean (m, 3) of the points (p, 3) in each cell of a grid with edges of `voxel` [m].
 
+    The grid starts half a voxel below the least coordinates.
     InvalidInputError: a voxel so small that its cells cannot be numbered.
     """
     if len(points) == 0:

@@ -105,9 +105,7 @@ def measured(
 def _shifted_pixels(
     shape: tuple[int, ...], lateral: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column (height, width) of the pixel that each pixel looks at, itself or one beside
-    it.
-    """
+    """Row and column (height, width) of the pixel that each pixel reads: itself or a neighbour."""
     rows, columns = np.indices(shape)
     down, right = np.rint(lateral * rng.standard_normal((2, *shape))).astype(int)
     return np.clip(rows + down, 0, shape[0] - 1), np.clip(columns + right, 0, shape[1] - 1)
@@ -123,9 +121,7 @@ def _with_errors(
 
 
 def _edges(view: View, least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Least and largest depth around each pixel, and whether two solids lie there, one at
-    least so far [m] behind the other.
-    """
+    """Least and largest depth around each pixel; mask of edges of more than `least` [m]."""
     height, width = view.depth.shape
     depth = np.pad(view.depth, 1, mode="edge")
     near, far = view.depth.copy(), np.where(np.isfinite(view.depth), view.depth, -np.inf)

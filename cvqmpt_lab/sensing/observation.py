@@ -38,9 +38,7 @@ class Observer:
         return self._clouds.get(scene, lambda: self._look(scene))
 
     def of_points(self, points: np.ndarray) -> np.ndarray:
-        """The cloud (m, 3) of measured points (p, 3) [m, base frame];
-        InvalidInputError if none is in the crop.
-        """
+        """Cloud (m, 3) of points (p, 3) [m, base frame]; InvalidInputError: none is in the crop."""
         crop = self.settings.crop
         near = points[crop.contains(points)]
         if len(near) == 0:
@@ -89,9 +87,7 @@ def _sources() -> str:
 
 
 def _world_points(clouds: Sequence[SceneObject]) -> np.ndarray:
-    """Points (p, 3) [m] of objects that are clouds or maps, in the world;
-    of maps the outermost cells.
-    """
+    """Points (p, 3) [m, world] of clouds and maps; of maps only the outermost cells."""
     parts = []
     for item in clouds:
         assert isinstance(item.shape, Measured)

@@ -1,6 +1,4 @@
-"""An occupancy map from measured points:
-cells that hold some, and, if asked to, cells that no ray crossed.
-"""
+"""An occupancy map from points: cells that hold some and, as an option, cells no ray crossed."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -46,8 +44,7 @@ def occupancy_map(
     captures: Sequence[Cloud] = (),
     arm: Arm | None = None,
 ) -> OccupancyMap:
-    """Map of the cells that hold points (m, 3) [m, robot base frame] of a scan, and of unknown
-    cells if they count.
+    """Map of cells that hold points (m, 3) [m, robot base frame], and of unknown cells if wanted.
 
     captures: all that the sensors saw, where unknown is occupied; cells between a sensor and its
         points are known.
@@ -66,9 +63,7 @@ def occupancy_map(
 def _unknown(
     settings: MapSettings, captures: Sequence[Cloud], arm: Arm | None, most: int = 1 << 27
 ) -> FloatArray:
-    """Middles (k, 3) [m] of cells in the box that no ray crossed, of which it may hold `most`; one
-    byte each.
-    """
+    """Centres (k, 3) [m] of cells that no ray crossed, in a box of at most `most` cells (bytes)."""
     if not captures:
         raise InvalidInputError(
             "unknown space is occupied, but the captures with their cameras' poses are missing"
@@ -95,11 +90,10 @@ def _unknown(
 
 
 def _crossed(origin: FloatArray, ends: FloatArray, across: np.ndarray) -> Iterator[np.ndarray]:
-    """Cells (k, 3), of a grid of unit cells, that segments from origin (3,) to ends (r, 3) cross, a
-    step at a time.
+    """Cells (k, 3) of a unit grid that segments from origin (3,) to ends (r, 3) cross, by steps.
 
-    All segments go from cell to cell side by side (Amanatides and Woo, "A fast voxel traversal
-    algorithm", 1987).
+    All segments are traversed in parallel (Amanatides and Woo, "A fast voxel traversal algorithm",
+    1987).
     """
     ray = ends - origin
     ray[ray == 0.0] = 1e-12

@@ -1,6 +1,4 @@
-"""The plane that things stand on, and how a scan is put level by it when the camera's pose is
-unknown.
-"""
+"""The supporting plane of a scan, and how the scan is levelled by it without a camera pose."""
 
 from typing import NamedTuple
 
@@ -81,8 +79,9 @@ def _ransac(
     triples: int = 1000,
     judges: int = 3000,
 ) -> tuple[FloatArray, float]:
-    """Normal (3,) and offset [m] of the best of `triples` planes through three points, by the
-    number of `judges` near them; one in a hundred lies on a table that is a fifth of the cloud.
+    """Normal (3,) and offset [m] of the best of `triples` planes, by how many of `judges` lie near.
+
+    If a table is a fifth of the cloud, one in a hundred triples of points lies on it.
     """
     a, b, c = points[rng.integers(len(points), size=(3, triples))]
     normals = np.cross(b - a, c - a)
@@ -106,15 +105,16 @@ def level_pose(
     front: tuple[float, float, float],
     edge: float = 0.02,
 ) -> FloatArray:
-    """T_world_camera (4, 4) that puts a table level, ahead of the camera's eye, its near edge's
-    middle at `front` [m].
+    """T_world_camera (4, 4) that makes the table horizontal, its near edge's middle at `front` [m].
+
+    The table lies ahead of the camera's eye.
 
     Args:
         points: (m, 3) [m] in the optical frame, in which the plane was found.
         plane: of the table.
         front: middle of the table's near edge [m].
-        edge: quantile of the table's points that counts as its edge: beyond it lies what the camera
-            half saw.
+        edge: quantile of the table's points that counts as its edge; what lies beyond was seen only
+            in part.
     """
     # nearer to the camera's axis than 11 deg, "ahead" is the image's upper side
     straight_down = abs(plane.normal[2]) > np.cos(np.radians(11.0))
@@ -128,9 +128,7 @@ def level_pose(
 
 
 def on_table(points: FloatArray, plane: SupportingPlane, gap: float = 0.05) -> np.ndarray:
-    """Which of points (m, 3) [m] lie on the largest patch of the plane without wider gaps [m]:
-    a mask (m,).
-    """
+    """Mask (m,) of points (m, 3) [m] on the plane's largest patch without gaps over `gap` [m]."""
     held = np.abs(points @ plane.normal - plane.offset) <= TOLERANCE
     across = points[held] @ _axes(plane.normal, np.eye(3)[np.argmin(np.abs(plane.normal))])[:2].T
     cells = np.floor((across - across.min(axis=0)) / gap).astype(int)

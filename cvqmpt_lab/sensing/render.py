@@ -1,9 +1,8 @@
-"""Depth images of convex solids by ray casting, without any error: depths, and which solid at every
-pixel.
+"""Noise-free depth images of convex solids by ray casting: depth and solid of every pixel.
 
-Surfaces are seen from outside only. What a camera stands in, and what lies nearer than its near
-plane, it looks through, as a renderer that leaves out back faces does: the two lower cameras of the
-published set-up stand below the floor and see the kitchen all the same.
+Only outer sides of surfaces are visible, as with back-face culling: solids around the camera or
+nearer than the near plane are not seen. The two lower cameras of the published set-up stand below
+the floor and still see the kitchen.
 """
 
 import math
@@ -33,9 +32,7 @@ class Solid(ABC):
 
     @abstractmethod
     def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where along each ray (..., 3) from eye (3,) it enters and leaves the solid [rays];
-        NaN or empty if never.
-        """
+        """Where rays (..., 3) from eye (3,) enter and leave [rays]; NaN or empty if they miss."""
 
     @abstractmethod
     def normals(self, points: np.ndarray) -> np.ndarray:
@@ -181,9 +178,7 @@ def view_of(solids: Sequence[Solid], camera: Camera) -> View:
 
 
 def incidence(view: View, solids: Sequence[Solid]) -> np.ndarray:
-    """Cosine (height, width) of the angle between each pixel's ray and the surface's normal;
-    0 where nothing is.
-    """
+    """Cosine (height, width) between each pixel's ray and the surface normal; 0 without surface."""
     rays = view.camera.rays()
     cosine = np.zeros(view.depth.shape)
     for index in np.unique(view.solid[view.solid != NOTHING]):
@@ -210,9 +205,7 @@ def _window(item: Solid, camera: Camera) -> tuple[slice, slice] | None:
 
 
 def _pixels(places: np.ndarray, count: int) -> slice:
-    """Pixels of `count` in a row whose centres may lie between the least and the largest of some
-    places.
-    """
+    """Those of `count` pixels in a row whose centres may lie between extremes of `places`."""
     return slice(max(0, math.floor(places.min())), min(count, math.ceil(places.max()) + 1))
 
 
@@ -240,9 +233,7 @@ def _between_planes(
 def _within_radius(
     eye: np.ndarray, rays: np.ndarray, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Interval of each ray (..., d) that lies less than radius from the origin of its d
-    coordinates.
-    """
+    """Interval of each ray (..., d) that lies less than `radius` from the origin."""
     a, b = np.einsum("...i,...i->...", rays, rays), rays @ eye
     c = eye @ eye - radius * radius
     root = np.sqrt(b * b - a * c)  # NaN for rays that miss, which then compare as false

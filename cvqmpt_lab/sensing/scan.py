@@ -1,6 +1,4 @@
-"""A scan:
-what depth cameras saw, merged, put into the robot's base frame, cleaned filter by filter.
-"""
+"""A scan: captures of depth cameras, merged in the robot's base frame, then filtered."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -89,9 +87,7 @@ class Scan:
     table: SceneObject | None = None  # the box that stands for it
 
     def scene(self, shape: Measured | None = None, name: str = "scan") -> Scene:
-        """The points as obstacles, by default as an occupancy map of `RESOLUTION`, and the table's
-        box.
-        """
+        """The points (default: as an occupancy map of `RESOLUTION`) and the table as obstacles."""
         boxes = () if self.table is None else (self.table,)
         if shape is None and len(self.points) == 0:
             return Scene(name, boxes)

@@ -46,11 +46,9 @@ class CameraSettings:
 
     @classmethod
     def like_training(cls, points: int = 1024, noise: float = 0.003) -> "CameraSettings":
-        """Clouds like those of training, which cover obstacles evenly: cameras all around, and no
-        floor.
+        """Clouds as in training, which cover obstacles evenly: cameras on all sides, no floor.
 
-        Unlike training clouds they do not show what no camera sees, such as the inside of closed
-        cabinets.
+        Unlike training clouds they lack what no camera sees, such as the inside of closed cabinets.
         """
         lens, crop = Intrinsics.from_fov(vertical_fov=70.0, near=0.1), BallCrop()
         cameras = cameras_on_sphere(
@@ -60,15 +58,12 @@ class CameraSettings:
 
 
 def camera_cloud(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Points (m, 3) [m, robot base frame] that cameras see of a scene, in random order; empty:
-    they see nothing.
-    """
+    """Points (m, 3) [m, robot base frame] that the cameras see, in random order; empty if none."""
     return thinned(visible_points(scene, settings, rng), settings, rng)
 
 
 def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Of points (p, 3), voxel means, in random order, as many as the settings say, with their noise
-    (m, 3).
+    """Voxel means (m, 3) of points (p, 3), with noise, shuffled; m = `settings.points`, if set.
 
     The order is random because the point encoder takes the neighbours of lowest index.
     """
@@ -126,9 +121,7 @@ def _solid(item: SceneObject) -> Solid:
 
 
 def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
-    """Collision hulls of the robot's links at a configuration (n,), as objects that a camera sees
-    beside a scene's.
-    """
+    """Collision hulls of the robot's links at q (n,), as objects that a camera also sees."""
     rotations, translations = link_poses(
         robot.kinematics, np.ascontiguousarray(q, dtype=float)[None]
     )

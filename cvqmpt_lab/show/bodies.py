@@ -112,9 +112,7 @@ def colour_of(name: str, other: Colour = (0.87, 0.77, 0.62)) -> Colour:
 
 
 def poses_along(robot: Robot, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """T_world_link (m, n + 1, 4, 4), row 0 the world, and T_world_hand (m, 4, 4) at configurations
-    (m, n).
-    """
+    """T_world_link (m, n + 1, 4, 4), [:, 0] the world, and T_world_hand (m, 4, 4) at q (m, n)."""
     rotations, translations = link_poses(
         robot.kinematics, np.ascontiguousarray(states, dtype=float)
     )
@@ -257,9 +255,7 @@ def seen_of_solution(
     goals: int = 1,
     hidden: Sequence[str] = HIDDEN,
 ) -> Seen:
-    """What is seen of a solution; carried: what the hand is shown with where the problem does not
-    model it.
-    """
+    """What is seen of a solution; `carried`: load in the hand if the problem does not model it."""
     path = solution.simplified.path if solution.simplified else None
     problem = with_load(solution.problem, carried)
     seen = seen_of_problem(problem, path, most_states, goals=goals, hidden=hidden)
@@ -341,9 +337,7 @@ def constraint_marks(
 def _arc(
     robot: Robot, region: TaskSpaceRegionChain, q: np.ndarray, count: int = 40
 ) -> Iterator[Mesh]:
-    """Where the region's frame goes while the joints that move it, and not the hand, go through
-    their range.
-    """
+    """Path of the region's frame while the joints that move it, not the hand, sweep their range."""
     row, _ = region.reference_link(robot)
     moved = np.flatnonzero(robot.kinematics.moves[:, row])
     if len(moved):
@@ -405,7 +399,7 @@ def shown(world: World) -> PlanningProblem:
 def seen_of_task(
     solution: TaskSolution, most: int | None = None, hidden: Sequence[str] = HIDDEN
 ) -> Seen:
-    """What is seen of a task, up to the phase that failed; of more than `most` moments as many.
+    """What is seen of a task with at most `most` moments, up to the phase that failed.
 
     Raises InvalidInputError if nothing was done.
     """

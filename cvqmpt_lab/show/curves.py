@@ -69,9 +69,7 @@ def bound_plots(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
 
 
 def tilt_plots(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
-    """For every region with one free turn, the angle between its axis in w and where the end
-    effector has it.
-    """
+    """For each region with one free rotation, the angle between its axis in w and the hand's."""
     found = []
     for k, region in enumerate(problem.constraint):
         free = {3, 4, 5} - set(region.bounded_rows.tolist())

@@ -61,8 +61,9 @@ def hull_mesh(vertices: np.ndarray) -> Mesh:
 
 @lru_cache(maxsize=512)  # a robot's pieces are asked for in every pose
 def _hull_mesh(coordinates: bytes, most: int = 300, smooth: float = 0.7) -> Mesh:
-    """Of more than `most` corners, those farthest in as many directions; facets that meet at less
-    than `smooth` [rad] are shaded as one curved surface.
+    """Convex hull; of more than `most` corners, only those farthest in as many directions.
+
+    Facets that meet at less than `smooth` [rad] are shaded as one curved surface.
     """
     vertices = np.frombuffer(coordinates).reshape(-1, 3)
     if len(vertices) > most:
@@ -82,9 +83,9 @@ def _hull_mesh(coordinates: bytes, most: int = 300, smooth: float = 0.7) -> Mesh
 
 
 def shape_mesh(shape: Shape, most_balls: int = 4000) -> Mesh:
-    """Triangles of a shape in its own frame; balls and cylinders have facets.
+    """Triangles of a shape in its own frame; spheres and cylinders are faceted.
 
-    Of a cloud of more points than `most_balls` some are shown, as larger balls.
+    A cloud of more than `most_balls` points is thinned and drawn with larger balls.
     """
     match shape:
         case Cylinder(radius, height):
@@ -141,9 +142,7 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _copies(mesh: Mesh, centres: np.ndarray, scales: np.ndarray | None = None) -> Mesh:
-    """One mesh of copies of another, moved to centres (k, 3) [m], stretched by scales (k, 3) along
-    the axes.
-    """
+    """A mesh of copies of another, scaled along the axes by (k, 3), moved to centres (k, 3) [m]."""
     scaled = mesh.corners if scales is None else scales[:, None, None] * mesh.corners
     corners = (centres[:, None, None] + scaled).reshape(-1, 3, 3)
     normals = np.tile(mesh.normals, (len(centres), 1, 1))

@@ -112,15 +112,17 @@ def draw_solution(
     ghosts: int = 4,
     carried: Sequence[Attachment] = (),
 ) -> None:
-    """Write a PNG of scene, robot at the start, ghosts along the path and at the goal, the hand's
-    trace, the constraint, the hand's axes at start and goal, and a legend.
+    """Write a PNG of the scene, the robot along the path, and the constraint, with a legend.
+
+    The robot is drawn at the start, as ghosts along the path and at the goal; lines show the hand's
+    trace, and its axes at start and goal.
 
     Args:
         solution: solved or not.
         path: of the file.
         size: width and height, legend included [pixels].
         ghosts: number of poses shown between start and goal.
-        carried: what the hand is shown with where the problem does not model it.
+        carried: the load in the hand if the problem does not model it.
     """
     problem = with_load(solution.problem, carried)
     planned = None if solution.simplified is None else solution.simplified.path
@@ -171,7 +173,7 @@ def still_image(
 ) -> np.ndarray:
     """Colours (height, width, 3), 8 bit, of the scene without `hidden` and the robot at q (n,).
 
-    `Viewpoint.screen` says where in it a point is.
+    `Viewpoint.screen` gives the pixel of a point.
     """
     scene = meshes_of(scene_bodies(problem.scene, hidden))
     stage = Stage(scene, ground_height(problem.scene), viewpoint, size)
@@ -215,8 +217,7 @@ def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 
 def task_image(
     solution: TaskSolution, size: tuple[int, int], columns: int = 3, gap: int = 6
 ) -> tuple[np.ndarray, list[str]]:
-    """Named pictures of the start and of the end of each planned phase, row by row, 8 bit; their
-    names.
+    """8-bit pictures of the start and the end of each planned phase in a grid, and their names.
 
     Args:
         solution: of the task.
@@ -256,9 +257,9 @@ def legend_of(bodies: Iterable[Body], texts: Sequence[str] = ()) -> list[Label]:
 
 
 def strip(labels: Sequence[Label], width: int, letters_across: int = 62) -> np.ndarray:
-    """An image (height, width, 3), 8 bit, of labels in lines, as high as they need.
+    """Image (height, width, 3), 8 bit, of labels in lines, as high as they need.
 
-    letters_across: that fit side by side; no font is smaller than 11 pixels.
+    letters_across: letters per line; the font has at least 11 pixels.
     """
     ink, size = (40, 40, 44), max(11, width // letters_across)
     font = ImageFont.load_default(size)

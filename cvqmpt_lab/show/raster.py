@@ -1,6 +1,4 @@
-"""Pictures of triangles without a display: viewpoints, a z-buffer rasteriser in numpy, light,
-shadow and outlines.
-"""
+"""Pictures of triangles without a display: viewpoints, z-buffer, light, shadow and outlines."""
 
 import math
 from collections.abc import Sequence
@@ -59,9 +57,7 @@ class Viewpoint:
     def light(
         self, normals: np.ndarray, sky: float = 0.58, steep: float = 0.1, sun: float = 0.46
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Light (k,) on surfaces with normals (k, 3): `sky + steep n_z` from the sky, and
-        `sun max(n . s, 0)` from the sun in direction s where nothing shadows it.
-        """
+        """Light at normals n (k, 3): `sky + steep n_z`, and the sun's `sun max(n . s, 0)`."""
         return sky + steep * normals[:, 2], sun * np.maximum(normals @ self.sun, 0.0)
 
 
@@ -134,8 +130,7 @@ def _fill_small(
     high: np.ndarray,
     side: int,
 ) -> None:
-    """Draw many small triangles at once, as `rasterise` draws one; of equally near ones the first
-    counts.
+    """Draw many small triangles at once, like `rasterise`; of equally near ones the first counts.
 
     face, nearest: (rows, columns), changed. faces: their numbers (k,). edges: (k, 4, 3), nearness
         and corner weights of a pixel (x, y, 1). low, high: (k, 2), first pixel of each and the one
@@ -157,9 +152,7 @@ def _fill_small(
 
 
 def _corner_weights(screen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric coordinates of triangles (f, 3, 2): corner k's is [:, k] @ (x, y, 1);
-    signed areas (f,).
-    """
+    """Barycentric coordinates of triangles (f, 3, 2), [:, k] @ (x, y, 1), and signed areas (f,)."""
     (x1, x2), (y1, y2) = (
         [np.roll(screen[..., axis], -s, axis=1) for s in (1, 2)] for axis in (0, 1)
     )

@@ -1,8 +1,7 @@
-"""One html file that shows a plan or a task in three dimensions, with a slider along it and plots
-below.
+"""One html file that shows a plan or task in 3-D, with a time slider and plots.
 
-It holds its own viewer (WebGL, `plan_page.html`), loads nothing and opens from a disk without a
-network. Scenes of too many triangles are drawn with fewer, and the page says so.
+It contains its viewer (WebGL, `plan_page.html`) and works without a network. Scenes of too many
+triangles are drawn with fewer, and the page says so.
 """
 
 import json
@@ -66,16 +65,14 @@ def save_page(
 def path_html(
     problem: PlanningProblem, states: np.ndarray, verdict: str, carried: Sequence[Attachment] = ()
 ) -> str:
-    """The same html of states (m, n) [rad or m] of a path that is known to solve a problem, with a
-    verdict in words.
-    """
+    """The same page for a valid path of states (m, n) [rad or m], with a verdict in words."""
     path = JointPath(states)
     seen = seen_of_problem(with_load(problem, carried), path, MOST_STATES)
     return _html(titled(seen, problem, verdict, repr(problem).splitlines(), path))[0]
 
 
 def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> tuple[str, list[str]]:
-    """The text of a page, and a line that says so where triangles were reduced.
+    """The text of a page, and a message if triangles were reduced.
 
     size: [pixels] for which the first viewpoint is chosen.
     """
@@ -157,8 +154,9 @@ def _css(colour: Colour) -> str:
 def _reduced(
     bodies: Sequence[Body], most: int = 60_000, coarse: int = 60
 ) -> tuple[list[Body], list[str]]:
-    """Bodies with about `most` triangles at most (60 bytes each in the file), of the scene's finer
-    ones the same share but no fewer than `coarse`; what was done to them.
+    """Bodies with about `most` triangles at most (60 bytes each in the file), and a message.
+
+    Finer bodies of the scene keep the same share of triangles, but at least `coarse`.
     """
     counts = [len(body.mesh.corners) for body in bodies]
     pairs = list(zip(bodies, counts, strict=True))
@@ -189,9 +187,7 @@ def _with_fewer(mesh: Mesh, most: int) -> Mesh:
 
 
 def clustered(mesh: Mesh, cell: float) -> Mesh:
-    """A mesh whose corners in one cell of a grid with edges of `cell` [m] are their mean;
-    triangles without area go.
-    """
+    """Replace the corners in each cell [m] of a grid by their mean; drop triangles without area."""
     corners = mesh.corners.reshape(-1, 3)
     which = np.unique(_numbered(np.floor(corners / cell).astype(np.int64)), return_inverse=True)[1]
     sums = np.stack([np.bincount(which, axis) for axis in corners.T], axis=1)
@@ -203,9 +199,7 @@ def clustered(mesh: Mesh, cell: float) -> Mesh:
 
 
 def _numbered(rows: np.ndarray) -> np.ndarray:
-    """A number (m,) for each row (m, 3) of whole numbers, the same for the same rows;
-    sorted ten times as fast.
-    """
+    """Keys (m,) of integer rows (m, 3), equal for equal rows; sorting them is ten times faster."""
     rows = rows - rows.min(axis=0)
     x, y, z = rows.T
     return (x * (rows[:, 1].max() + 1) + y) * (rows[:, 2].max() + 1) + z
