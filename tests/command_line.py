@@ -22,9 +22,7 @@ def refused(capsys, *words):
 
 
 def environment(**changes):
-    """The environment of this process, in which commands import the code that is tested, with
-    changes.
-    """
+    """This process's environment with changes; commands import the code under test."""
     paths = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     return {**os.environ, "PYTHONPATH": paths, **changes}
 

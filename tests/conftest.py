@@ -32,9 +32,7 @@ def part(request):
 
 
 def pytest_runtest_setup():
-    """Let torch, once it is imported, use one thread:
-    for small networks more of them wait for each other.
-    """
+    """Limit torch, once imported, to one thread: small networks are slower with more."""
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
 
@@ -71,7 +69,7 @@ def published_states():
 
 @pytest.fixture
 def published(tmp_path, published_states):
-    """Writes folders like the published ones, with changes given as name=value, and returns them."""
+    """Writes folders like the published ones, with changes name=value, and returns them."""
     from published_files import write_published
 
     return partial(write_published, tmp_path, published_states)
@@ -103,9 +101,7 @@ def task_solution(task):
 
 @pytest.fixture
 def four_threads():
-    """Returns what a function gives for each value, called in four threads that are switched every
-    10 us.
-    """
+    """Results of a function for each value, in four threads that switch every 10 us."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
     with ThreadPoolExecutor(4) as executor:

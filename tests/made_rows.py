@@ -25,9 +25,7 @@ def names(directory):
 
 
 def a_results_folder(tmp_path, **times):
-    """Place-task rows of 30 problems;
-    times [s] by planner, dashes as underscores, None for failures.
-    """
+    """Rows of 30 place problems; times [s] by planner (underscores for dashes), None: failed."""
     folder = tmp_path / "place-task"
     folder.mkdir()
     rows = []

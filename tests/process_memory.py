@@ -21,9 +21,7 @@ def resident():
 
 
 def in_use():
-    """Bytes that C and C++ code has asked for and not given back, after Python's collector ran:
-    to the byte.
-    """
+    """Exact bytes that C and C++ code has allocated and not freed, after Python's collector ran."""
     gc.collect()
     library = ctypes.CDLL(None)
     library.mallinfo2.restype = Mallinfo

@@ -1,11 +1,8 @@
-"""Pytest plugin of docs/guarantees.md: how often each of its promises is tried, and what came of
-it.
+"""Pytest plugin of docs/guarantees.md: trials of each promise, and their result.
 
-A test says with `@pytest.mark.promise(words, unit, ci=..., long=...)` which promise it attacks and
-how many trials it
-makes: `ci` with every commit, `long` with `pytest --long`; without numbers they are hypothesis's
-    examples. The fixture `trials` is that number. `--record F.md` writes a line for each promise
-    into the table between two marks of F.md.
+A test names its promise and trials by `@pytest.mark.promise(words, unit, ci=..., long=...)`: `ci`
+with every commit, `long` with `pytest --long`; without numbers hypothesis's examples. The fixture
+`trials` is that number. `--record F.md` writes a line for each promise between two marks of F.md.
 """
 
 import subprocess
@@ -77,7 +74,7 @@ def trials(request):
 
 
 class Recorder:
-    """Writes the table as soon as a test has ended; trials of tests of the same promise are summed."""
+    """Writes the table after every test; trials of tests of the same promise are summed."""
 
     def __init__(self, page, form):
         self.page, self.form, self.figures = page, form, {}

@@ -1,6 +1,4 @@
-"""Folders laid out like the published checkpoints;
-names and shapes are written from their description.
-"""
+"""Folders like the published checkpoints; names and shapes follow their description."""
 
 import json
 
@@ -12,10 +10,12 @@ STAGE1 = {
     "n_position": 40, "dropout": 0.1, "c_space_dim": 7,
 }  # fmt: skip
 CONTEXT = {
-    "d_context": 7, "n_layers": 2, "n_heads": 1, "d_k": 4, "d_v": 3, "d_model": 512, "d_inner": 9, "dropout": 0.1,
+    "d_context": 7, "n_layers": 2, "n_heads": 1, "d_k": 4, "d_v": 3,
+    "d_model": 512, "d_inner": 9, "dropout": 0.1,
 }  # fmt: skip
 SEQUENCE = {
-    "d_k": 3, "d_v": 2, "d_model": 512, "d_inner": 8, "dropout": 0.1, "n_heads": 2, "n_layers": 2, "num_keys": 2050,
+    "d_k": 3, "d_v": 2, "d_model": 512, "d_inner": 8,
+    "dropout": 0.1, "n_heads": 2, "n_layers": 2, "num_keys": 2050,
 }  # fmt: skip
 
 

@@ -1,10 +1,8 @@
-"""A second judge of paths that shares no code with cvqmpt_lab: triangles of the files, and fcl,
-state by state.
+"""A second judge of paths without code of cvqmpt_lab: the files' triangles and fcl, state by state.
 
-It reads the problem's json, its URDF and their meshes itself, and walks a path in steps in which no
-point moves by more than `STEP`. Nothing is replaced by its hull: links and meshes are the triangles
-that the files hold, clouds are balls, maps are cubes. Round solids are inscribed polyhedra, so that
-every overlap it finds is one.
+It reads json, URDF and meshes itself and walks a path in steps in which no point moves by more than
+`STEP`. There are no hulls: links and meshes are the files' triangles, clouds are balls, maps are
+cubes. Round solids are inscribed polyhedra, so every overlap found is real.
 """
 
 import json
@@ -34,9 +32,7 @@ class Verdict(NamedTuple):
 
 
 class Body:
-    """Triangles (f, 3, 3) [m] of a group of bodies that move together;
-    their surface may be open, or cross itself.
-    """
+    """Triangles (f, 3, 3) [m] of bodies that move together; open or self-crossing are allowed."""
 
     radius = 0.0
 
@@ -153,9 +149,7 @@ def depth(a, b, T):
 
 
 def triangle_depths(first, second):
-    """Lengths (k,) of the shortest moves that part triangles (k, 3, 3) from others:
-    least overlap along 11 axes.
-    """
+    """Least overlaps (k,) of triangles (k, 3, 3) along 11 axes: shortest moves that part them."""
     e, f = np.roll(first, -1, axis=1) - first, np.roll(second, -1, axis=1) - second
     edges = np.cross(e[:, :, None], f[:, None]).reshape(len(e), 9, 3)
     axes = np.concatenate(
@@ -181,9 +175,7 @@ def body_of(item, group, T, folder):
 
 
 def triangles_of(shape, folder):
-    """Triangles (f, 3, 3) of a shape in json;
-    of a map, those of its cubes, made longer by the padding in turn.
-    """
+    """Triangles (f, 3, 3) of a json shape; of a map: its cubes, padded along each axis in turn."""
     match shape["type"]:
         case "box":
             return trimesh.creation.box(shape["size"]).triangles
@@ -247,9 +239,7 @@ def motion(joint, value):
 
 
 def held_value(joint, locked, joints):
-    """Value of a joint that does not move:
-    as the file says, as that of the joint it mimics, or nearest to 0.
-    """
+    """Value of a joint that does not move: from the file, its mimicked joint, or nearest to 0."""
     mimic, limit = joint.find("mimic"), joint.find("limit")
     if joint.get("name") in locked:
         return locked[joint.get("name")]
@@ -265,9 +255,7 @@ def held_value(joint, locked, joints):
 
 
 class Arm:
-    """Groups of rigidly joined links, their joints and bodies, of the field "robot" of a problem in
-    a folder.
-    """
+    """Groups of rigidly joined links, their joints and bodies, of a problem's field "robot"."""
 
     def __init__(self, robot, folder):
         path = (folder / robot["urdf"]).resolve()
@@ -316,9 +304,7 @@ class Arm:
             self.excused.add(frozenset((link, before)))  # the nearest one before it that has a body
 
     def pairs(self, excused=()):
-        """Pairs of links that must not overlap:
-        of different groups, not adjacent, nor excused by SRDF or name.
-        """
+        """Link pairs that must not overlap: of two groups, not adjacent, not excused."""
         skipped = self.excused | {frozenset(pair) for pair in excused}
         every = combinations(self.bodies, 2)
         return [(a, b) for a, b in every if a.group != b.group and {a.name, b.name} not in skipped]
@@ -331,9 +317,7 @@ class Arm:
         return np.array(found)
 
     def speeds(self, bodies, states):
-        """Bounds (n,) on how far a point of bodies moves with each coordinate [m/rad or m/m]
-        between states (k, n).
-        """
+        """Bounds (n,) on motion of points per coordinate [m/rad or m/m] between states (k, n)."""
         outer, speeds = np.zeros(len(self.joints) + 1), np.ones(len(self.joints))
         for body in bodies:
             size = np.linalg.norm(body.points, axis=1).max() + body.radius
@@ -351,7 +335,7 @@ class Judge:
     """The bodies of a problem file and the pairs of them that must not overlap."""
 
     def __init__(self, path, arm, excused=()):
-        """arm: of the file's field "robot". excused: names of more pairs of links that may overlap."""
+        """arm: of the file's field "robot". excused: names of more link pairs that may overlap."""
         problem, (hand, T) = json.loads(path.read_text()), arm.hand
         things, objects = problem["attachments"], problem["scene"]["objects"]
         carried = [body_of(x, hand, T @ np.array(x["T_hand_object"]), path.parent) for x in things]

@@ -40,9 +40,7 @@ def test_a_planned_path_is_accepted(problem, solution, states):
 
 
 def touching(problem, states, gap):
-    """A problem of two states only, and a ball that is a gap [m] away at the first, behind what
-    moves.
-    """
+    """A problem of two states, and a ball a gap [m] away at the first, behind what moves."""
     (a, b), scene = (problem.robot.pose(q)[:3, 3] for q in states[:2]), problem.scene
     ball = SceneObject("ball", Sphere(1e-3), pose(a + 0.1 * (a - b) / np.linalg.norm(a - b)))
     room = replace(problem, scene=scene.with_objects(ball)).collision_checker().nearest(states[0])
@@ -122,9 +120,7 @@ print(certify(problem, JointPath(np.load(sys.argv[2]))))
 
 
 def test_a_certificate_does_not_depend_on_what_its_process_did_before(tmp_path):
-    """Bit by bit:
-    GJK must not begin where an earlier call ended, and boxes must have one size in every process.
-    """
+    """Bit-equal: GJK must not start from an earlier call's end; boxes have one size everywhere."""
     found = solve(place_problem(2), "birrt", Budget(iterations=20_000), seed=0, clearance=False)
     np.save(tmp_path / "states.npy", found.simplified.path.states)
     printed = [

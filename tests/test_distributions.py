@@ -1,6 +1,4 @@
-"""Sampling distributions: limits, repeatability, and what is refused;
-properties tests check shares and moments.
-"""
+"""Sampling distributions: limits, repeatability, errors; properties tests check the moments."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,4 @@
-"""Commands in README, docs, helps and notebooks are understood;
-examples and quick commands are run.
-"""
+"""Commands in README, docs, helps and notebooks parse; examples and quick commands run."""
 
 import ast
 import re
@@ -31,9 +29,7 @@ and `report` and `compare`, which tests of their own run on smaller folders.
 
 
 def commands_of(text):
-    """Words of every `cvqmpt` command in the fenced blocks of a page;
-    of choices such as a|b, the first.
-    """
+    """Words of every `cvqmpt` command in the fenced blocks of a page; of a|b the first."""
     for block in re.findall(r"```\w*\n(.*?)```", text, re.DOTALL):
         for line in block.replace("\\\n", " ").splitlines():
             if found := re.match(r"(?:.*&& )?(?:\.venv/bin/)?cvqmpt (.*)", line.partition("#")[0]):
@@ -122,9 +118,7 @@ def test_notebooks_are_short_and_define_nothing(path):
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_store_their_outputs(path):
-    """All cells ran, in their order, without an error;
-    there is a picture, and nothing names a place on a machine.
-    """
+    """All cells ran in order without error; there is a picture and no path of a machine."""
     assert path.stat().st_size <= MOST_BYTES
     cells = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))

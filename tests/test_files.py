@@ -1,6 +1,4 @@
-"""Files are read and written whole or not at all;
-errors are one printable line, whatever they quote.
-"""
+"""Files are read and written whole or not at all; errors are one printable line."""
 
 import os
 import pickle
@@ -136,9 +134,7 @@ def test_an_error_of_a_worker_arrives(error):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """A cache folder with one file, made with a umask that lets the group write;
-    nothing was warned of yet.
-    """
+    """A cache folder with one file, under a group-writable umask; no warning was given yet."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     monkeypatch.setattr(caches, "_WARNED", threading.Event())
     before = os.umask(0o002)

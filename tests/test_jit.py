@@ -1,6 +1,4 @@
-"""Entries check the arrays that Python passes, and numba's machine code is kept on disk and healed
-there.
-"""
+"""Entries check arrays from Python; numba's machine code is cached on disk and repaired there."""
 
 import os
 import subprocess
@@ -134,7 +132,8 @@ print(sum(sum(entry.dispatcher.stats.cache_hits.values()) for entry in Entry.all
 READ_ONLY = """
 import os, sys
 def refuse_to_write(event, arguments):  # rights do not bind root, who may run the tests
-    if event in ("open", "os.mkdir", "os.rename", "os.utime", "os.remove") and str(arguments[0]).startswith(WARM):
+    if event in ("open", "os.mkdir", "os.rename", "os.utime", "os.remove") \
+and str(arguments[0]).startswith(WARM):
         if event != "open" or arguments[2] & (os.O_WRONLY | os.O_RDWR):
             raise PermissionError(13, "Permission denied")
 sys.addaudithook(refuse_to_write)
@@ -144,9 +143,7 @@ os.access = lambda path, mode: False
 
 @pytest.fixture
 def project(tmp_path):
-    """Runs PROJECT, after other code, with a cache folder;
-    returns shape, entries read, folder used, warnings.
-    """
+    """Runs PROJECT after other code with a cache folder; gives shape, entries, folder, warnings."""
 
     def run(before=""):
         environment = os.environ | {

@@ -59,10 +59,7 @@ def test_seconds_left_are_used_and_hardly_more(problem):
 
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
 def test_a_clearance_is_planned_for_and_certified(problem, backend):
-    """Of shapes of all kinds; links may come closer to each other.
-
-    A path that was planned without it is refused.
-    """
+    """To all kinds of shapes, not between links; a path planned without it is refused."""
     shapes = (
         Sphere(0.03),
         Cylinder(0.02, 0.1),

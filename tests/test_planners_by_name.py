@@ -28,9 +28,7 @@ def other(request):
 
 @pytest.mark.parametrize("name", NEEDY)
 def test_weights_of_the_panda_are_refused_for_another_arm(other, name):
-    """A UR5 crashed the process here, and an xArm7 was planned with the Panda's weights as
-    "solved".
-    """
+    """A UR5 once crashed the process; an xArm7 was "solved" with the Panda's weights."""
     with pytest.raises(InvalidInputError, match="weights are for robot 'panda', not") as refusal:
         solve(other, name, Budget(iterations=10), seed=0)
     assert str(refusal.value).endswith(

@@ -55,7 +55,8 @@ def entry(path):
 
 # the first two planned without the constraint, and without the can, and were certified
 MISSPELT = {
-    "constraint": "constraints", "attachments": "attachment", "goals": "goal", "goal_region": "goal_regoin",
+    "constraint": "constraints", "attachments": "attachment",
+    "goals": "goal", "goal_region": "goal_regoin",
     "constraint.0.Bw": "BW", "constraint.0.base": "bass", "scene.articulations": "articulation",
     "scene.objects.3.shape": "sahpe",
 }  # fmt: skip
@@ -163,9 +164,7 @@ def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
 
 
 def test_the_reasons_why_there_is_no_goal_are_named(problem):
-    """Out of reach: distance and reach; in collision: pieces and how often; against the constraint:
-    bound, degrees.
-    """
+    """Out of reach: distance, reach; collision: pieces, counts; constraint: bound, degrees."""
     at_goal = problem.robot.pose(problem.goals[0])
 
     def why(T, **changes):
@@ -223,9 +222,7 @@ def test_a_start_region_gives_a_start_free_of_collision_that_keeps_the_constrain
 
 
 def test_files_of_before_still_load(tmp_path):
-    """Written by `cvqmpt problems export` when every pose was a matrix and sampled goals stood
-    beside the region.
-    """
+    """Old `cvqmpt problems export`: every pose a matrix, sampled goals stored beside the region."""
     path = DATA / "problem-1.json"
     old, problem = json.loads(path.read_text()), PlanningProblem.load(path)
     assert problem.goals.tolist() == old["goals"] and problem.start.tolist() == old["start"]
@@ -243,9 +240,7 @@ def test_files_of_before_still_load(tmp_path):
 
 
 def test_millimetres_and_degrees_are_suspected(data, caplog):
-    """A box of 300 x 600 x 20 "mm" 670 m off was planned round and certified;
-    tilt 10 left the constraint free.
-    """
+    """A 300 x 600 x 20 "mm" box 670 m off was certified; tilt 10 made the constraint empty."""
     shelf = {
         "name": "shelf",
         "shape": {"type": "box", "size": [0.3, 0.6, 0.02]},

@@ -1,4 +1,4 @@
-"""The wheel holds all that planning needs: installed elsewhere, it plans with the shipped weights."""
+"""The wheel has all that planning needs: installed elsewhere, it plans with shipped weights."""
 
 import filecmp
 import os

@@ -1,6 +1,4 @@
-"""How long the fastest motion along a curve takes by toppra, an implementation of time scaling by
-others.
-"""
+"""Shortest duration of a motion along a curve by toppra, an independent time scaling."""
 
 import numpy as np
 import toppra

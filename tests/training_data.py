@@ -103,9 +103,7 @@ def write_shard(folder, number, arrays):
 
 
 def write_dataset(folder, *, shards=((20, 1, 2), (40, 3, 4)), paths_per_scene=7, seed=0, **changes):
-    """Write scenes of the given seeds, paths of each of them;
-    `changes` replace fields of the description.
-    """
+    """Write scenes of the seeds and paths of each; `changes` replace fields of the description."""
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
     description = {

@@ -1,6 +1,4 @@
-"""Problems under every kind of constraint:
-what the hand keeps, from where to where, and what it carries.
-"""
+"""Problems under every kind of constraint: what the hand keeps, start, goal and payload."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,4 @@
-"""Problems in scenes of the training families:
-of the Panda, and of arms for which there are no weights.
-"""
+"""Problems in scenes of the training families, for the Panda and for arms without weights."""
 
 from dataclasses import replace
 

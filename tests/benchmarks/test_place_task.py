@@ -1,6 +1,4 @@
-"""The place task:
-where the can stands, how it is grasped, and that every environment has a problem.
-"""
+"""The place task: position of the can, its grasp, and a problem for every environment."""
 
 import numpy as np
 import pytest
@@ -34,9 +32,7 @@ def yaw_about_can(T_world_hand):
     ("environment", "u"), [(0, (0.5488135039, 0.7151893664)), (7, (0.0763082894, 0.7799187922))]
 )
 def test_can_position_formula(environment, u):
-    """First two uniforms of numpy's frozen legacy generator, as printed in numpy's own
-    documentation of seed 0.
-    """
+    """Uses the first two uniforms of numpy's legacy generator with seed 0, from numpy's manual."""
     link = (0.4 + 0.3 * u[0], -0.6 + 1.0 * u[1], 0.171)
     np.testing.assert_allclose(
         can_com(environment), np.add(link, (-0.005, 0.010, 0.100)), atol=1e-9
@@ -76,9 +72,7 @@ def test_problems_are_sound(with_can):
 
 
 def test_the_mirrored_kitchen_is_the_same_modules_on_the_other_side():
-    """Left and right change places, walls keep their distance, and the can stands in the shelf's
-    open cabinet.
-    """
+    """Left and right swap, walls keep their distance, the can is in the shelf's open cabinet."""
     known, mirrored = (place_problem(7), mirrored_problem(7))
     old, new = ({item.name: item for item in p.scene.objects} for p in (known, mirrored))
     assert list(old) == list(new) and mirrored.scene.articulations == ()
@@ -131,9 +125,7 @@ def test_a_problem_without_a_start_is_refused():
 @pytest.mark.slow
 @pytest.mark.parametrize("suite", ["place-task", "place-task-with-can"])
 def test_every_environment_is_solved(suite, part):
-    """By birrt within 20 000 iterations;
-    every path certified, every start and goal checked by `solve`.
-    """
+    """By birrt within 20 000 iterations, all certified; `solve` checks every start and goal."""
     planner, budget = planner_named("birrt"), Budget(iterations=20_000)
     problems = [suite_named(suite).solvable(e) for e in part(ENVIRONMENTS, 30)]
     solutions = [solve(problem, planner, budget, seed=0, clearance=False) for problem in problems]

@@ -1,6 +1,4 @@
-"""Scanned scenes:
-fair starts and goals, cameras in the open, maps that repeat, paths judged in map and truth.
-"""
+"""Scanned scenes: valid starts and goals, free cameras, same maps, verdicts in map and truth."""
 
 from dataclasses import replace
 

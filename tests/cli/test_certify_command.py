@@ -1,6 +1,4 @@
-"""`cvqmpt certify`:
-what is whole passes, what was tampered with is refused where it was tampered with.
-"""
+"""`cvqmpt certify`: intact solutions pass; changed ones are refused and the change is named."""
 
 import json
 import os
@@ -119,9 +117,7 @@ def test_the_record_says_what_was_compared_and_where_it_was_closest(judged, regi
 def test_two_certificates_of_one_path_are_compared(
     judged, states, tmp_path, region_problem, capsys
 ):
-    """What an earlier version wrote, with another bound and another reason;
-    not of another path or problem.
-    """
+    """Also from an earlier version with other bound and reason; not of another path or problem."""
     earlier = judged(states)[1]
     (tmp_path / "now.json").write_text(json.dumps(earlier))
     assert judged(states, options=["--against", str(tmp_path / "now.json")])[1]["differences"] == {}

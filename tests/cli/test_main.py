@@ -1,6 +1,4 @@
-"""The command line as a whole:
-bad words are one line and exit code 2, help is quick and has examples.
-"""
+"""The whole command line: bad words give one line and exit code 2; help is fast, with examples."""
 
 import os
 import statistics

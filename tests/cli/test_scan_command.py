@@ -1,6 +1,4 @@
-"""`cvqmpt scan` and `cvqmpt plan --cloud`:
-a file becomes a clean cloud, a scene, a certified path, or one line.
-"""
+"""`cvqmpt scan` and `cvqmpt plan --cloud`: a file gives a cloud, scene, path, or one error."""
 
 import numpy as np
 import pytest

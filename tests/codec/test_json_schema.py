@@ -1,6 +1,4 @@
-"""The json schemas that ship have the fields of the code, accept what the code writes, and refuse
-what it refuses.
-"""
+"""The shipped json schemas have the code's fields, accept what it writes, refuse what it does."""
 
 import json
 from pathlib import Path

@@ -49,9 +49,7 @@ def near_contact(checker, rng, count):
 
 
 def compare(robot, scene, count, attachments=(), margin=0.0, around=None):
-    """Assert agreement on `count` uniform and `count` near-contact states, or on states around a
-    given one.
-    """
+    """Assert agreement on `count` uniform and near-contact states, or states around a given one."""
     rng = np.random.default_rng(0)
     exact, close = (
         CollisionChecker(robot, scene, attachments, margin + extra) for extra in (0.0, CLOSE)
@@ -112,9 +110,7 @@ def test_both_checkers_agree_with_a_door_in_the_hand():
 
 
 def test_another_robot(slider_arm):
-    """Boxes, cylinders and spheres as links, a slider, no SRDF;
-    round links are circumscribed, so contact is loose.
-    """
+    """Boxes, cylinders, spheres, slider, no SRDF; round links are circumscribed: loose contact."""
     scene, rng = with_one_of_each(), np.random.default_rng(0)
     checker = CollisionChecker(slider_arm, scene)
     states = np.concatenate(
@@ -156,9 +152,7 @@ def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
 
 
 def touching_ball(piece, T_world_piece, radius, depth, rng):
-    """Centre (3,) of a ball that is this deep [m] in a face of a convex piece, and the face's
-    normal (3,).
-    """
+    """Centre (3,) of a ball `depth` [m] deep in a face of a convex piece, and its normal (3,)."""
     hull = ConvexHull(piece.vertices)
     face = rng.integers(len(hull.simplices))
     normal = T_world_piece[:3, :3] @ hull.equations[face, :3]

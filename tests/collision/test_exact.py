@@ -105,9 +105,7 @@ def least_of_all_pairs(checker, q):
 
 
 def test_the_clearance_is_the_least_of_all_pairs_whatever_was_asked_before(panda):
-    """coal's broad phases hand every pair the same result:
-    clearances were once up to 0.1 m too large.
-    """
+    """coal's broad phases reuse one result for all pairs: clearances were up to 0.1 m too large."""
     checker = CollisionChecker(panda, random_scene(3), (carried_can(),))
     states = panda.random_configurations(np.random.default_rng(9), 120)
     found = [checker.nearest(q) for q in states]
@@ -142,9 +140,7 @@ def test_the_carried_can_collides_with_the_arm(panda):
 @pytest.mark.parametrize("which", ["arm", "arm and door"])
 @pytest.mark.parametrize("xyz", [(0.06, 0.0, -0.05), (0.0, 0.07, -0.1)])
 def test_what_is_carried_is_compared_with_every_link_but_the_hand(panda, which, xyz):
-    """A bar along the hand, also with the link before the last joint:
-    both checkers against each pair alone.
-    """
+    """A bar along the hand, also with the link before the last joint: both checkers by pair."""
     robot = panda if which == "arm" else door_world()[1]
     bar = Attachment("bar", Box((0.02, 0.02, 0.5)), pose(xyz))
     rng, shape = np.random.default_rng(2), coal_shape(bar.shape)
@@ -226,9 +222,7 @@ MISSED = {
 
 @pytest.mark.parametrize("q", MISSED.values(), ids=MISSED)
 def test_penetrations_that_were_once_missed(panda, open_kitchen, q):
-    """Around these states 3-6 % of the answers are 'free', though every pair overlaps by 0.5 mm and
-    more.
-    """
+    """Near these states 3-6 % of answers are 'free', though every pair overlaps by >= 0.5 mm."""
     checker = CollisionChecker(panda, open_kitchen)
     states = np.array(q) + 1e-5 * np.random.default_rng(1).standard_normal((500, 7))
     assert max(checker.clearance(q) for q in states[:50]) < -5e-4

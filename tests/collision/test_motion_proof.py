@@ -1,6 +1,4 @@
-"""Motions proven free: no sample of them collides, however fine;
-what samples find, the proof finds.
-"""
+"""Motions proven free: no sample of them collides; the proof finds every sampled collision."""
 
 from itertools import pairwise
 
@@ -64,9 +62,7 @@ def test_a_cloud_is_proven_like_any_obstacle(panda):
 
 @pytest.mark.parametrize("gap", [0.0, 1e-18, 1e-16])
 def test_states_that_are_repeated_or_hardly_apart_change_nothing(panda, open_kitchen, gap):
-    """OMPL's paths hold such states;
-    far along a path a tiny step no longer changes the distance along it.
-    """
+    """OMPL's paths hold such states; late in a path a tiny step does not change its distance."""
     motion = HOME + np.linspace(0.0, 0.3, 20)[:, None] * np.eye(7)[5]
     repeated = (
         np.repeat(motion, 3, axis=0) + gap * np.tile([[0.0], [1.0], [2.0]], (20, 1)) * np.eye(7)[0]

@@ -1,6 +1,4 @@
-"""What the compiled collision checks are made of, against coal:
-pairs of shapes, balls and pieces, distance grid.
-"""
+"""Parts of the compiled collision checks against coal: shapes, balls and pieces, distance grid."""
 
 import coal
 import numpy as np

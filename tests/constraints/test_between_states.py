@@ -1,6 +1,4 @@
-"""Violations between the states of a path:
-bounded from a few of them, also where the rotation vector flips.
-"""
+"""Bounds on violations between path states, also where the rotation vector flips."""
 
 from dataclasses import replace
 
@@ -51,9 +49,7 @@ def test_a_kink_between_two_good_states_is_found(panda):
 
 
 def test_flips_at_angle_pi_are_no_violation_of_symmetric_bounds(panda):
-    """Seen from a frame turned by pi about the vertical, the arm swings through the sign change of
-    the vector.
-    """
+    """In a frame turned by pi about the vertical, the arm's rotation vector changes sign."""
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
     region = replace(upright(0.02), T0_w=upright().T0_w @ half_turn)
     manifold = RegionConstraint(panda, (region,))
@@ -73,9 +69,7 @@ def test_no_regions_no_violation(panda):
 
 
 def test_a_stretch_through_half_a_turn_near_the_bound_is_shown_to_be_inside(panda):
-    """A path of place problem 29 whose tilt stays 0.4 mrad inside the bounds while the rotation
-    vector flips.
-    """
+    """Path of place problem 29: tilt 0.4 mrad inside the bounds where the rotation vector flips."""
     first = np.array([-1.14812, 0.38627, -0.63918, -1.13516, -1.36829, 1.75537, 2.18154])
     last = np.array([-1.19274, 0.36491, -0.61858, -1.12574, -1.38658, 1.74428, 2.15945])
     states = np.array([first, last])

@@ -54,7 +54,7 @@ def opened(door):
 
 
 def displacement(robot, chain, q):
-    """Position and rotation vector (6,) of the hand in the chain's frame w, by pinocchio and scipy."""
+    """Position and rotation vector (6,) of the hand in the chain's frame w by pinocchio, scipy."""
     T = (
         np.linalg.inv(robot.pose(q, chain.base) @ chain.T0_w)
         @ robot.pose(q)
@@ -113,9 +113,7 @@ def test_bad_chains_are_refused(door, panda):
 
 
 def handle_errors(problem, states, resolution=0.002):
-    """Largest distance [m] and angle [rad] of the hand from its place at the bar, the turn about it
-    aside.
-    """
+    """Largest distance [m] and angle [rad] of the hand from the bar, without the turn about it."""
     metres = radians = 0.0
     for a, b in pairwise(states):
         for s in np.linspace(0.0, 1.0, max(2, int(np.ceil(np.linalg.norm(b - a) / resolution)))):
@@ -127,9 +125,7 @@ def handle_errors(problem, states, resolution=0.002):
 
 @pytest.mark.parametrize("name", ["birrt", "ompl-projected", "atlas-rrt", "tb-rrt"])
 def test_every_planner_opens_the_door(panda, door, name):
-    """Certified, the hand at the handle all along, and a state where the next phase can open its
-    fingers.
-    """
+    """Certified, hand always at the handle, last state lets the next phase open the fingers."""
     found = solve(door, planner_named(name), Budget(seconds=30.0), seed=0)
     assert found.solved, (found.plan.status, found.certificate and found.certificate.reasons)
     states = found.simplified.path.states
@@ -161,9 +157,7 @@ def test_the_certificate_sees_the_door_hit_something(door, opened):
 
 
 def test_the_certificate_sees_an_end_with_the_door_elsewhere(door, opened):
-    """The goal's hand region, its goals left out:
-    a path that stops half way has not opened the door.
-    """
+    """Hand region of the goal without its states: a path that stops half way fails."""
     half = opened.simplified.path.states[: len(opened.simplified.path.states) // 2]
     reasons = certify(replace(door, goals=np.empty((0, 8))), JointPath(half)).reasons
     assert reasons == ("does not end at a goal",)

@@ -59,9 +59,7 @@ def test_the_upright_manifold_is_reached_inside_the_limits_from_anywhere(panda, 
 
 @pytest.mark.parametrize("held", [1, 3, 5])
 def test_what_a_held_joint_cannot_do_the_others_share(panda, held):
-    """Joints 1, 3 and 5 turn about parallel axes:
-    the shortest way back from a tilt is a third each, or a half.
-    """
+    """Joints 1, 3, 5 have parallel axes: each corrects a third of a tilt, or a half of it."""
     manifold = RegionConstraint(panda, (upright(0.0),))
     tilted = manifold.project(np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.0, 0.8]))
     tilted[5] += 0.3

@@ -1,4 +1,4 @@
-"""The rotation logarithm and its inverse left Jacobian, up to angle pi, against scipy and series."""
+"""Rotation logarithm and inverse left Jacobian, up to angle pi, against scipy and series."""
 
 import math
 
@@ -52,9 +52,7 @@ def test_log_of_random_rotations_is_scipy_s():
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_log_at_special_angles(angle):
-    """The angle lies in [0, pi] and the rotation comes back;
-    at pi itself either sign of the axis is right.
-    """
+    """Angle in [0, pi] and exp(log R) = R; at pi either sign of the axis is right."""
     for axis in random_axes(50):
         R = Rotation.from_rotvec(angle * axis).as_matrix()
         e = log(R)

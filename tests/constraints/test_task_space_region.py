@@ -1,6 +1,4 @@
-"""Task-space regions and chains of them:
-residual, Jacobian, sampling, json, against pinocchio and scipy.
-"""
+"""Task-space regions and chains against pinocchio, scipy: residual, Jacobian, sampling, json."""
 
 import json
 
@@ -30,9 +28,7 @@ ROBOTS = ("panda", "slider_arm", DOOR, "indigo_drawer_top")
 
 @pytest.fixture
 def robot_and_bases(request):
-    """A robot, and the frames that regions hang on;
-    of an arm with a door or drawer, its parts and a link.
-    """
+    """A robot and base frames of regions; an arm with a door or drawer: its parts and a link."""
     if request.param in ROBOTS[:2]:
         return request.getfixturevalue(request.param), [None]
     item = to_plain(take_out(kitchen(), request.param).articulated)
@@ -113,9 +109,7 @@ def test_residual_is_the_signed_distance_outside(robot_and_bases):
 
 @pytest.mark.parametrize("robot_and_bases", ROBOTS, indirect=True)
 def test_jacobian_is_the_residual_s_derivative(robot_and_bases):
-    """Both forms, against finite differences of an independent residual;
-    rows on a kink are skipped.
-    """
+    """Both forms against finite differences of an independent residual, without rows on a kink."""
     compared, robot, columns = 0, robot_and_bases[0], 0.0
     for region, q in random_cases(*robot_and_bases, 200):
         constraint, rows = RegionConstraint(robot, (region,)), region.bounded_rows

@@ -1,6 +1,4 @@
-"""Executors:
-results and errors arrive where the call was made, and a lost process costs its own task only.
-"""
+"""Executors: results and errors reach the caller; a lost process costs only its own task."""
 
 import os
 import signal

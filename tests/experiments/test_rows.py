@@ -59,9 +59,7 @@ def test_parts_that_a_planner_does_not_have_stay_empty(problem):
 
 
 def test_g_is_that_of_what_is_sampled(problem):
-    """F(q)^T F(q):
-    none on the manifold, that of any configuration without a model, unsaid without samples.
-    """
+    """g(q) = F(q)^T F(q): none on the manifold, of any q without a model, empty without samples."""
 
     def g_of(covariance):
         uniform = Uniform(problem.robot.lower, problem.robot.upper)
@@ -84,9 +82,7 @@ def test_timings_are_seconds(value):
 
 
 def test_every_way_to_fail_has_its_reason():
-    """A new status of planners or fault of certificates without a reason would fail a run after its
-    work.
-    """
+    """A planner status or certificate fault without a reason would fail a run at its end."""
     statuses = {FailReason(status) for status in PlanStatus if status is not PlanStatus.SOLVED}
     of_trajectories = {FaultKind.VELOCITY, FaultKind.ACCELERATION, FaultKind.CURRENT}
     faults = {FailReason(f"uncertified_{kind}") for kind in set(FaultKind) - of_trajectories}

@@ -1,6 +1,4 @@
-"""Reads hostile files in a process of its own, with bounded memory and time;
-notes what reaches beyond its folder.
-"""
+"""Reads hostile files in a process of bounded memory and time; notes access outside its folder."""
 
 import multiprocessing
 import os

@@ -1,6 +1,4 @@
-"""Hypothesis strategies of hostile files:
-damaged bytes, and json and xml that are well formed and hostile.
-"""
+"""Hypothesis strategies of hostile files: damaged bytes; hostile but well-formed json and xml."""
 
 import copy
 import json
@@ -73,9 +71,7 @@ def rarely(draw, one_in):
 
 @st.composite
 def damaged(draw, content):
-    """The bytes with some changed, cut out, doubled, a number replaced, or a piece of another
-    format put in.
-    """
+    """Bytes with parts changed, cut, doubled, a number replaced, or another format inserted."""
     data = bytearray(content)
     for _ in range(draw(st.sampled_from((1, 1, 1, 2, 5)))):
         at, length = draw(st.integers(0, len(data))), draw(st.integers(1, 40))
@@ -101,9 +97,7 @@ def damaged(draw, content):
 
 @st.composite
 def hostile_json(draw, content):
-    """Json with a few parts replaced, scaled, left out, repeated or exchanged, and sometimes
-    damaged bytes.
-    """
+    """Json with parts replaced, scaled, removed, repeated or swapped; sometimes damaged bytes."""
     tree = json.loads(content)
     for _ in range(draw(st.integers(1, 3))):
         if not tree:
@@ -133,9 +127,7 @@ def hostile_json(draw, content):
 
 @st.composite
 def places(draw, tree):
-    """A container in the tree and one of its keys:
-    the last step, or one before, of a random walk from the top.
-    """
+    """A container of the tree and one of its keys: last or second-last step of a random walk."""
     walk, node = [], tree
     while isinstance(node, dict | list) and node:
         key = draw(st.sampled_from(list(node if isinstance(node, dict) else range(len(node)))))
@@ -146,9 +138,7 @@ def places(draw, tree):
 
 @st.composite
 def hostile_xml(draw, content):
-    """Xml with attributes changed and elements repeated, left out or moved; entities;
-    sometimes damaged bytes.
-    """
+    """Xml with changed attributes, elements repeated, removed, moved; entities; damaged bytes."""
     root = ElementTree.fromstring(content)
     for _ in range(draw(st.integers(1, 3))):
         elements = list(root.iter())

@@ -1,6 +1,4 @@
-"""Every reader of files that others hand in, a good file for it, how that is made hostile, and how
-it is used.
-"""
+"""Every reader of external files: a good file, how it is made hostile, and how it is used."""
 
 import hashlib
 import io
@@ -214,9 +212,7 @@ def network():
 
 
 def weights(path):
-    """Read weights, one of whose files is hostile;
-    the description states the sha256 of the tensors there are.
-    """
+    """Read weights with one hostile file; the description has the sha256 of the given tensors."""
     beside, content = "mpnet.safetensors", network()[1]
     if path.name == beside:
         stated = json.loads(network()[0])
@@ -268,9 +264,7 @@ def dataset():
 
 
 def training_data(path):
-    """Open a dataset, one of whose files is hostile;
-    the index states the sha256 of a hostile shard.
-    """
+    """Open a dataset with one hostile file; the index has the sha256 of a hostile shard."""
     folder = path.parent.parent if path.suffix == ".npz" else path.parent
     for name, content in dataset().items():
         if folder / name != path:
@@ -289,8 +283,10 @@ def training_data(path):
 FEW = 20_000
 READERS = (
     Reader("problems", "problem.json", problem, hostile_json, plan, FEW),
-    Reader("paths and trajectories", "motion.csv", partial(motion, ".csv"), damaged, execute, FEW // 2),
-    Reader("paths and trajectories", "motion.json", partial(motion, ".json"), hostile_json, execute, FEW // 2),
+    Reader("paths and trajectories", "motion.csv", partial(motion, ".csv"),
+           damaged, execute, FEW // 2),
+    Reader("paths and trajectories", "motion.json", partial(motion, ".json"),
+           hostile_json, execute, FEW // 2),
     Reader("tasks", "task.json", (DATA / "task-1.json").read_bytes, hostile_json, Task.load, FEW),
     Reader("robots", "arm.urdf", partial(random_urdf, 3), hostile_robot, move, FEW),
     *(
@@ -301,11 +297,13 @@ READERS = (
         Reader("meshes", f"mesh.{kind}", partial(ring, kind), damaged, triangles, 33_000)
         for kind in ("stl", "obj", "dae")
     ),
-    Reader("meshes, cut into convex pieces", "mesh.obj", partial(ring, "obj"), damaged, read_mesh, 500, 5.0),
+    Reader("meshes, cut into convex pieces", "mesh.obj", partial(ring, "obj"),
+           damaged, read_mesh, 500, 5.0),
     Reader("depth images and cameras", "depth.png", partial(depth, ".png"), damaged, capture, FEW),
     Reader("depth images and cameras", "depth.npy", partial(depth, ".npy"), damaged, capture, FEW),
     Reader("depth images and cameras", "lens.json", lens, hostile_json, intrinsics, FEW),
-    Reader("depth images and cameras", "lens.yaml", partial(bytes, LENS_OF_ROS), damaged, intrinsics, FEW),
+    Reader("depth images and cameras", "lens.yaml", partial(bytes, LENS_OF_ROS),
+           damaged, intrinsics, FEW),
     Reader("depth images and cameras", "pose.json", json.dumps({"T_world_camera": POSE}).encode,
            hostile_json, extrinsics, FEW),
     Reader("rows and provenance", RUNS_FILE, rows, damaged, read_rows),
@@ -314,7 +312,10 @@ READERS = (
     Reader("weights", "mpnet.safetensors", lambda: network()[1], damaged, weights, FEW // 2),
     Reader("checkpoints of others", "best_model.pkl", checkpoint, damaged_or_running, read_tensors),
     *(
-        Reader("training data", name, partial(lambda name: dataset()[name], name), mutated, training_data, FEW // 3)
-        for name, mutated in (("dataset.json", hostile_json), ("shards.csv", damaged), (SHARD, damaged))
+        Reader("training data", name, partial(lambda name: dataset()[name], name),
+               mutated, training_data, FEW // 3)
+        for name, mutated in (
+            ("dataset.json", hostile_json), ("shards.csv", damaged), (SHARD, damaged)
+        )
     ),
 )  # fmt: skip

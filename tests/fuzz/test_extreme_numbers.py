@@ -60,9 +60,7 @@ def already_there(rng):
 
 
 def blocked(rng):
-    """A peg beside the shoulder, which the first joint alone moves:
-    a quarter turn hits it, however others stand.
-    """
+    """A peg beside the shoulder: a quarter turn of joint 1 hits it, with any other joints."""
     peg = SceneObject("peg", Box((0.01, 0.01, 0.02)), pose((0.09, 0.0, 0.25)))
     problem = between(rng, Scene("blocked", (peg,)), spread=0.1)
     quarter = problem.robot.random_configurations(rng, 200)
@@ -80,9 +78,7 @@ def region(T, half_xy, half_z, half_angles):
 
 
 def narrow(rng, width=0.0):
-    """The hand keeps its height to within a width [m];
-    goals are drawn from a region of the same height.
-    """
+    """The hand keeps its height within a width [m]; goals come from a region of that height."""
     problem = between(rng)
     T = problem.robot.pose(problem.start)
     level, goals = region(T, FREE, width / 2, FREE), region(T, 0.15, 0.0, 0.3)

@@ -1,6 +1,4 @@
-"""Hostile files end within a second in a result or one line, start nothing and write nothing
-elsewhere.
-"""
+"""Hostile files give a result or one line within 1 s, start no process, write nothing elsewhere."""
 
 import shutil
 

@@ -1,6 +1,4 @@
-"""The factorial table:
-contrasts pair products that differ in one choice, and a problem counts once.
-"""
+"""The factorial table: contrasts pair products that differ in one choice; a problem counts once."""
 
 import csv
 import io
@@ -23,9 +21,7 @@ FACTOR = {
 
 
 def rows_of(planners, make=a_row, problems=5):
-    """Work is 1000 times the product of FACTOR over a planner's words, and of a factor of each
-    problem and seed.
-    """
+    """Work = 1000 * product of FACTOR over a planner's words * a factor of the problem and seed."""
     for planner, problem, seed in product(planners, range(problems), (0, 1)):
         words = planner.removeprefix("cvq:").split("+")
         work = round(1000 * (problem + 1) * (seed + 2))

@@ -66,9 +66,7 @@ def test_two_problems_are_too_few_and_so_is_a_wide_spread():
 
 
 def test_where_the_statistics_disagree_it_says_what_decides():
-    """Nine problems take a third, one that is a thousand times as long takes as long:
-    so does the mean.
-    """
+    """Nine problems take a third, one very long problem takes as long: so does the mean."""
     others = [1.0] * 9 + [1000.0]
     found = [
         Pair(str(k), other * 0.3 * s, other, 0.3 * s)
@@ -83,9 +81,7 @@ def test_where_the_statistics_disagree_it_says_what_decides():
 
 
 def test_holm_compares_sorted_p_with_growing_levels_and_stops_at_the_first_above():
-    """0.01 <= 0.05 / 3 and 0.02 <= 0.05 / 2, but 0.06 > 0.05;
-    without the first, 0.03 > 0.05 / 2 stops all.
-    """
+    """0.01 <= 0.05/3, 0.02 <= 0.05/2, but 0.06 > 0.05; without the first, 0.03 > 0.05/2 stops."""
     assert rulings([with_p(0.06), with_p(0.01), with_p(0.02, above=False)]) == [
         Ruling.TOO_FEW,
         Ruling.HOLDS,
@@ -105,9 +101,7 @@ def test_a_claim_holds_where_all_hold_and_does_not_where_one_does_not():
 
 
 def test_tests_against_values_by_hand():
-    """Student: mean 2, sd 1, n 3, t = 2 sqrt(3) with 2 degrees: p = 0.0742. Score:
-    60 of 100 against 1/2, z = 2.
-    """
+    """Student: mean 2, sd 1, n 3, t = 2 sqrt(3), 2 df, p = 0.0742. Score: 60/100 to 1/2, z = 2."""
     assert t_test([1.0, 2.0, 3.0]) == pytest.approx(0.0742, abs=1e-4)
     assert (t_test([2.0, 2.0]), t_test([0.0, 0.0]), t_test([5.0])) == (0.0, 1.0, 1.0)
     assert score_test(Interval(0.6, None, None, 100), 0.5) == pytest.approx(0.0455, abs=1e-4)
@@ -146,9 +140,7 @@ def test_the_cutoff_is_the_time_within_which_the_papers_cbirrt_has_solved_as_muc
 
 
 def test_a_baseline_without_rows_and_runs_that_one_alone_failed_are_told():
-    """Ten problems of two seeds;
-    the one fails the second seed of three, the other that of two others.
-    """
+    """Ten problems, two seeds; one planner fails the second seed of 3, the other of 2 others."""
     failing = {("a", 0), ("a", 1), ("a", 2), ("b", 3), ("b", 4)}
     rows = [
         at(name, k, None if seed and (name, k) in failing else 0.1, seed=seed)
@@ -166,9 +158,7 @@ def test_a_baseline_without_rows_and_runs_that_one_alone_failed_are_told():
     ("solved", "expected"), [(200, Ruling.HOLDS), (194, Ruling.TOO_FEW), (180, Ruling.FAILS)]
 )
 def test_what_is_solved_in_time_is_more_than_the_papers_cbirrt_solves(solved, expected):
-    """98.42 % where CBiRRT solved 93.65 %: tested at 97.9 %;
-    all of 200 is more, 90 % less, 97 % neither.
-    """
+    """98.42 % to CBiRRT's 93.65 %: test at 97.9 %; all of 200: more, 90 %: less, 97 %: neither."""
     rows = [at("ompl-projected", k, 0.1) for k in range(200)]
     rows += [at("opt-cvq-mpt", k, 0.1 if k < solved else None) for k in range(200)]
     published = [

@@ -1,6 +1,4 @@
-"""Values, statistics, ratios and the split into easy and hard problems, against numbers worked out
-by hand.
-"""
+"""Values, statistics, ratios, split into easy and hard problems, against hand calculations."""
 
 import math
 

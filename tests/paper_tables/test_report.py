@@ -1,6 +1,4 @@
-"""The html report:
-what it holds, that names are text, and that a browser reads it without a complaint.
-"""
+"""The html report: its content, names escaped as text, and no complaint from a browser."""
 
 import re
 import shutil

@@ -1,6 +1,4 @@
-"""Tables of the other suites: tasks by phase, kinds of constraints;
-against numbers by hand.
-"""
+"""Tables of other suites (task phases, kinds of constraints), against hand calculations."""
 
 import csv
 import io

@@ -87,9 +87,7 @@ def arm(number):
 
 
 def problem_around(seed):
-    """A random arm in a random scene, in a region around its start, with a goal in that region;
-    None if blocked.
-    """
+    """A random arm in a random scene, start and goal in one region; None if blocked."""
     rng = np.random.default_rng(seed)
     robot, scene = (
         arm(seed % ARMS),

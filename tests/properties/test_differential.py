@@ -1,6 +1,4 @@
-"""Two independent ways to the same answer:
-what one calls free, projected, certified or timed, the other does too.
-"""
+"""Two independent methods agree on what is free, projected, certified and timed."""
 
 import numpy as np
 import pytest
@@ -43,9 +41,7 @@ def simplified(problem, seed=0):
 
 
 def near_contact(problem, space, rng, count):
-    """States (count, n) that the kernels call free, next to one on the way to a state that they do
-    not.
-    """
+    """Free states (count, n) of the kernels, next to a colliding state on the same motion."""
     q = problem.robot.random_configurations(rng, 10 * count)
     valid = space.valid_batch(q)
     free, colliding = q[valid][:count], q[~valid][:count]

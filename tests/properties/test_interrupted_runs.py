@@ -1,8 +1,6 @@
-"""Commands that write a folder step by step, broken off at any moment: the same command completes
-it, the same.
+"""Commands interrupted at any moment: the same command completes the folder with equal content.
 
-A round meets a full disk, kill -9 and another run in its folder, one after the other; then the
-command is run again.
+A round has a full disk, kill -9 and a second run in the folder; then the command runs again.
 """
 
 import contextlib

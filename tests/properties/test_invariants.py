@@ -1,6 +1,4 @@
-"""What holds for any input, tried on inputs that hypothesis draws, and makes small when they break
-it.
-"""
+"""Invariants of any input, tried on inputs that hypothesis draws and shrinks."""
 
 import json
 from functools import cache
@@ -105,9 +103,7 @@ def test_jacobian(robot, region, seed):
 @pytest.mark.promise("the same near half a turn, and in chains", "cases")
 @given(robot=arms, short=shorts, in_chain=st.booleans(), seed=seeds)
 def test_jacobian_near_half_a_turn(robot, short, in_chain, seed):
-    """`short` [rad] of a rotation by pi between frame and hand, in the world and on the first link
-    of the arm.
-    """
+    """`short` [rad] of a rotation by pi between frame and hand; frame of the world or of link 1."""
     rng = np.random.default_rng(seed)
     q, direction = robot.random_configurations(rng, 1)[0], rng.standard_normal(robot.dof)
     axis = rng.standard_normal(3)
@@ -145,9 +141,7 @@ def test_decoder(z):
 @pytest.mark.promise("mixtures draw what they say", "cases")
 @given(seed=seeds, k=st.integers(1, 3), n=st.integers(1, 3), share=st.sampled_from([0.0, 0.2, 1.0]))
 def test_mixture(seed, k, n, share):
-    """Draws have the mixture's mass:
-    each of its Gaussians' share, mean and spread, and the uniform share.
-    """
+    """Draws follow the mixture: weight, mean and spread of each Gaussian, and the uniform part."""
     rng = np.random.default_rng(seed)
     # draws tell whose they are
     means = 100.0 * np.arange(k)[:, None] + rng.uniform(-1.0, 1.0, (k, n))
@@ -171,9 +165,7 @@ def test_mixture(seed, k, n, share):
 @pytest.mark.promise("json round trips", "cases")
 @given(seed=seeds, region=regions, placement=placements)
 def test_json(seed, region, placement):
-    """Every value that is json, or stands in it:
-    what is read is what was written, and is written the same again.
-    """
+    """Every json value, or part of one, survives write, read and write again unchanged."""
     scene, robot = random_scene(seed % 1000, n_cubes=2, n_spheres=2), panda()
     for value in (
         region,
@@ -199,9 +191,7 @@ def test_json(seed, region, placement):
 @pytest.mark.promise("trees are acyclic, of free nodes on the manifold", "cases")
 @given(seed=seeds)
 def test_trees(seed):
-    """Parents come before children;
-    nodes are free and on the manifold, edges no longer than a step may be.
-    """
+    """Parents precede children; nodes are free and on the manifold, edges within one step."""
     problem = problem_around(seed)
     if problem is None:
         return

@@ -1,6 +1,4 @@
-"""Thousands of plans in one process, by every planner:
-memory stays flat, nothing slows down, nothing is said.
-"""
+"""Thousands of plans in one process by all planners: flat memory, no slow-down, no output."""
 
 import gc
 import json
@@ -37,9 +35,7 @@ def test_memory_and_time_of_a_long_run(trials):
 
 
 def live(plans):
-    """Plan so often, with all planners in turn;
-    print growth [bytes], more objects and the slow-down since warm-up.
-    """
+    """Run `plans` plans by all planners; print growth [bytes, objects], slow-down since warm-up."""
     from process_memory import resident
     from properties.test_differential import tuning_problems
 

@@ -1,6 +1,4 @@
-"""Obstacles put where the robot passes:
-whatever their size, and wherever their frame lies, every checker sees them.
-"""
+"""Obstacles in the robot's way, of any size and frame: every checker finds them."""
 
 from dataclasses import replace
 
@@ -34,9 +32,7 @@ def solid(rng):
 
 
 def cloud(rng):
-    """A cloud of up to 3000 points within 10 km of each other, up to 860 km from its origin, and
-    one of the points.
-    """
+    """At most 3000 points within 10 km, up to 860 km from the origin, and one of these points."""
     shift = np.clip(rng.standard_normal(3) * 10.0 ** rng.uniform(-1.0, 6.0), -5e5, 5e5)
     wide = 10.0 ** rng.uniform(-1.0, 4.0)
     points = rng.uniform(-wide, wide, (rng.choice([1, 10, 1000, 1001, 3000]), 3)) + shift

@@ -1,6 +1,4 @@
-"""The same command gives the same rows, times aside, whatever workers, threads, hash seed and
-system clock.
-"""
+"""A command repeats its rows, except times, with any workers, threads, hash seed and clock."""
 
 import subprocess
 import time
@@ -17,7 +15,8 @@ JUMPING = """
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <time.h>
-static long jump(void) { static unsigned n; n = n * 1103515245u + 12345u; return (long)(n >> 8) % 7200 - 3600; }
+static long jump(void) { static unsigned n; n = n * 1103515245u + 12345u; \
+return (long)(n >> 8) % 7200 - 3600; }
 int clock_gettime(clockid_t id, struct timespec *t) {
     int (*real)(clockid_t, struct timespec *) = dlsym(RTLD_NEXT, "clock_gettime");
     int code = real(id, t);

@@ -1,6 +1,4 @@
-"""Motions that the certificate calls valid are judged again, by triangles of the files
-(`second_judge`).
-"""
+"""Motions with a valid certificate are checked again by the files' triangles (`second_judge`)."""
 
 import json
 import logging
@@ -82,9 +80,7 @@ def arm_of(name, number, folder):
 
 
 def shape(rng, folder, carried=False):
-    """One in json: solids, sheets, needles, clouds;
-    to be carried, or maps and meshes that are not convex too.
-    """
+    """A json shape: solid, sheet, needle or cloud; if not carried, also map or non-convex mesh."""
     kinds = ("box", "bar", "cylinder", "sphere", "convex_mesh", "point_cloud")
     kind = rng.choice(kinds if carried else (*kinds, "point_cloud", "occupancy_map", "mesh_file"))
     a, b, c = size = 10.0 ** rng.uniform(-2.0, -0.5, 3)
@@ -133,9 +129,7 @@ def free(given, rng):
 
 
 def near_each_other(given, rng):
-    """A configuration with two links as near to, or as deep in each other as the checker calls
-    free.
-    """
+    """A free configuration by the checker with two links as close, or as deep, as possible."""
     robot, states = given.robot, given.robot.random_configurations(rng, DRAWN)
     poses, pairs = given.arm.poses(states), given.arm.pairs(given.always)
     pairs = [pair for pair in pairs if (gaps(*pair, poses, 1) < 0.0).any()]
@@ -157,7 +151,7 @@ def near_each_other(given, rng):
 
 
 def gaps(a, b, poses, count):
-    """Distances (k,) between some corners of two bodies; of one, between balls around the bodies."""
+    """Distances (k,) of about `count` corners of two bodies; for 1, of balls around the bodies."""
     if count > 1:
         some, balls = [x.points[:: 1 + len(x.points) // count] for x in (a, b)], 0.0
     else:
@@ -239,9 +233,7 @@ def certified(problem, states):
 
 
 def planned(problem, states, rng):
-    """A stretch of a certified path from the states to another free configuration;
-    the states, if none is found.
-    """
+    """Part of a certified path from the states to another free state; else the states."""
     checker = problem.collision_checker()
     goals = [q for q in problem.robot.random_configurations(rng, 40) if not checker.in_collision(q)]
     if not goals:
@@ -255,8 +247,7 @@ def planned(problem, states, rng):
 def judged(name, number, folder):
     """The judge's verdict of a case by its number; None if no motion is certified.
 
-    Obstacles are added one after the other; those with which the motion is not certified are left
-    out again.
+    Obstacles are added one by one and kept only if the motion is still certified.
     """
     rng = np.random.default_rng([number, *name.encode()])
     given, path = arm_of(name, number, folder), folder / "problem.json"

@@ -1,6 +1,4 @@
-"""Loading robots:
-what is moved and what is held, where meshes lie, and what is refused with one line.
-"""
+"""Loading robots: moving and held joints, mesh paths, and errors of one line."""
 
 import os
 import pickle
@@ -28,7 +26,8 @@ FINGERS = """<link name="left"/><link name="right"/>
 <joint name="grip" type="prismatic"><parent link="tool"/><child link="left"/><axis xyz="0 1 0"/>
   <limit lower="0.01" upper="0.04" effort="1" velocity="1"/></joint>
 <joint name="follow" type="prismatic"><parent link="tool"/><child link="right"/><axis xyz="0 1 0"/>
-  <limit lower="-1" upper="1" effort="1" velocity="1"/><mimic joint="grip" multiplier="-1" offset="0.002"/></joint>
+  <limit lower="-1" upper="1" effort="1" velocity="1"/>\
+<mimic joint="grip" multiplier="-1" offset="0.002"/></joint>
 </robot>"""
 
 
@@ -88,9 +87,7 @@ def test_the_unit_of_a_collada_mesh_counts_before_the_scale_in_the_urdf(edited, 
 
 
 def test_joints_off_the_chain_are_held_and_followers_follow(edited):
-    """Fingers are no part of the plan:
-    the first is held inside its limits, the second where it mimics that.
-    """
+    """Fingers are not planned: the first is held inside its limits, the second mimics it."""
     robot = load_robot(edited((END, FINGERS)), "tool")
     assert robot.joint_names == ("rail", "lift", "bend", "twist")
     held = {joint.name: (joint.value, joint.reason) for joint in robot.held_joints}
@@ -168,9 +165,7 @@ def test_a_floating_base_is_fixed_at_a_pose(edited, refused):
 
 
 def test_a_robot_whose_files_changed_is_built_anew_and_its_pickles_are_refused(edited, tmp_path):
-    """Its URDF, its mesh and its SRDF;
-    a file that is only touched, or written again, changes nothing.
-    """
+    """Changes of URDF, mesh or SRDF count; a file touched or rewritten with equal content not."""
     urdf = edited((BOX, '<geometry><mesh filename="part.obj"/></geometry>'))
     mesh, srdf = tmp_path / "part.obj", tmp_path / "arm.srdf"
     trimesh.creation.box((0.1, 0.1, 0.1)).export(mesh)

@@ -1,6 +1,4 @@
-"""A door or drawer as a joint of the robot:
-poses, collisions in both checkers, casing, files, errors.
-"""
+"""A door or drawer as a robot joint: poses, collisions in both checkers, casing, files, errors."""
 
 from dataclasses import replace
 
@@ -105,9 +103,7 @@ def space_of(robot, scene, backend="compiled"):
 
 
 def test_only_the_named_contact_is_allowed(panda, grasp):
-    """Closed fingers touch the bar: a collision, unless pads and bar are named;
-    other pieces stay checked.
-    """
+    """Closed fingers collide with the bar unless pads and bar are named; others stay checked."""
     source = {"name": "panda", "finger_opening": GRIP}
     scene, item = take_out(kitchen(), DOOR)
     strict = with_articulated_object(robot_from_source(source), item)

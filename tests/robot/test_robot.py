@@ -1,6 +1,4 @@
-"""Robots as data:
-limits, kinematics and bounds of motion against pinocchio, sines against numpy, pickling.
-"""
+"""Robot data: limits, kinematics, motion bounds against pinocchio; sines to numpy; pickling."""
 
 import numpy as np
 import pinocchio as pin
@@ -57,9 +55,7 @@ def test_finger_opening_moves_the_fingers_within_its_range(refused):
 
 
 def test_the_kinematics_digest_names_what_moves_how(panda, slider_arm, slider_arm_urdf, edited):
-    """The hand does not matter, a limit, an axis and a placement do, and no process sees another
-    digest.
-    """
+    """Limit, axis and placement change it, the hand does not; all processes get the same digest."""
     assert (
         panda.kinematics_digest
         == load_panda(0.01).kinematics_digest

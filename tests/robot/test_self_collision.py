@@ -1,6 +1,4 @@
-"""The pairs of links that are left out without an SRDF:
-why, and the cache of them, which is checked.
-"""
+"""Link pairs that are left out without an SRDF: the reasons, and their verified cache."""
 
 import re
 import tempfile
@@ -36,9 +34,7 @@ def cache(tmp_path, monkeypatch):
 
 
 def least_distances(robot, left_out, samples, steps):
-    """The least distances [m] found of all pieces of left-out links:
-    in random states, then by a descent for each.
-    """
+    """Least distances [m] of pieces of left-out links: random states, then a descent for each."""
     geometry, rng = robot.collision_model.copy(), np.random.default_rng(5)
     names = [robot.model.frames[item.parentFrame].name for item in geometry.geometryObjects]
     geometry.removeAllCollisionPairs()
@@ -66,9 +62,7 @@ def least_distances(robot, left_out, samples, steps):
 
 @pytest.mark.slow
 def test_pairs_that_are_not_checked_stay_apart(request):
-    """All but neighbours and those that an SRDF or nearly all random states name;
-    sampling alone left out -99 mm.
-    """
+    """All but neighbours and pairs named by SRDF or most states; sampling alone missed -99 mm."""
     words = (FIXED, ADJACENT, FROM_SRDF, OVERLAP)
     for name in ARMS if request.config.getoption("--long") else ("tiago-no-hand", "z1"):
         robot = robot_from_source({"name": name})
@@ -80,9 +74,7 @@ def test_pairs_that_are_not_checked_stay_apart(request):
 
 @pytest.mark.slow
 def test_mirrored_arms_leave_out_the_same_overlaps():
-    """Of a wrist 1.3 mm deep in the last but one link, coal saw 99.95 % on the left and 0.1 % on
-    the right.
-    """
+    """Of a wrist 1.3 mm deep in the link before last, coal saw 99.95 % left and 0.1 % right."""
     left, right = (
         {
             (p.first, p.second)

@@ -57,7 +57,8 @@ CAN = {"id": "can", "primitives": [{"type": "cylinder", "dimensions": [0.14, 0.0
        "primitive_poses": [{"position": [0, 0, 1], "orientation": [0, 0, 0, 1]}]}  # fmt: skip
 TETRAHEDRON = {
     "id": "tetrahedron",
-    "pose": {"position": {"x": 1, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0.7071068, "w": 0.7071068}},
+    "pose": {"position": {"x": 1, "y": 0, "z": 0},
+             "orientation": {"x": 0, "y": 0, "z": 0.7071068, "w": 0.7071068}},
     "meshes": [{"vertices": CORNERS, "triangles": [{"vertex_indices": face} for face in FACES]}],
     "mesh_poses": [{"position": [1, 0, 0], "orientation": [0, 0, 0, 1]}],
 }  # fmt: skip

@@ -18,9 +18,7 @@ FAR = np.array([[1.0, 0, 0, 0.5], [0, 1, 0, 0.9], [0, 0, 1, 0.2], [0, 0, 0, 1]])
 
 @pytest.fixture
 def data(problem, tmp_path):
-    """Json of a problem with a cloud and a ring of several pieces;
-    the files lie in a folder beside.
-    """
+    """Json of a problem with a cloud and a ring of several pieces; their files are in a folder."""
     (tmp_path / "parts").mkdir()
     np.save(tmp_path / "parts" / "scan.npy", POINTS)
     trimesh.creation.annulus(40.0, 45.0, 100.0, sections=8).export(tmp_path / "parts" / "ring.stl")

@@ -1,6 +1,4 @@
-"""Straight motions:
-how far they move the robot, and that they are called free only where coal agrees.
-"""
+"""Straight motions: their bounds, and that coal agrees with every motion called free."""
 
 import numpy as np
 import pytest
@@ -150,9 +148,7 @@ def test_both_backends_judge_motions_alike(kitchen_space, motions, answers):
 
 
 def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
-    """One finger sweeps past a small ball at its tip;
-    with the ball below the tip, the motion is free.
-    """
+    """A finger sweeps past a small ball at its tip; with the ball below the tip, it is free."""
     a, b = HOME - 0.1 * np.eye(7)[0], HOME + 0.1 * np.eye(7)[0]
 
     def answer(depth):

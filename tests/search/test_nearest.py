@@ -1,6 +1,4 @@
-"""The index of growing trees:
-always the node that a plain search finds, the first one among equals.
-"""
+"""The index of growing trees returns the node of a plain search, the first among equals."""
 
 import numpy as np
 import pytest

@@ -93,10 +93,9 @@ def test_another_process_finds_the_same_paths(problem, tmp_path):
 
 
 def test_backends_find_the_same_path(problem):
-    """Where coal and the kernels agree on every state asked, the planner cannot tell them apart.
+    """If coal and the kernels agree on every state, the path is the same.
 
-    Only the number of checks differs: with distances at hand, stretches of a motion are cleared at
-    once.
+    Only the number of checks differs: known distances clear parts of a motion at once.
     """
     compiled, exact = (
         plan(problem, "birrt", ENOUGH),
@@ -237,9 +236,7 @@ def test_exceptions_in_state_checks_come_out(problem, name):
 
 @pytest.mark.parametrize("manifold", STATE_SPACES)
 def test_ompl_keeps_nothing_of_a_run(problem, manifold):
-    """Python's collector does not see what OMPL's objects hold:
-    a circle through them would last for ever.
-    """
+    """Python's collector cannot see into OMPL's objects: a reference cycle would stay for ever."""
     space = ConstrainedSpace(problem)
     uniform = Uniform(problem.robot.lower, problem.robot.upper)
     arguments = (

@@ -1,6 +1,4 @@
-"""Roadmaps over a roadmap, on the real kitchen;
-nodes are random configurations, so no weights are needed.
-"""
+"""Roadmaps over a roadmap in the real kitchen; nodes are random, so no weights are needed."""
 
 from dataclasses import replace
 

@@ -29,9 +29,7 @@ def fresh(robot, attachments=(), **options):
 
 
 def chain(kinds, reach):
-    """A URDF of joints one after the other, each with a box of its own; reach:
-    of a joint [m or rad].
-    """
+    """A URDF of joints in series, each with its own box; reach: of a joint [m or rad]."""
     text = '<robot name="chain"><link name="l0"/>'
     for j, kind in enumerate(kinds, start=1):
         axis = " ".join("1" if a == j % 3 else "0" for a in range(3))

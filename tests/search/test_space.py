@@ -59,9 +59,7 @@ def test_a_start_closer_than_the_margin_is_doubtful_and_allowed(tight):
 
 
 def test_exact_checks_answer_near_it_only(tight):
-    """A goal in the same place is doubtful by its own name;
-    the start's neighbours are judged by coal.
-    """
+    """A goal in the same place needs its own name; coal checks the start's neighbours."""
     space, exact = ConstrainedSpace(tight), tight.collision_checker()
     cautious = tight.collision_checker(MARGIN)
     rng = np.random.default_rng(0)

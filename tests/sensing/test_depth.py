@@ -1,6 +1,4 @@
-"""Depth images and clouds become points where they were seen;
-what contradicts itself is refused by name.
-"""
+"""Depth images and clouds become points at the right place; contradictions are errors by name."""
 
 import struct
 import zlib

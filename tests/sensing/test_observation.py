@@ -1,6 +1,4 @@
-"""What networks are shown:
-the scene's own cloud, the cameras' view of shapes, or a cloud that was given.
-"""
+"""Input clouds of networks: the scene's own, the cameras' view of shapes, or a given cloud."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,4 @@
-"""Maps hold what was seen, unknown space is what no ray crossed, and the truth may differ from
-both.
-"""
+"""Maps hold what was seen; unknown space is crossed by no ray; the truth may differ from both."""
 
 from dataclasses import replace
 
@@ -46,9 +44,7 @@ def sight(origin, points):
 
 
 def test_unknown_is_what_lies_behind(panda):
-    """A plate at x = 0.2, seen from x = -1:
-    free before it, unknown behind it, known beside its shadow.
-    """
+    """A plate at x = 0.2 seen from x = -1: free before, unknown behind, known beside its shadow."""
     plate, back = grid(0.01, 0.2, half=0.15, height=0.3), grid(0.01, 1.5, half=2.0, height=2.0)
     way = (back - EYE) * ((0.2 - EYE[0]) / (1.5 - EYE[0]))
     hidden = (np.abs(EYE[1] + way[:, 1]) < 0.16) & (EYE[2] + way[:, 2] < 0.31)

@@ -18,9 +18,7 @@ FRONT = (0.4, 0.1, -0.05)
 
 
 def table(rng, count=6000):
-    """A table of 0.8 x 1 m whose near edge is at the origin, things on it, a wall behind, noise:
-    points (m, 3).
-    """
+    """Points (m, 3) of a 0.8 x 1 m table, near edge at the origin, with things, a wall, noise."""
     top = np.c_[
         rng.uniform(0, 0.8, count),
         rng.uniform(-0.5, 0.5, count),
@@ -34,9 +32,7 @@ def table(rng, count=6000):
 
 
 def camera_pose(pitch, roll=0.0):
-    """T_world_camera of an optical frame that looks along x, `pitch` [deg] down, from before the
-    table.
-    """
+    """T_world_camera of an optical frame before the table, along x and `pitch` [deg] down."""
     T = np.eye(4)
     ahead_right = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])  # columns: right, down, ahead
     T[:3, :3] = Rotation.from_euler("y", pitch, degrees=True).as_matrix() @ ahead_right

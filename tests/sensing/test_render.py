@@ -1,6 +1,4 @@
-"""Views of virtual cameras:
-rays against a search along them, what is culled, what faces whom, points of images.
-"""
+"""Views of virtual cameras: rays against ray marching, culling, facing, points of images."""
 
 import numpy as np
 import pytest
@@ -25,9 +23,7 @@ def tilted(xyz, yaw, roll):
 
 @pytest.fixture(scope="module")
 def mixed():
-    """Every kind of shape, turned, one behind the other, one half outside the picture, one far too
-    close.
-    """
+    """Every kind of shape, turned, in a row; one half outside the image, one far too close."""
     shapes = {
         "box": (Box((0.3, 0.5, 0.2)), tilted((0.1, 0.2, 0.1), 0.4, 0.7)),
         "cylinder": (Cylinder(0.15, 0.5), tilted((-0.2, -0.1, 0.3), 1.0, 1.1)),
@@ -67,9 +63,7 @@ def depth_image(scene, camera):
 
 
 def marched(scene, eye, lens, row, column, step=0.0005):
-    """Depth at one pixel of a camera at eye that looks at the origin, 45 deg high, by walking along
-    its ray.
-    """
+    """Depth at a pixel by ray marching; camera at eye, looks at the origin, 45 deg high."""
     tall = np.tan(np.radians(22.5))
     x = ((column + 0.5) / lens.width * 2 - 1) * tall * lens.width / lens.height
     y = (1 - (row + 0.5) / lens.height * 2) * tall

@@ -1,6 +1,4 @@
-"""A scan becomes a cloud of what stands around the robot:
-cropped, thinned, without the arm, without table if asked.
-"""
+"""A scan becomes a cloud of the robot's surroundings: cropped, thinned, without arm (and table)."""
 
 from dataclasses import replace
 

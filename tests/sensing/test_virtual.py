@@ -67,9 +67,7 @@ def test_settings_and_scenes_are_checked(make, message):
 
 
 def test_the_arm_is_seen_where_it_stands():
-    """Every point of a view of the arm alone lies on a hull that the exact checker measures to be
-    there.
-    """
+    """Every point of a view of the arm alone is on a hull, as measured by the exact checker."""
     robot, scene = panda(), Scene("empty", ())
     q = np.array([0.3, -0.5, 0.2, -1.9, 0.1, 1.7, 0.4])
     # the checker never pairs the base with obstacles

@@ -1,6 +1,4 @@
-"""What problems, robots, scenes and solutions show of themselves, and what a script finds in the
-package.
-"""
+"""Displays of problems, robots, scenes and solutions, and what a script finds in the package."""
 
 import inspect
 import io

@@ -1,6 +1,4 @@
-"""Recordings hold what they should, plots say what the certificate says, the viewer stays on
-loopback.
-"""
+"""Recordings are complete, plots agree with the certificate, the viewer stays on loopback."""
 
 import stat
 import time

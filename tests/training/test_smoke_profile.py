@@ -65,9 +65,7 @@ def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_pat
 
 @pytest.mark.slow
 def test_a_scene_transformer_for_another_arm(tmp_path, request):
-    """For a UR5, from nothing: dictionary, labels on its roadmap, transformer, sequences;
-    a minute and a half.
-    """
+    """UR5 from nothing: dictionary, labels on its roadmap, transformer, sequences; 1.5 minutes."""
     if not request.config.getoption("--long"):
         pytest.skip("needs --long")
     data, words, labels, out = (tmp_path / name for name in ("data", "words", "labels", "out"))

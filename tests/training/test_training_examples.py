@@ -93,9 +93,7 @@ def test_kinematics_that_do_not_fit_are_named(change):
 
 
 def distances(points, shapes):
-    """Signed distance (or, inside boxes and cylinders, a lower bound of the depth) to each shape
-    (p, m).
-    """
+    """Signed distances (p, m) to shapes; inside boxes and cylinders a lower bound of the depth."""
     kind, size, pose = shapes.kind, shapes.size, shapes.pose
     local = np.einsum("mij,pmi->pmj", pose[:, :, :3], points[:, None] - pose[:, :, 3])
     box = (np.abs(local) - 0.5 * size).max(2)

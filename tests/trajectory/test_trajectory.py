@@ -84,9 +84,7 @@ def test_a_refused_curve_is_drawn_closer_to_the_path(paths, limits):
 
 
 def test_the_motion_of_a_solution_is_certified_as_its_file_is(solutions):
-    """Its cubics, between all points;
-    states that repeat are one, and a path that stands is refused.
-    """
+    """Its cubics between all points; repeated states count once, a path at rest is refused."""
     for found in solutions:
         path = JointPath(np.repeat(found.simplified.path.states, 2, axis=0))
         motion = certified_motion(found.problem, path, FULL)

@@ -17,9 +17,7 @@ from cvqmpt_lab.vqmpt.latent_update import LatentObjective, LatentOptimizer, Lat
 
 @dataclass(frozen=True)
 class Plane:
-    """Joints on a plane in configuration space: a . q = b;
-    nothing but what the update needs of a constraint.
-    """
+    """Constraint a . q = b in configuration space, with only what the update needs."""
 
     normal: tuple = (0.5, 0.5, -0.5, 0.0, 0.0, 0.3, 0.4)
     offset: float = 0.2

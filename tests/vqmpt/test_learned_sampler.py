@@ -88,9 +88,7 @@ def test_other_words_are_refused(words, message):
 
 @pytest.mark.parametrize("predictor", ["transformer", "random", "oracle"])
 def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor):
-    """Equal weights;
-    the decoder's own Gaussians, and around the goals a tenth of each joint's range.
-    """
+    """Equal weights; the decoder's Gaussians; around goals sigma is a tenth of a joint's range."""
     proposal = proposed(f"cvq:{predictor}")
     mixture, c = proposal.distribution, len(proposal.codes)
     codebook = codebook_of("vq_mpt", problem.robot)

@@ -1,6 +1,4 @@
-"""The MPNet planner:
-networks as they are, and one that heads straight for the goal, on tuning environments.
-"""
+"""The MPNet planner on tuning environments: real networks, and one that heads for the goal."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -198,9 +196,7 @@ class RecordedBiRRT(BiRRT):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What trees were grown for, and by whom:
-    between states of rollouts, and by the search after them.
-    """
+    """Tree growth requests and their caller: between rollout states, and the search after them."""
     monkeypatch.setattr(RecordedBiRRT, "asked", [])
     monkeypatch.setattr(mpnet_rollouts, "BiRRT", RecordedBiRRT)
     monkeypatch.setattr(pipeline, "BiRRT", RecordedBiRRT)

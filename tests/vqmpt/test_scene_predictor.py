@@ -1,6 +1,4 @@
-"""The scene transformer without torch against torch, on small random weights;
-the cloud and goals it refuses.
-"""
+"""The scene transformer in numpy against torch, small random weights; refused clouds and goals."""
 
 import dataclasses
 
@@ -161,10 +159,9 @@ GOAL = 64  # the class behind the codes
 
 
 def likeliest_by_hand(decoder, beams):
-    """Codes and score of the best hypothesis to a decoder's one goal, a finished one at the length
-    limit.
+    """Codes and score of the best hypothesis to a decoder's one goal, finished at the length limit.
 
-    The best of all continuations are kept, finished ones included, until one of those ranks first.
+    The beam keeps the best continuations, finished ones included, until a finished one is first.
     """
     (ways,), (log_p,) = decoder.start()
     grown = [(0, (way,), p) for way, p in zip(ways.tolist(), log_p.tolist(), strict=True)]

@@ -12,9 +12,7 @@ from experiments.figures.rows import OURS, draw_cost, draw_training
 
 
 def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
-    """100 checks and 1 ms more of networks against 1100 checks:
-    even at 1 us more a check than ours.
-    """
+    """100 checks + 1 ms of networks against 1100 checks: equal at 1 us more per check."""
     shared = {"n_projections": 0, "t_goals_s": 0.0}
     rows = [
         row
