@@ -1,6 +1,4 @@
-"""`cvqmpt ik`:
-configurations for a pose or region, free of collision and on the manifold, for a problem file.
-"""
+"""`cvqmpt ik`: free configurations on the manifold for a pose or region, for a problem file."""
 
 import argparse
 import json

@@ -48,9 +48,7 @@ def motion_given(args: argparse.Namespace) -> bool:
 
 
 def motion_problem(args: argparse.Namespace) -> PlanningProblem:
-    """The problem that the options tell:
-    from --start to --goal, through what --cloud or --scene holds.
-    """
+    """The problem of the options: from --start to --goal through --cloud or --scene."""
     if args.start is None or not (args.goal or args.goal_pose):
         raise InvalidInputError("a motion needs --start Q, and --goal Q or --goal-pose X,Y,Z,R,P,Y")
     if bool(args.cloud) == bool(args.scene):

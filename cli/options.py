@@ -14,8 +14,7 @@ from typing import Any
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import finite, require_regular_file
 
-# A table of options: by names (`-v --verbose`) what argparse's add_argument takes. Under a title it
-# holds another table, whose options are shown as a group.
+# By names of options (`-v --verbose`), arguments of argparse's add_argument; by a title, a group.
 Options = Mapping[str, Mapping[str, Any]]
 ONE_OF, EXACTLY_ONE_OF = "one of", "exactly one of"  # titles of options that exclude each other
 REPEATED: Mapping[str, Any] = {"action": "append", "default": []}
@@ -116,9 +115,7 @@ def numbers(option: str, text: str, names: Sequence[str] = ()) -> list[float]:
 
 
 class ProgressBar:
-    """A bar with an estimate of the time left, on standard error;
-    one line per tenth when that is no terminal.
-    """
+    """A bar with the time left on standard error; a line per tenth where it is no terminal."""
 
     def __init__(self, label: str) -> None:
         self._label, self._began, self._first = label, time.perf_counter(), 0

@@ -63,9 +63,7 @@ def _check_folder(path: Path) -> None:
 
 
 def _write_trajectories(solution: TaskSolution, folder: Path, speed: float) -> str:
-    """A file for each planned phase, and an index of these and the gripper's events in their order;
-    the line for it.
-    """
+    """Write a file per planned phase and their index with the gripper's events; return its line."""
     if not solution.solved:
         return "trajectory  none: only tasks whose phases are all certified are written"
     steps = []

@@ -1,6 +1,4 @@
-"""`cvqmpt problems`:
-list or write the problems of a suite, write one to start from, or import a scene of MoveIt.
-"""
+"""`cvqmpt problems`: list or write a suite's problems, write a template, import MoveIt scenes."""
 
 import argparse
 import os

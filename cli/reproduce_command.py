@@ -1,6 +1,4 @@
-"""`cvqmpt reproduce`: run a suite, a folder of problem files, or all suites;
-rows, tables, verdicts and a report.
-"""
+"""`cvqmpt reproduce`: run suites or folders of problems; rows, tables, verdicts and a report."""
 
 import argparse
 from pathlib import Path

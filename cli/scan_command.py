@@ -1,6 +1,4 @@
-"""`cvqmpt scan`: depth images or clouds in;
-a clean cloud, or a scene to plan in, and a picture out.
-"""
+"""`cvqmpt scan`: depth images or clouds in; a clean cloud or scene, and a picture out."""
 
 import argparse
 from pathlib import Path

@@ -118,10 +118,7 @@ def _found(results: Path) -> dict[str, Evidence]:
 
 
 def check_tables(args: argparse.Namespace) -> int:
-    """Re-run a tiny profile and compare it, and all tables, with what is committed.
-
-    Exit code 1 when something differs.
-    """
+    """Re-run a tiny profile; compare it and all tables with those committed; 1 if they differ."""
     from experiments.experiment import models_of
 
     if args.expected == EXPECTED or args.results == RESULTS:

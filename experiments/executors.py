@@ -54,9 +54,7 @@ class Executor:
     def results(
         self, function: Callable[[Task], Any], tasks: Iterable[Task]
     ) -> Iterator[tuple[Task, Any]]:
-        """Every task with its result, or `Lost`, as they come in;
-        few tasks are queued, for quick interrupts.
-        """
+        """Every task with its result, or `Lost`, as they come; few are queued: quick interrupts."""
         waiting = deque((task, 1) for task in tasks)
         running: dict[Future, tuple[Task, int]] = {}
         while waiting or running:
@@ -134,9 +132,7 @@ def local_processes(
 
 
 def _prepare_worker(parent: int) -> None:
-    """End with the parent or when it says so;
-    where memory runs out, be the one that is refused or ended.
-    """
+    """End with the parent or on SIGTERM; of all processes be the one that runs out of memory."""
     end_with_parent(parent)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # compiled code runs no handlers of Python
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
@@ -150,8 +146,7 @@ def _prepare_worker(parent: int) -> None:
 def dask_cluster(
     address: str, limit_s: Callable[[Any], float], installed: Callable[[], dict[str, Any]]
 ) -> Iterator[Executor]:
-    """Workers of a Dask cluster; `installed` gives by name what decides results and must be equal
-    on every machine.
+    """Workers of a Dask cluster, each with an equal `installed()`: what decides results, by name.
 
     Dask replaces a worker that a task ends, or keeps busy for longer than limit_s [s], and repeats
     the task as often as its scheduler's ``allowed-failures`` says (3); then it is lost.

@@ -1,6 +1,4 @@
-"""What is run: every problem, planner and seed of an experiment, what decides its rows, and the
-profiles of all suites.
-"""
+"""Experiments: problems, planners and seeds, what decides their rows, profiles of all suites."""
 
 import math
 from collections.abc import Iterable
@@ -92,8 +90,9 @@ class Experiment:
         }
 
     def limit_s(self, run: "Run") -> float:
-        """Time [s] without an answer after which a run is given up: far more than any takes that is
-        alive. An external planner may hang; the first run of a process warms up all of ours.
+        """Time [s] without an answer after which a run is given up: far more than any run needs.
+
+        An external planner may hang; the first run of a process warms up all of ours.
         """
         spare, times = (120.0, 6) if run.method.external else (300.0, 30)
         longest = 0.0

@@ -22,8 +22,7 @@ EVERYTHING = 10.0  # [m] no pair is further apart, so that getClosestPoints meas
 
 
 def paper_check(problem: PlanningProblem) -> list[Measured]:
-    """Processor time of all distances of a robot, to itself and to the kitchen, as the published
-    code asks for them.
+    """Processor time of all distances of a robot to itself and the kitchen, as published.
 
     A link is the convex hull of its meshes, an obstacle a box or cylinder. Placing the links is
     part of a check, computing where they are is not. InvalidInputError without the extra

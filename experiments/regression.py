@@ -1,7 +1,6 @@
 """Table regression: a tiny profile compared with committed values.
 
-Budgets are iterations, so a run depends only on the code, versions and the processor that kernels
-are compiled for.
+Budgets are iterations: a run depends only on code, versions and the processor of the kernels.
 """
 
 import json
@@ -114,9 +113,7 @@ class Expectations(NamedTuple):
 
 
 def made_with() -> dict[str, str | None]:
-    """What must be equal for runs to repeat bit for bit:
-    processor and its instructions, system, Python, versions.
-    """
+    """What must be equal for equal bits: processor and instructions, system, Python, versions."""
     record = provenance()
     return {
         "system": platform.system(),
@@ -138,9 +135,7 @@ def _problem(suite: str, index: int) -> PlanningProblem:
 def measure(
     cases: Sequence[Case], on_progress: Callable[[int, int, str], None] | None = None
 ) -> dict[Case, Values]:
-    """Plan, simplify and certify the cases one by one;
-    on_progress is called with (done, total, last case).
-    """
+    """Plan, simplify and certify each case; on_progress is called with (done, total, last case)."""
     outcomes: dict[Case, Values] = {}
     for case in cases:
         budget, problem = Budget(iterations=case.iterations), _problem(case.suite, case.problem)
@@ -156,8 +151,7 @@ def measure(
 def compare(
     expected: Expectations, outcomes: Mapping[Case, Values], here: Mapping[str, str | None]
 ) -> tuple[str, list[str]]:
-    """How outcomes were compared (`here`: what `made_with` says of this machine) and the
-    differences, a line each.
+    """How outcomes were compared, and their differences, a line each; here: of `made_with`.
 
     Equality on the platform and versions of the expectations, stated bounds elsewhere.
     """

@@ -123,9 +123,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
 
 
 def _sampled_g(solution: Solution, draws: int = 256) -> float | None:
-    """Mean of `G(q) = F(q)^T F(q)` over so many draws of what was sampled (paper: Algorithm 2);
-    None without samples or constraint.
-    """
+    """Mean `G(q) = F(q)^T F(q)` of draws (Algorithm 2); None without samples or constraint."""
     problem = solution.problem
     if solution.distribution is None or not problem.constraint:
         return None

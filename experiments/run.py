@@ -29,9 +29,7 @@ _WARM: set[str] = set()  # external planners that this process has called
 def executor_for(
     experiment: Experiment, jobs: int, dask: str | None = None
 ) -> AbstractContextManager[Executor]:
-    """So many processes on this machine, or the Dask cluster at an address, which must have our
-    code and weights.
-    """
+    """Processes on this machine, or the Dask cluster at an address, with our code and weights."""
     if jobs < 1:
         raise InvalidInputError(f"jobs must be 1 or more, not {jobs}")
     if dask is not None:
@@ -46,8 +44,7 @@ def run_experiment(
     command: Sequence[str],
     on_progress: Callable[[int, int, str], None],
 ) -> list[ResultRow]:
-    """Run what is not yet in `out` and return all rows, sorted; an interrupt keeps every finished
-    run.
+    """Run what is not yet in `out`; return all rows, sorted. An interrupt keeps finished runs.
 
     on_progress: called with (runs done, runs in all, a note on the last one).
     """
@@ -116,9 +113,7 @@ def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
 
 @lru_cache(maxsize=1)
 def _warm_up(runs: tuple[Run, ...]) -> None:
-    """Load compiled code and planner libraries once a process, by short runs, so that no row pays
-    for it.
-    """
+    """Load compiled code and planner libraries once a process by short runs: no row pays for it."""
     compile_kernels(lambda _: None)
     for run in runs:
         _run_shortly(run)
@@ -138,8 +133,6 @@ def _run_shortly(run: Run) -> None:
 
 @lru_cache(maxsize=4)
 def _item(suite: str, index: int | str) -> tuple[SuiteItem, float]:
-    """An item, a problem with its goals sampled once for all planners, and the seconds [s] that
-    took.
-    """
+    """An item, with goals sampled once for all planners, and the seconds [s] that took."""
     item = suite_named(suite).item(index)
     return with_sampled_goals(item) if isinstance(item, PlanningProblem) else (item, 0.0)

@@ -1,6 +1,4 @@
-"""One path of a finished run as a page to turn, made of its row and of the states that were kept
-beside it.
-"""
+"""A path of a finished run as a page to turn, made of its row and its stored states."""
 
 from collections.abc import Mapping
 
@@ -13,9 +11,7 @@ from paper_tables.claims import Evidence
 
 
 def first_path(found: Mapping[str, Evidence]) -> dict[str, dict[str, str]]:
-    """The first certified path of a suite's problem among results directories, by the directory's
-    name; or none.
-    """
+    """The first certified path of a suite's problem, by its results directory's name; or none."""
     for evidence in found.values():
         kept = StoredPaths(evidence.folder)
         for row in evidence.rows:

@@ -44,8 +44,7 @@ class JudgedClaim(NamedTuple):
 def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
     """Every claim by results directories, by name; one correction for the tests of all claims.
 
-    Rows of a profile that is too small for verdicts rule nothing: all that is compared has too few
-    runs.
+    Rows of a profile too small for verdicts rule nothing: too few runs.
     """
     measured = [_effects(claim, found.get(claim.suite)) for claim in CLAIMS]
     if profiles(found):

@@ -33,8 +33,7 @@ def committed_directories(results: Path = RESULTS) -> list[Path]:
 
 
 def untraceable(directory: Path, models_of: Callable[[str], Collection[str]]) -> list[str]:
-    """A line for every reason why a directory's numbers cannot be traced to a commit and to
-    weights.
+    """Reasons why a directory's numbers cannot be traced to a commit and to weights, a line each.
 
     models_of: names of the models that a planner needs.
     """
@@ -106,10 +105,7 @@ def _first_difference(committed: bytes, fresh: bytes, suffix: str) -> str | None
 
 
 def _same(was: str, now: str) -> bool:
-    """Whether two cells hold the same text, or numbers that differ by rounding alone.
-
-    A sum's last digit depends on the processor's vector instructions.
-    """
+    """Whether cells are equal up to rounding: a sum's last digit depends on the processor."""
     try:
         return was == now or math.isclose(float(was), float(now), rel_tol=1e-12)
     except ValueError:

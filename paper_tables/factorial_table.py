@@ -1,6 +1,4 @@
-"""The factorial experiment: what predictor, Gaussians, update and cloud of a learned sampler are
-worth, each by itself. Products of them plan beside the same search with uniform samples.
-"""
+"""Ablation of learned samplers: predictor, Gaussians, update and cloud, beside uniform samples."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
@@ -179,9 +177,7 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
 
 
 def _place(row: ResultRow) -> tuple[int, ...]:
-    """Where a product stands:
-    REFERENCE first, controls of one choice after their predictor's others.
-    """
+    """Sort key: REFERENCE first, controls of one choice after their predictor's others."""
     if row.predictor is None:
         return (-1,)
     assert row.gaussians is not None and row.update is not None and row.cloud is not None

@@ -171,10 +171,7 @@ def less(ratio: Interval) -> Interval:
 
 
 def t_test(values: Sequence[float]) -> float:
-    """Two-sided p of Student's test that the mean is zero.
-
-    0 or 1 where all values are equal; 1 for one value.
-    """
+    """Two-sided p of Student's test of a zero mean; 0 or 1 for equal values, 1 for one value."""
     if len(values) < 2:
         return 1.0
     if max(values) - min(values) < 1e-12:

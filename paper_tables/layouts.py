@@ -1,6 +1,4 @@
-"""How the rows of suites are laid out: like the paper's Table I (with scanned scenes), by group
-(kinds of constraints, arms), and beside external planners.
-"""
+"""Layouts of rows: the paper's Table I (also of scanned scenes), by group, external planners."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -161,8 +159,7 @@ SENSED_NOTES = (
 def place_table(
     rows: Iterable[ResultRow], published: Sequence[PublishedValue] = (), sensed: bool = False
 ) -> SuiteTable:
-    """The paper's Table I: headlines beside the paper's numbers, effort, comparisons, time curve,
-    fallbacks, failures and notes.
+    """The paper's Table I, effort, comparisons, time curve, fallbacks, failures and notes.
 
     sensed: the scenes were scanned: map and truth come first.
     """
@@ -214,9 +211,7 @@ def place_table(
 
 
 def _first_lines(found: Sequence[Entry], columns: Mapping[str, str]) -> Lines:
-    """What a reader looks for first:
-    estimates, and the work against the same search with uniform samples.
-    """
+    """Headlines: estimates, and the work against the same search with uniform samples."""
     ratio = split_metric("work_ratio", "all")
     lines = [["planner", *columns, f"work / {REFERENCE}"]]
     for item in found:
@@ -227,9 +222,7 @@ def _first_lines(found: Sequence[Entry], columns: Mapping[str, str]) -> Lines:
 
 
 def _paper_lines(found: Sequence[Entry], metric: str, ours: Mapping[str, str]) -> Lines:
-    """The paper's number of a metric, ours as medians over all runs and, since the paper gives
-    means, as means.
-    """
+    """The paper's number of a metric; ours over all runs as medians and, as in the paper, means."""
     lines = [["planner", "paper", *ours]]
     for item in found:
         lines.append([item.title, item.paper_cell(metric), *map(item.cell, ours.values())])
@@ -303,8 +296,9 @@ def group_table(
     what: str = "constraint",
     notes: Sequence[str] = CONSTRAINT_NOTES,
 ) -> SuiteTable:
-    """A line for each group and planner, in the order of the suite, then all groups together;
-    ratios are within the group. what: a group, in the singular.
+    """A line for each group and planner, in the order of the suite, then all groups together.
+
+    Ratios are within the group. what: a group, in the singular.
     """
     runs = table.suite_runs(rows)
     ordered = sorted(

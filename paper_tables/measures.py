@@ -1,5 +1,4 @@
-"""What tables measure: values of a row by name, statistics over rows, ratios to a baseline, easy
-and hard problems.
+"""What tables measure: values of a row, statistics, ratios to a baseline, easy and hard problems.
 
 Pure functions of rows. The work of a run is its projections and state checks, which do not depend
 on the machine. Seeds of one problem are not independent: everywhere a problem counts once.
@@ -27,8 +26,8 @@ REFERENCE = "birrt"  # its work says how hard a problem is; others are compared 
 HARD_SHARE = 1 / 3
 # [s] PyBullet, all distances of a Panda in this kitchen: `cvqmpt bench paper-check`
 STATE_CHECK_COST = 3.5e-3
-# Newton's method in Python, on numpy and a compiled kinematics library [s]. The published code does
-# more in Python, so this is a lower bound and favours planners that project much.
+# [s] Newton's method in Python, numpy, compiled kinematics: a lower bound of the published code's
+# time, which favours planners that project much.
 PROJECTION_COST = 2e-5
 
 Rows = Sequence[ResultRow]
@@ -49,8 +48,9 @@ def network_time(row: ResultRow) -> float:
 
 
 def paper_cost(row: ResultRow) -> float | None:
-    """Search at what work costs in a setting like the paper's, and networks as measured, nothing
-    else: `projections * PROJECTION_COST + state checks * STATE_CHECK_COST + networks` [s].
+    """`projections * PROJECTION_COST + state checks * STATE_CHECK_COST + networks` [s].
+
+    Search at what work costs in a setting like the paper's; networks as measured; nothing else.
     """
     if row.n_projections is None or row.n_state_checks is None:
         return None
@@ -71,9 +71,7 @@ def known_time(row: ResultRow) -> float | None:
 
 
 def new_time(row: ResultRow) -> float | None:
-    """`own_time` where all that is computed from the scene's cloud was computed in the run;
-    None elsewhere [s].
-    """
+    """`own_time` [s] where all from the scene's cloud was computed in the run; else None."""
     return own_time(row) if row.scene_new else None
 
 
@@ -165,9 +163,7 @@ def problem_median(values: Iterable[Sequence[float]]) -> Interval:
 
 
 def problem_mean(values: Iterable[Sequence[float]]) -> Interval:
-    """Mean of finite values;
-    each bootstrap starts from the same random seed, so that columns do not interact.
-    """
+    """Mean of finite values; all bootstraps have one seed, so that columns do not interact."""
     finite = ([number for number in seeds if math.isfinite(number)] for seeds in values)
     return mean_of_solved([fmean(seeds) for seeds in finite if seeds])
 
@@ -178,17 +174,13 @@ def paired_ratio(
     value: Value,
     pair: Callable[[ResultRow], Hashable] = problem_key,
 ) -> Interval:
-    """Geometric mean of value against the baseline's, `exp(mean(log(own / other)))`, over the
-    problems that both solved (see `paired_values`), with a bootstrap interval.
-    """
+    """`exp(mean(log(own / other)))` over problems of `paired_values`, with a bootstrap interval."""
     found = _paired(rows, baseline, value, pair)
     return geometric_mean_interval([_ratio(values) for values in found.values()])
 
 
 class Pair(NamedTuple):
-    """A problem that two planners solved:
-    the mean of a value over seeds, of each, and the geometric mean ratio.
-    """
+    """A problem that both solved: the mean of a value over seeds, of each, and their mean ratio."""
 
     problem: str
     own: float
@@ -208,8 +200,7 @@ def paired_values(
     value: Value,
     pair: Callable[[ResultRow], Hashable] = problem_key,
 ) -> list[Pair]:
-    """Problems that both solved. Runs are paired by problem and seed, or by what `pair` says of
-    both.
+    """Problems that both solved; runs are paired by problem and seed, or by `pair`.
 
     Values that are not positive have no ratio and are left out.
     """
@@ -255,13 +246,12 @@ class Split(NamedTuple):
 
 
 def split_by_work(reference: Iterable[ResultRow]) -> Split:
-    """Split the runs of one planner: hard are those whose problem is above two thirds of the others
-    in median work.
+    """Split a planner's runs: hard problems have more median work than two thirds of the others.
 
     The median is over the planner's other seeds, so that a problem is not called hard because of
     the very run that others are compared with; with one seed it is that one. A failed run's work is
-    infinite. At most a third are hard: ties are easy. Runs of problems whose rows do not say their
-    work are left out.
+    infinite. At most a third are hard: ties are easy. Runs of problems without known work are left
+    out.
     """
     rows = [row for row in reference if not row.solved or work(row) is not None]
     hard: set[ProblemKey] = set()
@@ -302,9 +292,7 @@ class SuiteRuns:
 Measure = Callable[[Rows, SuiteRuns], Interval]
 """The number of a column for a planner's rows."""
 Over = Literal["all", "solved", "joint", "stated"]
-"""All runs with failures infinite; solved runs; runs that every planner solved;
-runs that say a value.
-"""
+"""All runs, failures infinite; solved runs; runs that all planners solved; runs with a value."""
 
 
 def share_of(

@@ -1,7 +1,6 @@
 """The paper's Table II: planning, execution and total time of whole tasks, and every phase.
 
-A row is one planned phase. Times of a task are sums over its phases: those that the paper times, or
-all.
+A row is one planned phase. Times of a task are sums over all phases, or those that the paper times.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -72,9 +71,7 @@ def of_tasks(measure: Measure, phases: Collection[str] | None = None) -> Measure
 
 
 def time_metric(time: str, part: str, statistic: str) -> str:
-    """Name of the column of a time of `TIMES`, summed over a part of `PARTS`, as "mean" or
-    "median".
-    """
+    """Column name of a time of `TIMES`, summed over a part of `PARTS`, as "mean" or "median"."""
     return f"{time}_of_{part}_phases_{statistic}"
 
 
@@ -141,8 +138,9 @@ NOTES = (
 
 
 def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
-    """The paper's Table II for both sets of phases, the breakdown by phase, fallbacks, failures and
-    notes. InvalidInputError for rows that are no phases.
+    """The paper's Table II for both sets of phases, then phases, fallbacks, failures and notes.
+
+    InvalidInputError for rows that are no phases.
     """
     runs = table.suite_runs(rows, published)
     names = {split_problem(row.problem) for row in runs.rows}

@@ -111,9 +111,7 @@ def stage_times(groups: Groups) -> str:
 
 @matplotlib.rc_context(STYLE)
 def scatter(groups: Groups, baseline: str, value: Value, label: str) -> str:
-    """Every planner against the baseline: a dot a problem, mean of logarithms over seeds;
-    below the line is less.
-    """
+    """Planners against the baseline: a dot a problem, geometric mean; below the line is less."""
     shown = [name for name in groups if name != baseline]
     columns = min(4, len(shown))
     rows = math.ceil(len(shown) / columns)

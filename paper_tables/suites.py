@@ -1,7 +1,7 @@
-"""The suites that are reported, each declared once: which planners run how much of it, and how its
-rows become a table. Its problems stand under the same name in `cvqmpt_lab.benchmarks.suite`.
+"""The suites that are reported, each declared once: planners, amounts and table.
 
-Tables of a results directory are written in the paper's layout: Markdown, LaTeX and csv.
+Its problems stand under the same name in `cvqmpt_lab.benchmarks.suite`. Tables of a results
+directory are written in the paper's layout: Markdown, LaTeX and csv.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -175,9 +175,7 @@ SUITES: Mapping[str, Suite] = {
 
 
 def suite_of(name: str) -> Suite:
-    """What is reported of a suite; of others, such as folders of problem files, the place task's
-    table.
-    """
+    """What is reported of a suite; of others, such as folders, the place task's table."""
     return SUITES.get(name) or Suite(title=f"Suite {name}")
 
 

@@ -1,6 +1,4 @@
-"""The engine of every suite's table: planners as lines, columns by declaration, the paper's
-numbers beside ours; all as Markdown, LaTeX, csv and lines for a terminal.
-"""
+"""Tables of suites beside the paper's numbers: Markdown, LaTeX, csv and lines for a terminal."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -131,9 +129,7 @@ def rows_of_one_suite(rows: Iterable[ResultRow]) -> list[ResultRow]:
 
 
 def by_planner(rows: Rows, published: Iterable[PublishedValue]) -> dict[str, list[ResultRow]]:
-    """Rows by planner, the paper's first and in its order;
-    by planner and backend where one ran with several.
-    """
+    """Rows by planner, and by backend where several ran; the paper's first and in its order."""
     backends: dict[str, set[str]] = {}
     for row in rows:
         backends.setdefault(row.planner, set()).add(row.backend)
@@ -149,9 +145,7 @@ def by_planner(rows: Rows, published: Iterable[PublishedValue]) -> dict[str, lis
 
 
 def suite_runs(rows: Iterable[ResultRow], published: Iterable[PublishedValue] = ()) -> SuiteRuns:
-    """Rows of one suite, grouped;
-    InvalidInputError without rows, or with rows of more than one suite.
-    """
+    """Rows of one suite, grouped; InvalidInputError: no rows, or rows of more than one suite."""
     ordered = rows_of_one_suite(rows)
     groups = by_planner(ordered, published)
     solving = sorted(name for name, own in groups.items() if any(row.solved for row in own))
@@ -249,9 +243,7 @@ def column_lines(found: Sequence[Entry], names: Iterable[str]) -> Lines:
 
 
 def group_lines(found: Sequence[Entry], head: Sequence[str], count: str = "problems") -> Lines:
-    """Groups and planners as lines, all columns; those without runs are left out. head:
-    titles of the group's cells.
-    """
+    """Groups and planners with runs as lines, all columns; head: titles of the group's cells."""
     lines = [[*head, "planner", count, *(column.label for column in found[0].columns.values())]]
     for item in found:
         n = item.measured["solved"].n
@@ -271,9 +263,7 @@ def count_lines(found: Iterable[Entry], what: str) -> Lines:
 
 
 class BriefColumn(NamedTuple):
-    """A number that a terminal shows:
-    its title, the paper's metric, ours and which statistic, with interval or not.
-    """
+    """A number in a terminal: title, the paper's metric, ours, statistic, with interval or not."""
 
     title: str
     published: str
@@ -283,9 +273,7 @@ class BriefColumn(NamedTuple):
 
 
 def brief_lines(found: Sequence[Entry], columns: Sequence[BriefColumn]) -> list[str]:
-    """A line a planner for a terminal, the paper's numbers beside ours, then one about fallbacks,
-    if any.
-    """
+    """A line a planner for a terminal, beside the paper's numbers; one on fallbacks, if any."""
     papers = [column.published in item.published for column in columns for item in found]
     shown = 2 if any(papers) else 1
     lines = [[""], ["planner"]]
@@ -322,9 +310,7 @@ def brief_groups(lines: Lines, columns: Sequence[int]) -> list[str]:
 def latex_planners(
     caption: str, suite: str, found: Sequence[Entry], metrics: Mapping[str, Mapping[str, str]]
 ) -> str:
-    """The paper's layout, planners as columns; metrics:
-    of the paper, with our columns by their titles.
-    """
+    """The paper's layout, planners as columns; metrics: the paper's, with our columns by title."""
     paper = ["", "", *(item.paper_name or item.planner for item in found)]
     names = [paper, ["", "", *(item.planner if item.paper_name else "" for item in found)]]
     return latex_table(

@@ -102,10 +102,9 @@ def _section(part: Lines | Sequence[str]) -> str:
 
 
 def narrow(lines: Lines) -> list[Lines]:
-    """A table as several of at most PAGE_WIDTH characters, each with the labels; as it is where
-    cells are sentences.
+    """Split a table into several of at most PAGE_WIDTH characters, except cells that are sentences.
 
-    Labels are the first column and all up to the one titled "planner".
+    Each has the label columns: the first, and all up to the one titled "planner".
     """
     labels = lines[0].index("planner") + 1 if "planner" in lines[0] else 1
     widths = [max(3, *(len(line[k]) for line in lines)) + 3 for k in range(len(lines[0]))]
@@ -123,8 +122,7 @@ def narrow(lines: Lines) -> list[Lines]:
 def latex_table(caption: str, label: str, blocks: Sequence[Lines]) -> str:
     """A table over two columns (booktabs), two label columns first, with a rule between blocks.
 
-    Where it has more than MOST_COLUMNS columns of numbers, those that are left make tables of their
-    own.
+    More than MOST_COLUMNS columns of numbers continue in tables of their own.
     """
     name, texts = "".join(c if c.isalnum() else "-" for c in label), []
     for first in range(2, len(blocks[0][0]), MOST_COLUMNS):

@@ -1,8 +1,7 @@
-"""Zero-shot over constraints: problem k is of kind k modulo 8, in scenes of every family, on one
-manifold.
+"""Zero-shot over constraints: problem k has kind k modulo 8, in scenes of every family.
 
-The goal is a pose of the hand. Without obstacles a short search solves the problem; the straight
-motion on the manifold does not, as far as a few tries found such a problem.
+Start and goal, a pose of the hand, lie on one manifold. A short search without obstacles solves
+the problem; the straight motion on the manifold does not, if a few tries found such a problem.
 """
 
 from collections.abc import Callable, Mapping
@@ -64,9 +63,7 @@ def _arc(T: np.ndarray, rng: np.random.Generator) -> HandConstraint:
 
 
 def _about(axis: np.ndarray, T: np.ndarray, turn: float) -> TaskSpaceRegion:
-    """The hand at T (4, 4), carried about the z axis of a frame (4, 4) by at most a turn [rad] to
-    either side.
-    """
+    """The hand at T (4, 4), turned about the z axis of a frame (4, 4) by at most +-turn [rad]."""
     bound = np.array([EXACT] * 3 + [LEVEL] * 2 + [turn])
     return TaskSpaceRegion(axis, np.linalg.inv(axis) @ T, np.stack([-bound, bound], axis=1))
 
@@ -89,14 +86,11 @@ KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]]
     # a can is tipped about the axis along which the fingers reach, which keeps its direction
     "pouring": lambda T, rng: HandConstraint(_turned_like(T, FREE), (carried_can(),)),
 }
-"""Makers of a constraint that a hand at a pose T (4, 4) meets;
-the door's, which hangs on the scene, is `held_door`.
-"""
+"""Makers of a constraint that a hand at a pose T (4, 4) meets; the door's is `held_door`."""
 
 
 def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
-    """The kitchen without one of the shelf's doors, which the hand holds firmly and carries along
-    an arc.
+    """The kitchen without a door of the shelf: the hand holds it firmly and carries it on an arc.
 
     Unlike in `door_task` the door is carried by seven joints and is not a joint itself.
     """
@@ -120,7 +114,7 @@ def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
 
 
 def _carried(scene: Scene, name: str, T: np.ndarray, trim: float = 0.02) -> Attachment:
-    """A part of the door as it is seen from the hand at a pose (4, 4).
+    """A part of the door in the frame of the hand at a pose (4, 4).
 
     trim: cut off all round its panel [m], which fits its casing to half a millimetre.
     """
@@ -161,9 +155,7 @@ def trivial(problem: PlanningProblem) -> bool:
 
 
 def _within_reach(problem: PlanningProblem) -> bool:
-    """Whether a short search finds a way where there are no obstacles:
-    joint limits may cut goals off.
-    """
+    """Whether a short search without obstacles finds a path: joint limits may cut goals off."""
     alone = ConstrainedSpace(replace(problem, scene=Scene("empty", ())))
     query = Query.of(alone, Budget(iterations=300), np.random.default_rng(0))
     return search(BiRRT(), query, uniform(query, Observation())).path is not None

@@ -1,10 +1,8 @@
-"""Opening the shelf's door: the hand holds the handle's bar, and the door goes where the hand takes
-it.
+"""Opening the shelf's door: the hand holds the handle's bar and moves the door.
 
 As published, the hand frame stands 0.10 m in front of the bar, its x axis down, and the door goes
-from closed to
--0.45 pi. Here the motion is planned: the door is the robot's eighth joint, the constraint a region
-about the bar.
+from closed to -0.45 pi. Here the motion is planned: the door is the robot's eighth joint, the
+constraint a region about the bar.
 """
 
 from functools import lru_cache

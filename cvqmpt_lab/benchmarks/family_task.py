@@ -1,6 +1,4 @@
-"""Between two random upright hand poses, upright all the way, in held-out scenes of the training
-families.
-"""
+"""Upright paths between random upright hand poses, in held-out scenes of the training families."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,9 +22,7 @@ SCENES_DRAWN = 20  # for a problem, until one holds two states with a blocked st
 
 
 def held_out_problem(family: str, index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index` of a family, of the first scene that holds one:
-    of index, 8000 + index, 8050 + index, ...
-    """
+    """Problem `index`: the first that scenes index, 8000 + index, 8050 + index, ... allow."""
     # numbers that no other suite and no tuning has used
     spare = range(8000 + index, 8000 + 50 * (SCENES_DRAWN - 1), 50)
     return _first_problem(str(index), family, (index, *spare), PANDA)
@@ -47,9 +43,7 @@ def _first_problem(
 def family_problem(
     family: str, number: int, robot_source: Mapping[str, Any] = PANDA, clear: float = 0.001
 ) -> PlanningProblem | UnsolvableProblem:
-    """The problem of one scene:
-    a start and a goal on the manifold, the straight motion between them blocked.
-    """
+    """The problem of a scene: start and goal on the manifold, straight motion between blocked."""
     scene, robot = family_scene(family, number), robot_from_source(robot_source)
     return upright_problem(str(number), robot, scene, np.random.default_rng([number, 7]), clear)
 
@@ -79,8 +73,7 @@ def blocked_pair(
     apart: float = 2.0,
     tries: int = 200,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Two states (n,) on the manifold, `clear` [m] from all obstacles, the straight motion between
-    them blocked.
+    """Two states (n,) on the manifold, the straight motion between them blocked.
 
     Args:
         problem: with the manifold.
@@ -123,9 +116,7 @@ ROBOTS: Mapping[str, Mapping[str, Any]] = {
     "talos": {"name": "talos-left-arm"},
     "tiago": {"name": "tiago-no-hand", "base": {"xyz": [0.0, 0.0, -0.6]}},
 }
-"""6 joints (ur5, ur10, kinova, z1), 7, and 7 on a torso that slides up and down (tiago);
-of seven makers.
-"""
+"""Of seven makers: 6 joints (ur5, ur10, kinova, z1), 7, and 7 on a lifting torso (tiago)."""
 
 
 def robots_problem(index: int) -> PlanningProblem | UnsolvableProblem:
@@ -136,11 +127,9 @@ def robots_problem(index: int) -> PlanningProblem | UnsolvableProblem:
 
 
 def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index` of a robot of `ROBOTS`; its goals are sampled by `pipeline.solve`, from the
-    goal's pose.
+    """Problem `index` of a robot of `ROBOTS`; `pipeline.solve` samples goals from the goal's pose.
 
-    Its scene is the first that allows a problem of the numbers 2000 + index, 2020 + index, ... of
-    its family.
+    Its scene is the first of 2000 + index, 2020 + index, ... of its family that allows a problem.
     """
     # 2000 to 2399 are numbers that no other suite uses
     first = 2000 + index

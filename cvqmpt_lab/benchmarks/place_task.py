@@ -34,15 +34,12 @@ DOOR = "dagger_door_left"
 DOOR_ANGLE = -1.57  # [rad]
 SHELF_LINK = (0.56, -0.39, 0.642)  # the can's link frame on the shelf [m]
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # left to right
-# [m] by which a can that collides is above its published place on the counter, 1.5 mm inside the
-# top
+# [m] above the can's published place on the counter, which is 1.5 mm inside the top
 LIFT = 0.005
 
 
 def grasp_region(com: np.ndarray) -> TaskSpaceRegion:
-    """Hand poses that grasp a can with centre of mass com (3,) [m]:
-    from the side, yaw within +-90 degrees.
-    """
+    """Grasps of a can with centre of mass com (3,) [m]: from the side, yaw within +-90 degrees."""
     Tw_e = pose((-0.11, 0.0, 0.05))
     Tw_e[:3, :3] = UPRIGHT_ROTATION
     Bw = np.zeros((6, 2))
@@ -106,10 +103,9 @@ def single_goal_problem(environment: int) -> PlanningProblem | UnsolvableProblem
 
 
 def place_problem(environment: int, with_can: bool = False) -> PlanningProblem | UnsolvableProblem:
-    """The problem of one environment, goals sampled by `pipeline.solve`; with_can: the can is part
-    of the robot.
+    """The problem of one environment; `pipeline.solve` samples its goals.
 
-    The published experiment leaves the can out; with it the can is LIFT higher.
+    with_can: the can is part of the robot and LIFT higher; the published experiment leaves it out.
     """
     attachments = (carried_can(),) if with_can else ()
     com = can_com(environment) + (0.0, 0.0, LIFT * with_can)

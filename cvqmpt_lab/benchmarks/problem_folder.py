@@ -1,6 +1,4 @@
-"""A folder of problem files as a suite:
-every ``*.json`` in it is a problem, in the order of the files' names.
-"""
+"""A folder of problem files as a suite: every ``*.json`` is a problem, in order of file names."""
 
 import hashlib
 from dataclasses import replace

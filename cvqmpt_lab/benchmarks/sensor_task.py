@@ -1,7 +1,6 @@
-"""Planning in the map that depth images give of a scene, and judging paths in the map and in the
-scene.
+"""Planning in a map from depth images; paths are judged in the map and in the scene.
 
-Kitchens and tables by turns; start and goal are random upright configurations `ROOM` from
+Kitchens and tables by turns; start and goal are random upright configurations at least `ROOM` from
 everything, the straight motion between them blocked. Noisy depth images with the arm at the start
 become, through files, filters and the removal of the robot's points, an occupancy map: all that
 planners know.
@@ -45,9 +44,7 @@ STANDS = (((130, 160), (20, 45)), ((185, 205), (20, 45)))
 
 
 def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | UnsolvableProblem:
-    """The problem in scene `number` as it really is, with its start and its only goal, and the
-    cameras that look at it: even scenes are kitchens, odd ones tables.
-    """
+    """The problem in the real scene with one goal, and its cameras; even: kitchens, odd: tables."""
     rng = np.random.default_rng([number, 12])
     scene = family_scene("table", 3000 + number) if number % 2 else _cluttered_kitchen(number, rng)
     truth = upright_problem(str(number), robot_from_source(PANDA), scene, rng, ROOM)
@@ -81,10 +78,7 @@ def _camera(stand: tuple[tuple[int, int], tuple[int, int]], rng: np.random.Gener
 
 
 def sensor_problem(number: int, padding: float = 0.0) -> SensedProblem | UnsolvableProblem:
-    """The problem of `scanned_scene` in the map that its cameras give.
-
-    padding: inflation radius of the map's cells [m].
-    """
+    """The problem of `scanned_scene` in its cameras' map, of cells inflated by padding [m]."""
     scanned = scanned_scene(number)
     if isinstance(scanned, UnsolvableProblem):
         return scanned

@@ -55,9 +55,7 @@ class Suite:
         return self.make(index)
 
     def solvable(self, index: int | str) -> PlanningProblem | Task:
-        """The same, of a scanned scene the problem in its map;
-        InvalidInputError where there is no problem.
-        """
+        """The same, of a scanned scene in its map; InvalidInputError where there is no problem."""
         item = self.item(index)
         if isinstance(item, UnsolvableProblem):
             raise InvalidInputError(
@@ -129,8 +127,9 @@ _FOLDERS: dict[str, Suite] = {}  # by full path; workers that are forked find wh
 
 
 def folder_suite(folder: Path) -> Suite:
-    """The problems of a folder as they are now, as a suite with the folder's name; `suite_named`
-    finds it by full path. InvalidInputError: see `read_folder`; or the name is taken.
+    """The problems of a folder as they are now, as a suite with the folder's name.
+
+    `suite_named` finds it by full path. InvalidInputError: see `read_folder`; or the name is taken.
     """
     from cvqmpt_lab.benchmarks.problem_folder import read_folder
 
@@ -149,9 +148,7 @@ def folder_suite(folder: Path) -> Suite:
 
 
 def suite_named(name: str) -> Suite:
-    """The suite of that name, or of the folder with that full path;
-    UnknownChoiceError lists the names.
-    """
+    """The suite of a name or of a folder's full path; UnknownChoiceError lists the names."""
     if os.sep in name:
         return _FOLDERS.get(name) or folder_suite(Path(name))
     if name == "sensor-robustness":

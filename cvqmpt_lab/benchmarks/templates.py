@@ -58,9 +58,7 @@ REGIONS = [
 
 
 class Layout(NamedTuple):
-    """Where things stand, from the first joint on, in shares of the hand's reach;
-    heights above the table.
-    """
+    """Positions from the first joint in shares of the hand's reach; heights above the table."""
 
     table: tuple[float, float, float, float]  # from x, to x, half width, thickness
     wall: tuple[float, float, float, float]  # its x, edges along x and y, height
@@ -78,10 +76,7 @@ LAYOUTS = (
 
 
 def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
-    """Json of a problem that can be planned, for a robot as in a problem file.
-
-    InvalidInputError if there is none.
-    """
+    """Json of a problem that can be planned, for a robot's json; InvalidInputError: none found."""
     robot = robot_from_source(source)
     plain: dict[str, Any] = {
         "$schema": SCHEMA_FILE,
@@ -172,9 +167,7 @@ def _commented(scene: Scene) -> dict[str, Any]:
 
 
 def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
-    """The field that says where to:
-    poses around one, or a configuration where joints are too few for that.
-    """
+    """The goal field: poses around one, or a configuration for arms with too few joints."""
     if robot.dof <= 5:
         return {"goals": [goal.tolist()]}
     T_world_goal = robot.pose(goal)

@@ -135,8 +135,8 @@ class RoadmapRecipe(SceneRecipe):
 def roadmap_graph(model: str | None, robot: Robot, shipped: str = "vq_mpt") -> RoadmapGraph:
     """Nodes and undirected edges that are labelled, and which of them the robot itself allows.
 
-    They are the roadmap of a dictionary; without one of the shipped dictionary, or of free
-    configurations for another robot than the shipped one's.
+    The nodes are the codes of the model's dictionary. Without a model they are those of the shipped
+    dictionary, or free configurations for a robot that it is not of.
 
     InvalidInputError for a robot that the dictionary is not of, a roadmap of fewer nodes than ends
     are linked to, or one whose edges are too long to check.
@@ -330,8 +330,8 @@ def _confined(
 ) -> np.ndarray:
     """Free configurations among obstacles (at most `most`, n).
 
-    Of those whose hand is near an obstacle they have the most collisions among `around`
-    configurations that are normally distributed about them.
+    Of those with the hand near an obstacle, the ones with the most collisions among `around`
+    normally distributed neighbours.
     """
     robot = space.robot
     candidates = robot.random_configurations(rng, 1024)

@@ -1,6 +1,4 @@
-"""Where numbers come from:
-commit, versions, machine, weights, seeds and settings of a results directory.
-"""
+"""Provenance of a results directory: commit, versions, machine, weights, seeds, settings."""
 
 import importlib.metadata
 import json
@@ -24,9 +22,7 @@ _PACKAGES = (
     *("ompl", "pin", "rerun-sdk", "scipy", "torch"),
 )
 DIGESTS = ("weights", "problem_files", "planners")
-"""Fields of a session, by name: sha256, of external planners what made them;
-later sessions must not change them.
-"""
+"""Digests of a session by name (of external planners, what made them); later ones must be equal."""
 # What the fields of a session are, and of a configuration, that others read.
 _FORMS: Mapping[str, Any] = {
     **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),
@@ -80,9 +76,7 @@ def provenance(
 
 
 def _git_state(checkout: Path) -> tuple[str | None, bool | None]:
-    """Commit and whether the tree has uncommitted changes;
-    (None, None) where this is not a checkout.
-    """
+    """Commit, and whether there are uncommitted changes; (None, None) outside a checkout."""
     top = _git(checkout, "rev-parse", "--show-toplevel")
     # e.g. installed in an environment inside another repository
     if top is None or Path(top) != checkout:
@@ -143,9 +137,7 @@ def digests_in(record: Mapping[str, Any], field: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class ProvenanceFile:
-    """``provenance.json`` of a results directory:
-    the first session, and later ones under ``continued``.
-    """
+    """``provenance.json`` of a results directory: the first session, later ones ``continued``."""
 
     directory: Path
 
@@ -155,9 +147,7 @@ class ProvenanceFile:
         return self.directory / PROVENANCE_FILE
 
     def read(self) -> dict[str, Any]:
-        """Return the whole record;
-        RunStoreError when it is missing, no json, or not of the form that others read.
-        """
+        """Return the whole record; RunStoreError when it is missing, no json or malformed."""
         if not self.path.is_file():
             raise RunStoreError(
                 f"{self.directory} has no {PROVENANCE_FILE}, so its runs cannot be traced; use "
@@ -183,9 +173,7 @@ class ProvenanceFile:
         self._write({**session, "configuration": dict(configuration)})
 
     def require_same(self, configuration: Mapping[str, object], session: Mapping[str, Any]) -> None:
-        """Raise RunStoreError unless the recorded configuration is this one, and what is in both
-        has one digest.
-        """
+        """Raise RunStoreError if the configuration or a digest of both sessions differs."""
         record = self.read()
         then, now = dict(record["configuration"]), json.loads(_json_text(configuration))
         for field in DIGESTS:

@@ -1,8 +1,7 @@
 """Result rows and their csv form.
 
-One row is one run of one planner on one problem, or on one phase of a task, with one seed.
-Undefined values are None in Python and empty in csv, never 0 or -1. A failed run is a row like any
-other.
+One row is one run of one planner on one problem, or on one phase of a task, with one seed; failed
+runs have rows too. Undefined values are None in Python and empty in csv, never 0 or -1.
 """
 
 import csv
@@ -111,16 +110,14 @@ class ResultRow:
     max_violation_m: float | None = None
     min_clearance_m: float | None = None  # negative where bodies overlap
     path_sha256: str | None = None
-    # Of scanned scenes: from depth images in files to the map (not in `t_total_s`), and to the
-    # certificate; whether the path is free in the scene that was scanned, which planners do not
-    # know, and its clearance there.
+    # Of scanned scenes: time from depth images to the map (not in `t_total_s`), and to the
+    # certificate; whether the path is free in the real scene, and its clearance there.
     t_sense_s: float | None = None
     t_whole_s: float | None = None
     true_free: bool | None = None
     true_clearance_m: float | None = None
-    # Where time was given to improve the first path: what of it was used (in `t_total_s`), how many
-    # searches were begun in it, and the length of the first path, shortened; `path_length_rad` is
-    # of the best.
+    # Of improved paths: time used (in `t_total_s`), searches begun, and the length of the first
+    # path, shortened; `path_length_rad` is the best path's.
     t_improve_s: float | None = None
     n_restarts: int | None = None
     path_length_first_rad: float | None = None
@@ -131,17 +128,14 @@ class ResultRow:
     cloud: str | None = None
     uniform_share: float | None = None
     sequences: str | None = None
-    # G = F(q)^T F(q), mean over fixed draws of what is sampled, before projection [the constraint's
-    # units, squared].
+    # G = F(q)^T F(q), mean over fixed draws before projection [the constraint's units, squared].
     g_sampled: float | None = None
-    # Whether all that is computed from the scene's cloud was computed in this run: `t_encode_s`, a
-    # part of `t_total_s`, is then what a new scene costs, and `t_total_s` without it the time where
-    # the scene is known.
+    # Whether the scene's cloud was encoded in this run: then `t_encode_s`, a part of `t_total_s`,
+    # is the cost of a new scene, and `t_total_s - t_encode_s` the time in a known one.
     scene_new: bool | None = None
     # States whose clearance was read from a distance field: approximate checks.
     n_clearances: int | None = None
-    # Wall clock around `pipeline.solve` up to the path, shortened: all but goals, clouds,
-    # `t_improve_s`, certificate.
+    # Wall clock of `pipeline.solve` without goals, clouds, `t_improve_s` and certificate.
     t_wall_s: float | None = None
 
     def __post_init__(self) -> None:
@@ -228,9 +222,7 @@ class _Column(NamedTuple):
         return self.checked(text if self.kind in (str, FailReason) else self.kind(text))
 
     def read_all(self, texts: Sequence[str]) -> list[Any]:
-        """The values of all cells, as by `read`, which is called once for equal texts, and not for
-        numbers that are as they should be: files hold half a million cells.
-        """
+        """Values as by `read`, called once per text and not for plain numbers: cells are many."""
         distinct = set(texts)
         if self.optional:
             distinct.discard("")
@@ -262,9 +254,7 @@ SIGNED = ("min_clearance_m", "true_clearance_m")
 
 
 def one_line(text: str) -> str | None:
-    """Any text as a cell takes it: one printable line, quoted where it begins like a formula;
-    None if empty.
-    """
+    """Text for a cell: one printable line, quoted if it starts like a formula; None if empty."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return f"'{line}" if line.startswith(FORMULA) else line or None
 
@@ -294,9 +284,7 @@ def natural_key(text: str) -> tuple[tuple[str | int, ...], str]:
 
 
 def sorted_rows(rows: Iterable[ResultRow]) -> list[ResultRow]:
-    """Rows in the one deterministic order:
-    suite, problem (numbers as numbers), planner, seed, backend.
-    """
+    """Rows by suite, problem (numbers as numbers), planner, seed and backend."""
     rows = list(rows)
     places = {problem: natural_key(problem) for problem in {row.problem for row in rows}}
     return sorted(rows, key=lambda r: (r.suite, places[r.problem], r.planner, r.seed, r.backend))
@@ -372,8 +360,7 @@ def _raise_first_fault(path: Path, lines: Sequence[tuple[int, list[str]]]) -> No
 def read_rows(path: Path) -> list[ResultRow]:
     """Read a csv of runs; floats come back exactly as they were.
 
-    InvalidInputError when the file cannot be read; RunStoreError names the file, line and column
-    that are wrong.
+    InvalidInputError: the file cannot be read. RunStoreError: names file, line and column.
     """
     return parse_rows(Path(path), read_text(path))
 

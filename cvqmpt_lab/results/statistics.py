@@ -25,9 +25,7 @@ problem_key: Callable[[ResultRow], ProblemKey] = attrgetter("suite", "problem", 
 
 
 class Interval(NamedTuple):
-    """An estimate with its confidence interval;
-    None where undefined, +inf where failures make it so.
-    """
+    """An estimate with its confidence interval; None: undefined, +inf: because of failures."""
 
     estimate: float | None
     low: float | None
@@ -64,13 +62,13 @@ def wilson_interval(successes: float, n: int) -> Interval:
 
 
 def median_interval(values: ArrayLike) -> Interval:
-    """Median with an order-statistic (sign-test) interval; failures are +inf. InvalidInputError for
-    NaN.
+    """Median with an order-statistic (sign-test) interval; failures are +inf.
 
     The interval runs from the r-th smallest to the r-th largest value, with the largest r for which
     P(r <= B <= n - r), B ~ Binomial(n, 1/2), is at least CONFIDENCE. That probability is the exact
     coverage for any continuous distribution and a lower bound otherwise (0.957 for n = 30). No such
     r exists for n < 6: the interval is then the whole range, and its lower coverage says so.
+    InvalidInputError for NaN.
     """
     ordered = np.sort(_checked(values))
     n = len(ordered)
@@ -112,8 +110,7 @@ def mean_of_solved(values: ArrayLike) -> Interval:
 
 
 def geometric_mean_interval(values: ArrayLike) -> Interval:
-    """Geometric mean `exp(mean(log x_i))`, of ratios say, with a percentile-bootstrap interval, as
-    of `mean_of_solved`.
+    """Geometric mean `exp(mean(log x_i))` with a percentile-bootstrap interval.
 
     InvalidInputError for values that are not finite and positive.
     """
@@ -128,9 +125,7 @@ def geometric_mean_interval(values: ArrayLike) -> Interval:
 
 
 def ratio_of_means_interval(pairs: Sequence[tuple[float, float]]) -> Interval:
-    """Ratio of means `sum(a_i) / sum(b_i)` of pairs (a_i, b_i), with a percentile-bootstrap
-    interval over the pairs.
-    """
+    """`sum(a_i) / sum(b_i)` of pairs (a_i, b_i), percentile-bootstrap interval over the pairs."""
     n = len(pairs)
     if n == 0:
         return UNDEFINED

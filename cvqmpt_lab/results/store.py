@@ -58,8 +58,7 @@ class RunStore:
         configuration: Mapping[str, object],
         session: Mapping[str, object] | None = None,
     ) -> "RunStore":
-        """Create a store, or continue one that was made with an equal configuration and the same
-        weights.
+        """Create a store, or continue one with equal configuration and weights.
 
         configuration: every setting that must not change within one table (suite, cutoff, ...), as
             json values.
@@ -127,8 +126,7 @@ class RunStore:
     def append(self, rows: Sequence[ResultRow], paths: Sequence[np.ndarray] = ()) -> None:
         """Add all rows of one run and its paths' states (m, n), and force them to disk.
 
-        A row with a known key replaces the earlier one. RunStoreError when the store is finished or
-        the disk full.
+        A row with a known key replaces the earlier one. RunStoreError: finished, or disk full.
         """
         if self._lock is None:
             raise RunStoreError(f"the store {self.directory} is finished; open it again to append")
@@ -191,9 +189,7 @@ def array_bytes(states: np.ndarray) -> bytes:
 
 
 class StoredPaths(Mapping[str, np.ndarray]):
-    """Read-only view of a folder's ``paths.npz``;
-    a path is read, and compared with its hash, when it is asked for.
-    """
+    """Read-only view of ``paths.npz``; a path is read, and its hash compared, on access."""
 
     def __init__(self, directory: Path) -> None:
         """Empty when there is no such file; RunStoreError when it is damaged."""
@@ -230,11 +226,9 @@ class StoredPaths(Mapping[str, np.ndarray]):
 
 
 def merge_paths(directory: Path, wanted: Collection[str]) -> None:
-    """Move what `array_bytes` left in PARTIAL_PATHS to PATHS_FILE, which then holds the paths with
-    wanted hashes.
+    """Merge PARTIAL_PATHS into PATHS_FILE, which then holds the paths with wanted hashes.
 
-    An array that was cut short, by a kill or a full disk, ends what is read: its row was never
-    written.
+    Reading ends at an array cut short by a kill or a full disk: its row was never written.
     """
     partial = Path(directory) / PARTIAL_PATHS
     if not partial.is_file():

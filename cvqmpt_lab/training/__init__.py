@@ -1,5 +1,5 @@
-"""Training of VQ-MPT and MPNet from a folder of data, on a bare GPU machine: torch and numpy only.
+"""Training of VQ-MPT and MPNet from a folder of data; needs torch and numpy only.
 
-No robot, scene or planner in here: joints come as numbers between limits, scenes as shape
-parameters, link positions from the arrays of a serial chain, all out of the dataset's folder.
+It imports no robot, scene or planner: the dataset's folder holds joints as numbers between limits,
+scenes as shape parameters, and link positions as arrays of a serial chain.
 """

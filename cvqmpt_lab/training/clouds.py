@@ -1,7 +1,4 @@
-"""Point clouds of shapes, new in every epoch.
-
-Points are drawn on surfaces, or measured by noisy depth cameras as in evaluation.
-"""
+"""Point clouds of shapes, new every epoch: surface points, or by noisy cameras as in evaluation."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -20,8 +17,7 @@ SOLIDS = (  # by the kind of a shape
     lambda T, size: SolidCylinder(T, size[0], 0.5 * size[2]),
     lambda T, size: Ball(T, size[0]),
 )
-# The evaluation camera's range with a sixteenth of its pixels, which still are more than a cloud's
-# points.
+# The evaluation camera's range, a sixteenth of its pixels: still more than a cloud's points.
 SMALL = Intrinsics.from_fov(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
 
 

@@ -95,7 +95,7 @@ class Paths:
         return self.start[paths + 1] - self.start[paths]
 
     def padded(self, paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Waypoints of paths (b,), of which shorter ones repeat their last.
+        """Waypoints of paths (b,); shorter paths are padded with their last waypoint.
 
         Returns:
             Normalised joints (b, t, n) float32, and the counts (b,) of each path's own waypoints.
@@ -113,10 +113,7 @@ def unpacked(joints: np.ndarray) -> np.ndarray:
 def with_few_trivial(
     paths: Paths, rows: np.ndarray, share: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Rows (k,) in their order, of which at most this share is of trivial paths.
-
-    Which trivial ones stay is drawn. Where all are trivial, all stay.
-    """
+    """Rows (k,) in order, at most this share of them trivial paths; all if all are trivial."""
     trivial = paths.trivial[rows]
     others = int((~trivial).sum())
     most = int(share / (1.0 - share) * others) if share < 1.0 else len(rows)
@@ -202,7 +199,7 @@ class PathDataset(TrainingData):
 
 @dataclass(frozen=True, eq=False)
 class RoadmapLabels:
-    """What of a roadmap with N nodes and E edges is free in each of s scenes.
+    """Which of the N nodes and E edges of a roadmap are free in each of s scenes.
 
     Links are the straight motions from e configurations to the nodes nearest to each.
     """

@@ -36,8 +36,8 @@ class Stage1Settings:
     """How the dictionary is trained."""
 
     epochs: int = 20
-    # Rows of a batch: paths, or for an encoder of single waypoints rows of `row` unrelated ones,
-    # which stand for paths so that the parts of the loss keep their published proportions.
+    # Rows of a batch are paths. An encoder of single waypoints takes rows of `row` unrelated ones
+    # instead, so that the parts of the loss keep their published proportions.
     batch: int = 64
     row: int = 32
     batches_per_epoch: int | None = None  # at most; None for all paths

@@ -104,8 +104,8 @@ def _compact() -> Profile:
         scenes=12, paths_per_scene=8, spacing=0.2, turn_base=True, cloud=cloud
     )
     labels = RoadmapSettings()
-    # The authors' structure with about as many numbers as the scene transformer and twice its scene
-    # tokens: at their width of 512 a core takes an eighth as many sequences a second.
+    # About as many numbers as the scene transformer: at the authors' width of 512 a core takes an
+    # eighth as many sequences a second. Twice the scene tokens.
     narrow = sizes.TransformerConfig(n_heads=3, d_k=64, d_v=64, d_model=192, d_inner=384)
     return Profile(
         name="compact",
@@ -143,16 +143,13 @@ def _compact() -> Profile:
             ),
             dense=True,
         ),
-        # The highest rate of the authors' schedule; at 5e-4 188 of 192 scene features died behind
-        # their ReLU.
+        # The authors' highest rate; at 5e-4 the ReLU of 188 of 192 scene features was always 0.
         published=replace(labels, optimizer=replace(labels.optimizer, rate=1.35e-4, warmup=400)),
     )
 
 
 def _smoke() -> Profile:
-    """The published architecture, small, all stages in minutes on a busy core:
-    shows that everything runs, no more.
-    """
+    """The published architecture, small: all stages run in minutes, to show that they run."""
     small = sizes.TransformerConfig(
         n_layers=2, n_heads=2, d_k=16, d_v=16, d_model=48, d_inner=96, dropout=0.1
     )
@@ -219,9 +216,7 @@ def _smoke() -> Profile:
 
 
 def _published() -> Profile:
-    """Architecture, losses and schedules of the paper;
-    batch sizes and epochs are not recorded there.
-    """
+    """Architecture, losses and schedules of the paper, which gives no batch sizes and epochs."""
     crop = CropSettings(kind="box")
     cloud = CloudSettings(points=2048, crop=crop, noise=0.0, occlusion=1.0, density=0.0)
     batches = SceneBatchSettings(scenes=16, paths_per_scene=2, cloud=cloud)

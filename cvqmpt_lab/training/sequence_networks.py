@@ -107,10 +107,7 @@ def _begin_with(shares: list[Tensor], node_prior: Tensor, edge_prior: Tensor) ->
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedSizes:
-    """Sizes of the authors' sequence model, and whether it is trained with the dense loss.
-
-    Defaults are as published.
-    """
+    """Sizes of the authors' sequence model, by default as published; dense: use the dense loss."""
 
     point_cloud: PointCloudConfig = field(default_factory=PointCloudConfig)
     sequence: SequenceConfig = field(default_factory=SequenceConfig)

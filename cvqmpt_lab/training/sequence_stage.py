@@ -273,9 +273,9 @@ def chosen(values: Tensor, rows: Tensor) -> Tensor:
 
 
 def area_under_curve(odds: Tensor, free: Tensor) -> float | None:
-    """How often a free one has higher odds (b,) than one that is not; None where all are alike.
+    """Area under the ROC curve of odds (k,) against free (k,); None where all are alike.
 
-    With ranks R of the g free ones among g + b: (sum R - g (g + 1) / 2) / (g b).
+    With ranks R of the g free ones among k = g + b: (sum R - g (g + 1) / 2) / (g b).
     """
     good, bad = odds[free], odds[~free]
     if not len(good) or not len(bad):

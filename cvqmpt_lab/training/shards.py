@@ -140,10 +140,7 @@ def _parsed(line: str) -> IndexRow | None:
 
 
 def read_index(folder: Path) -> list[IndexRow]:
-    """Lines of the index.
-
-    InvalidInputError when it is missing or damaged, lists nothing, or a shard twice.
-    """
+    """Rows of the index; InvalidInputError: missing, damaged, empty, or a shard is listed twice."""
     path, header = folder / INDEX_FILE, ",".join(IndexRow._fields)
     text = read_text(require_regular_file(path))
     first, *lines = text.splitlines() or [""]
@@ -314,11 +311,7 @@ def _corners(
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Start, nodes and goal (c, n) [rad] of one path after the other.
-
-    Returns:
-        These, and where those of each path begin (p + 1,).
-    """
+    """Start, nodes and goal (c, n) [rad] of each path, and where those of each begin (p + 1,)."""
     count = np.diff(labels["code_start"])[rows]
     first = np.concatenate([[0], np.cumsum(count + 2)])
     corners = np.empty((first[-1], nodes.shape[1]))

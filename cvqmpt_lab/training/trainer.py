@@ -1,17 +1,16 @@
-"""The loop that trains any stage, resumable after any batch and repeatable by seed: what `cvqmpt
-train` calls.
+"""The training loop of all stages: resumable after any batch and repeatable by seed.
 
-A training's folder, each file of which is replaced whole or not at all::
+`cvqmpt train` calls it. A training's folder, each file of which is replaced whole or not at all::
 
     training.json   what the training is; must be equal to continue
     state.pt        weights, optimizer, where it stands
     curves.csv      a line per epoch
     model/          checkpoint of the epoch with the best validation
 
-Whatever is random in a batch is drawn from its seed, epoch and number alone, so that a training
-that was stopped and continued takes the same steps as one that was not. Under `torchrun` k
-processes, on one machine or several, take every k-th batch each, and DistributedDataParallel
-averages their gradients; the first one writes and reports.
+Random numbers of a batch depend on its seed, epoch and number alone, so that a training that was
+stopped and continued takes the same steps as one that was not. Under `torchrun` k processes, on one
+machine or several, take every k-th batch each, and DistributedDataParallel averages their
+gradients; the first one writes and reports.
 """
 
 import csv
@@ -157,10 +156,7 @@ def run_training(
 
 
 def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
-    """Begin in an empty folder, or continue what has equal settings.
-
-    InvalidInputError names the first setting that differs.
-    """
+    """Begin in an empty folder, or continue; InvalidInputError names a setting that differs."""
     path, settings = folder / "training.json", json.loads(json.dumps(settings))
     if path.is_file():
         found = differences(read_json_object(require_regular_file(path)), settings)

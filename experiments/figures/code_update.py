@@ -1,11 +1,10 @@
-"""What `cvq-mpt` and `opt-cvq-mpt` sample on a problem: the mixture before and after the paper's
-Algorithm 2.
+"""The mixtures that `cvq-mpt` and `opt-cvq-mpt` sample: before and after the paper's Algorithm 2.
 
 The planner's own stages run: the transformer predicts codes from cloud, start and goals, the
 decoder makes Gaussians of them, Algorithm 2 moves the codes. Gaussians around goals are part of
-what is sampled and are not moved. Draws are taken as they come, before limits and projection, with
-the same standard normal numbers before and after. All Gaussians of a mixture are equally likely, so
-equally many draws of each are draws of the mixture.
+what is sampled and are not moved. Draws are taken before limits and projection, with the same
+standard normal numbers before and after. All Gaussians of a mixture are equally likely, so equally
+many draws of each are draws of the mixture.
 """
 
 from collections.abc import Sequence
@@ -42,9 +41,7 @@ class UpdateSettings:
 
 @dataclass(frozen=True, eq=False)
 class CodeUpdate:
-    """A mixture of c codes and k goals before and after the update;
-    F^T F in the constraint's units, squared.
-    """
+    """A mixture of c codes and k goals before and after the update; F^T F [constraint units^2]."""
 
     problem: PlanningProblem  # with its goals
     cloud: np.ndarray  # what the model saw (m, 3) [m]

@@ -38,10 +38,7 @@ COLOURS = {
 
 
 def draw_cost(folder: Path, out: Path) -> list[Path]:
-    """Times and ratios against the cost of a state check.
-
-    RunStoreError or InvalidInputError for unusable rows.
-    """
+    """Times and ratios over a state check's cost; RunStoreError, InvalidInputError: unusable."""
     groups = by_planner(rows_of_one_suite(read_rows(folder / RUNS_FILE)), ())
     reference = groups.get(REFERENCE, [])
     values = [partial(time_at, cost) for cost in COSTS]
@@ -100,10 +97,7 @@ def cost_figure(
 
 
 def time_at(cost: float, row: ResultRow) -> float | None:
-    """Time without goals if a state check of the search had cost so much [s], all else as measured.
-
-    t + n (cost - OURS), with the measured time t and number of checks n.
-    """
+    """Time t + n (cost - OURS) [s]: measured t without goals, had n state checks cost so much."""
     own = own_time(row)
     if own is None or row.n_state_checks is None:
         return None

@@ -1,5 +1,4 @@
-"""HPP (C++, pinocchio, coal): its diffusing planner with continuous collision checks, then its
-random shortcuts.
+"""HPP (C++, pinocchio, coal): diffusing planner, continuous collision checks, random shortcuts.
 
 HPP bounds nothing from two sides: the hand is kept upright exactly. Its wheels find their libraries
 by LD_LIBRARY_PATH alone; here they are loaded one by one instead.

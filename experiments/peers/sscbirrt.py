@@ -1,7 +1,6 @@
-"""sscbirrt (C++, MuJoCo, analytical inverse kinematics by ssik): CBiRRT on a task-space region, its
-defaults.
+"""sscbirrt (C++, MuJoCo, analytical inverse kinematics by ssik): CBiRRT with its defaults.
 
-Its regions bound roll, pitch and yaw; its paths are smoothed by itself.
+Its task-space regions bound roll, pitch and yaw; it smooths its paths itself.
 """
 
 import tempfile

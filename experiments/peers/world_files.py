@@ -1,5 +1,4 @@
-"""A problem's robot and obstacles as URDF and MJCF, so that other planners check the same bodies
-against each other.
+"""A problem's robot and obstacles as URDF and MJCF, so that other planners check the same bodies.
 
 Both files have the joint axes of `Robot.kinematics` as z, a body for every convex piece of a link
 and one for every obstacle, which is fixed to the world. Lengths in metres.
