@@ -1,6 +1,4 @@
-"""Constrained motion planning with learned sampling dictionaries:
-a reproducibility toolkit for CVQ-MPT.
-"""
+"""Toolkit to reproduce CVQ-MPT: motion planning under constraints with learned sampling."""
 
 from importlib import import_module
 from typing import Any

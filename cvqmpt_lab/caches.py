@@ -95,9 +95,7 @@ def cache_folder() -> Path:
 
 
 def named_folder(variable: str, otherwise: str | Path) -> Path:
-    """Full path of the folder that an environment variable names, or of another if it is not set or
-    empty.
-    """
+    """Full path of the folder that an environment variable names; another if unset or empty."""
     named = os.environ.get(variable) or otherwise
     try:
         return Path(named).expanduser().absolute()
@@ -109,12 +107,11 @@ def named_folder(variable: str, otherwise: str | Path) -> Path:
 
 
 def trusted_cache(folder: Path) -> Path | None:
-    """A cache folder that only the user and root can change, made if need be; None if there is
-    none.
+    """A cache folder that only the user and root can change, made if need be, or None.
 
-    Machine code and pickles in a cache run with the user's rights. A folder that others could have
-    changed is not used, nor one that is empty and cannot be written: another one in the temporary
-    folder is, with one warning a process.
+    Machine code and pickles in a cache run with the user's rights: a folder that others could have
+    changed, or an empty one that cannot be written, is not used. One in the temporary folder is,
+    with one warning a process.
     """
     import tempfile  # most commands use no cache
 
@@ -144,9 +141,7 @@ def trusted_cache(folder: Path) -> Path | None:
 
 
 def _exposed(place: Path) -> str | None:
-    """Why others can change a folder or a file in it, in words, or None;
-    above it, folders may be sticky, as /tmp.
-    """
+    """Why others can change a folder or a file in it, or None; parents may be sticky, as /tmp."""
     if not hasattr(os, "getuid"):
         return None  # Windows: rights are no part of the mode, and profiles are the user's own
     with os.scandir(place) as inside:

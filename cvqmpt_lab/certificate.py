@@ -1,7 +1,6 @@
 """The certificate of a path: an independent check of every state, also between the path's own.
 
-It uses no compiled function of the planners: poses and rotation vectors come from pinocchio,
-distances from coal.
+It uses no compiled function of the planners: pinocchio gives poses, coal distances.
 """
 
 from dataclasses import dataclass

@@ -67,7 +67,7 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
 
 
 def differences(now: dict[str, Any], path: Path) -> dict[str, list[Any]]:
-    """Fields of a record that are not as in the file of an earlier one: [earlier, now].
+    """Fields [earlier, now] of a record that differ from those in the file of an earlier one.
 
     InvalidInputError: the file holds no record, or one of another problem or motion.
     """

@@ -46,10 +46,7 @@ def from_plain(kind: Any, value: Any, where: str = "", complete: bool = False) -
 
 
 def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
-    """Json of a value of type `kind` (None: its own).
-
-    Fields that have their default value are left out unless complete.
-    """
+    """Json of a value of type `kind` (None: its own), without defaults unless complete."""
     kind = type(value) if kind is None else kind
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if value is None:
@@ -72,9 +69,7 @@ def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
 
 
 class Checked:
-    """Base of frozen dataclasses (eq=False) that check their fields once, when they are made from
-    json or by a call, and are compared by content.
-    """
+    """Base of frozen dataclasses (eq=False), checked when made and compared by content."""
 
     def __post_init__(self) -> None:
         name = getattr(self, "name", None)
@@ -133,7 +128,7 @@ class Document(Checked):
 
     @classmethod
     def load(cls, path: Path | str, **changes: Any) -> Self:
-        """Read a file; errors name the file and the field. changes: fields to replace unless None."""
+        """Read a file; errors name file and field. changes: fields to replace; None: kept."""
         data = read_json_object(Path(path))
         data |= {name: value for name, value in changes.items() if value is not None}
         with located(f"{path}"):

@@ -1,5 +1,4 @@
-"""Errors of one line: the wrong value, the valid choices and what to do. The command line exits
-with code 2.
+"""Errors of one line: wrong value, valid choices, what to do; the command line exits with 2.
 
 Failing to plan is a result (`PlanStatus`), never an exception.
 """
@@ -137,9 +136,7 @@ def torch_installed() -> bool:
 
 
 def install_command(extra: str) -> str:
-    """What installs an extra:
-    from the checkout, where the package lies in one, since it is on no index.
-    """
+    """What installs an extra: from the checkout if the package lies in one, as no index has it."""
     if (Path(__file__).parents[1] / "constraints.txt").is_file():
         return f".venv/bin/pip install -c constraints.txt -e '.[{extra}]'"
     return f"pip install 'cvqmpt-lab[{extra}]'"

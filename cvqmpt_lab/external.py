@@ -2,8 +2,8 @@
 
 An external planner is a function (problem, budget, seed), or a class without arguments whose
 instances are called so. It returns a path, an array (m, n) from the start to one of the goals
-[rad or m], straight between its rows; or None where it found none; or a `search.planner_interface.Proposal`,
-from which the search of this package goes on.
+[rad or m], straight between its rows; None where it found none; or a
+`search.planner_interface.Proposal`, from which the search of this package goes on.
 """
 
 import contextlib
@@ -39,8 +39,8 @@ class _Interrupted(BaseException):
 class ExternalPlanner:
     """The stage `predict` of an external planner: all of its planning.
 
-    It is late after late_share of its seconds and late_s more; it is interrupted after
-    interrupt_share times its seconds and interrupt_s more.
+    It is late after its seconds times 1 + late_share, plus late_s; it is interrupted after
+    interrupt_share times its seconds, plus interrupt_s.
     """
 
     planner: Callable[..., Any]
@@ -51,10 +51,7 @@ class ExternalPlanner:
     interrupt_s: float = 0.5
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
-        """Call it with the problem, the whole budget and the seed of a query.
-
-        Whatever happens is a proposal: with a path, or with the reason of the failure.
-        """
+        """Propose a path, or the reason of a failure, for a query's problem, budget and seed."""
         budget, seconds = query.deadline.budget, query.deadline.budget.seconds
         interrupt_after = None
         if seconds is not None:
@@ -102,8 +99,7 @@ def external_planner(name: str) -> ExternalPlanner:
     Args:
         name: ``package.module:planner``, or the name of an entry point of a distribution.
 
-    Raises InvalidInputError when there is none, when it cannot be imported or called, and when
-    several distributions have one of that name.
+    Raises InvalidInputError if there is none or several, or it cannot be imported or called.
     """
     address, distribution = name, ""
     if ":" not in name:
@@ -206,9 +202,9 @@ def _origin(module: str) -> str:
 
 
 def _states(answer: Any, n: int, longest_step: float = 0.1) -> np.ndarray:
-    """The states (m, n) of an answer, at most longest_step [rad or m] apart.
+    """States (m, n) of an answer, at most longest_step [rad or m] apart: some are added between.
 
-    States are added on its straight segments. Raises InvalidInputError for what is no path.
+    Raises InvalidInputError for what is no path.
     """
     try:
         states = np.array(answer, dtype=float)

@@ -19,8 +19,7 @@ TEMPORARY = re.compile(r"\..+\.\d+\.tmp")  # names that `replacing` gives
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary name beside `path` to write to, which is moved to `path` at the end.
 
-    After an error `path` is as it was; InvalidInputError says why it cannot be written. A link is
-    followed.
+    After an error `path` is as it was; InvalidInputError says why. A link is followed.
     """
     path = Path(path)
     if path.is_symlink():
@@ -53,9 +52,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder with its parents, unless it is there;
-    InvalidInputError names it when that fails.
-    """
+    """Make a folder with its parents, unless it is there; InvalidInputError names it on failure."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -66,7 +63,7 @@ def make_folder(path: Path) -> Path:
 
 
 def require_regular_file(path: Path, what: str = "file", use: str = "read") -> Path:
-    """Refuse a path to something other than a file, such as a pipe, for which a reader would wait."""
+    """Refuse a path to no regular file: of a pipe, for example, a reader would wait."""
     path = Path(path)
     try:
         odd = path.exists() and not path.is_file() and not path.is_dir()
@@ -88,7 +85,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def lock(folder: Path) -> int:
-    """Take a folder's advisory lock, which only one process can have; return its handle.
+    """Take a folder's advisory lock for this process and return its handle.
 
     Temporary files that killed processes left in the folder are removed.
     """
@@ -151,9 +148,7 @@ def json_object(text: str, what: str) -> dict[str, Any]:
 
 
 def json_value(text: str, what: str) -> Any:
-    """The value of a json text;
-    a key that occurs twice in an object is refused, and so is half a character.
-    """
+    """The value of a json text; a key twice in an object and half a character are refused."""
     try:
         value = json.loads(text, object_pairs_hook=_unique_keys)
         # half of a pair that stands for a character: no file can hold it
@@ -208,8 +203,9 @@ def _is_row(plain: Any) -> bool:
 
 
 def yaml_value(text: str) -> Any:
-    """Dicts, lists, text and numbers of a yaml text; no tags, no aliases (a few of which grow
-    without end), no key twice. yaml's own errors for what is no yaml.
+    """Dicts, lists, text and numbers of a yaml text; refuses tags, aliases and keys given twice.
+
+    Aliases can grow without end. What is no yaml raises yaml's own errors.
     """
     import yaml  # planning without such files need not pay for it
 

@@ -112,10 +112,7 @@ class Locator(UserProvidedCacheLocator):
 
 
 class _Cache(FunctionCache):
-    """Machine code of one entry on disk.
-
-    What cannot be read is compiled, what cannot be written is not kept.
-    """
+    """Machine code of an entry on disk; unreadable: compiled again, unwritable: not kept."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for a signature, or None."""
@@ -149,8 +146,8 @@ def kernel(function: Callable | None = None, *, inline: str | None = None) -> An
     """A compiled function that other kernels call.
 
     inline: "machine" merges its machine code into every caller: a named tuple of arrays is passed
-        as a hundred scalars, too slow in the hot path. "source" copies its source into its callers,
-        so that it is not compiled on its own.
+        as a hundred scalars, too slow in the hot path. "source" copies its source into its callers
+        and does not compile it alone.
     """
     if function is None:
         return functools.partial(kernel, inline=inline)

@@ -1,9 +1,8 @@
-"""Check of a motion before it is executed: limits, start, rest at both ends, and the certificate of
-its curve.
+"""Check of a motion before it is executed: limits, start, rest at both ends, certificate.
 
-Between its points a trajectory is the cubic through positions and velocities, as a robot's
-controller interpolates. Where accelerations are stated, a controller may take the quintic through
-these too: then both curves are judged.
+Between its points a trajectory is the cubic through positions and velocities, as controllers
+interpolate. Where accelerations are stated, a controller may take the quintic through these too:
+then both curves are judged.
 """
 
 from __future__ import annotations
@@ -56,9 +55,9 @@ def certified_motion(
 ) -> Trajectory:
     """The fastest certified motion along a path.
 
-    The certificate is of the cubics between its points, as a controller interpolates them.
-    InvalidInputError: the path does not move, the robot has no acceleration limits, or no motion is
-    certified.
+    The certificate is of the cubics between its points, as controllers interpolate. Raises
+    InvalidInputError if the path does not move, the robot has no acceleration limits, or no motion
+    is certified.
     """
     from cvqmpt_lab.trajectory.timing import time_path  # half a second to import
 
@@ -83,14 +82,13 @@ def dry_run(
 ) -> DryRun:
     """Check a path or trajectory before it is sent to an arm.
 
-    InvalidInputError: joints of another robot, times without velocities, or times that do not
-    increase.
-
     Args:
         problem: start, goals, constraint, robot and scene.
         motion: the path or trajectory.
         current: (n,), where the arm stands [rad or m]; None: it is not checked.
         tolerance: between `current` and where the motion begins [rad or m].
+
+    Raises InvalidInputError: joints of another robot, no velocities, times that do not increase.
     """
     motion = motion.of_joints(problem.robot.joint_names)
     states, robot = motion.positions, problem.robot
@@ -126,8 +124,7 @@ def dry_run(
 
 
 def _curves(motion: Motion) -> dict[str, PPoly]:
-    """The cubic through positions and velocities q(t) (n,), and the quintic through stated
-    accelerations if it differs.
+    """The cubic q(t) (n,), and the quintic through stated accelerations if it differs.
 
     With h the length of a piece, s = t / h its share and d0, d1 the stated accelerations less the
     cubic's at its ends: quintic - cubic = h^2 / 2 (d0 s^2 (1 - s)^3 + d1 s^3 (1 - s)^2), at most
@@ -175,9 +172,7 @@ def _curves(motion: Motion) -> dict[str, PPoly]:
 
 
 def _rates(curve: PPoly, order: int) -> np.ndarray:
-    """A derivative [rad/s, rad/s^2] at SHARES of every piece (shares, k, n);
-    inf or nan after an overflow.
-    """
+    """A derivative [rad/s, rad/s^2] at SHARES of every piece (shares, k, n), or inf, nan."""
     with np.errstate(all="ignore"):
         return np.polyval(
             curve.derivative(order).c, SHARES[:, None, None] * np.diff(curve.x)[:, None]
@@ -185,9 +180,7 @@ def _rates(curve: PPoly, order: int) -> np.ndarray:
 
 
 def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
-    """Times (m,) between which each joint is within FLAT of straight, by the largest acceleration
-    of each piece.
-    """
+    """Times (m,) between which each joint is within FLAT of straight: |q''| dt^2 / 8 <= FLAT."""
     most = BETWEEN * np.abs(_rates(curve, 2)).max(axis=0)
     if not (most <= HARDEST * limits.acceleration).all():
         worst, joint = np.unravel_index(int(np.argmax(most / limits.acceleration)), most.shape)
@@ -212,9 +205,7 @@ def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
 def _limit_faults(
     curve: PPoly, stated: np.ndarray | None, limits: JointLimits, times: np.ndarray
 ) -> Iterator[Fault]:
-    """The joint most above its limit, of velocity and acceleration:
-    on a curve at SHARES, and as stated.
-    """
+    """The joint most above its velocity and acceleration limit: at SHARES of a curve, as stated."""
     for order, kind, unit, limit in (
         (1, FaultKind.VELOCITY, "rad/s", limits.velocity),
         (2, FaultKind.ACCELERATION, "rad/s^2", limits.acceleration),

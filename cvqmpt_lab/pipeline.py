@@ -197,7 +197,7 @@ def solve_many(
     seed: int = 0,
     **options: Any,
 ) -> list[Solution]:
-    """Solve problems one after the other, those of one scene together: its arrays are made once.
+    """Solve problems one after the other, those of one scene together, whose arrays are made once.
 
     Options, errors and solutions are those of `solve`, in the order of the problems.
     """
@@ -221,11 +221,9 @@ def no_plan(status: PlanStatus, detail: str = "") -> PlanResult:
 
 
 def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float]:
-    """The problem with goal configurations drawn from its goal region when it has none, and the
-    seconds spent.
+    """The problem with goals drawn from its region if it has none, and the seconds spent.
 
-    Goals off the manifold are left out, unless all are: `check_problem` then says which bound they
-    break.
+    Goals off the manifold are left out, unless all are: then `check_problem` names the bound.
     """
     if len(problem.goals) > 0 or problem.goal_region is None:
         return problem, 0.0
@@ -238,9 +236,9 @@ def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float
 def drawn_goals(problem: PlanningProblem) -> GoalSample:
     """Goals from the problem's goal region, and how many poses gave none.
 
-    The draw depends on the problem's start alone, so that every planner and seed gets the same
-    goals. Where the hand holds a door, goals have the door where the hand takes it, and an arm
-    posture like the start's: most other postures can only be reached by letting go.
+    They depend on the problem's start alone: all planners and seeds get the same. Where the hand
+    holds a door, goals have the door where the hand takes it, and an arm posture like the start's:
+    most others require letting go.
     """
     rng = problem.random_stream()
     held = [region for region in problem.constraint if isinstance(region, TaskSpaceRegionChain)]

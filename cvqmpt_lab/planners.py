@@ -1,7 +1,6 @@
 """Planners by name: columns of the paper's tables, ours, and controls that isolate one part each.
 
-A planner is up to four stages, see `search.planner_interface`. They are made, and weights are
-loaded, when they are first used.
+Each is up to four stages, see `search.planner_interface`, made and loaded when first used.
 """
 
 from collections.abc import Callable
@@ -61,10 +60,7 @@ class Method:
         return replace(self, model=model)
 
     def with_cloud(self, points: np.ndarray) -> "Method":
-        """The same on measured points (p, 3) [m, base frame].
-
-        Making its stages raises InvalidInputError if it uses no cloud.
-        """
+        """The same on points (p, 3) [m, base frame]; InvalidInputError if it uses no cloud."""
 
         def build(problem: PlanningProblem, model: str) -> Stages:
             stages = self.build(problem, model)

@@ -1,6 +1,4 @@
-"""Rigid poses: 4x4 arrays `T_a_b` that map points of frame b into frame a;
-lengths in [m], angles in [rad].
-"""
+"""Rigid poses: 4x4 arrays `T_a_b` map points of frame b into frame a; [m] and [rad]."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -26,9 +24,7 @@ def pose(xyz: Iterable[float], yaw: float = 0.0) -> FloatArray:
 
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
-    """Return the rotations (k, 3, 3) of rotation vectors (k, 3) [rad], to the last bit as scipy
-    gives them.
-    """
+    """Rotations (k, 3, 3) of rotation vectors (k, 3) [rad], as scipy's to the last bit."""
     R = np.empty((len(vectors), 3, 3))
     for matrix, (a, b, c) in zip(R, vectors.tolist(), strict=True):
         angle = math.sqrt(a * a + b * b + c * c)
@@ -80,10 +76,7 @@ class Placement:
 
 
 def _not_rigid(T: FloatArray) -> str | None:
-    """Why a finite matrix (4, 4) is no rigid pose, in words, or None.
-
-    A rotation has R R^T = 1 and det R > 0.
-    """
+    """Why a finite matrix (4, 4) is no rigid pose (R R^T = 1, det R > 0), in words, or None."""
     # one pose of many: with floats ten times faster than with arrays
     x, y, z, last = T.tolist()
     if last != [0.0, 0.0, 0.0, 1.0]:
@@ -139,8 +132,7 @@ Pose = Annotated[FloatArray, PoseForm()]
 def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     """Return the rotation vectors (k, 3) [rad] of rotations (k, 3, 3), of angles up to pi.
 
-    By unit quaternions q: the entries of a rotation give 4 q q^T, whose row of the largest diagonal
-    is along q.
+    By unit quaternions q: along the row of 4 q q^T (from R) with the largest diagonal entry.
     """
     m = np.asarray(matrices).reshape(-1, 3, 3)
     trace = np.trace(m, axis1=1, axis2=2)

@@ -140,11 +140,9 @@ class PlanningProblem(Document):
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Inverse of `to_dict`; a start or goal may be {"joint": value} or the name of a
-        group_state of the SRDF.
+        """Inverse of `to_dict`; starts, goals may be {"joint": value} or name an SRDF group_state.
 
-        Refuses lengths that cannot be metres; logs a warning when nothing of the scene is within
-        reach.
+        Refuses lengths that cannot be metres; warns when nothing of the scene is within reach.
         """
         problem = super().from_dict(_with_numbers(data))
         refuse_far(problem.scene)
@@ -205,9 +203,7 @@ class PlanningProblem(Document):
                 )
 
     def _drawn_start(self) -> FloatArray:
-        """A configuration (n,) that reaches the start region and keeps the constraint;
-        always the same one.
-        """
+        """The configuration (n,) in the start region and constraint, always the same one."""
         assert self.start_region is not None
         checker, rng = self.collision_checker(SAMPLE_MARGIN), np.random.default_rng(0)
         found = sample_region(
@@ -241,9 +237,7 @@ class PlanningProblem(Document):
         return problem
 
     def random_stream(self, *keys: int) -> np.random.Generator:
-        """Random numbers that depend on keys (a seed) and the start;
-        without keys for all planners and seeds alike.
-        """
+        """Generator seeded by keys (a seed) and the start; without keys alike for all planners."""
         return np.random.default_rng([*keys, *np.abs(self.start * 1e6).astype(np.uint64)])
 
     def why_no_goal(self) -> str:
@@ -259,9 +253,7 @@ class PlanningProblem(Document):
 
 
 def _with_numbers(data: Any) -> Any:
-    """Json of a problem in which configurations by joint, or by the name of a group_state, are
-    numbers.
-    """
+    """Json of a problem with numbers for configurations by joint or name of a group_state."""
     if not isinstance(data, Mapping):
         return data
     start, goals = data.get("start"), data.get("goals")
@@ -279,9 +271,7 @@ def _with_numbers(data: Any) -> Any:
 
 
 class _ThreadCheckers(threading.local):
-    """Checkers used last;
-    each thread has its own, because a check writes to pinocchio's and coal's data.
-    """
+    """Checkers used last, per thread: a check writes to pinocchio's and coal's data."""
 
     def __init__(self) -> None:
         self.checker = lru_cache(maxsize=4)(CollisionChecker)
@@ -297,16 +287,12 @@ def shared_checker(
     margin: float,
     clearance: float = 0.0,
 ) -> CollisionChecker:
-    """The exact checker of a robot, scene and attachments, cached for this thread:
-    building it takes 10 ms.
-    """
+    """The exact checker of a robot, scene and attachments, cached for this thread (10 ms)."""
     return _OF_THREAD.checker(robot, scene, attachments, margin, clearance)
 
 
 def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = None) -> None:
-    """Refuse a start or goal that collides, is off the manifold or, of goals, outside the goal
-    region.
-    """
+    """Refuse a start or goal in collision, off the manifold or outside the goal region."""
     checker = checker or problem.collision_checker()
     for label, q in problem.labelled_configurations():
         if checker.in_collision(q):
@@ -335,9 +321,7 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
 
 
 def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> str:
-    """Which bound of the constraint a start or goal q (n,) breaks;
-    of a goal region when all its goals do.
-    """
+    """Which bound a start or goal q (n,) breaks; of a goal region if all its goals do."""
     states, broken = q[None], f"{label} breaks"
     cure = "`cvqmpt ik` finds configurations that keep the constraint"
     goals = problem.goals

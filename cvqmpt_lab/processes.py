@@ -25,10 +25,9 @@ def end_with_parent(parent: int) -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let BLAS and OpenMP use one thread: with more, rounding and so paths would depend on the
-    number of cores.
+    """Let BLAS and OpenMP use one thread: else rounding, and paths, depend on the cores.
 
-    The limit holds for the whole process, so another thread that asks for it waits.
+    The limit holds for the whole process: another thread that asks for it waits.
     """
     with _ONE_AT_A_TIME, _libraries(torch="torch" in sys.modules).limit(limits=1):
         yield
@@ -36,7 +35,5 @@ def one_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=2)
 def _libraries(*, torch: bool) -> ThreadpoolController:
-    """The loaded libraries;
-    torch brings some of its own, so they are searched again once it is imported.
-    """
+    """The loaded libraries; searched again once torch is imported, as it brings its own."""
     return ThreadpoolController()

@@ -83,10 +83,7 @@ def _status(solution: Solution) -> str:
 def solution_data(
     solution: Solution, planner: str, why: str = "", asked: PlanningProblem | None = None
 ) -> dict[str, Any]:
-    """The same as plain data for json, with the path's states and the record of its certificate.
-
-    asked: the problem before goals were drawn.
-    """
+    """`solution` for json, with states and certificate; asked: problem before goals were drawn."""
     plan, shorter = solution.plan, solution.simplified
     problem, more = solution.problem, solution.improvement
     certificate = None

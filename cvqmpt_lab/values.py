@@ -1,6 +1,4 @@
-"""Numbers, names, lengths, angles and arrays, as json or a call gives them: read, or refused in one
-line that begins with the path of the field.
-"""
+"""Numbers, names, lengths, angles, arrays of json or calls: read, or refused by field's path."""
 
 import contextlib
 import math
@@ -36,7 +34,7 @@ def scalar(kind: type, value: Any, where: str) -> Any:
 
 
 def numbers(value: Any, where: str, what: str = "numbers") -> FloatArray:
-    """A float copy of an array or of nested lists of numbers; not of text, booleans, ragged lists."""
+    """A float copy of an array or nested lists of numbers; not of text, booleans, ragged lists."""
     try:
         if not isinstance(value, np.ndarray):
             entries = np.array(value, dtype=object).ravel()

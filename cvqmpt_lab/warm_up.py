@@ -1,7 +1,4 @@
-"""Work that a process does once before any clock starts.
-
-It loads weights, compiles or loads kernels, and makes the robot's arrays.
-"""
+"""Work that a process does once before any clock starts: weights, kernels, the robot's arrays."""
 
 import time
 from collections.abc import Callable
@@ -27,15 +24,9 @@ FEW = Budget(iterations=20)
 
 
 def compile_kernels(announce: Callable[[str], None]) -> float:
-    """Compile every kernel and call those that planners call.
+    """Compile every kernel, in two processes the first time, and call those that planners call.
 
-    The first time two processes share the work.
-
-    Args:
-        announce: called before anything is compiled, which takes about a minute.
-
-    Returns:
-        Seconds that it took.
+    announce: called before that takes about a minute. Returns the seconds that it took.
     """
     began = time.perf_counter()
     if not compiled_before(everything=True):

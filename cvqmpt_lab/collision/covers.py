@@ -178,7 +178,10 @@ class Clusters(NamedTuple):
 
 
 def cluster_primitives(clouds: Sequence[Cloud], voxel: float) -> Clusters:
-    """Boxes around primitives with centres in one voxel [m]; InvalidInputError if malformed."""
+    """Boxes around the primitives of clouds whose centres lie in the same voxel of this edge [m].
+
+    InvalidInputError: a primitive is not finite, or a radius is negative.
+    """
     parts = [_cluster_cloud(cloud, k, voxel) for k, cloud in enumerate(clouds) if len(cloud.centre)]
     if not parts:
         none, start = np.empty((0, 3)), np.zeros(1, np.int64)

@@ -79,7 +79,10 @@ def outline(spec: ShapeSpec, sides: int = 16) -> tuple[np.ndarray, float]:
 
 
 def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
-    """Shapes as arrays, in this order; of a mesh only its hull. InvalidInputError if malformed."""
+    """Shapes as a struct of arrays, in the order given; of a mesh only the vertices of its hull.
+
+    InvalidInputError: a pose, size or vertex is not finite, or a mesh has no vertices.
+    """
     _check(specs)
     n = len(specs)
     size, radius = np.zeros((n, 3)), np.zeros(n)

@@ -20,10 +20,7 @@ coal.distance(
 
 
 def coal_distance(*bodies: Any) -> float:
-    """Distance [m] of two of coal's objects, or of two shapes, a pose after each.
-
-    Negative where they overlap.
-    """
+    """Distance [m] of two of coal's objects or shapes, a pose after each; negative in overlap."""
     return float(coal.distance(*bodies, coal.DistanceRequest(), coal.DistanceResult()))
 
 
@@ -56,10 +53,9 @@ def _require_near(points: np.ndarray, what: str, farthest: float = 1e4) -> None:
 
 
 def require_volume(points: np.ndarray, what: str, thinnest: float = 1e-6) -> None:
-    """Refuse points (n, 3) that are too far away, or whose hull is too thin, for Qhull.
+    """Refuse points (n, 3) too far away, or with too thin a hull: Qhull would end the process.
 
-    It ends the process there. thinnest: [m] of a mesh up to 1 m across; of a larger one in
-    proportion.
+    thinnest: [m] of a mesh up to 1 m across; of a larger one in proportion.
     """
     _require_near(points, what)
     centred = points - points.mean(axis=0)

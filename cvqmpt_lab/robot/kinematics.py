@@ -25,8 +25,8 @@ _C2, _C3, _C4, _C5, _C6, _C7, _C8 = _C[2:9]
 def sine_and_cosine(angle):
     """Sine and cosine of an angle [rad] below 1e5, to 1e-15; nan for angles that are not finite.
 
-    x = angle - k pi / 2 in [-pi / 4, pi / 4] is formed by three exact subtractions; on it Taylor's
-    series are exact: sin x = x - x^3 / 3! + ..., cos x = 1 - x^2 / 2! + ...
+    x = angle - k pi / 2 in [-pi / 4, pi / 4] is formed by three exact subtractions, then Taylor:
+    sin x = x - x^3 / 3! + ..., cos x = 1 - x^2 / 2! + ...
     """
     k = np.floor(angle * _TWO_OVER_PI + 0.5)
     x = ((angle - k * _QUARTER_HIGH) - k * _QUARTER_MIDDLE) - k * _QUARTER_LOW

@@ -53,7 +53,7 @@ State = Annotated[FloatArray, Array((None,), "numbers [rad or m]")]
 
 
 def panda(finger_opening: float = FINGER_OPENING) -> Robot:
-    """Franka Emika Panda with its hand; both fingers fixed at finger_opening [m], frame panda_hand."""
+    """Franka Emika Panda with hand; both fingers fixed at finger_opening [m], frame panda_hand."""
     return robot_from_source({"name": "panda", "finger_opening": finger_opening})
 
 
@@ -68,8 +68,8 @@ def load_robot(
 ) -> Robot:
     """Load the arm of hinge and slider joints between the base of a URDF and a frame of it.
 
-    Continuous joints turn by up to 2 pi either way; joints that are not between the two are held at
-    the value nearest to 0, and those that mimic them at the value that follows.
+    Continuous joints turn by up to 2 pi either way. Joints outside the chain are held at the value
+    nearest to 0; those that mimic them, at the value that follows.
 
     Args:
         urdf: file.
@@ -77,8 +77,7 @@ def load_robot(
         srdf: file with the link pairs to skip; without one they are found by sampling.
         locked: joints to fix, with their values [rad or m].
         package_dirs: folders in which ``package://`` mesh paths are looked up first.
-        acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2]; only timing a path
-            needs them.
+        acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2], for timing only.
         base: (4, 4), pose of the base link in the world.
     """
     source: dict[str, Any] = {
@@ -187,8 +186,7 @@ def _models(
 ) -> tuple[pin.Model, pin.GeometryModel, dict[str, str]]:
     """Pinocchio's models of the joints that are not held, on the given base; digests of meshes.
 
-    prefix: of joint names while held joints are fixed: pinocchio confuses joints and links of one
-        name.
+    prefix: of names of joints being fixed: pinocchio confuses joints and links of one name.
     """
     check_bodies(urdf.root, urdf.path)
     root = one_coordinate_a_joint(urdf)
@@ -247,8 +245,7 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
 
     Args:
         robot: whose joints.
-        value: {"joint": number} or the name of a group_state of its SRDF; anything else is returned
-            as it is.
+        value: {"joint": number} or the name of a group_state of its SRDF; else returned as it is.
         where: the field's name in errors.
     """
     if isinstance(value, str):

@@ -22,10 +22,10 @@ from cvqmpt_lab.robot.urdf import HeldJoint
 class LeftOut(NamedTuple):
     """Two links, or a link and a piece of a door, that are not checked against each other, and why.
 
-    Reasons: "SRDF: " and the word of its maker; "fixed to each other"; "adjacent" (one joint
-    between them); "proven apart" (at all joint values); "overlap in N % of random states" (convex
-    hulls too large, on the word of sampling); "may touch" (a hand and the door it holds, on the
-    word of the problem file); "casing" (a door and its fixed frame).
+    Reasons: "SRDF: " and its maker's word; "fixed to each other"; "adjacent" (one joint between
+    them); "proven apart" (at all joint values); "overlap in N % of random states" (by sampling:
+    convex hulls too large); "may touch" (a hand and the door it holds, says the problem file);
+    "casing" (a door and its fixed frame).
     """
 
     first: str
@@ -116,7 +116,7 @@ class _ThreadData(threading.local):
 class Robot:
     """A tree of n one-degree-of-freedom joints: an arm, or an arm and the door it moves.
 
-    Build it with `panda`, `load_robot` or `with_articulated_object`.
+    Made by `panda`, `load_robot` or `with_articulated_object`.
     """
 
     name: str
@@ -142,7 +142,8 @@ class Robot:
     def __repr__(self) -> str:
         return (
             f"Robot {self.name!r}: {self.dof} joints, end effector {self.end_effector}, "
-            f"reach {self.reach:.2f} m, {len(self.links)} convex pieces\njoints      {', '.join(self.joint_names)}"
+            f"reach {self.reach:.2f} m, {len(self.links)} convex pieces\n"
+            f"joints      {', '.join(self.joint_names)}"
         )
 
     @property
@@ -184,10 +185,7 @@ class Robot:
 
     @cached_property
     def kinematics_digest(self) -> str:
-        """Hash of joint names, placements, axes and limits, which weights are trained for.
-
-        Collision shapes are no part of it.
-        """
+        """Hash of joint names, placements, axes and limits, not shapes: weights are for one hash."""
         k = self.kinematics
         digest = hashlib.sha256("\n".join(self.joint_names).encode())
         for array in (k.parent, k.prismatic, k.rotation, k.translation, k.lower, k.upper):

@@ -3,7 +3,7 @@
 An SRDF names the pairs that its maker leaves out. Without one, a pair is left out if its links are
 fixed to each other or neighbours (one joint moves them, and no other body lies between), if they
 are proven to stay `GAP` apart at all joint values, or if they overlap in nearly every random
-configuration. All others are checked. The result depends on the robot alone and is cached.
+configuration. The result depends on the robot alone and is cached.
 """
 
 import hashlib
@@ -120,8 +120,7 @@ def _found_pairs(
         always: share of them in which two hulls overlap because of their shapes.
         spread: by which that share may be smaller among `chunk`: five standard deviations.
         chunk: configurations after which pairs that are decided are dropped.
-        contact: [m] of an overlap. At 0 coal calls hulls free that are 1.3 mm deep in each other,
-            by where GJK begins.
+        contact: [m] of an overlap; at 0 coal calls hulls free that overlap by 1.3 mm.
     """
     pieces: dict[str, list[int]] = {}
     for k, name in enumerate(names):
@@ -221,7 +220,7 @@ def _proven_apart(
         shapes: of the pieces, in their frames.
         gap: [m].
         most: distances computed for a pair that up to three joints move (0.15 s); a third of that
-            for each further joint, since a proof gets less likely.
+            for each further joint: proofs get less likely.
     """
     a, b = (piece.link for piece in pieces)
     levers = distance_levers(kinematics, *pieces)

@@ -1,4 +1,4 @@
-"""Field "robot" of a problem file: a name or a URDF, with options. Also the arms that have a name."""
+"""Field "robot" of a problem file: a name or a URDF, with options; and the arms with a name."""
 
 import hashlib
 import os
@@ -134,7 +134,7 @@ FINGER_OPENING = 0.04  # [m] of each finger of the Panda's hand, the largest
 
 
 class NamedArm(NamedTuple):
-    """The files of a fixed-base arm, below example-robot-data's folder of robots, and its options."""
+    """Files of a fixed-base arm, below example-robot-data's folder of robots, and its options."""
 
     urdf: str
     end_effector: str  # frame that constraints and goals are about
@@ -206,8 +206,8 @@ def _digest(path: str, stamp: tuple[int, ...]) -> str:
 def content_digest(path: str, settled: float = 1e8) -> str:
     """sha256 of what a file holds, "" if there is none.
 
-    Read again only if its times or its size have changed, or less than `settled` [ns] ago: another
-    change might then give it the same time.
+    Read again only if its times or size have changed, or less than `settled` [ns] ago: another
+    change could then leave the same time.
     """
     try:
         # a Path takes 20 us
@@ -246,8 +246,8 @@ def find_collision_meshes(
 ) -> list[str]:
     """Replace the names of collision meshes in a URDF by absolute paths, and return these.
 
-    The unit that a DAE file states, which pinocchio's loader ignores, goes into the mesh's scale.
-    Errors name a mesh that is not found, or whose unit is none.
+    The unit of a DAE file, which pinocchio's loader ignores, goes into the mesh's scale. Errors
+    name a mesh that is not found or has an unknown unit.
     """
     found = []
     for mesh in root.findall("link/collision/geometry/mesh"):
@@ -272,10 +272,7 @@ def find_collision_meshes(
 
 
 def in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
-    """The file of "package://PACKAGE/REST" that a URDF or scene names.
-
-    Raises InvalidInputError that says where it was sought.
-    """
+    """The file of "package://PACKAGE/REST"; InvalidInputError says where it was sought."""
     named = os.environ.get(ROS_VARIABLE, "").split(os.pathsep)
     ros_folders = [Path(name) for name in named if name]
     for folder in (*package_dirs, *ros_folders, *urdf.resolve().parents, _installed_share()):

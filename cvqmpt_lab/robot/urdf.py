@@ -1,7 +1,7 @@
 """URDF files: their joints and links, which joints planning moves or holds, and what is malformed.
 
-pinocchio's parser prints and leaves out what it does not understand; everything that planning rests
-on is checked here before, so that a wrong file ends in one line.
+pinocchio's parser prints and leaves out what it does not understand. All that planning needs is
+checked here before, so that a wrong file ends in one line.
 """
 
 import copy
@@ -82,7 +82,7 @@ class Urdf:
     def likely_end_effectors(self, least_arm: int = 3) -> list[str]:
         """Links at the ends of the chains with the most joints, tool frames first.
 
-        After least_arm joints, a link that carries several moving ones is taken for a hand: it is
+        After least_arm joints, a link that carries several moving ones counts as a hand: it is
         named instead of its fingers.
         """
         carried = Counter(joint.parent for joint in self.joints.values() if joint.kind != "fixed")
@@ -209,10 +209,9 @@ def held_joints(
         urdf: the robot.
         end_effector: link; the chain goes from the base to it.
         locked: values [rad or m] by joint.
-        base_given: a floating joint of the chain is then held, too.
+        base_given: then a floating joint of the chain is held, too.
 
-    Raises InvalidInputError that names every joint that can be neither moved nor held, and the
-    options that hold them.
+    Raises InvalidInputError: it names joints that can be neither moved nor held, and the options.
     """
     if end_effector not in urdf.links:
         raise UnknownChoiceError("end-effector frame", end_effector, urdf.links)
@@ -272,7 +271,7 @@ def held_joints(
 
 
 def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
-    """The file with continuous joints limited to a turn either way, floating and planar ones fixed."""
+    """The file with continuous joints limited to a turn either way, floating, planar ones fixed."""
     root = copy.deepcopy(urdf.root)
     for element in root.findall("joint"):
         kind = element.get("type")
@@ -316,7 +315,7 @@ SHAPES = ("box", "cylinder", "sphere", "mesh")
 
 
 def check_bodies(root: ElementTree.Element, path: Path) -> None:
-    """Refuse collision bodies, origins and axes that are malformed; errors name the link or joint."""
+    """Refuse malformed collision bodies, origins and axes; errors name the link or joint."""
     for link in root.findall("link"):
         for body in link.findall("collision"):
             with located(f"link {shown(link.get('name'))} of {path.name}, collision"):

@@ -98,7 +98,7 @@ def nearest_nodes(
     chosen: Annotated[np.ndarray, "int32 k"],
     squares: Annotated[np.ndarray, "k"],
 ):
-    """Write the k nearest of the first count rows, nearest first, and squares = |row - target|^2."""
+    """Write the k nearest of the first count rows, nearest first, and squares |row - target|^2."""
     k, found = chosen.shape[0], 0
     for i in range(count):
         square = 0.0

@@ -39,7 +39,7 @@ class Uniform:
     name: str = "uniform"
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Draw q = mu_i + L_i eps (count, n), Sigma_i = L_i L_i^T; draws may leave the limits."""
+        """Draw configurations (count, n)."""
         return rng.uniform(self.lower, self.upper, (count, len(self.lower)))
 
 
@@ -108,10 +108,7 @@ class GaussianMixture:
             )
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Draw configurations (count, n): q = mu_i + L_i eps with Sigma_i = L_i L_i^T.
-
-        Gaussian draws may leave the joint limits; planners clip them.
-        """
+        """Draw q = mu_i + L_i eps (count, n), Sigma_i = L_i L_i^T; draws may leave the limits."""
         component = rng.choice(len(self.weights), count, p=self.weights)
         noise = rng.standard_normal((count, self.means.shape[1]))
         factors = np.linalg.cholesky(self.covariances)

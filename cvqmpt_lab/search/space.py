@@ -73,7 +73,7 @@ class ConstrainedSpace:
         settings: step sizes and tolerances.
     """
 
-    # names of start and goals that only the conservative check blocks: exact checks decide near them
+    # start and goals that only the conservative check blocks: near them exact checks decide
     doubtful: tuple[str, ...]
 
     def __init__(

@@ -55,11 +55,7 @@ def phase_problems(task: Task, paths: Sequence[np.ndarray]) -> Iterator[Planning
 
 
 def phase_goals(task: Task, k: int, world: World) -> tuple[np.ndarray, str]:
-    """Goals of planned phase k from which the planned phase after it can begin.
-
-    Returns:
-        Configurations (m, n) [rad or m], and why there are none, or "".
-    """
+    """Goals (m, n) [rad or m] of planned phase k from which the next can begin; "", or why none."""
     phase, (_, after) = task.phases[k], next_planned(task, k + 1)
     assert isinstance(phase, PlannedPhase)
     problem, effort = world.problem(task, phase), EFFORT[type(phase)]
@@ -106,8 +102,8 @@ def _sampled(
 ) -> tuple[np.ndarray, str]:
     """Up to count goals of a phase's problem; the samples depend on the start alone.
 
-    Slides and turns get goals near the start's posture: others could be reached only by letting go.
-    Goals of a move are drawn within its constraint only if none of the region alone keeps it.
+    Slides and turns get goals near the start's posture: most others require letting go. Goals of a
+    move are drawn within its constraint only if none of the region alone keeps it.
     """
     assert problem.goal_region is not None
     drawn = partial(
@@ -132,9 +128,6 @@ def _sampled(
 
 
 def _checker(problem: PlanningProblem, door_margin: float = 5e-4) -> CollisionChecker:
-    """The checker for starts and goals.
-
-    With a door in the hand, which is 1 mm from its neighbour, its margin is door_margin [m].
-    """
+    """The checker for starts and goals; with a door in hand its margin is door_margin [m]."""
     held = "articulated" in problem.robot.source
     return problem.collision_checker(door_margin if held else SAMPLE_MARGIN)

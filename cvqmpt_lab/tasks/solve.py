@@ -1,8 +1,8 @@
 """Plan the phases of a task in order, by depth-first search over the goals of each planned phase.
 
-If a phase fails, go back to the phase before, remove the goal reached and plan to another one. A
-slide or a turn is easy from most grasps and impossible from some: it gets a small share of the
-budget first, and the whole if all grasps fail.
+If a phase fails, go back to the phase before, remove the goal reached and plan to another one.
+Slides and turns, impossible from some grasps, get a small share of the budget first, and all of it
+if all grasps fail.
 """
 
 import time
@@ -162,10 +162,7 @@ class _Run:
         return self._search(1.0)
 
     def _search(self, share: float) -> TaskSolution:
-        """Go to the next phase when one is solved, back when it is not.
-
-        share: of the budget, for slides and turns.
-        """
+        """Plan the next phase, or go back after a failure; share: of budget, slides and turns."""
         self.retries = self.most_retries
         world, begin = World.before(self.task), 0
         done: list[_Step] = []

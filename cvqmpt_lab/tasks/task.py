@@ -47,7 +47,7 @@ class Move(Checked):
 
     @property
     def legs(self) -> tuple[Move, ...]:
-        """Moves to each of the regions of `through`, "NAME/1" and so on, and the one to the goal."""
+        """Moves to each region of `through`, "NAME/1" and so on, and the one to the goal."""
         stops = (
             self.changed(name=f"{self.name}/{k}", goal=region, through=())
             for k, region in enumerate(self.through, start=1)
@@ -171,11 +171,9 @@ class Task(Document):
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Inverse of `to_dict`; the start may be {"joint": value} or the name of a group_state of
-        the SRDF.
+        """Inverse of `to_dict`; a start may be {"joint": value} or name a group_state of the SRDF.
 
-        Refuses lengths that cannot be metres; logs a warning when nothing of the scene is within
-        reach.
+        Refuses lengths that cannot be metres; warns when nothing of the scene is within reach.
         """
         if isinstance(data, Mapping) and isinstance(data.get("start"), str | Mapping):
             robot = robot_from_source(mapping(data.get("robot"), "robot"))
@@ -193,7 +191,7 @@ class Task(Document):
 
 
 def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:
-    """Refuse a phase that does not fit what the hand holds, a door or drawer, an object or nothing."""
+    """Refuse a phase that does not fit what the hand holds: door or drawer, object or nothing."""
     match phase:
         case Hold() | Grasp() if held is not None:
             raise InvalidInputError(f"the gripper already holds {held.name!r}; release it before")
@@ -216,9 +214,7 @@ def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:
 def _after(
     phase: Phase, scene: Scene, held: Articulation | SceneObject | None
 ) -> tuple[Scene, Articulation | SceneObject | None]:
-    """The scene, without what is carried, and what is held after a phase that fits;
-    an unknown name is refused.
-    """
+    """The scene without what is carried, and what is held, after a phase; refuses unknown names."""
     match phase:
         case Turn() if held is not None:
             return scene.with_joint(held.name, phase.value), held

@@ -90,7 +90,7 @@ class World:
         )
 
     def moved(self, q: np.ndarray) -> "World":
-        """The world after a planned phase that ended at q (n,), (n + 1,) with a door in the hand."""
+        """The world after a planned phase that ended at q (n,), or (n + 1,) with a door in hand."""
         if not isinstance(self.held, HeldDoor):
             return replace(self, q=q)
         joint = self.scene.articulation(self.held.name)
@@ -129,10 +129,7 @@ class World:
 def _require_in_hand(
     phase: Grasp, item: SceneObject, T_hand_object: np.ndarray, robot: Robot, q: np.ndarray
 ) -> None:
-    """Refuse an object that is not where the closed hand is at q (n,).
-
-    Turns about an axis of symmetry do not count.
-    """
+    """Refuse an object not in the closed hand at q (n,), but for turns about a symmetry axis."""
     if phase.attachment is None:
         scene = Scene(item.name, (replace(item, obstacle=True),))
         checker = CollisionChecker(robot, scene, margin=IN_HAND)

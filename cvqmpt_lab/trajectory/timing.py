@@ -196,7 +196,7 @@ def _grid(knots: np.ndarray) -> np.ndarray:
 
 
 def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) -> Trajectory:
-    """Joint states on the curve's grid, slowed down where limits are exceeded between its points."""
+    """States on the curve's grid, slowed down where limits are exceeded between its points."""
     speeds, grid = np.sqrt(squared), curve.grid
     steps = np.diff(grid)
     times = np.concatenate([[0.0], np.cumsum(2.0 * steps / (speeds[1:] + speeds[:-1]))])
@@ -222,10 +222,7 @@ def _excess(
     limits: JointLimits,
     checks: int = 5,
 ) -> float:
-    """Factor on time, 1 to about 1.002, that brings joints within limits between grid points.
-
-    checks: places in an interval, ends included.
-    """
+    """Factor on time, 1 to about 1.002, for limits between grid points, at `checks` an interval."""
     grid = curve.grid
     share = np.linspace(0.0, 1.0, checks)
     s = (grid[:-1, None] + share * np.diff(grid)[:, None]).ravel()
@@ -245,9 +242,8 @@ def squared_speeds(
     Args:
         curve: q(s).
         limits: |dq/ds| sqrt(b) <= velocity, |d2q/ds2 b + dq/ds (db/ds) / 2| <= acceleration.
-        flat: least |dq/ds| / velocity, relative to the typical one: it is 0 where all joints
-            reverse.
-        standstill: b, relative to the typical one, below which there is no motion.
+        flat: least |dq/ds| / velocity, as a share of the usual; 0 where all joints reverse.
+        standstill: b, as a share of the usual, below which there is no motion.
 
     Returns:
         b (g,) [rad^2/s^2] on the grid, 0 at both ends.
@@ -290,7 +286,7 @@ def _acceleration_rows(
     """Matrix A of the acceleration limits A b <= 1.
 
     Between grid points d2q/ds2 b + dq/ds a, with a = (db/ds) / 2, is a parabola in s. Its three
-    Bernstein coefficients, which enclose it, are bounded, so limits hold between grid points too.
+    Bernstein coefficients enclose it: bounding them keeps the limits between grid points too.
     Rows implied by b <= bound (g,) are left out.
     """
     grid = curve.grid
@@ -316,8 +312,8 @@ def _acceleration_rows(
 def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """Which constraints lower x + upper y <= 1 (g - 1, r) no other one of their row implies.
 
-    For x between 0 and bound (g - 1,) and y >= 0, as upper limits of y these are straight lines in
-    x: one that is looser than another at both ends is looser everywhere.
+    For x in 0..bound (g - 1,) and y >= 0, as upper limits of y they are lines in x: one that is
+    looser than another at both ends is looser everywhere.
     """
     size = np.maximum(np.abs(upper), 1e-12)
     at_zero, at_bound = 1.0 / size, (1.0 - lower * bound[:, None]) / size

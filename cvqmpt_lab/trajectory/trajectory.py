@@ -5,9 +5,9 @@ trajectory, whose columns are ``JOINT_position``, ``JOINT_velocity`` and perhaps
 ``JOINT_acceleration``. A json file holds a list of states, an object with ``joint_names`` and
 ``states`` (or ``path``, as ``cvqmpt plan --json`` prints), or ROS's `JointTrajectory`.
 
-Files that are written leave accelerations out: a controller then follows the cubics through
-positions and velocities, which are what is certified. With accelerations, which jump between
-pieces, ROS's would follow quintics that exceed them by up to 75 %.
+Files are written without accelerations: a controller then follows the cubics through positions and
+velocities, which are certified. With accelerations, which jump between pieces, ROS's would follow
+quintics that exceed them by up to 75 %.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ KINDS = ("position", "velocity", "acceleration")  # of columns in a csv
 
 
 class JointState(NamedTuple):
-    """Positions, velocities and accelerations (n,), or (k, n) for k moments [rad, rad/s, rad/s^2]."""
+    """Positions, velocities, accelerations (n,) or (k, n) at k moments [rad, rad/s, rad/s^2]."""
 
     positions: np.ndarray
     velocities: np.ndarray
@@ -165,7 +165,7 @@ WRITERS = {".csv": as_csv, ".json": as_ros_json}
 
 
 def read_motion(path: Path) -> Motion:
-    """Read a .csv or .json file; InvalidInputError names the file and what in it is not understood."""
+    """Read a .csv or .json file; InvalidInputError names the file and what is not understood."""
     readers = {".csv": _from_csv, ".json": _from_json}
     ending = path.suffix.lower()
     if ending not in readers:
