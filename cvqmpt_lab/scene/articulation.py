@@ -14,8 +14,7 @@ from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.values import FloatArray
 
-# [m] pieces that come closer to the object somewhere on its path are part of its casing, unless it
-# goes deeper into them: then they are obstacles that stop it
+# [m] pieces this close to the moving object are its casing; obstacles if they overlap deeper
 REST_GAP, DEEPEST = 1e-3, 1e-4
 
 

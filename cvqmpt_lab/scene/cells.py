@@ -1,4 +1,4 @@
-"""Point clouds and occupancy maps as boxes that hold them, for the compiled checker and for coal."""
+"""Boxes that hold point clouds and occupancy maps, for the compiled checker and for coal."""
 
 from typing import NamedTuple
 
@@ -64,7 +64,7 @@ def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf
 def cells_with(columns: np.ndarray, edge: float, most_across: int = 60_000) -> Cells:
     """The cells of an edge [m] that hold points (3, m), m >= 1 [m], each once and in order.
 
-    They are larger where there would be more than most_across along an edge of the cloud.
+    Cells are larger if there would be more than most_across along an edge of the cloud.
     """
     first = columns.min(axis=1)
     edge = max(edge, float(np.ptp(columns, axis=1).max()) / most_across)
@@ -104,10 +104,7 @@ def distinct(index: np.ndarray, dense: int = 1 << 26) -> np.ndarray:
 
 
 def merged(cells: Cells) -> Cells:
-    """Few boxes that together are the cells, which are in order.
-
-    Neighbours of equal extent are joined along z, then y, then x.
-    """
+    """Merge ordered cells into few boxes: neighbours of equal extent along z, then y, then x."""
     boxes = _joined(cells, 2)
     for axis in (1, 0):
         # those that follow each other along the axis stand beside each other
@@ -119,7 +116,7 @@ def merged(cells: Cells) -> Cells:
 
 
 def _joined(boxes: Cells, axis: int) -> Cells:
-    """Boxes that follow each other along an axis, with equal extents along the others, made one."""
+    """Merge boxes that follow each other along an axis and have equal extents along the others."""
     low, high, least, most = boxes
     follows = low[1:, axis] == high[:-1, axis]
     for k in range(3):
@@ -133,10 +130,7 @@ def _joined(boxes: Cells, axis: int) -> Cells:
 
 
 def seen_points(shape: Measured) -> FloatArray:
-    """Points (p, 3) [m] on what was measured, in its frame.
-
-    Those of a cloud; middles of a map's cells that have a neighbour that is none of them.
-    """
+    """Points (p, 3) [m, shape's frame] of a cloud, or centres of a map's outermost cells."""
     if isinstance(shape, PointCloud):
         return shape.points
     index = shape.cells.astype(np.int64)

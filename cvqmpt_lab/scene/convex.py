@@ -1,11 +1,10 @@
-"""A triangle mesh as a union of convex pieces that holds its surface and, if it is closed, what it
-encloses.
+"""Convex decomposition of a mesh: the pieces hold its surface and, if it is closed, its inside.
 
-The mesh is cut by planes along its axes. A piece is the convex hull of what lies between the cuts:
-of the surface, and of the corners between the cuts that are inside. So the union holds the mesh
-wherever the cuts are; what is too much of it is hull that is not solid. The piece with most of that
-is cut next, where its halves' hulls are smallest, through what is not solid. How much is solid is
-measured on a grid.
+The mesh is cut by planes across its axes. A piece is the convex hull of what lies between the cuts:
+the surface, and those corners between the cuts that are inside. So the union holds the mesh
+wherever the cuts are; its excess is the part of the hulls that is not solid. The piece with the
+largest excess is cut next, where the hulls of its halves are smallest, through what is not solid.
+How much is solid is measured on a grid.
 """
 
 from collections.abc import Callable, Iterator
@@ -96,10 +95,7 @@ class FilledCells:
         return area
 
     def holds(self, points: FloatArray) -> np.ndarray:
-        """Whether points (k, 3) are inside, to about 1e-9 of the mesh's size.
-
-        Of an open mesh: well inside.
-        """
+        """Mask of points (k, 3) inside, to 1e-9 of the mesh's size; well inside, if it is open."""
         if self._closed:
             # rays pass the corners and edges of faces aside
             aside = 1e-8 * np.array([0.0, 0.618, 0.414]) * self._cell
@@ -107,10 +103,10 @@ class FilledCells:
         return self._inside[tuple(self._cells_of(points, self._inside.shape).T)]
 
     def _encloses(self, point: FloatArray) -> bool:
-        """Whether the mesh winds around a point (3,).
+        """Whether the mesh winds around a point (3,), by a ray along x.
 
-        It does if of the faces that a ray along x crosses, fewer or more look its way than against
-        it. Also where the same count along the whole line is not 0: a ray has met an edge.
+        It does if the numbers of crossed faces that look along and against the ray differ. It also
+        counts as inside if they differ along the whole line: then the line has met an edge.
         """
         (y0, z0), (y1, z1) = self._ends
         near = (y0 < point[1]) & (y1 > point[1]) & (z0 < point[2]) & (z1 > point[2])
@@ -130,7 +126,7 @@ class FilledCells:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """What of a mesh lies between cuts."""
+    """The part of a mesh between cuts."""
 
     triangles: FloatArray  # (f, 3, 3) [m]
     low: FloatArray  # (3,), of the space between the cuts [m]
@@ -184,10 +180,7 @@ class Piece:
         return parts if all(len(part.triangles) for part in parts) else [self]
 
     def _sketch(self, few: int = 600, coarse: int = 120) -> FloatArray:
-        """Triangles (f, 3, 3) by which cuts are compared.
-
-        All where they are few; else a coarse number of the largest and of the others.
-        """
+        """Triangles (f, 3, 3) by which cuts are compared; of more than `few` about `coarse`."""
         count = few if len(self.triangles) <= few else coarse
         order = np.argsort(-trimesh.triangles.area(self.triangles))
         rest = order[count // 2 :]
@@ -290,7 +283,7 @@ def _sides(triangles: FloatArray, axis: int, at: float) -> tuple[FloatArray, Flo
 
 
 def _volume(points: FloatArray) -> float:
-    """Of the hull of points (k, 3) [m^3]; 0 for flat ones."""
+    """Volume [m^3] of the hull of points (k, 3) [m]; 0 for flat ones."""
     try:
         return float(ConvexHull(points).volume) if len(points) > 3 else 0.0
     except QhullError:
@@ -319,7 +312,7 @@ def of_few_vertices(hull: ConvexHull) -> FloatArray:
 def planes_around(hull: ConvexHull, most: int = 62, slack: float = 1e-9) -> FloatArray:
     """Planes (p, 4) around a hull: outward normals, and offsets [m].
 
-    Around one with many vertices about `most`, slack [m] further out for rounding.
+    A hull of many vertices gets about `most` planes, slack [m] further out for rounding.
     """
     if len(hull.vertices) <= MOST_VERTICES:
         return hull.equations

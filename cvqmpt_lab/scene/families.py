@@ -1,5 +1,4 @@
-"""Random scenes of several kinds, for training: what a sampler learns must not depend on one
-kitchen.
+"""Random scenes of several kinds for training, so that samplers do not depend on one kitchen.
 
 A scene is its family and a number, which seeds numpy's `default_rng`. Evaluation scenes are made
 elsewhere; the kitchen of the tasks, with its published dimensions, is never among these.
@@ -26,8 +25,7 @@ SPHERE_LIFT = 0.33  # height [m] of the point around which spheres are scattered
 
 
 def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
-    """Return environment number `seed` of the published training data: cubes with random yaw and
-    spheres.
+    """Return environment `seed` of the published training data: cubes with random yaw, and spheres.
 
     The seed, 0 to 2**32 - 1, seeds numpy's legacy generator, whose stream is frozen, so environment
     n is the same everywhere. Order of the draws: cube distances, elevations, azimuths, yaws; sphere
@@ -49,9 +47,7 @@ def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:
 
 
 def _scattered(rng: np.random.RandomState, count: int, lift: float) -> FloatArray:
-    """Return (count, 3) points [m] on a spherical shell around the point `lift` above the robot
-    base.
-    """
+    """Points (count, 3) [m] on a spherical shell around a point `lift` [m] above the base."""
     distance = rng.uniform(0.4, 1.2, count)
     elevation = rng.uniform(-0.25 * math.pi, 0.5 * math.pi, count)
     azimuth = rng.uniform(0.0, 2.0 * math.pi, count)
@@ -67,9 +63,7 @@ FIXED = ("floor", "pedestal", "wall", "handle", "knob", "plate")
 
 
 def family_scene(family: str, number: int) -> Scene:
-    """Return scene `number` of a family;
-    UnknownChoiceError lists the families if there is no such one.
-    """
+    """Return scene `number` of a family; UnknownChoiceError lists the families."""
     if family not in FAMILIES:
         raise UnknownChoiceError("scene family", family, FAMILIES)
     return FAMILIES[family](whole_number("number of the scene", number))
@@ -96,9 +90,7 @@ def _laid_table(
     counts: tuple[int, int],
     thing: Callable[[np.random.Generator], tuple[Box | Cylinder | Sphere, float]],
 ) -> Iterator[SceneObject]:
-    """A table top of a depth, width and height [m], `near` [m] away at an angle `yaw` [rad], and
-    things on it.
-    """
+    """A table (depth, width, height) [m] with items, `near` [m] away at an angle `yaw` [rad]."""
     depth, width, top = size
     x, T = near + depth / 2, pose((0.0, 0.0, 0.0), yaw)
     yield SceneObject("top", Box((depth, width, BOARD)), T @ pose((x, 0.0, top - BOARD / 2)))
@@ -121,9 +113,7 @@ def _clutter(rng: np.random.Generator) -> tuple[Box | Cylinder | Sphere, float]:
 
 
 def _cluttered_table(number: int) -> Scene:
-    """A table reached from its side, at elbow height, crowded with slim things as tall as a
-    forearm.
-    """
+    """A table reached from its side, at elbow height, full of slim items as tall as a forearm."""
     rng = np.random.default_rng([4, number])
     size = rng.uniform(0.5, 0.8), rng.uniform(0.6, 1.2), rng.uniform(0.05, 0.45)
     near, yaw = rng.uniform(0.25, 0.4), rng.uniform(-np.pi, np.pi)
@@ -141,9 +131,7 @@ def _slim(rng: np.random.Generator) -> tuple[Box | Cylinder, float]:
 
 
 def _cage(number: int) -> Scene:
-    """Upright bars in a ring around the robot, with gaps that an arm fits through, and hoops of
-    flat bars.
-    """
+    """Upright bars in a ring around the robot, with gaps wide enough for an arm, and hoops."""
     rng = np.random.default_rng([5, number])
     ring, radius = rng.uniform(0.4, 0.65), rng.uniform(0.01, 0.03)
     low, high = rng.uniform(-0.4, 0.0), rng.uniform(0.7, 1.2)

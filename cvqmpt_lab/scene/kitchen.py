@@ -29,17 +29,14 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 def kitchen(
     parameters: KitchenParameters | None = None, door_angles: Mapping[str, float] | None = None
 ) -> Scene:
-    """Build the kitchen with the robot's pedestal and the floor.
+    """Build the kitchen with the robot's pedestal and the floor, which is visible but no obstacle.
 
-    The floor is visible but not an obstacle. Articulations: the hinges "dagger_door_left" (the only
-    one opened in the tasks: -1.57 to place, -0.45 pi in the multi-sequence task),
-        "dagger_door_right", "chewie_door_left", "chewie_door_right", "baker_door",
-        "indigo_door_left", "indigo_door_right" and the sliders
-        "{hitman,indigo}_drawer_{top,bottom}".
+    Hinges: "dagger_door_left" (the only one opened in the tasks: -1.57 to place, -0.45 pi in the
+    multi-sequence task), "{dagger,chewie}_door_right", "chewie_door_left", "baker_door",
+    "indigo_door_{left,right}". Sliders: "{hitman,indigo}_drawer_{top,bottom}".
 
     parameters: dimensions; None: the published kitchen.
-    door_angles: values of articulations by name, hinges [rad], drawers [m]; all others are closed
-        (0).
+    door_angles: values of articulations by name, hinges [rad], drawers [m]; default 0, closed.
     """
     p = KitchenParameters() if parameters is None else parameters
     parts = [
@@ -93,9 +90,7 @@ def _room(p: KitchenParameters) -> list[SceneObject]:
 
 
 def _range(p: KitchenParameters) -> list[SceneObject]:
-    """Return the range's block, control panel, four stove plates and four knobs, and the extractor
-    hood.
-    """
+    """Return the range (block, control panel, four plates, four knobs) and the extractor hood."""
     back_x = p.back_wall_x - p.range_wall_gap
     front_x, top_z, half = back_x - p.range_depth, p.range_top_z, 0.5 * p.range_width
     y = (p.range_y - half, p.range_y + half)
@@ -154,7 +149,7 @@ def _wall_cabinets(row: str, p: KitchenParameters) -> list[SceneObject]:
 
 
 def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: KitchenParameters) -> Assembly:
-    """Return the door of one wall cabinet cell, hinged at its left (+1) or right (-1) front edge."""
+    """Return the door of a wall cabinet cell, hinged at its left (+1) or right (-1) front edge."""
     row_y, bottom_z = _row_corner(row, p)
     cell_y, back_x = row_y + cell * p.cabinet_width, p.cabinet_back_x - p.wall_cabinet_depth
     y = shrunk((cell_y, cell_y + p.cabinet_width), 0.5 * p.door_gap)
@@ -170,9 +165,7 @@ def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: KitchenParame
 
 
 def _base_door(name: str, cell_y: float, hinge_side: int, p: KitchenParameters) -> Assembly:
-    """Return a door of the right base cabinet, below its drawers, hinged at its left (+1) or right
-    (-1).
-    """
+    """Return a door below the right base cabinet's drawers, hinged left (+1) or right (-1)."""
     y = shrunk((cell_y, cell_y + p.cabinet_width), 0.5 * p.door_gap)
     z = (p.base_cabinet_bottom_z - p.base_door_overhang, p.indigo_door_top_z)
     x = (p.base_face_x, p.base_face_x + p.door_thickness)
@@ -205,9 +198,7 @@ def _base_cabinet(
 
 
 def _drawers(cabinet: str, p: KitchenParameters) -> Iterator[Assembly]:
-    """Yield the two drawers of a cabinet:
-    hitman's fill it and have trays, indigo's are low, above its doors.
-    """
+    """Yield a cabinet's two drawers; hitman's fill it and have trays, indigo's are low."""
     top_z, height = p.base_front_top_z, p.indigo_front_height
     if cabinet == "hitman":
         height = p.hitman_front_height

@@ -12,8 +12,7 @@ WALL_CELLS = {"dagger": 2, "sektion": 3}  # cells of each row, counted from its 
 
 @dataclass(frozen=True, eq=False)
 class KitchenParameters(Checked):
-    """Dimensions of the kitchen [m] and the door range [rad]; the defaults are the published
-    kitchen.
+    """Dimensions of the kitchen [m] and door range [rad]; defaults: the published kitchen.
 
     Fields whose name ends in `_x`, `_y` or `_z` are world coordinates; all others are positive
     sizes. Cabinets stand against the back wall, to the left and right of the range; moving or

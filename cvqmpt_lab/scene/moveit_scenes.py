@@ -1,5 +1,4 @@
-"""Planning scenes of MoveIt: `.scene` text, and yaml of CollisionObjects as MotionBenchMaker writes
-them.
+"""Planning scenes of MoveIt: `.scene` text, and CollisionObject yaml as in MotionBenchMaker.
 
 Boxes, spheres, cylinders and meshes become objects of a `Scene`; other shapes, point maps, objects
 in the robot's hand and objects in several frames are refused by name, because a scene without them
@@ -169,10 +168,7 @@ def _from_text(text: str, path: Path) -> tuple[str, str, list[Placed]]:
 
 
 def _from_yaml(text: str, path: Path) -> tuple[str, str, list[Placed]]:
-    """A PlanningScene, its world, or a list of CollisionObjects.
-
-    Vectors are lists or {x, y, z, w}.
-    """
+    """A PlanningScene, its world or a list of CollisionObjects; vectors: lists or {x, y, z, w}."""
     data = yaml_value(text)
     if isinstance(data, list):
         data = {"world": {"collision_objects": data}}

@@ -1,6 +1,4 @@
-"""Pieces of furniture (boxes, cylinders, handles, what a hinge or slider moves), and the tasks'
-household objects.
-"""
+"""Pieces of furniture (boxes, cylinders, handles, doors, drawers) and household objects."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -42,9 +40,7 @@ def handle(
 def hinged(
     name: str, objects: list[SceneObject], hinge_xy: Span, hinge_side: int, p: KitchenParameters
 ) -> Assembly:
-    """Return a door with a vertical hinge:
-    a left (+1) one opens to -door_range, a right (-1) one to +.
-    """
+    """Return a door with a vertical hinge; left (+1) opens to -door_range, right (-1) to +."""
     limits = (-p.door_range, 0.0) if hinge_side > 0 else (0.0, p.door_range)
     return articulated(name, "hinge", pose((*hinge_xy, 0.0)), limits, objects)
 
@@ -77,7 +73,7 @@ def cylinder(
 
 
 def oriented(axis: str, xyz: Iterable[float]) -> FloatArray:
-    """Return the (4, 4) pose at `xyz` whose own z points along a world axis: "x", "y", "z" or "-x"."""
+    """Return the (4, 4) pose at `xyz` whose z points along a world axis: "x", "y", "z" or "-x"."""
     T = pose(xyz)
     columns = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2), "-x": (2, 1, 0)}[axis]
     T[:3, :3] = np.eye(3)[:, columns]
@@ -98,16 +94,14 @@ def bar_y(panel_y: Span, hinge_side: int, inset: float) -> float:
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """The collision shape of an object, and where shape and centre of mass lie in the link frame."""
+    """The collision shape of an object, and poses of shape and centre of mass in the link frame."""
 
     shape: Box | Cylinder  # centred on its own frame, parallel to the link frame
     shape_centre: tuple[float, float, float]  # middle of the shape in the link frame [m]
     com: tuple[float, float, float]  # centre of mass in the link frame [m]
 
     def at_com(self, name: str, position_com: Sequence[float], yaw: float = 0.0) -> SceneObject:
-        """Return the object with its centre of mass at `position_com` (3,) [m], turned by `yaw`
-        [rad].
-        """
+        """Return the object with centre of mass at `position_com` (3,) [m] and a `yaw` [rad]."""
         T_world_link = pose(position_com, yaw) @ pose(-np.array(self.com))
         return SceneObject(name, self.shape, T_world_link @ pose(self.shape_centre))
 

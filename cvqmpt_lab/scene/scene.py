@@ -54,9 +54,7 @@ class Articulation(Checked):
         self._check_range(self.value)
 
     def displacement(self, value: float) -> FloatArray:
-        """Return the (4, 4) world motion that carries the moved objects from `self.value` to
-        `value`, in its range.
-        """
+        """Return the (4, 4) world motion of the objects from `self.value` to a `value` in range."""
         self._check_range(value)
         return (
             self.T_world_joint @ self.motion(value - self.value) @ np.linalg.inv(self.T_world_joint)
@@ -159,12 +157,11 @@ class Scene(Checked):
         )
 
     def with_joint(self, name: str, value: float) -> Scene:
-        """Return a scene with the articulation `name` at `value` [rad] or [m], its objects
-        re-posed.
+        """Return a scene with articulation `name` at `value` [rad or m], its objects moved along.
 
         Raises:
-            UnknownChoiceError, InvalidInputError: there is no such articulation; `value` is outside
-                its range.
+            UnknownChoiceError: there is no such articulation.
+            InvalidInputError: `value` is outside its range.
         """
         joint = self.articulation(name)
         motion = joint.displacement(value)
@@ -189,9 +186,7 @@ class Scene(Checked):
 
 
 class SceneForm:
-    """A scene;
-    in the file of a problem or task also the path of one that holds it (see `scene_files`).
-    """
+    """A scene; in a problem's or task's file also the path of a scene file (see `scene_files`)."""
 
     def read(self, value: Any, where: str) -> Scene:
         """Make the scene."""

@@ -31,8 +31,9 @@ log = logging.getLogger(__name__)
 
 
 def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Json of a problem or task with the files read that its scene and attachments name, and the
-    paths of its robot's files made absolute.
+    """Json of a problem or task with its files read and the paths of its robot's files absolute.
+
+    Read are the files that its scene and attachments name.
 
     data: not changed; its scene may be the path of a json file; what is no object with a shape by
         path stays as it is.
@@ -94,9 +95,7 @@ def _scene(scene: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list[str]]]:
-    """Json of objects with their shapes, and the names of the pieces by those of the objects read
-    from files.
-    """
+    """Json of objects with their shapes, and the pieces' names by that of their object."""
     if not isinstance(items, list):
         return items, {}
     found: list[Any] = []

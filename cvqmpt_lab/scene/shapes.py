@@ -1,5 +1,4 @@
-"""Shapes as plain data: boxes, cylinders, spheres, convex meshes, inflated point clouds and
-occupancy maps.
+"""Shapes as plain data: boxes, cylinders, spheres, convex meshes, point clouds, occupancy maps.
 
 A shape lives in its own frame; `SceneObject` places it in the world. Lengths are in [m].
 """
@@ -30,15 +29,13 @@ def thickness(points: FloatArray) -> float:
 
 
 def thin_direction(points: FloatArray) -> FloatArray:
-    """Direction (3,) in which points (n, 3) extend least; a normal of their plane if they have one."""
+    """Direction (3,) in which points (n, 3) extend least; the normal of flat ones."""
     centred = points - points.mean(axis=0)
     return np.linalg.eigh(centred.T @ centred)[1][:, 0]
 
 
 def check_volume(points: FloatArray, what: str) -> None:
-    """Refuse finite points (n, 3) [m] that span no volume, or one too thin or too far for collision
-    checks.
-    """
+    """Refuse finite points (n, 3) [m] of no volume, or too thin or too far for collision checks."""
     farthest = float(np.abs(points).max(initial=0.0))
     if farthest > FARTHEST:
         raise InvalidInputError(
@@ -55,9 +52,7 @@ def check_volume(points: FloatArray, what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class CloudFile(Checked):
-    """In a json file in the place of a shape:
-    points of a file, see `cloud_files.READERS`, as a PointCloud.
-    """
+    """In json in place of a PointCloud: the path of its points, see `cloud_files.READERS`."""
 
     path: Name  # of the file, from the folder of the one that names it
     radius: Length  # of the ball around every point [m]
@@ -66,7 +61,7 @@ class CloudFile(Checked):
 
 @dataclass(frozen=True, eq=False)
 class MapFile(Checked):
-    """Points of a file, see `cloud_files.READERS`, as the OccupancyMap of the cells that hold some."""
+    """In place of an OccupancyMap: the path of its points; their cells are the occupied ones."""
 
     path: Name  # of the file, from the folder of the one that names it
     resolution: Length = 0.02  # edge of the cells [m]
@@ -151,14 +146,10 @@ class PointCloud(Checked):
 
 @dataclass(frozen=True, eq=False)
 class OccupancyMap(Checked):
-    """Occupied cubes of a regular grid, as an occupancy grid (OctoMap) holds them;
-    what is not listed is free.
-    """
+    """Occupied cubes of a regular grid (as in OctoMap); what is not listed is free."""
 
     cells: Annotated[FloatArray, WholeNumbers((None, 3), "whole numbers i, j, k of cells")]
-    """(k, 3);
-    cell (i, j, k) reaches from resolution * (i, j, k) to resolution * (i + 1, j + 1, k + 1).
-    """
+    """(k, 3); cell (i, j, k) spans resolution * (i, j, k) to resolution * (i + 1, j + 1, k + 1)."""
     resolution: Length = 0.02  # edge of every cube [m]
     padding: Padding = 0.0  # inflation radius of every cube, to all sides [m]
 
@@ -205,9 +196,7 @@ def shape_vertices(shape: Box | ConvexMesh) -> FloatArray:
 
 
 def bounding_radius(shape: Shape) -> float:
-    """Return the radius [m] of the smallest ball around the shape's frame origin that holds the
-    shape.
-    """
+    """Radius [m] of the smallest ball around the shape's frame origin that holds the shape."""
     match shape:
         case Box() | ConvexMesh():
             return float(np.linalg.norm(shape_vertices(shape), axis=1).max())

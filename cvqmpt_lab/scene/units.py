@@ -1,6 +1,4 @@
-"""Units of scenes that users write:
-what cannot be metres is refused, a scene out of the arm's reach reported.
-"""
+"""Units of users' scenes: refuse what cannot be metres, report a scene out of the arm's reach."""
 
 import logging
 import math
@@ -17,9 +15,7 @@ _log = logging.getLogger("cvqmpt")
 
 
 def refuse_far_poses(poses: dict[str, np.ndarray]) -> None:
-    """Refuse a pose (4, 4), by its place in the file, that stands more than FARTHEST from the
-    world's origin.
-    """
+    """Refuse a pose (4, 4) over FARTHEST from the world's origin, by its place in the file."""
     for where, T in poses.items():
         if (off := float(np.abs(T[:3, 3]).max())) > FARTHEST:
             raise InvalidInputError(
@@ -53,7 +49,7 @@ def refuse_far(scene: Scene, where: str = "scene") -> None:
 
 
 def distance(item: SceneObject) -> float:
-    """Distance [m] from the world's origin that an obstacle has at least; exact for a box."""
+    """Distance [m] of an obstacle from the world's origin; exact for a box, else a lower bound."""
     if isinstance(item.shape, Box):
         T = item.T_world_object
         origin = (T[:3, 3] @ T[:3, :3]).tolist()  # of the world, mirrored, in the box's frame
@@ -69,7 +65,7 @@ def distance(item: SceneObject) -> float:
 
 
 def report_out_of_reach(scene: Scene, reach: float) -> None:
-    """Log a warning when the arm, of a reach [m], can touch no obstacle of a scene that has some."""
+    """Log a warning if a scene has obstacles and the arm of `reach` [m] can touch none of them."""
     gaps = {item.name: distance(item) for item in scene.obstacles}
     if gaps and min(gaps.values()) > reach:
         name = min(gaps, key=lambda name: gaps[name])
