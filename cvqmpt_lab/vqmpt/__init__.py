@@ -1,3 +1,1 @@
-"""VQ-MPT, the learned sampler:
-stage 1 is `dictionary`, stage 2 `transformer`, Algorithm 2 `latent_update`.
-"""
+"""VQ-MPT, the learned sampler: `dictionary`, `scene_transformer`, `latent_update` (Algorithm 2)."""

@@ -1,9 +1,9 @@
-"""Beam search for a sequence of codes that is probable (paper, eqn. prob_eqn),
+"""Beam search for a probable sequence of codes (paper, eqn. prob_eqn).
 
     P(h_1 ... h_n | M) = prod_i pi(h_i | h_1 ... h_(i-1), M),
 
-with pi the autoregressive model and M the context of scene, start and goal. The sequence ends with
-the goal token.
+with pi the autoregressive model and M the context of scene, start and goal. The last token of a
+sequence is the goal token.
 """
 
 from dataclasses import dataclass

@@ -99,11 +99,7 @@ def load_checkpoint(folder: Path, robot: RobotSignature | None = None) -> Checkp
 
 
 def as_modules(model: StoredModel) -> Checkpoint:
-    """VQ-MPT's weights in torch modules, in evaluation mode on the CPU.
-
-    Raises:
-        InvalidInputError: weights do not fit their sizes.
-    """
+    """VQ-MPT's weights as CPU modules in evaluation mode; InvalidInputError if sizes do not fit."""
     builders: dict[str, Callable[[], nn.Module]] = {
         "dictionary": lambda: Dictionary(model.config),
         "sequence_model": lambda: PublishedSequenceModel(model.config),

@@ -42,7 +42,7 @@ class CodeGaussians:
 
 
 class CodeDecoder:
-    """The decoder g(z) = N(mu, Sigma) of a dictionary (paper, eqn. decoder_eqn), Sigma = L D L^T:
+    """The decoder g(z) = N(mu, Sigma) of a dictionary (paper, eqn. decoder_eqn), Sigma = L D L^T.
 
         x  = W z + b,                       y = layer norm(x + W_2 relu(W_1 x + b_1) + b_2),
         mu = (tanh(W_mu y + b_mu) + 1) / 2,                D = softplus(W_D y + b_D),
@@ -139,19 +139,14 @@ class CodeDecoder:
 
 
 class ModelConfigurations:
-    """A robot's configurations as a model takes them: u = (q - q_min) / (q_max - q_min), and link
-    positions [m], if any.
+    """A model's inputs for q: u = (q - q_min) / (q_max - q_min), and link positions [m], if any.
 
-    Which points of which links are features is read from the model's metadata, where training put
-    them; where they are comes from the robot's own kinematics.
+    The model's metadata names the links and points that are features; their positions come from
+    the robot's own kinematics.
     """
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
-        """Compare the model's robot with this one.
-
-        Raises:
-            InvalidInputError: it is another, or its features are not described, or differ.
-        """
+        """Raises InvalidInputError if the robot or the described features are not the model's."""
         model.robot.require_same(robot_signature(robot))
         self._robot = robot
         self.lower, self.range = robot.lower, robot.upper - robot.lower
@@ -335,8 +330,5 @@ def drawn_nodes(
 
 
 def code_noise(codes: int, n: int, seed: int = 4) -> np.ndarray:
-    """Standard normal (codes, n): where in its Gaussian each code's node lies.
-
-    The seed was the best of six on the tuning environments.
-    """
+    """Standard normal (codes, n) for `drawn_nodes`; the seed was the best of six in tuning."""
     return np.random.default_rng(seed).standard_normal((codes, n))

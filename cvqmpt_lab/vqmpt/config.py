@@ -53,8 +53,9 @@ class DictionaryConfig:
     """Stage 1: waypoint -> code z -> Gaussian g(z)."""
 
     encoder: Literal["transformer", "mlp"] = "transformer"
-    """Over the whole trajectory (published), or ``mlp`` on each waypoint alone, which uses only
-    `d_model` and `d_inner` of `transformer`.
+    """``transformer`` over the trajectory (published), or ``mlp`` on each waypoint.
+
+    ``mlp`` uses only `d_model` and `d_inner` of `transformer`.
     """
     transformer: TransformerConfig = field(default_factory=TransformerConfig)
     # longest trajectory that the transformer's position table covers [waypoints]
@@ -64,9 +65,7 @@ class DictionaryConfig:
     decoder_dropout: float = 0.5
     commitment: float = 0.25  # beta of the quantization loss
     data_initialised: bool = False
-    """Codes start at encoded waypoints and unused ones are restarted from data
-    (`Quantizer.restart_codes`); without it they are learnt by gradient alone.
-    """
+    """Codes start, and unused ones restart, at encoded waypoints (`Quantizer.restart_codes`)."""
 
     def __post_init__(self) -> None:
         require_sizes(n_position=self.n_position, n_codes=self.n_codes, code_dim=self.code_dim)
@@ -262,9 +261,9 @@ def checked_cloud(cloud: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SerialChain:
-    """A serial chain of joints, and points fixed to its links.
+    """A serial chain of joints, T_j = T_(j-1) (R_j, t_j) Rz(q_j), and points on its links.
 
-    T_j = T_(j-1) (R_j, t_j) Rz(q_j), or Tz(q_j) for sliders, with T_0 the robot's base.
+    Sliders have Tz(q_j); T_0 is the robot's base.
     """
 
     # (n, 3, 3), from one joint's frame to the next

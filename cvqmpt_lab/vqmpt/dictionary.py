@@ -18,7 +18,7 @@ from cvqmpt_lab.vqmpt.config import EPSILON, ModelConfig, TransformerConfig
 class MultiHeadAttention(nn.Module):
     """x + W_o [softmax(q_h k_h^T / sqrt(d_k)) v_h]_h, with q, k, v projected without bias.
 
-    q comes from the query x, k and v from the context, both after the same layer norm.
+    q is from the query x, k and v are from the context, all after the same layer norm.
     """
 
     def __init__(self, sizes: TransformerConfig) -> None:
@@ -304,7 +304,7 @@ class Gaussians:
 
 
 class GaussianDecoder(nn.Module):
-    """The decoder g(z), with y a feed-forward block of the latent, normalised at its end:
+    """The decoder g(z) = N(mu, L D L^T), y a feed-forward block of the latent with layer norm.
 
     mu = (tanh(W_mu y + b_mu) + 1) / 2, D = softplus(W_D y + b_D), L = I + lower(W_L y + b_L).
     """

@@ -1,11 +1,11 @@
 """The learned sampler: predicted codes become the distribution that the search samples from.
 
-With h_1 ... h_c the predicted codes and q_1 ... q_k the goals that were asked about, sampled is
+With predicted codes h_1 ... h_c and the goals q_1 ... q_k of the query, samples are drawn from
 
     q ~ 1 / (c + k) (sum_i N(mu(z_hi), Sigma(z_hi)) + sum_j N(q_j, S)),   S^(1/2) = 0.1 diag(range),
 
-and a uniform share (paper, eqn. sample_dist; the goals are in the published code alone). Weights,
-dictionaries and roadmaps are loaded once a process, before any clock starts. A model is a name or
+and a uniform share (paper, eqn. sample_dist; only the published code has the goals). Weights,
+dictionaries and roadmaps are loaded once per process, before any clock starts. A model is a name or
 folder as `weights.resolve_model` takes it.
 """
 
@@ -200,9 +200,9 @@ class LearnedSampler:
         return mixed
 
     def propose(self, query: Query, observation: Observation) -> CodeProposal:
-        """The sampling distribution of predicted codes: CVQ-MPT, before any update.
+        """The sampling distribution of predicted codes before any update: CVQ-MPT.
 
-        Uniform samples, and a fallback that says so, where no code was predicted.
+        If no code was predicted: uniform samples, and a note of this fallback.
         """
         found = self.predict(query, observation)
         some = len(found.codes) > 0
@@ -221,8 +221,7 @@ class LearnedSampler:
     def moved(self, optimizer: LatentOptimizer, query: Query, proposal: Proposal) -> Proposal:
         """Codes moved by z <- z - eta dE[F^T F]/dz (paper, Algorithm 2), then decoded.
 
-        Returns:
-            The proposal itself where there is no code or no constraint.
+        Without codes or constraint: the proposal itself.
         """
         assert isinstance(proposal, CodeProposal)
         if query.space.dim == 0 or len(proposal.codes) == 0:
@@ -239,12 +238,10 @@ class LearnedSampler:
         )
 
     def projected(self, query: Query, proposal: Proposal) -> Proposal:
-        """Means projected by q <- q - J^+ F(q) (paper, Algorithm 1); covariances as they are.
+        """Means projected by q <- q - J^+ F(q) (paper, Algorithm 1), with unchanged covariances.
 
-        Codes whose mean is not near the manifold are left out.
-
-        Returns:
-            The proposal itself where there is no code or no constraint.
+        Codes whose mean does not reach the manifold are left out. Without codes or constraint: the
+        proposal itself.
         """
         assert isinstance(proposal, CodeProposal)
         if query.space.dim == 0 or len(proposal.codes) == 0:
@@ -269,7 +266,7 @@ class LearnedSampler:
 
 @lru_cache(maxsize=4)
 def model_of(model: str, architecture: str = VQ_MPT) -> StoredModel:
-    """Weights without the transformer, whose arrays nobody needs once it is made of them."""
+    """Weights without the transformer's arrays, which are not needed once it is built."""
     folder = resolve_model(model, architecture)
     return read_model(folder, architecture=architecture, left_out=TRANSFORMER)
 

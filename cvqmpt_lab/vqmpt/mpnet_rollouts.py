@@ -1,20 +1,19 @@
-"""MPNet with projection, the learned baseline of the paper: a network proposes the path state by
-state.
+"""MPNet with projection, the paper's learned baseline: a network proposes the path step by step.
 
 Two sides grow in turn, from the start and from the nearest goal, each towards the other's last
-state: the network proposes, the proposal is clipped, projected and kept if free. When a straight
-joint line without collision joins the sides, every two neighbouring states are joined by a
-constrained motion: the direct one, otherwise one by tree growth. A rollout whose sides do not meet,
-or with a pair that is not joined, is given up, and the next one begins.
+state: a proposal is clipped, projected and kept if it is free. When a straight joint line without
+collision connects the sides, each pair of neighbouring states is connected by a constrained motion:
+the direct one, else one by tree growth. If the sides do not meet or a pair is not connected, the
+rollout has failed and the next one starts.
 
-What differs from the published code as it is known: proposals to one state are bounded, not
-repeated for ever; there are ten rollouts, not ten for each of five goals that are one and the same;
-a pair is first tried with the direct motion; the tree growth is the project's own and gets a share
-of the budget (there 5 of 50 s); the cloud's encoding is paid for.
+Differences to the published code, as far as known: proposals to one state are bounded, not repeated
+for ever; there are ten rollouts, not ten for each of five goals that are identical; a pair is first
+tried with the direct motion; the tree growth is the project's own and gets a share of the budget
+(there 5 of 50 s); the time to encode the cloud counts.
 
-Bridged, rollouts are suggestions: tree growth joins what the network does not, sides that have not
-met included, all goals take turns, sides meet along a constrained motion, and the network is told
-states as they are once projected.
+In the bridged variant tree growth connects what the network does not, also sides that have not
+met; all goals take turns, sides meet along a constrained motion, and the network gets projected
+states as input.
 """
 
 import time
@@ -79,10 +78,7 @@ class MPNetNetwork:
             )
 
     def draw_points(self, cloud: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Points (n_points, 3) of a cloud (m, 3) [m] in random order, repeated if they are fewer.
-
-        Raises InvalidInputError for a cloud that `checked_cloud` refuses.
-        """
+        """Points (n_points, 3) of a cloud (m, 3) [m], shuffled, repeated if they are too few."""
         points = checked_cloud(cloud)
         return points[rng.permutation(len(points))[np.arange(self.config.n_points) % len(points)]]
 
@@ -161,7 +157,7 @@ class MPNetRollouts:
         bridged: bool = False,
         settings: RolloutSettings = RolloutSettings(),
     ) -> None:
-        """Copy the weights; bridged: what rollouts leave open is joined by tree growth."""
+        """Copy the weights; bridged: unconnected rollouts are connected by tree growth."""
         self.network, self.bridged, self.settings = MPNetNetwork(model), bridged, settings
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
@@ -310,9 +306,9 @@ class _Run:
 
 
 def line_free(space: ConstrainedSpace, a: np.ndarray, b: np.ndarray, states: int = 100) -> bool:
-    """Whether states evenly on the straight joint line from a to b (n,) are free of collision.
+    """Whether `states` even states (published: 100) of the joint line from a to b (n,) are free.
 
-    The constraint need not hold. 100 states as published.
+    The constraint need not hold.
     """
     return all(space.valid(q) for q in np.linspace(a, b, states))
 

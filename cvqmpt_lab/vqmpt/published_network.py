@@ -39,9 +39,7 @@ from cvqmpt_lab.vqmpt.dictionary import (
 START_TOKEN = -1.0  # every entry of the vector that stands between the context and the first code
 
 Scene = tuple[Tensor, Tensor]
-"""Scene tokens (s, m, d_model), padded to the scene with most of them, and which are no padding (s,
-m) bool.
-"""
+"""Scene tokens (s, m, d_model), padded to the longest scene, and a mask (s, m) of real tokens."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,10 +119,7 @@ class PointCloudEncoder(nn.Module):
         return self.sa2_module(self.sa1_module(TokenLevel(points, points)))
 
     def constant_features(self, least: float = 1e-6) -> float:
-        """Share of token features of a variance below `least`: no cloud changes them.
-
-        Their units never get through the ReLU.
-        """
+        """Share of token features with a variance below `least`: their ReLU units are dead."""
         norms = [part for part in self.modules() if isinstance(part, nn.BatchNorm1d)]
         variance = norms[-1].running_var
         assert variance is not None
@@ -134,7 +129,7 @@ class PointCloudEncoder(nn.Module):
 def farthest_point_sampling(points: Tensor, count: int) -> Tensor:
     """Indices (b, count) of points (b, n, 3), each the farthest from those before it.
 
-    The first is 0, ties go to the lowest index. InvalidInputError when count is not in 1..n.
+    The first is 0, ties go to the lowest index. InvalidInputError if count is not in 1..n.
     """
     n = points.shape[1]
     if not 1 <= count <= n:
@@ -264,10 +259,7 @@ class SceneContext(nn.Module):
         self.context_encoder = CrossAttentionContext(joint_dim, sizes)
 
     def encode_scene(self, clouds: list[Tensor]) -> Scene:
-        """Tokens of clouds (n_i, 3) [m].
-
-        Batch norm statistics are per cloud when clouds differ in size.
-        """
+        """Tokens of clouds (n_i, 3) [m]; batch norm statistics are per cloud if sizes differ."""
         if len({len(cloud) for cloud in clouds}) == 1:
             tokens = self.env_encoder(torch.stack(clouds)).features
             return tokens, tokens.new_ones(tokens.shape[:2], dtype=torch.bool)

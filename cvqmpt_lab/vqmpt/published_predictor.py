@@ -38,11 +38,7 @@ class Predictor:
     """A trained VQ-MPT model of kind "published", for one robot."""
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
-        """Copy a model's weights.
-
-        Raises InvalidInputError when it has no sequence model, belongs to another robot, or does
-        not fit its sizes.
-        """
+        """Copy a model's weights; InvalidInputError if they do not fit the robot or their sizes."""
         model.require_part("sequence_model")
         require_torch("a sequence model of kind 'published'")
         from cvqmpt_lab.vqmpt.checkpoint import as_modules
@@ -55,10 +51,7 @@ class Predictor:
         self._scenes = LruCache[Any](SCENES)
 
     def encode_scene(self, cloud: np.ndarray, use_cache: bool = True) -> Any:
-        """Scene tokens of a cloud (m, 3) [m, robot base frame]; cached for the last clouds.
-
-        Raises InvalidInputError for a cloud that `checked_cloud` refuses.
-        """
+        """Tokens of a cloud (m, 3) [m, robot base frame], cached; errors as of `checked_cloud`."""
         points = checked_cloud(cloud)
         key = hashlib.sha256(points.tobytes()).hexdigest()
         return self._scenes.get(key, lambda: self._network.encode_cloud(points), use_cache)
@@ -99,10 +92,7 @@ class Predictor:
 def checked_ends(
     robot: Robot, start: np.ndarray, goals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Start (n,) and goals (k, n) [rad or m] as float64.
-
-    InvalidInputError names the joint that is not finite or outside its limits.
-    """
+    """Start (n,) and goals (k, n) [rad or m] as float64; InvalidInputError names a wrong joint."""
     n = robot.dof
     start, goals = _numbers(start, "start"), _numbers(goals, "goals")
     if start.shape != (n,):

@@ -92,11 +92,7 @@ class SceneNetwork:
     """The scene transformer's layers for one robot."""
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
-        """Take over the weights.
-
-        Raises:
-            InvalidInputError: weights are missing, of another robot, or do not fit their sizes.
-        """
+        """Take over the weights; InvalidInputError if they do not fit the robot or their sizes."""
         model.require_part(PART)
         model.robot.require_same(robot_signature(robot))
         if model.config.transformer is None:
@@ -428,12 +424,7 @@ class SceneTransformerPredictor:
     """A trained scene transformer for one robot."""
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
-        """Take over a model's weights.
-
-        Raises:
-            InvalidInputError: there is no transformer, it belongs to another robot or dictionary,
-                or does not fit its sizes.
-        """
+        """Take over the weights; InvalidInputError if robot, dictionary or sizes do not fit."""
         self.robot, self.network = robot, SceneNetwork(model, robot)
         require_own_dictionary(model)
         self._scenes = LruCache[EncodedScene](SCENES)

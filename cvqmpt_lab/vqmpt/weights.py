@@ -50,10 +50,7 @@ class OtherRobotError(InvalidInputError):
 
 @dataclass(frozen=True)
 class RobotSignature:
-    """What weights remember of their robot.
-
-    Where both digests are known, the robot's name does not count.
-    """
+    """The robot of a model's weights; if both digests are known, its name is not compared."""
 
     name: str
     lower: tuple[float, ...]  # (n,) joint limits, by which joints are normalised [rad or m]
@@ -139,11 +136,7 @@ class StoredModel:
             raise InvalidInputError(f"the model has no {part}, only {', '.join(self.parts)}{cure}")
 
     def array(self, part: str, name: str, *shape: int) -> np.ndarray:
-        """An array of a part, which must have this shape, in float64.
-
-        Raises:
-            InvalidInputError: it is missing, or of another shape or kind, or not finite.
-        """
+        """An array of a part in float64; InvalidInputError: missing, wrong shape or values."""
         self.require_part(part)
         array = self.parts[part].get(name)
         if array is None:
@@ -167,10 +160,10 @@ class StoredModel:
 
 
 def write_model(folder: Path, model: StoredModel) -> None:
-    """Write a folder of weights, replacing an earlier one at once or not at all.
+    """Write a folder of weights in one step, replacing an earlier one; on an error nothing changes.
 
     Raises:
-        InvalidInputError: weights are not finite, or the disk refuses; nothing is left behind.
+        InvalidInputError: weights are not finite, or the disk refuses.
     """
     folder = Path(folder)
     # on the same file system, so that the move is atomic
@@ -227,7 +220,7 @@ def _move_into_place(source: Path, target: Path) -> None:
 
 
 def recover_weights(folder: Path) -> None:
-    """Finish what a killed `write_model` left beside `folder`; only for who alone writes there."""
+    """Finish what a killed `write_model` left beside `folder`; only for its single writer."""
     for aside in folder.parent.glob(f".{folder.name}.previous-*"):
         if folder.exists():
             shutil.rmtree(aside, ignore_errors=True)
