@@ -24,7 +24,7 @@ FAR = 100.0  # [rad or m] beyond limits, or of length beyond LARGEST_STEP a step
 
 
 class Verdict(StrEnum):
-    """What a certificate says of a path; only a valid one is certified."""
+    """Result of a certificate; a path is certified only if it is VALID."""
 
     VALID = "valid"  # no fault, and every state proven
     REFUSED = "refused"  # a fault was found
@@ -74,7 +74,7 @@ class Certificate:
 
     @property
     def verdict(self) -> Verdict:
-        """Valid, refused, or not proven: the latter when no fault but missing proofs are known."""
+        """VALID without faults, NOT_PROVEN if only proofs are missing, else REFUSED."""
         if not self.faults:
             return Verdict.VALID
         missing = all(fault.kind is FaultKind.NOT_PROVEN for fault in self.faults)
@@ -163,7 +163,7 @@ def _place(states: np.ndarray, q: np.ndarray | None) -> float | None:
 
 
 def _closest(checker: CollisionChecker, proof: MotionProof) -> tuple[Nearest, np.ndarray]:
-    """Smallest distance at the states with least room in the proof, and the state (n,)."""
+    """Smallest distance, and its state (n,), of those with the smallest proven margin."""
     places = proof.tightest[:CLEARANCE_STATES] if proof.colliding is None else [proof.colliding]
     return min(((checker.nearest(q), q) for q in places), key=lambda found: found[0].distance)
 

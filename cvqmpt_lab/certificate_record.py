@@ -30,7 +30,7 @@ DIGESTS = {"problem_sha256": "another problem", "motion_sha256": "another motion
 
 
 def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str, Any]:
-    """Everything that a certificate says and rests on, as json; undefined numbers are null."""
+    """Json of a certificate with its tolerances, comparisons and digests; null for no number."""
     certificate = found.certificate
     faults = [
         {
@@ -146,7 +146,7 @@ def _time(found: DryRun, at: float) -> float | None:
 
 
 def _compared_lines(contents: dict[str, Any]) -> list[str]:
-    """The lines about what was compared, of a record."""
+    """A record's lines about what was compared."""
     it, used = contents["compared"], contents["tolerances"]
     near = it["obstacles"] - len(it["out_of_reach"])
     reasons = Counter(pair["reason"] for pair in it["left_out"])
@@ -166,7 +166,7 @@ def _compared_lines(contents: dict[str, Any]) -> list[str]:
 
 
 def _compared(problem: PlanningProblem) -> dict[str, Any]:
-    """Number of pieces, obstacles and pairs; obstacles and pairs left out, and on whose word."""
+    """Numbers of pieces, obstacles and pairs; obstacles and pairs left out, and why."""
     robot, carried = problem.robot, problem.attachments
     links = robot.collision_model.geometryObjects
     pieces = [len(list(solids(item.name, item.shape, item.T_hand_object))) for item in carried]
@@ -204,7 +204,7 @@ def _motion_digest(motion: Motion) -> str:
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:
-    """Leaves of json by their names joined by dots; of pairs left out the reason by the pair."""
+    """Json's leaves by dotted names; of pairs left out, the reason by the pair."""
     if name == "compared.left_out":
         return {f"{name}.{pair['first']} and {pair['second']}": pair["reason"] for pair in value}
     if not isinstance(value, dict):

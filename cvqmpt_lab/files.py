@@ -169,7 +169,7 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def finite(value: Any) -> Any:
-    """The same with null for numbers that json cannot say."""
+    """The same with null for NaN and infinity, which json lacks."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, float):
@@ -178,7 +178,7 @@ def finite(value: Any) -> Any:
 
 
 def json_text(plain: Any, indent: int = 0, line: int = 120) -> str:
-    """Json text; rows of numbers, matrices of poses and what else fits stand on one line."""
+    """Json text; what is short, rows of numbers and matrices of poses stand on one line."""
     flat = json.dumps(plain, allow_nan=False)
     if not isinstance(plain, dict | list) or len(flat) + indent <= line or _is_row(plain):
         return flat

@@ -1,4 +1,4 @@
-"""The whole story of one planning run; newcomers start here."""
+"""One planning run from beginning to end; newcomers start here."""
 
 import logging
 import time
@@ -31,7 +31,7 @@ _log = logging.getLogger("cvqmpt")
 
 @dataclass(frozen=True)
 class Solution:
-    """What came of a problem."""
+    """The result of a problem."""
 
     problem: PlanningProblem  # with its goals
     plan: PlanResult

@@ -1,4 +1,4 @@
-"""What is said of a solution: lines for people, or plain data for json."""
+"""Solutions as lines for people, or as plain data for json."""
 
 from typing import Any
 
@@ -58,7 +58,7 @@ def solution_lines(solution: Solution, planner: str, why: str = "") -> list[str]
 
 
 def _gain(made: Improvement) -> str:
-    """How much of the time for it was used, and what was gained."""
+    """What `improve` used of its budget, and what it gained."""
     used, budget = f"{1e3 * made.seconds:.1f} ms", made.budget
     if budget.seconds is not None:
         used = f"{1e3 * made.seconds:.1f} of {1e3 * budget.seconds:g} ms"
@@ -70,7 +70,7 @@ def _gain(made: Improvement) -> str:
 
 
 def _status(solution: Solution) -> str:
-    """How the plan ended, and by what if not by what the planner's name promises."""
+    """How the plan ended, and by which method if not the one its name says."""
     plan = solution.plan
     how = f"{plan.status} by {plan.fallback}" if plan.fallback else str(plan.status)
     if plan.status in (PlanStatus.TIMEOUT, PlanStatus.ITERATION_LIMIT):

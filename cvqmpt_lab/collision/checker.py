@@ -26,7 +26,7 @@ def _placed(r, t, link, sphere, k):
 
 @kernel(inline="machine")
 def _moved(pose, x, y, z):
-    """A point seen through a pose (12-tuple)."""
+    """R p + t of a point p = (x, y, z), for the pose (R, t) as a 12-tuple."""
     return (
         pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
         pose[3] * x + pose[4] * y + pose[5] * z + pose[10],

@@ -139,7 +139,7 @@ def _add_straight(bounds, i, grid, reach, matters, work):
 
 @kernel
 def _add_turned(bounds, i, grid, reach, work):
-    """The same for a turned box."""
+    """Lower the distances of a block's cells to those from a turned box, and list it."""
     edge, corner, upper, best = grid.cell, work.corner, work.upper, work.best
     for s in range(LISTS):
         lx, ly, lz = 2 * (s >> 4), 2 * (s >> 2 & 3), 2 * (s & 3)

@@ -147,7 +147,7 @@ class CollisionChecker:
         return clear
 
     def clear_of_itself(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """The same for links and what is carried against each other."""
+        """As `clear_of_obstacles` for pairs of links and of what is carried."""
         if len(self._geometry.collisionPairs) == 0:
             return np.ones(len(q), dtype=bool)
         moved = self._needed(self._sweep.between(q, hulls), self._margin)

@@ -54,7 +54,7 @@ class Sweep:
         return self._in_world.bounds(*self._posed(q), hulls - q[:, None])
 
     def between(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
-        """Bounds (k, p) [m] on the relative motion of two points of each pair of pieces."""
+        """Bounds (k, p) [m] on the relative motion of two points of a pair: the sum of theirs."""
         bounds = self._of_pairs.bounds(*self._posed(q), hulls - q[:, None])
         return bounds.reshape(len(q), 2, -1).sum(1)[:, self._pair]
 
@@ -121,7 +121,7 @@ class _Motions:
 
 
 def _lengths(vectors: np.ndarray) -> np.ndarray:
-    """Of vectors (2, 3, ...) along the second axis."""
+    """Lengths |x| of vectors x (2, 3, ...) along the second axis."""
     return np.sqrt(np.einsum("ai...,ai...->a...", vectors, vectors))
 
 

@@ -65,7 +65,7 @@ def solve_poses(
 
 
 def pose_regions(robot: Robot, within: Sequence[TaskSpaceRegion] = ()) -> Regions:
-    """A region that is one pose, to be written into its reference frame, and regions kept, too."""
+    """A region of a single pose, its reference frame to be written, and regions kept, too."""
     return stack_regions(robot, (ONE_POSE, *within))
 
 

@@ -10,8 +10,7 @@ exp([e]x) has de/dt = Jl^-1(e) w, with the angular velocity w in the frame that 
 
     Jl^-1(e) = I - [e]x / 2 + (1 / t^2 - cot(t / 2) / (2 t)) [e]x^2,    t = |e|.
 
-The cotangent of half the angle stays finite at t = pi, where the usual (1 + cos t) / sin t is 0 /
-0.
+cot(t / 2) stays finite at t = pi, where the usual (1 + cos t) / sin t is 0 / 0.
 """
 
 from typing import Annotated, NamedTuple
@@ -55,7 +54,7 @@ def rotation_vector(a, b, c):
 
 @kernel(inline="machine")
 def log_map_factor(e):
-    """Factor of [e]x^2 in Jl^-1(e), and |e|^2 [rad^2], of a rotation vector e."""
+    """1 / t^2 - cot(t / 2) / (2 t), the factor of [e]x^2 in Jl^-1(e), and t^2 = |e|^2 [rad^2]."""
     square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
     if square < 1e-6:
         return 1.0 / 12.0 + square / 720.0, square

@@ -25,7 +25,7 @@ class BoundUse:
 
     @property
     def excess(self) -> float:
-        """How far the value lies beyond its bound; negative inside [m] or [rad]."""
+        """max(lower - value, value - upper) [m] or [rad]; negative inside."""
         return max(self.lower - self.value, self.value - self.upper)
 
     @property

@@ -1,1 +1,1 @@
-"""Robots as data; the door to pinocchio."""
+"""Robots as data, and how pinocchio reads them."""

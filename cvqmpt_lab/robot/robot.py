@@ -185,7 +185,7 @@ class Robot:
 
     @cached_property
     def kinematics_digest(self) -> str:
-        """Hash of joint names, placements, axes and limits, not shapes: weights are for one hash."""
+        """Hash of joint names, placements, axes and limits, not shapes; weights belong to one."""
         k = self.kinematics
         digest = hashlib.sha256("\n".join(self.joint_names).encode())
         for array in (k.parent, k.prismatic, k.rotation, k.translation, k.lower, k.upper):
@@ -224,7 +224,7 @@ class Robot:
         return self.poses(np.asarray(q)[None], frame)[0]
 
     def poses(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
-        """The same at configurations (k, n), as (k, 4, 4), by pinocchio."""
+        """T_world_frame (k, 4, 4) at configurations (k, n), by pinocchio."""
         name = frame or self.end_effector
         if not self.model.existFrame(name, pin.FrameType.BODY):
             raise InvalidInputError(

@@ -107,7 +107,7 @@ class NamedRobot(RobotOptions):
 
 
 def seen_from(folder: Path, source: Any) -> Any:
-    """A robot's source, its paths made absolute from a folder; what is no object as it is."""
+    """A robot's source with paths made absolute from a folder; other json unchanged."""
     if not isinstance(source, Mapping):
         return source
     named = [name for name in ("urdf", "srdf") if isinstance(source.get(name), str)]

@@ -53,7 +53,7 @@ class Improvement:
 
     @property
     def gained(self) -> float:
-        """Relative reduction of the first path's length."""
+        """Relative reduction of the first path's length, 1 - c_last / c_first."""
         first = self.lengths[0][1]
         return 1.0 - self.lengths[-1][1] / first if first else 0.0
 

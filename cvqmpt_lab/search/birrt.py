@@ -252,7 +252,7 @@ class BiRRT:
         )
 
     def _use(self, space: ConstrainedSpace, trees: Trees, samples: np.ndarray, deadline: float):
-        """Grow with one batch; the trees, and a path that passed the fine check or None."""
+        """Grow with one batch; return the trees, and a path that passed the fine check or None."""
         arrays = space.arrays._replace(step=self.step)
         most = len(samples) if deadline == np.inf else self.clock_batch
         first = 0
@@ -274,7 +274,7 @@ class BiRRT:
 
 
 def checked_tree_path(space: ConstrainedSpace, trees: Trees) -> JointPath | None:
-    """The path through the meeting nodes, or None after cutting its first grazing motion out."""
+    """The path through the meeting nodes; None if its fine check fails: that motion is cut out."""
     capacity = int(trees.size.sum())
     states = np.empty((capacity, trees.nodes.shape[2]))
     origin = np.empty((capacity, 2), dtype=np.int64)

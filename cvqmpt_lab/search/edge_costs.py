@@ -34,7 +34,7 @@ class EdgeCosts(NamedTuple):
 
 @kernel(inline="source")
 def smallest_clearance(space, grid, lowest):
-    """The smaller of lowest and the smallest clearance [m] of the posed robot's balls in a grid."""
+    """The smallest clearance [m] of the posed robot's balls in a grid, at most `lowest`."""
     r, t, robot = space.scratch.link_rotation, space.scratch.link_translation, space.robot
     for k in range(robot.order.shape[0]):
         body = robot.order[k]
@@ -52,7 +52,7 @@ def smallest_clearance(space, grid, lowest):
 
 @kernel(inline="machine")
 def negative_log(costs, clearance):
-    """-log P(free) of a motion with that smallest clearance [m]."""
+    """-log P(free) = log (1 + exp(-slope d - bias)) of a motion with smallest clearance d [m]."""
     odds = costs.slope * max(clearance, NEAREST) + costs.bias
     # at log odds of 18, P(free) is 1 to double precision of the costs
     return max(-odds, 0.0) + np.log1p(np.exp(-abs(odds))) if odds < 18.0 else 0.0
@@ -60,7 +60,7 @@ def negative_log(costs, clearance):
 
 @kernel(inline="machine")
 def readings(costs, length):
-    """How many clearances, a power of two, are read along a motion of that length [rad]."""
+    """How many clearances are read on a motion of that length [rad]: 1, 2, 4, 8, ..."""
     count = 1
     while length > GAP * costs.spacing * count:
         count *= 2

@@ -153,7 +153,7 @@ def constraint_one(
 
 @kernel(inline="machine")
 def distance(a, b):
-    """Euclidean distance of two configurations (n,) [rad]."""
+    """|a - b|, the Euclidean distance of two configurations (n,) [rad]."""
     square = 0.0
     for j in range(a.shape[0]):
         square += (a[j] - b[j]) * (a[j] - b[j])
@@ -249,7 +249,7 @@ def bisect_motion(
 
 @kernel(inline="source")
 def _place_between(space, a, b, fraction):
-    """Write a + fraction (b - a) into space.state and pose its links."""
+    """Write q = a + fraction (b - a) into space.state and pose its links."""
     for j in range(a.shape[0]):
         space.state[j] = a[j] + fraction * (b[j] - a[j])
     forward_kinematics(

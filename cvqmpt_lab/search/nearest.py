@@ -121,7 +121,7 @@ def _square(nodes, i, target):
 
 @kernel(inline="machine")
 def _square_of_box(box, i, target):
-    """Squared distance of a box from target (n,), not more than that of any node in it."""
+    """Squared distance of a box from target (n,), at most that of any node in it."""
     square = 0.0
     for j in range(target.shape[0]):
         outside = max(max(box[i, 0, j] - target[j], target[j] - box[i, 1, j]), 0.0)

@@ -1,8 +1,8 @@
 """The paper's baselines from OMPL: RRTConnect on projected, atlas and tangent-bundle spaces.
 
-Only this file imports ompl. Projection, residual, Jacobian and state checks are the kernels of
-`birrt`; parameters are those of the published experiment code. Without a constraint, as in some
-phases of tasks, all three are RRTConnect on the joints' space.
+No other file of the package imports ompl. Projection, residual, Jacobian and state checks are the
+kernels of `birrt`; parameters are those of the published experiment code. Without a constraint, as
+in some phases of tasks, all three are RRTConnect on the joints' space.
 """
 
 import math
@@ -33,7 +33,7 @@ class _Manifold(ob.Constraint):
         self._space = space
 
     def function(self, x: np.ndarray, out: np.ndarray) -> None:
-        """F(x)."""
+        """F(x) at a configuration x (n,)."""
         out[:] = self._space.residual_and_jacobian(np.array(x))[0]
 
     def jacobian(self, x: np.ndarray, out: np.ndarray) -> None:

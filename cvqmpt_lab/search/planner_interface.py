@@ -24,7 +24,7 @@ class SamplingDistribution(Protocol):
 
     @property
     def name(self) -> str:
-        """What result rows call it."""
+        """Its name in result rows."""
 
     def sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw configurations (count, n) [rad or m]."""
@@ -120,7 +120,7 @@ class GaussianMixture:
 
 
 def widened(covariances: np.ndarray, std: float) -> np.ndarray:
-    """Covariances (c, n, n) whose eigenvalues are raised to at least std^2."""
+    """V max(Lambda, std^2) V^T (c, n, n) of covariances V Lambda V^T."""
     values, vectors = np.linalg.eigh(covariances)
     narrow = values[:, 0] < std * std
     if not narrow.any():
@@ -163,7 +163,7 @@ class Deadline:
         return None
 
     def rest(self, share: float = 1.0) -> Budget:
-        """A share of the whole budget, or what is left if that is less; call `spent` first."""
+        """A share of the whole budget, or what is left if less; call `spent` first."""
         seconds, iterations = self.budget.seconds, self.budget.iterations
         if seconds is not None:
             # a budget of zero seconds is none

@@ -52,7 +52,7 @@ class Budget:
 
     @classmethod
     def require(cls, value: Any, what: str = "budget") -> None:
-        """Refuse what is no budget: InvalidInputError calls it `what`."""
+        """Refuse what is no valid budget; InvalidInputError names it `what`."""
         if not isinstance(value, cls):
             raise InvalidInputError(
                 f"{what} {shown(value)}: give Budget(seconds=...), Budget(iterations=...) or both "
@@ -89,7 +89,7 @@ class Timings:
 
     @property
     def total(self) -> float:
-        """Their sum [s]."""
+        """Sum of all parts [s]."""
         return sum(value for value in vars(self).values() if value is not None)
 
 
@@ -104,7 +104,7 @@ class JointPath:
 
     @cached_property
     def length(self) -> float:
-        """Sum of Euclidean distances between neighbouring states [rad]."""
+        """Length of the path, sum_i |q_(i+1) - q_i| [rad]."""
         return float(np.linalg.norm(np.diff(self.states, axis=0), axis=1).sum())
 
     def spaced(self, spacing: float) -> np.ndarray:

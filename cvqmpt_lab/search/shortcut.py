@@ -19,7 +19,7 @@ SWEEP = 112  # shortcuts from the longest to the shortest
 
 @kernel
 def path_length(states, count):
-    """Sum of distances between the first count rows of states (k, n) [rad]."""
+    """sum_i |q_(i+1) - q_i| over the first count rows of states (k, n) [rad]."""
     total = 0.0
     for i in range(count - 1):
         total += distance(states[i], states[i + 1])
@@ -58,7 +58,7 @@ def _replace(states, count, a, b, detour, size):
 
 @kernel(inline="source")
 def _shorter_motion(space, states, a, b, detour):
-    """Write a direct, free and shorter motion between two states into detour; its size or 0."""
+    """Write a direct, free, shorter motion between two states into detour; its size or 0."""
     if b - a < 2:
         return 0
     old = 0.0

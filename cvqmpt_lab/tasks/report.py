@@ -1,4 +1,4 @@
-"""What is said of a solved task: lines for people, or plain data for json."""
+"""Solved tasks as lines for people, or as plain data for json."""
 
 from collections.abc import Iterator
 from typing import Any

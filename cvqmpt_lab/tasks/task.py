@@ -3,13 +3,13 @@
 `solve_task` plans it; `world.World` is one moment of it. Tasks are saved as json, schema
 ``cvqmpt-task/1``: "name", "robot", "scene" and "start" as in a problem file, and
 
-    "phases": [{"kind": "move", "name", "goal": region, "constraint": [regions], "through":
-    [regions]},
-               {"kind": "slide", "name", "distance": 0.08},
-               {"kind": "turn", "name", "value": -1.4, "constraint": chain, "goal": chain},
-               {"kind": "hold", "name", "articulation", "gripper": {...}, "may_touch": [[piece,
-               part]]}, {"kind": "grasp", "name", "object", "gripper": {...}}, {"kind": "release",
-               "name", "gripper": {...}}]
+    "phases": [
+      {"kind": "move", "name", "goal": region, "constraint": [regions], "through": [regions]},
+      {"kind": "slide", "name", "distance": 0.08},
+      {"kind": "turn", "name", "value": -1.4, "constraint": chain, "goal": chain},
+      {"kind": "hold", "name", "articulation", "gripper": {...}, "may_touch": [[piece, part]]},
+      {"kind": "grasp", "name", "object", "gripper": {...}},
+      {"kind": "release", "name", "gripper": {...}}]
 
 What is grasped is carried as the scene has it, shape and pose. Contact counts as a collision: leave
 an object a gap of 1 mm or more from what it stands on.

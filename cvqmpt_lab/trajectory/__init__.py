@@ -1,1 +1,1 @@
-"""From a path to a motion in time, as fast as the joints allow; the door to cvxpy."""
+"""From a path to a motion in time, as fast as the joints allow; imports cvxpy, no other does."""

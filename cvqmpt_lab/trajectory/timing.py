@@ -271,7 +271,7 @@ def squared_speeds(
 def _velocity_rows(
     curve: SmoothCurve, velocity: np.ndarray, bound: np.ndarray
 ) -> sparse.csr_matrix:
-    """Velocity limits in the middle of intervals, where bounds (g,) at the ends imply none."""
+    """Rows (|dq/ds| / velocity)^2 (b_k + b_(k+1)) / 2 <= 1 where bounds (g,) imply none."""
     middle = 0.5 * (curve.grid[1:] + curve.grid[:-1])
     half = 0.5 * (np.abs(curve.spline(middle, 1)) / velocity).max(axis=1) ** 2
     interval = np.flatnonzero(half * (bound[1:] + bound[:-1]) > 1.0)
@@ -330,7 +330,7 @@ def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndar
 def _greatest(
     rows: sparse.csr_matrix, bound: np.ndarray, tolerance: float = 1e-10
 ) -> np.ndarray | None:
-    """The b (g,) of the greatest sum with rows b <= 1 and 0 <= b <= bound; None without one."""
+    """The b (g,) that maximises sum_i b_i with rows b <= 1 and 0 <= b <= bound, or None."""
     # it takes half a second to import, which planning without timing need not wait for
     import cvxpy as cp
 
