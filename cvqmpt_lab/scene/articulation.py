@@ -26,13 +26,14 @@ class TakenOut(NamedTuple):
 
 
 def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ()) -> TakenOut:
-    """Take the articulation `name` out of a scene, whatever its present value.
+    """Take the articulation `name` out of a scene, at any value.
 
-    A closed door stands between the boards of its cabinet with half a millimetre of play: less than
-    planners keep from obstacles. Such boards become the object's casing, which is checked against
-    the robot only. A fixed obstacle belongs to the casing when somewhere on the object's whole path
-    it is closer than `REST_GAP`, and nowhere entered deeper than `DEEPEST`. Anything else stays an
-    obstacle for the moving object too, e.g. a box in its path and its neighbour doors.
+    A closed door stands between the boards of its cabinet with half a millimetre of play: less
+    than planners keep from obstacles. Such boards become the object's casing, which is checked
+    against the robot only. A fixed obstacle belongs to the casing if somewhere on the object's
+    whole path it is closer than `REST_GAP`, and nowhere penetrated deeper than `DEEPEST`. Anything
+    else stays an obstacle for the moving object too, e.g. a box in its path and its neighbour
+    doors.
 
     may_touch: (robot piece, part) pairs that may touch, see `ArticulatedObject`.
     """
@@ -73,10 +74,10 @@ def _part(item: SceneObject, T: FloatArray) -> Part:
 def _rests_against(
     joint: Articulation, movers: Sequence[SceneObject], item: SceneObject, creep: float = 1e-3
 ) -> bool:
-    """Whether an object comes close to a fixed one somewhere on its path, and enters it nowhere.
+    """Whether an object comes close to a fixed one on its path without penetrating it.
 
     A change of the joint by d moves no point by more than J d, with J the largest norm of a point's
-    Jacobian: so the next check is (distance - REST_GAP) / J further, at least creep [m] / J.
+    Jacobian. So the next check is (distance - REST_GAP) / J further, at least creep [m] / J.
     """
     shape = coal_shape(item.shape)
     close = False

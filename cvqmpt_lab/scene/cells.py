@@ -21,7 +21,7 @@ class Blocks(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """Boxes of cells of a grid, and what they hold."""
+    """Boxes of cells of a grid, and the bounds of their points."""
 
     low: np.ndarray  # (b, 3) int64, index of the first cell in each
     high: np.ndarray  # (b, 3) int64, index after the last
@@ -32,15 +32,14 @@ class Cells(NamedTuple):
 def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf) -> Blocks:
     """Boxes that together hold a map or the balls of a cloud, near the parent's origin.
 
-    Of a map they are its cells. Of a small cloud they are its points, so that the inflated boxes
-    are its balls. Points of a large one are gathered in cells, and a box reaches as far as its
-    points: inflated, the boxes hold every ball, and none of their points is farther than sqrt(3)
-    `CELL` radii from one.
+    Boxes of a map are its cells. Boxes of a small cloud are its points: inflated, they are its
+    balls. Points of a large cloud are gathered in cells, each box bounding its points: inflated,
+    the boxes hold every ball, and no point of a box is farther than sqrt(3) `CELL` radii from one.
 
     Args:
         shape: a cloud or a map.
         T_parent_shape: (4, 4), its pose [m].
-        reach: [m] from the parent's origin, beyond which nothing matters.
+        reach: [m] from the parent's origin; boxes beyond it may be left out.
     """
     if isinstance(shape, PointCloud):
         points, edge, half, padding = shape.points, CELL * shape.radius, 0.0, shape.radius

@@ -1,4 +1,4 @@
-"""Shapes as coal sees them, and their distance."""
+"""Shapes as coal geometries, and their distance."""
 
 import coal
 import numpy as np
@@ -21,7 +21,7 @@ COAL_SHAPES = {
 
 
 def transform(T: np.ndarray) -> coal.Transform3s:
-    """A pose (4, 4) as coal takes it."""
+    """A pose (4, 4) as a coal transform."""
     return coal.Transform3s(np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]))
 
 

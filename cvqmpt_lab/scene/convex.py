@@ -25,7 +25,7 @@ MOST_VERTICES = 120  # of a hull
 
 
 class FilledCells:
-    """Which cells of a grid a mesh fills; the centres of the outermost ones are where it ends.
+    """Cells of a grid that a mesh fills; centres of the outermost cells are its boundary.
 
     Args:
         triangles: (f, 3, 3) [m].
@@ -71,8 +71,7 @@ class FilledCells:
     ) -> Callable[[int, float], float]:
         """The area [m^2] of a hull that is not solid, a function of an axis and a coordinate.
 
-        planes: (p, 4) of the hull: outward normals, and offsets [m] that are negative for an origin
-            inside.
+        planes: (p, 4) of the hull: outward normals, offsets [m], negative if the origin is inside.
         """
         first, last = self._cells_of(np.array([low, high]), self._share.shape)
         x, y, z = (self._low[k] + self._cell * np.arange(first[k], last[k] + 1) for k in range(3))
@@ -151,14 +150,14 @@ class Piece:
         return max(0.0, self.faces.volume - self.solid.volume(self.low, self.high))
 
     def halves(self, through_void: float = 0.05) -> "list[Piece]":
-        """The two parts on the sides of the best cut; itself where no cut leaves something on both.
+        """The two parts of the best cut; the piece itself if every cut leaves one side empty.
 
-        The best cut at x of an axis has the least
+        The best cut at x of an axis minimises
 
             (V_below + V_above - through_void A l) / V,
 
-        with the volumes V of the hulls of both sides and of the piece, the area A that is opened of
-        what is not solid, and the length l of the piece along the axis.
+        with the volumes V of the hulls of both sides and of the piece, the area A of the cut that
+        is not solid, and the length l of the piece along the axis.
         """
         sketch, whole = self._sketch(), max(self.faces.volume, 1e-30)
         area = self.solid.voids(planes_around(self.faces), self.low, self.high)
@@ -300,7 +299,7 @@ def hull_of(points: FloatArray) -> FloatArray:
 def of_few_vertices(hull: ConvexHull) -> FloatArray:
     """Vertices (k, 3) of a hull, or of one of at most `MOST_VERTICES` that holds it [m].
 
-    Where that has more, only some of its faces are kept, and moved outwards until they hold it.
+    Hulls with more keep only some of their faces, moved outwards until they hold all.
     """
     vertices = hull.points[hull.vertices]
     if len(vertices) <= MOST_VERTICES:

@@ -102,7 +102,7 @@ def _laid_table(
 
 
 def _clutter(rng: np.random.Generator) -> tuple[Box | Cylinder | Sphere, float]:
-    """A thing that stands on a table, and its height [m]."""
+    """An item that stands on a table, and its height [m]."""
     kind, height = rng.integers(3), rng.uniform(0.1, 0.4)
     if kind == 0:
         return Box((rng.uniform(0.05, 0.25), rng.uniform(0.05, 0.25), height)), height
@@ -123,7 +123,7 @@ def _cluttered_table(number: int) -> Scene:
 
 
 def _slim(rng: np.random.Generator) -> tuple[Box | Cylinder, float]:
-    """A slim thing, and its height [m]."""
+    """A slim item, and its height [m]."""
     radius, height = rng.uniform(0.02, 0.06), rng.uniform(0.15, 0.5)
     return Cylinder(radius, height) if rng.random() < 0.5 else Box(
         (2 * radius, 2 * radius, height)

@@ -37,7 +37,7 @@ class Placed(NamedTuple):
 
 
 def read_moveit_scene(path: Path | str, largest: int = 2**24) -> tuple[Scene, str]:
-    """The scene of a file, and the frame of its poses, "" where the file does not say.
+    """The scene of a file, and the frame of its poses, "" if the file does not say.
 
     An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file
     and the object. largest: [bytes] of the file.
@@ -91,10 +91,11 @@ def _matrix(position: Any, orientation: Any) -> FloatArray:
 
 
 class _Lines:
-    """The lines that are left of a `.scene` text.
+    """The remaining lines of a `.scene` text.
 
-    The scene's name; objects, each "* ID", in newer files its pose, the number of its shapes; then
-    of each shape kind, sizes, position, quaternion and colour; in newer files subframes; "." ends.
+    Format: the scene's name; objects, each "* ID", in newer files its pose, the number of its
+    shapes; then of each shape kind, sizes, position, quaternion and colour; in newer files
+    subframes; "." ends.
     """
 
     def __init__(self, text: str) -> None:
@@ -143,7 +144,7 @@ class _Lines:
         yield from _pieces(vertices, faces)
 
     def object(self, of: str) -> Iterator[Placed]:
-        """What follows "* ID"."""
+        """The shapes of one object, read from the lines after its "* ID"."""
         newer = bool(self._left) and len(self._left[-1].split()) == 3
         T_object = self.pose("the object") if newer else np.eye(4)
         for _ in range(self.count("the number of shapes")):

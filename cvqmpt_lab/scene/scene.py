@@ -189,7 +189,7 @@ class SceneForm:
     """A scene; in a problem's or task's file also the path of a scene file (see `scene_files`)."""
 
     def read(self, value: Any, where: str) -> Scene:
-        """Make the scene."""
+        """The scene of a json value."""
         if isinstance(value, str):
             raise InvalidInputError(
                 f"{where} is {shown(value)}, a file: load what names it from a file too"
@@ -197,7 +197,7 @@ class SceneForm:
         return from_plain(Scene, value, where)
 
     def write(self, value: Scene) -> Any:
-        """In full."""
+        """The scene as plain data."""
         return to_plain(value)
 
 

@@ -1,4 +1,4 @@
-"""Shapes that a json file names by path, put where they are named.
+"""Shapes that a json file names by path, read and put in place.
 
 `{"type": "cloud_file", "path": "scan.pcd", "radius": 0.01}` becomes a PointCloud, `{"type":
 "map_file", "path": "scan.pcd"}` an OccupancyMap, `{"type": "mesh_file", "path": "shelf.stl",
@@ -33,11 +33,9 @@ log = logging.getLogger(__name__)
 def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Json of a problem or task with its files read and the paths of its robot's files absolute.
 
-    Read are the files that its scene and attachments name.
-
-    data: not changed; its scene may be the path of a json file; what is no object with a shape by
-        path stays as it is.
-    folder: of the json file, from which paths go on.
+    data: not changed; its scene may be the path of a json file. Read are files that the scene and
+        attachments name; anything that is no object with a shape by path stays as it is.
+    folder: of the json file; relative paths start here.
     """
     read = dict(data)
     if isinstance(data.get("scene"), str):
@@ -120,7 +118,7 @@ def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list
 def _shapes(
     named: CloudFile | MapFile | MeshFile, folder: Path
 ) -> Iterator[PointCloud | OccupancyMap | ConvexMesh]:
-    """What a file holds."""
+    """The shapes of one file."""
     path = folder / named.path
     if not isinstance(named, MeshFile):
         from cvqmpt_lab.scene.cloud_files import read_cloud

@@ -82,10 +82,10 @@ SHAPES_BY_PATH = {"cloud_file": CloudFile, "map_file": MapFile, "mesh_file": Mes
 
 
 class WholeNumbers(Array):
-    """Indices of cells."""
+    """Integer indices of cells."""
 
     def read(self, value: Any, where: str) -> FloatArray:
-        """Refuse fractions, and what is farther than any sensor sees."""
+        """Refuse fractions, and cells farther than any sensor sees."""
         array = super().read(value, where)
         wrong = (array != np.rint(array)) | (np.abs(array) > FARTHEST_CELL)
         if wrong.any():
@@ -96,7 +96,7 @@ class WholeNumbers(Array):
         return array
 
     def write(self, value: FloatArray) -> list:
-        """Integers."""
+        """A list of integers."""
         return value.astype(np.int64).tolist()
 
 
@@ -162,7 +162,7 @@ class OccupancyMap(Checked):
 
     @property
     def centres(self) -> FloatArray:
-        """(k, 3), of the cells [m]."""
+        """Centres (k, 3) of the cells [m]."""
         return (self.cells + 0.5) * self.resolution
 
 

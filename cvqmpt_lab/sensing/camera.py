@@ -88,7 +88,7 @@ class Camera:
 
     @property
     def eye(self) -> FloatArray:
-        """Where it stands (3,) [m]."""
+        """Position of the camera (3,) [m, world]."""
         return self.T_world_camera[:3, 3]
 
     def rays(self) -> FloatArray:

@@ -50,9 +50,9 @@ class _Piece(NamedTuple):
 
 
 def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -> np.ndarray:
-    """Which of points (m, 3) [m, world] lie on, in or near the robot at q (n,): a mask (m,).
+    """Mask (m,) of points (m, 3) [m, world] on, in or near the robot at q (n,).
 
-    Near is within margin [m] of every face of one of its convex pieces; off a corner that reaches a
+    Near is within margin [m] of every face of one of its convex pieces; near corners this reaches a
     little farther.
     """
     (rotations,), (translations,) = link_poses(
@@ -69,7 +69,7 @@ def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -
 
 
 def outliers(points: FloatArray, radius: float, neighbours: int) -> np.ndarray:
-    """Which of points (m, 3) have fewer than `neighbours` others within radius [m]: a mask (m,)."""
+    """Mask (m,) of points (m, 3) [m] with fewer than `neighbours` others within radius [m]."""
     from scipy.spatial import cKDTree  # a third of a second to import
 
     distances, _ = cKDTree(points).query(points, k=[neighbours + 1], distance_upper_bound=radius)

@@ -1,16 +1,16 @@
-"""What a time-of-flight camera makes of a view: noise, drop-outs, flying pixels, systematic errors.
+"""A time-of-flight camera's errors: noise, drop-outs, flying pixels, systematic errors.
 
-One quantity drives noise and drop-outs: the light that comes back, s = reflectivity cos(incidence)
-/ depth^2 [1/m^2]. Noise grows with 1 / s, hence with distance, on dark surfaces and at grazing
-angles, and where s is too small there is no depth. The two constants follow from Microsoft's "Azure
-Kinect DK hardware specifications" (narrow field of view, 2x2 binned: surfaces of 15 % reflectivity
-are measured up to 5.46 m; standard deviation at most 17 mm, systematic error below 11 mm + 0.1 % of
-the distance), bounds that Toelgyessy, Dekan, Chovanec and Hubinsky, "Evaluation of the Azure Kinect
-and Its Comparison to Kinect V1 and Kinect V2", Sensors 21(2):413, 2021, confirmed up to 3.5 m. They
-describe flying pixels and dark materials without depth, too. Lateral noise is about what Nguyen,
-Izadi and Lovell, "Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking",
-3DIMPVT 2012, measured of the first Kinect (0.8 pixels), less because pixels are binned. Where no
-figure was found a field says "assumed".
+Noise and drop-outs depend on the light that comes back, s = reflectivity cos(incidence) / depth^2
+[1/m^2]. Noise grows with 1 / s, hence with distance, on dark surfaces and at grazing angles; where
+s is too small there is no depth. The two constants follow from Microsoft's "Azure Kinect DK
+hardware specifications" (narrow field of view, 2x2 binned: surfaces of 15 % reflectivity are
+measured up to 5.46 m; standard deviation at most 17 mm, systematic error below 11 mm + 0.1 % of
+the distance). Toelgyessy, Dekan, Chovanec and Hubinsky, "Evaluation of the Azure Kinect and Its
+Comparison to Kinect V1 and Kinect V2", Sensors 21(2):413, 2021, confirmed these bounds up to 3.5 m;
+they also describe flying pixels and dark materials without depth. Lateral noise is about what
+Nguyen, Izadi and Lovell, "Modeling Kinect Sensor Noise for Improved 3D Reconstruction and
+Tracking", 3DIMPVT 2012, measured for the first Kinect (0.8 pixels), less because pixels are binned.
+Fields without a source say "assumed".
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ WEAKEST = 0.15 / 5.46**2  # [1/m^2] the light of the specified range's end
 
 
 class Materials(NamedTuple):
-    """Of k solids."""
+    """Optical properties of k solids."""
 
     reflectivity: np.ndarray  # (k,), in (0, 1], of infrared light, diffuse
     gloss: np.ndarray  # (k,), share of the light that is reflected as by a mirror
@@ -33,7 +33,7 @@ class Materials(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialShares:
-    """How many solids are of which kind; assumed."""
+    """Shares of solids of each kind; assumed."""
 
     dark: float = 0.1  # of 3 to 10 % reflectivity; other surfaces have 30 to 90 %
     shiny: float = 0.1  # that mirror 60 to 90 % of the light
@@ -48,7 +48,7 @@ class MaterialShares:
 
 @dataclass(frozen=True, kw_only=True)
 class DepthNoise:
-    """Errors of an Azure-Kinect-class camera; standard deviations where nothing else is said."""
+    """Errors of an Azure-Kinect-class camera; standard deviations unless stated otherwise."""
 
     floor: float = 0.0006  # [m] of depths however bright the surface is; assumed
     # [m / m^2] grows with 1 / s: 17 mm at the end of the range
@@ -114,7 +114,7 @@ def _shifted_pixels(
 def _with_errors(
     depth: np.ndarray, light: np.ndarray, noise: DepthNoise, rng: np.random.Generator
 ) -> np.ndarray:
-    """Depths (height, width) [m] with an error of the whole image and one of every pixel."""
+    """Depths (height, width) [m] with errors of the whole image and of each pixel."""
     offset, scale = rng.standard_normal(2) * (noise.offset, noise.scale)
     spread = noise.floor + noise.per_light / np.maximum(light, WEAKEST)
     return depth * (1.0 + scale) + offset + spread * rng.standard_normal(depth.shape)

@@ -1,4 +1,4 @@
-"""The point cloud that a planner with a network is given of a scene."""
+"""The point cloud of a scene that a learned planner gets as input."""
 
 import json
 from collections.abc import Sequence
@@ -18,11 +18,11 @@ from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud, thinned, vi
 
 
 class Observer:
-    """Gives the cloud of a scene, always the same one; by default like training's clouds.
+    """Gives the cloud of a scene, always the same one; by default like training clouds.
 
-    Shapes are seen by virtual cameras, clouds and occupancy maps are used as they are. Rendering
-    takes half a second, so the last `scenes` clouds are remembered and rendered ones kept in the
-    user's cache.
+    Virtual cameras see the shapes; clouds and occupancy maps are used as they are. Rendering takes
+    half a second, so the last `scenes` clouds are cached, and rendered ones also in the user's disk
+    cache.
     """
 
     def __init__(

@@ -17,7 +17,7 @@ from cvqmpt_lab.values import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class MapSettings:
-    """How a map is made."""
+    """Settings of an occupancy map."""
 
     resolution: float = 0.02  # edge of its cells [m]
     padding: float = 0.0  # distance by which cells are inflated [m]

@@ -21,7 +21,7 @@ AHEAD = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Solid(ABC):
-    """A convex body; its methods speak of its own frame."""
+    """A convex body; points, rays and normals are in its own frame."""
 
     T_world_solid: np.ndarray  # (4, 4) or (3, 4), its pose [m]
 
@@ -47,15 +47,15 @@ class Cuboid(Solid):
 
     @property
     def corners(self) -> np.ndarray:
-        """Its eight."""
+        """The eight corners."""
         return _box_corners(self.half)
 
     def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Between three pairs of planes."""
+        """Interval between its three pairs of planes."""
         return _between_planes(eye, rays, self.half)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
-        """Along the axis on which a point lies farthest out."""
+        """Along the axis on which a point is farthest out."""
         along = np.argmax(np.abs(points) - self.half, axis=1)
         rows = np.arange(len(points))
         found = np.zeros_like(points)
@@ -71,15 +71,15 @@ class Ball(Solid):
 
     @property
     def corners(self) -> np.ndarray:
-        """Of the cube around it."""
+        """Corners of the cube around it."""
         return _box_corners(np.full(3, self.radius))
 
     def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Within its radius."""
+        """Interval within its radius."""
         return _within_radius(eye, rays, self.radius)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
-        """Away from the centre."""
+        """Directions away from the centre."""
         return _unit(points)
 
 
@@ -92,11 +92,11 @@ class SolidCylinder(Solid):
 
     @property
     def corners(self) -> np.ndarray:
-        """Of the box around it."""
+        """Corners of the box around it."""
         return _box_corners(np.array([self.radius, self.radius, self.half]))
 
     def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Within its radius and between its ends."""
+        """Interval within its radius and between its ends."""
         side = _within_radius(eye[:2], rays[..., :2], self.radius)
         ends = _between_planes(eye[2:], rays[..., 2:], np.array([self.half]))
         return np.maximum(side[0], ends[0]), np.minimum(side[1], ends[1])
@@ -122,7 +122,7 @@ class Polytope(Solid):
         return self.vertices
 
     def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Behind all of its planes, taken one by one: together they would fill the memory."""
+        """Interval behind all planes; one by one, since all together would fill the memory."""
         enter, leave = np.full(rays.shape[:-1], -np.inf), np.full(rays.shape[:-1], np.inf)
         heights = self.planes[:, :3] @ eye + self.planes[:, 3]
         for normal, height in zip(self.planes[:, :3], heights, strict=True):
@@ -135,7 +135,7 @@ class Polytope(Solid):
         return enter, leave
 
     def normals(self, points: np.ndarray) -> np.ndarray:
-        """Of the plane that a point is nearest to."""
+        """Normal of the plane that a point is nearest to."""
         nearest = np.argmax(points @ self.planes[:, :3].T + self.planes[:, 3], axis=1)
         return self.planes[nearest, :3]
 
@@ -152,7 +152,7 @@ class View:
 
     @property
     def points(self) -> np.ndarray:
-        """(m, 3), of all pixels that see something [m, world]."""
+        """Points (m, 3) [m, world] of all pixels that see something."""
         hit = np.isfinite(self.depth)
         return self.camera.eye + self.depth[hit][:, None] * self.camera.rays()[hit]
 
@@ -191,7 +191,7 @@ def incidence(view: View, solids: Sequence[Solid]) -> np.ndarray:
 
 
 def _window(item: Solid, camera: Camera) -> tuple[slice, slice] | None:
-    """The rectangle of the image that a solid can be seen in, if any."""
+    """The rectangle of the image in which a solid can be seen, if any."""
     T, lens = item.T_world_solid, camera.intrinsics
     corners = item.corners @ T[:3, :3].T + T[:3, 3]
     x, y, z = camera.T_world_camera[:3, :3].T @ (corners - camera.eye).T

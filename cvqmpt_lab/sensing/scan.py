@@ -38,7 +38,7 @@ class Arm(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ScanSettings:
-    """How a scan is cleaned."""
+    """Settings of a scan's filters."""
 
     level: bool = False  # level the table, because the single camera's pose is unknown
     # middle of the levelled table's near edge [m]
@@ -60,7 +60,7 @@ class ScanSettings:
 
 
 class Step(NamedTuple):
-    """What one filter did."""
+    """Report of one filter."""
 
     name: str
     before: int  # points before it
@@ -68,7 +68,7 @@ class Step(NamedTuple):
 
 
 class Levelled(NamedTuple):
-    """How a scan was put level."""
+    """How a scan was levelled."""
 
     T_world_camera: FloatArray  # (4, 4), where the camera therefore stands [m]
     plane: SupportingPlane  # what it was levelled by, in the camera's frame
@@ -101,7 +101,7 @@ def scan(
     rng: np.random.Generator,
     arm: Arm | None = None,
 ) -> Scan:
-    """Merge captures, level them if asked to, and clean them by crop, voxels, robot and outliers.
+    """Merge captures, level them if wanted, and filter them by crop, voxels, robot and outliers.
 
     arm: the robot while the scan was taken; its points are removed.
     InvalidInputError: nothing is left, there is no supporting plane, or several captures are to be
@@ -147,7 +147,7 @@ def refuse_touching(scene: Scene, arm: Arm) -> None:
 
 
 def _level(captures: Sequence[Cloud], settings: ScanSettings, rng: np.random.Generator) -> Levelled:
-    """By the table that the only capture shows."""
+    """Level the only capture by the table that it shows."""
     if len(captures) != 1:
         raise InvalidInputError(
             f"{len(captures)} captures cannot be levelled by a table; give the pose of each camera"

@@ -21,7 +21,7 @@ PUBLISHED_CAMERAS = cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (4
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """Where cameras stand and how their points are thinned; by default the published kitchen's."""
+    """Poses of virtual cameras and thinning of their points; default: the published kitchen's."""
 
     # by default those of the published kitchen clouds
     cameras: tuple[Camera, ...] = PUBLISHED_CAMERAS

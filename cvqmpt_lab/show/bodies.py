@@ -1,7 +1,6 @@
-"""What is seen of a scene, a robot, a solution and a task: bodies with a mesh, a colour and poses.
+"""Visible bodies of a scene, robot, solution or task, with a mesh, a colour and poses.
 
-Still pictures, films, web pages and recordings all show these; none of them knows a planner or how
-a constraint looks.
+Pictures, films, web pages and recordings show them without knowing planners or constraints.
 """
 
 import re
@@ -63,7 +62,7 @@ HIDDEN = ("walls/right",)
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A mesh in one colour, and where it is at every state."""
+    """A mesh in one colour, and its pose at every state."""
 
     group: str  # what it is, in legends
     layer: str  # what is drawn together: "scene", "goals/0", "path"
@@ -82,7 +81,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Everything that is seen of a problem, a solution or a task."""
+    """Everything that is shown of a problem, a solution or a task."""
 
     title: str
     scene: Sequence[Body]  # what stands still
@@ -294,9 +293,9 @@ def constraint_marks(
 ) -> Iterator[Mesh]:
     """Planes, lines, arcs and cones of a problem's regions around a path.
 
-    A plane or line is drawn where the origin of e in w may move; a cone, at both ends of the path,
-    where its axis may point that turns about itself freely; an arc is the way of a region that
-    hangs on a door, over the door's range.
+    A plane or line shows where the origin of e in w may be. A cone, at both ends of the path,
+    shows where an axis with free rotation about itself may point. An arc shows the path of a region
+    that is attached to a door, over the door's range.
 
     Args:
         problem: with the regions.

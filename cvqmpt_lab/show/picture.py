@@ -207,7 +207,7 @@ def _scene_image(scene: Scene, size: tuple[int, int]) -> np.ndarray:
 
 
 def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 450)) -> list[str]:
-    """Write `task_image` as a PNG; the names in it."""
+    """Write `task_image` as a PNG; return the names in it."""
     image, names = task_image(solution, size)
     write_png(Path(path), image)
     return names

@@ -13,7 +13,7 @@ from cvqmpt_lab.show.meshes import Colour, Mesh, joined, unit
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """Where a picture is taken from: a pinhole, z up."""
+    """A viewpoint: a pinhole camera, z up."""
 
     eye: tuple[float, float, float] = (-1.7, -2.0, 1.75)  # [m]
     target: tuple[float, float, float] = (0.4, -0.1, 0.5)  # in the middle of the picture [m]
@@ -132,9 +132,10 @@ def _fill_small(
 ) -> None:
     """Draw many small triangles at once, like `rasterise`; of equally near ones the first counts.
 
-    face, nearest: (rows, columns), changed. faces: their numbers (k,). edges: (k, 4, 3), nearness
-        and corner weights of a pixel (x, y, 1). low, high: (k, 2), first pixel of each and the one
-        after its last, at most side away.
+    face, nearest: (rows, columns), changed.
+    faces: their numbers (k,).
+    edges: (k, 4, 3), nearness and corner weights of a pixel (x, y, 1).
+    low, high: (k, 2), first pixel of each and the one after its last, at most side away.
     """
     x, y = low[:, 0, None, None] + np.arange(side), low[:, 1, None, None] + np.arange(side)[:, None]
     a, b, c = (edges[..., k, None, None] for k in range(3))
@@ -230,10 +231,7 @@ class Picture:
     ghosts: list[np.ndarray] = field(default_factory=list)
 
     def blend(self, layer: Layer, coincide: float = 0.01) -> None:
-        """Blend a layer over the picture.
-
-        Where it stands as a body that is drawn already, to `coincide` [m], that one alone is seen.
-        """
+        """Blend a layer over the picture; if translucent, not within `coincide` [m] of bodies."""
         view = layer.view
         at = view.rows, view.columns
         in_front = view.depth < self.depth[at] - 1e-3

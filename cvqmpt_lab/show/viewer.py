@@ -13,7 +13,7 @@ SETTLE_SECONDS = 2.0  # a viewer that cannot open its window gives up sooner
 
 
 def check_viewer() -> None:
-    """InvalidInputError when no window can be opened here."""
+    """Raise InvalidInputError if no window can be opened here."""
     windows = not sys.platform.startswith("linux")
     if not (windows or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InvalidInputError(

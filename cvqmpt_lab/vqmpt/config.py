@@ -65,7 +65,7 @@ class DictionaryConfig:
     decoder_dropout: float = 0.5
     commitment: float = 0.25  # beta of the quantization loss
     data_initialised: bool = False
-    """Codes start, and unused ones restart, at encoded waypoints (`Quantizer.restart_codes`)."""
+    """Start and restart codes from data (`Quantizer.restart_codes`); else only by gradient."""
 
     def __post_init__(self) -> None:
         require_sizes(n_position=self.n_position, n_codes=self.n_codes, code_dim=self.code_dim)

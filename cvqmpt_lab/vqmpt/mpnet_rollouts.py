@@ -39,7 +39,7 @@ PART = "mpnet"
 
 @dataclass(frozen=True, kw_only=True)
 class RolloutSettings:
-    """How far rollouts go."""
+    """Limits of rollouts."""
 
     rollouts: int = 10  # tried before giving up
     predictions: int = 10  # states of one rollout
@@ -78,7 +78,7 @@ class MPNetNetwork:
             )
 
     def draw_points(self, cloud: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Points (n_points, 3) of a cloud (m, 3) [m], shuffled, repeated if they are too few."""
+        """Shuffled points (n_points, 3) of a cloud (m, 3) [m]; errors as of `checked_cloud`."""
         points = checked_cloud(cloud)
         return points[rng.permutation(len(points))[np.arange(self.config.n_points) % len(points)]]
 
@@ -139,7 +139,7 @@ class _Layer:
 
 
 class Rollout(NamedTuple):
-    """What the network proposed from start to goal."""
+    """States and proposals of one rollout from start to goal."""
 
     states: np.ndarray  # (k, n) [rad or m]
     meeting: int  # row after which the other side's states come
@@ -149,7 +149,7 @@ class Rollout(NamedTuple):
 
 
 class MPNetRollouts:
-    """A trained MPNet as a proposer of whole paths; see the module."""
+    """A trained MPNet that proposes whole paths; see the module."""
 
     def __init__(
         self,
@@ -223,7 +223,7 @@ class _Run:
         return path
 
     def _rollout(self, start: np.ndarray, goal: np.ndarray) -> Rollout | str:
-        """Let both sides grow in turn until they meet; or why there is no rollout."""
+        """Grow both sides in turn until they meet; on failure, the reason as text."""
         robot, space = self.query.space.robot, self.query.space
         sides: tuple[list[np.ndarray], list[np.ndarray]] = ([start], [goal])
         # the last state of each side in [-1, 1]

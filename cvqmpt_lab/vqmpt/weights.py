@@ -45,7 +45,7 @@ SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
 
 
 class OtherRobotError(InvalidInputError):
-    """Weights of one robot were about to be used for another."""
+    """Weights of one robot are used for another."""
 
 
 @dataclass(frozen=True)
@@ -357,7 +357,7 @@ def _signature(model: str, kind: str) -> RobotSignature:
 
 
 def incompatibility(model: str, kind: str, robot: RobotSignature) -> str:
-    """Why the weights of a model of a kind, a name of `SHIPPED`, cannot serve a robot, or ""."""
+    """Why a model of a kind (a name of `SHIPPED`) does not fit a robot, or ""."""
     try:
         _signature(model, kind).require_same(robot)
     except OtherRobotError as error:
@@ -366,7 +366,7 @@ def incompatibility(model: str, kind: str, robot: RobotSignature) -> str:
 
 
 def robot_signature(robot: Any) -> RobotSignature:
-    """What weights are compared with."""
+    """Signature of a robot, with which weights are compared."""
     limits = tuple(robot.lower.tolist()), tuple(robot.upper.tolist())
     return RobotSignature(robot.name, *limits, tuple(robot.joint_names), robot.kinematics_digest)
 
