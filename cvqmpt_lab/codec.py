@@ -36,11 +36,9 @@ cached: Any = cache
 
 
 def from_plain(kind: Any, value: Any, where: str = "", complete: bool = False) -> Any:
-    """Make a value of type `kind` from json, or check one; errors begin with the field's path.
+    """Make a value of type `kind` from json, or check one; errors begin with its path, `where`.
 
-    Args:
-        where: path of the value, which goes before the path in it.
-        complete: fields with a default must be given too.
+    complete: fields with a default must be given too.
     """
     return _reader(kind, complete)(value, where)
 

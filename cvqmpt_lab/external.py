@@ -202,7 +202,7 @@ def _origin(module: str) -> str:
 
 
 def _states(answer: Any, n: int, longest_step: float = 0.1) -> np.ndarray:
-    """States (m, n) of an answer, at most longest_step [rad or m] apart: some are added between.
+    """States (m, n) of an answer, some added, at most longest_step [rad or m] apart.
 
     Raises InvalidInputError for what is no path.
     """

@@ -222,7 +222,7 @@ def yaml_value(text: str) -> Any:
                 raise InvalidInputError(f"key {twice!r} occurs twice")
             return super().construct_mapping(node, deep)
 
-    # 1e-3 too
+    # yaml 1.1 takes 1e-3 for text
     number = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
     return yaml.load(text, Loader)

@@ -101,13 +101,13 @@ def dry_run(
     if motion.times is None or not usable:
         certificate = certify(problem, JointPath(states))
         return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states)
-    # a slider moves points by it
+    # [m] a hinge moves points by at most the diameter times dq, a slider by dq
     apart = max(2.0 * reach_with(robot, problem.attachments), 1.0) * robot.dof * FLAT
     runs = []
     for name, curve in _curves(motion).items():
         times = _moments(curve, robot.joint_limits)
         states = curve(times)
-        # a quintic has them at its points
+        # a quintic has the stated accelerations at its points already
         stated = motion.accelerations if name == "cubic" else None
         certificate = certify(problem, JointPath(states), problem.collision_checker(apart))
         every = (

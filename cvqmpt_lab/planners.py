@@ -41,7 +41,7 @@ class Method:
     # makes the stages for a problem's robot and attachments, and a model
     build: Callable[[PlanningProblem, str], Stages]
     weights: str | None = None  # kind of weights it needs, a key of `vqmpt.weights.SHIPPED`
-    # charts of the manifold need more joints than the constraint has bounded rows
+    # whether it needs charts of the manifold, and so more joints than bounded rows
     needs_charts: bool = False
     model: str | None = None  # name or folder of its weights; None for the shipped ones
     sampler: SamplerChoice | None = None  # of a learned sampler under the paper's search
@@ -196,13 +196,9 @@ def is_removed(name: str) -> bool:
 
 
 def planner_named(name: str, model: str | None = None) -> Method:
-    """The planner or control of that name.
+    """The planner or control of that name, or an external one, see `cvqmpt_lab.external`.
 
-    External planners are ``package.module:planner`` and entry points, see `cvqmpt_lab.external`.
-
-    Args:
-        name: of the planner.
-        model: name or folder of its weights; None for the shipped ones.
+    model: name or folder of its weights; None for the shipped ones.
     """
     if name in _RENAMED:
         raise InvalidInputError(

@@ -94,7 +94,7 @@ class CollisionChecker:
         self._own = pin.TreeBroadPhaseManager_DynamicAABBTreeCollisionManager(
             self._model, self._geometry, self._own_results
         )
-        # tip first, without the base
+        # links in order from the tip, without the base
         phases = list(enumerate(self._own.getBroadPhaseManagers()))[:0:-1]
         links = [(k, phase.getManager(), phase.getCollisionObjects()) for k, phase in phases]
         self._links = [link for link in links if link[1].size() > 0]
@@ -107,7 +107,7 @@ class CollisionChecker:
         pairs = [(p.first, p.second) for p in self._geometry.collisionPairs]
         self._own_pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
         self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments) + clearance))
-        # broad phases by inflation; the objects, whose boxes they read, must outlive them
+        # broad phases by inflation [m], with the objects whose boxes they read: both must live on
         self._worlds: dict[
             float, tuple[coal.DynamicAABBTreeCollisionManager, list[coal.CollisionObject]]
         ] = {}
@@ -156,7 +156,7 @@ class CollisionChecker:
     @staticmethod
     def _needed(moved: np.ndarray, margin: float) -> np.ndarray:
         """Distances [m] that coal must report where points may have moved that far."""
-        # coal never reports less than the distance
+        # coal never reports less than the true distance
         return (moved + margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)
 
     def moved(self, q: np.ndarray, hull: np.ndarray) -> float:

@@ -15,10 +15,7 @@ from cvqmpt_lab.robot.robot import Robot
 class Sweep:
     """Motion bounds of a robot's links, for many hulls of configurations at once.
 
-    Args:
-        robot: the robot.
-        geometry: its pieces; `between` bounds their collision pairs.
-        links: joint ids of the links whose motion in the world `in_world` bounds.
+    `in_world` bounds the links with these joint ids; `between` the geometry's collision pairs.
     """
 
     def __init__(self, robot: Robot, geometry: pin.GeometryModel, links: Sequence[int]) -> None:

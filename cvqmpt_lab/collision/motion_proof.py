@@ -16,14 +16,14 @@ import numpy as np
 from cvqmpt_lab.collision.exact import CollisionChecker
 
 LONGEST = 0.2  # [rad] half of a stretch that is tried first
-# [rad] half of a stretch that is not cut further if it cannot be proven and its middle is free
+# [rad] half of the shortest stretches: unproven ones whose middle is free are not cut further
 FINEST = 1e-7
-# [rad] the same after the first such stretch, or after MOST_FINE looks at shorter ones
+# [rad] the same after the first such stretch, or after MOST_FINE checks of shorter ones
 COARSE = 1e-4
 MOST_FINE = 4000  # about 0.2 s; else sliding along an obstacle at micrometres would take hours
-# [rad] half of a stretch, or less, whose middle is checked for a collision if it is not proven
+# [rad] of unproven stretches with at most this half length, the middle is checked for collision
 DOUBTFUL = 0.01
-# stretches in one call, next to each other, so that little is wasted before a collision
+# neighbouring stretches in one call: few, because work behind a collision is wasted
 BATCH = 64
 
 

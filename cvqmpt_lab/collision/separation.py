@@ -148,7 +148,7 @@ class ConvexShapes(NamedTuple):
     translation: Annotated[np.ndarray, "shapes 3"]  # Position of the core in its owner's frame [m]
     vertex_start: Annotated[np.ndarray, "int64 shapes"]  # First column of ``vertices``
     vertex_count: Annotated[np.ndarray, "int64 shapes"]  # Number of columns of ``vertices``
-    # Of all hulls; rows of coordinates, so that loops vectorise [m]
+    # of all hulls, a row a coordinate, so that loops vectorise [m]
     vertices: Annotated[np.ndarray, "3 vertices"]
 
 

@@ -10,10 +10,10 @@ from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.robot.robot import Robot
 
-# no entry of the rotation vector has a larger second derivative, per squared sum of the joints'
-# turns: |Jl^-1| is at most pi / 2, its derivative 1.29, and the angular velocity changes by half
+# Bound on the second derivative of a rotation vector's entry per D^2, D = sum_j |dq_j|: |Jl^-1| is
+# at most pi / 2, its derivative 1.29, and the angular velocity changes by half.
 BEND = 2.81
-# nor a larger first one, up to angle pi, where the rotation vector changes its sign
+# Bound on the first derivative per D, up to angle pi, where the rotation vector changes its sign.
 RATE = 0.5 * np.pi
 ROUNDS = 4  # how often stretches are cut
 

@@ -136,7 +136,7 @@ def _along(point: Vector, direction: Vector) -> np.ndarray:
     """A frame (4, 4) at a point whose z axis points along a direction."""
     if not any(direction):
         raise InvalidInputError("the direction is 0, 0, 0")
-    # of a length whose square is a number
+    # scaled, so that the squared length is neither 0 nor infinite
     z = np.ldexp(direction, -np.frexp(np.abs(direction).max())[1])
     z /= np.linalg.norm(z)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)

@@ -114,11 +114,7 @@ def write_link_poses(
 
 
 def link_poses(kinematics: Kinematics, configurations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses of all joint frames, see `forward_kinematics`.
-
-    Args:
-        kinematics: the tree.
-        configurations: (m, n) [rad or m].
+    """Poses of all joint frames at configurations (m, n) [rad or m], see `forward_kinematics`.
 
     Returns:
         Rotations (m, n + 1, 3, 3) and translations (m, n + 1, 3) [m].

@@ -280,7 +280,7 @@ def group_states(robot: Robot) -> dict[str, dict[str, float]]:
             joints = states.setdefault(state.get("name", ""), {})
             for joint in state.iter("joint"):
                 values = joint.get("value", "").split()
-                # a joint of several coordinates is none of an arm's
+                # an arm has no joints of several coordinates
                 if len(values) == 1:
                     joints[joint.get("name", "")] = float(values[0])
     except (ElementTree.ParseError, ValueError) as error:

@@ -72,7 +72,7 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
         pin.JointModelRZ() if item.kind == "hinge" else pin.JointModelPZ(),
         pin.SE3(item.T_world_joint),
         item.name,
-        # effort
+        # no effort limit
         np.full(1, np.inf),
         np.array([item.velocity], dtype=float),
         np.array([item.lower], dtype=float),

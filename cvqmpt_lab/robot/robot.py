@@ -215,12 +215,7 @@ class Robot:
         return float(max(ends))
 
     def pose(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
-        """T_world_frame (4, 4) of the end effector or the named frame.
-
-        Args:
-            q: configuration (n,) [rad or m].
-            frame: name of a body frame.
-        """
+        """T_world_frame (4, 4) of the end effector or a named body frame, at q (n,) [rad or m]."""
         return self.poses(np.asarray(q)[None], frame)[0]
 
     def poses(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:

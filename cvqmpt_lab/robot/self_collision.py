@@ -28,7 +28,7 @@ from cvqmpt_lab.robot.urdf import Urdf
 GAP = 0.01
 # reasons for leaving out a pair
 FIXED, ADJACENT, APART = "fixed to each other", "adjacent", "proven apart"
-# before the share of random states; before what an SRDF says
+# beginnings of two more: the share of random states follows, or the reason of an SRDF
 OVERLAP, FROM_SRDF = "overlap in ", "SRDF: "
 
 Pair = tuple[str, str]

@@ -276,7 +276,7 @@ def in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path]
     named = os.environ.get(ROS_VARIABLE, "").split(os.pathsep)
     ros_folders = [Path(name) for name in named if name]
     for folder in (*package_dirs, *ros_folders, *urdf.resolve().parents, _installed_share()):
-        # the folder holds the package, or is it
+        # the folder holds the package, or is the package
         if (folder / package / rest).is_file():
             return folder / package / rest
         if folder.name == package and (folder / rest).is_file():

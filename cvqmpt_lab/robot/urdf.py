@@ -120,7 +120,7 @@ def read_urdf(path: Path) -> Urdf:
 
 
 def _joint(element: ElementTree.Element, path: Path) -> Joint:
-    # what is left out has no attributes
+    # stands for elements that the file leaves out: it has no attributes
     nothing = ElementTree.Element("nothing")
     parts = {part.tag: part for part in reversed(element)}
     parent, child, limit, mimic = (

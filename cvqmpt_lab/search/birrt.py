@@ -105,9 +105,7 @@ def grow(
     first: int,
     reach: float,
 ):
-    """Grow both trees towards samples[first:] (m, n) until they meet.
-
-    reach: longest extension towards a sample [rad].
+    """Grow both trees towards samples[first:] (m, n), by `reach` [rad] at most, until they meet.
 
     Returns:
         GROWING (samples used up), CONNECTED (trees.meeting holds the nodes) or FULL (capacity used

@@ -69,17 +69,17 @@ class RoadmapArrays(NamedTuple):
     nodes: Annotated[np.ndarray, "rows n"]  # configurations, projected in place [rad or m]
     neighbours: Annotated[np.ndarray, "int32 inner links"]  # nodes that a row leads to, or -1
     edge: Annotated[np.ndarray, "int8 inner links"]  # verdicts on those edges
-    goal_edge: Annotated[np.ndarray, "int8 inner goals"]
     # verdicts on the edges from each row to each goal; BLOCKED where there is none
+    goal_edge: Annotated[np.ndarray, "int8 inner goals"]
     node: Annotated[np.ndarray, "int8 rows"]  # verdicts
     penalty: float  # edges at a node cost 1 + penalty * |F| times their length
     longest: float  # [rad] paths that cost as much or more are not searched for
     clearance: Annotated[np.ndarray, "rows"]  # [m] of nodes; inf: not yet read
-    lowest: Annotated[np.ndarray, "inner exits"]
     # smallest clearance [m] read so far along each edge, and along those to each goal
-    known: Annotated[np.ndarray, "int32 inner exits"]
+    lowest: Annotated[np.ndarray, "inner exits"]
     # 4 times how many clearances were read along an edge, plus `_state` of its ends at that time
-    # >= 1, how much longer edges at a node count; 0: not yet computed
+    known: Annotated[np.ndarray, "int32 inner exits"]
+    # f(q) >= 1 of each node; 0: not yet computed
     factor: Annotated[np.ndarray, "rows"]
     to_go: Annotated[np.ndarray, "rows"]  # distance to the nearest goal [rad]
     cost: Annotated[np.ndarray, "rows"]  # from the start, in a search
@@ -362,7 +362,7 @@ def search(
             return NO_PATH, 0, searched + 1
         good = True
         for i in range(length - 2, 0, -1):
-            # all of them: cheaper than another search
+            # check all nodes: cheaper than another search
             if not _node_free(space, roadmap, path[i], drift):
                 good = False
         if not good:

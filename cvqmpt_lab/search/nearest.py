@@ -126,7 +126,7 @@ def _square_of_box(box, i, target):
     for j in range(target.shape[0]):
         outside = max(max(box[i, 0, j] - target[j], target[j] - box[i, 1, j]), 0.0)
         square += outside * outside
-    # lowered against rounding
+    # lowered, so that rounding never makes it too large
     return (1.0 - 1e-12) * square
 
 

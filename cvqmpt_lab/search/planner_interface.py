@@ -225,7 +225,7 @@ class Proposal:
     detail: str = ""  # a few words about it for the result's row
     fallback: str = ""  # why this is not what the planner's name promises, or ""
     vertices: int = 0  # nodes of searches made on the way
-    # on the manifold and free; the search then has nothing left to do
+    # on the manifold and free: nothing is searched
     path: JointPath | None = None
     failure: PlanStatus | None = None  # why searching is pointless, or None
     as_is: bool = False  # of an external planner, see `PlanResult.as_is`
@@ -294,12 +294,7 @@ def search(
 ) -> PlanResult:
     """Search from a proposal with the rest of the budget; time and work of both are added up.
 
-    Args:
-        method: the search.
-        query: what is planned.
-        proposal: where to sample, or a path at once.
-        near: so many nearest goals are tried alone first; 0 for all goals at once.
-        near_share: of the budget, for the nearest goals.
+    near: so many nearest goals are tried alone first, for near_share of the budget; 0: none are.
     """
     deadline, sampler = query.deadline, proposal.distribution.name
     if proposal.path is not None:

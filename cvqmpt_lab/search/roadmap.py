@@ -47,13 +47,9 @@ UNIFORM, HALTON = "uniform", "halton"
 def nearest_rows(
     nodes: np.ndarray, targets: np.ndarray, count: int, apart: bool = False
 ) -> np.ndarray:
-    """Rows (t, count) of the nodes nearest to each target, nearest first.
+    """Rows (t, count) of the nodes (N, n) nearest to each target (t, n) [rad], nearest first.
 
-    Args:
-        nodes: (N, n) [rad].
-        targets: (t, n) [rad].
-        count: of rows, at most N.
-        apart: targets are the nodes; a node is not its own neighbour.
+    apart: targets are the nodes; a node is not its own neighbour.
     """
     squares = (targets**2).sum(axis=1)[:, None] + (nodes**2).sum(axis=1) - 2.0 * targets @ nodes.T
     if apart:

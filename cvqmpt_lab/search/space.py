@@ -67,10 +67,7 @@ class SpaceSettings:
 class ConstrainedSpace:
     """Compiled arrays of a problem, and counters of the work done with them.
 
-    Args:
-        problem: the planning problem.
-        backend: state checks are "compiled", or "exact" by coal; all else is the same code.
-        settings: step sizes and tolerances.
+    backend: state checks are "compiled", or "exact" by coal; all else is the same code.
     """
 
     # start and goals that only the conservative check blocks: near them exact checks decide

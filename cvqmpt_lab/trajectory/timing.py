@@ -208,7 +208,7 @@ def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) ->
         joint_names=limits.joint_names,
         times=slower * times,
         positions=curve.spline(grid),
-        # no -0.0
+        # + 0.0 turns -0.0 into 0.0
         velocities=first * speeds[:, None] / slower + 0.0,
         accelerations=(second * squared[:, None] + first * a[:, None]) / slower**2,
         deviation=curve.deviation,
