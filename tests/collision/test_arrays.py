@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from cvqmpt_lab import files
+from cvqmpt_lab import caches
 from cvqmpt_lab.collision import arrays, geometry
 from cvqmpt_lab.collision.arrays import stored_robot_geometry
 from cvqmpt_lab.collision.geometry import ShapeSpec
@@ -43,7 +43,7 @@ def test_a_robots_arrays_are_made_once_and_the_same_from_disk_unless_the_file_is
         assert stored_robot_geometry(*arm(0.6)).largest == first.largest
     path.chmod(0o666)
     with pytest.warns(UserWarning, match="others can write"):
-        monkeypatch.setattr(files, "_WARNED", threading.Event())
+        monkeypatch.setattr(caches, "_WARNED", threading.Event())
         assert stored_robot_geometry(*arm(0.6)).largest == first.largest
     path.chmod(0o644)
     assert len(made) == 5

@@ -2,7 +2,6 @@
 
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -114,11 +113,11 @@ def test_without_a_place_for_the_cache_a_roadmap_is_made_all_the_same(
 def test_a_full_or_read_only_cache_keeps_nothing_and_a_roadmap_is_made(
     cache, slider_arm, monkeypatch, fault
 ):
-    def refused(*arguments):
+    def refused(*arguments, **named):
         raise OSError(*fault)
 
     with monkeypatch.context() as broken:
-        broken.setattr(Path, "write_bytes", refused)
+        broken.setattr(np, "savez", refused)
         made = fresh(slider_arm)
     assert len(made.nodes) > 0 and not list(cache.iterdir())
     np.testing.assert_array_equal(fresh(slider_arm).nodes, made.nodes)
