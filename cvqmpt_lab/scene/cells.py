@@ -7,8 +7,7 @@ import numpy as np
 from cvqmpt_lab.scene.shapes import Measured, OccupancyMap, PointCloud, require_resolution
 from cvqmpt_lab.values import FloatArray
 
-# clouds of more points are checked as boxes, which hold the balls and a little more
-MOST_BALLS = 1000
+MOST_BALLS = 1000  # larger clouds are checked as boxes that hold their balls
 CELL = np.sqrt(2.0)  # edge of a cloud's cells, in radii of its balls
 
 
@@ -48,8 +47,7 @@ def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf
     else:
         points, edge, padding = shape.centres, shape.resolution, shape.padding
         half = 0.5 * edge
-    # a coordinate each: many times as fast as rows of three
-    columns = np.ascontiguousarray(points.T)
+    columns = np.ascontiguousarray(points.T)  # by coordinate: many times as fast as by rows
     if reach < np.inf:
         away = T_parent_shape[:3, :3] @ columns + T_parent_shape[:3, 3:]
         farthest = reach + np.sqrt(3.0) * half + padding

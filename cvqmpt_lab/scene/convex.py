@@ -76,8 +76,7 @@ class FilledCells:
         first, last = self._cells_of(np.array([low, high]), self._share.shape)
         x, y, z = (self._low[k] + self._cell * np.arange(first[k], last[k] + 1) for k in range(3))
         a, b, c, d = planes.T
-        # of every column of cells and plane, at z = 0
-        beyond = (x[:, None, None] * a + y[:, None] * b) + d
+        beyond = (x[:, None, None] * a + y[:, None] * b) + d  # per column and plane, at z = 0
         up, down, along = c > 0.0, c < 0.0, c == 0.0
         top = (beyond[..., up] / -c[up]).min(axis=2, initial=np.inf)
         bottom = (beyond[..., down] / -c[down]).max(axis=2, initial=-np.inf)
@@ -234,8 +233,7 @@ def convex_pieces(triangles: FloatArray, enough: float = 0.02) -> tuple[FloatArr
     Raises InvalidInputError where the mesh as a whole spans no volume.
     """
     edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
-    # flat ones among them can close a mesh
-    without_points = triangles[edges.min(axis=1) > 0.0]
+    without_points = triangles[edges.min(axis=1) > 0.0]  # flat ones can close a mesh
     flat = 1e-12 * edges.max(axis=1) ** 2
     triangles = triangles[trimesh.triangles.area(triangles) > flat]
     points = triangles.reshape(-1, 3)
@@ -243,8 +241,7 @@ def convex_pieces(triangles: FloatArray, enough: float = 0.02) -> tuple[FloatArr
     closed = as_mesh(triangles).is_watertight or as_mesh(without_points).is_watertight
     whole = Piece(triangles, points.min(axis=0), points.max(axis=0), FilledCells(triangles, closed))
     most = enough * whole.faces.volume
-    # final: those that cannot be cut
-    parts, final = [whole], list[Piece]()
+    parts, final = [whole], list[Piece]()  # final: those that cannot be cut
     while parts and len(parts) + len(final) < MOST_PIECES:
         if sum(part.excess for part in parts) <= most:
             break
@@ -334,8 +331,7 @@ def spread_points(triangles: FloatArray, count: int, most: int = 400_000) -> Flo
     area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     k = np.arange(count)
     which = np.searchsorted(area, (k + 0.5) / count * area[-1]).clip(max=len(area) - 1)
-    # evenly spread in the square
-    u, v = (k * 0.7548776662466927) % 1.0, (k * 0.5698402909980532) % 1.0
+    u, v = (k * 0.7548776662466927) % 1.0, (k * 0.5698402909980532) % 1.0  # evenly in the square
     u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
     return a[which] + u[:, None] * (b - a)[which] + v[:, None] * (c - a)[which]
 
@@ -343,12 +339,10 @@ def spread_points(triangles: FloatArray, count: int, most: int = 400_000) -> Flo
 def _thickened(points: FloatArray) -> FloatArray:
     """Points (2 k, 3) whose hull holds the points and is thick enough, whatever they are."""
     centred = points - points.mean(axis=0)
-    # rows: the direction in which they extend least, first
-    turned = np.linalg.eigh(centred.T @ centred)[1].T
+    turned = np.linalg.eigh(centred.T @ centred)[1].T  # rows: the thinnest direction first
     low, high = (points @ turned.T).min(axis=0), (points @ turned.T).max(axis=0)
     gap = np.maximum(0.0, 2.0 * MIN_THICKNESS - (high - low)) / 2.0
     if (gap[1:] > 0.0).any():
-        # no more than a line: a box around it
-        low, high = low - gap, high + gap
+        low, high = low - gap, high + gap  # a line at most: a box around it
         return np.array(list(product(*zip(low, high, strict=True)))) @ turned
     return np.concatenate([points - gap[0] * turned[0], points + gap[0] * turned[0]])

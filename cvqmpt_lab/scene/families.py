@@ -56,10 +56,8 @@ def _scattered(rng: np.random.RandomState, count: int, lift: float) -> FloatArra
 
 
 BOARD = 0.02  # [m] thickness of boards and walls
-# dimensions of a random kitchen differ from the published ones by up to this share
-DIMENSION_SPREAD = 0.2
-# beginnings of dimensions that stay
-FIXED = ("floor", "pedestal", "wall", "handle", "knob", "plate")
+DIMENSION_SPREAD = 0.2  # share by which a random kitchen's dimensions may differ
+FIXED = ("floor", "pedestal", "wall", "handle", "knob", "plate")  # dimensions that stay
 
 
 def family_scene(family: str, number: int) -> Scene:

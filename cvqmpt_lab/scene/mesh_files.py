@@ -41,8 +41,7 @@ def read_triangles(path: Path) -> FloatArray:
     suffix = kind_of(path, KINDS, "mesh")
     data = file_bytes(path, "mesh")
     if suffix == ".obj":
-        # comments and names may be in another encoding
-        data = data.decode("utf-8", errors="replace").encode()
+        data = data.decode("utf-8", errors="replace").encode()  # may have another encoding
     with parsing(path, "mesh"):
         mesh = trimesh.load_mesh(io.BytesIO(data), file_type=suffix[1:], process=False)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)

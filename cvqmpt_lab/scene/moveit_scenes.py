@@ -237,8 +237,7 @@ def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Pla
         shapes = _listed(fields.get(plural[kind]), plural[kind])
         poses = _listed(fields.get(f"{kind}_poses"), f"{kind}_poses")
         if not poses and len(shapes) == 1 and fields.get("pose"):
-            # newer messages may say the object's pose alone
-            poses = [None]
+            poses = [None]  # newer messages may give the object's pose alone
         if len(poses) != len(shapes):
             raise InvalidInputError(
                 f"{len(shapes)} {plural[kind]} and {len(poses)} {kind}_poses; give as many"

@@ -43,8 +43,7 @@ class Articulation(Checked):
     lower: float  # of its range, [rad] for a hinge, [m] for a slider
     upper: float  # of its range [rad or m]
     value: float  # where it is now [rad or m]
-    # names of the objects it moves; the scene stores their poses at `value`
-    moves: tuple[Name, ...]
+    moves: tuple[Name, ...]  # names of moved objects; the scene has their poses at `value`
 
     def _check(self) -> None:
         if self.lower > self.upper:

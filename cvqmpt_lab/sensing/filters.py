@@ -45,8 +45,7 @@ class _Piece(NamedTuple):
     link: int  # pose row that carries it
     middle: FloatArray  # (3,) of a ball around it [m]
     radius: float  # of that ball [m]
-    # (f, 4), outward normal n and offset d: x is inside when n x + d <= 0 for all
-    faces: FloatArray
+    faces: FloatArray  # (f, 4), outward normals n and offsets d; inside: all n x + d <= 0
 
 
 def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -> np.ndarray:

@@ -51,22 +51,18 @@ class DepthNoise:
     """Errors of an Azure-Kinect-class camera; standard deviations unless stated otherwise."""
 
     floor: float = 0.0006  # [m] of depths however bright the surface is; assumed
-    # [m / m^2] grows with 1 / s: 17 mm at the end of the range
-    per_light: float = (0.017 - 0.0006) * WEAKEST
+    per_light: float = (0.017 - 0.0006) * WEAKEST  # [m / m^2] of 1 / s; 17 mm at full range
     weakest: float = WEAKEST  # [1/m^2] below this much light there is no depth
     flicker: float = 0.3  # of the logarithm of the light that a pixel gets; assumed
     lateral: float = 0.5  # [pixels] of where a pixel looks
     offset: float = 0.011 / 3.0  # [m] of an image's systematic error
     scale: float = 0.001 / 3.0  # the same, in proportion to depth
     edge_lost: float = 0.3  # share of pixels at edges of surfaces that have no depth; assumed
-    # share of them whose depth lies anywhere between the surfaces'; assumed
-    edge_flying: float = 0.3
-    # [m] mean of what mirrored light adds to the depth of a shiny surface; assumed
-    multipath: float = 0.02
+    edge_flying: float = 0.3  # share of them whose depth lies between the surfaces; assumed
+    multipath: float = 0.02  # [m] mean of the depth that mirrored light adds; assumed
     quantum: float = 0.001  # [m] depths are whole multiples of it
     glare: float = 5.0  # [deg] off its normal at which a shiny surface blinds the camera; assumed
-    # [m] between depths of neighbouring pixels on different solids that count as an edge
-    edge: float = 0.02
+    edge: float = 0.02  # [m] depth step between solids at neighbouring pixels of an edge
 
 
 def measured(
@@ -80,8 +76,7 @@ def measured(
     rows, columns = _shifted_pixels(view.depth.shape, noise.lateral, rng)
     depth, solid = view.depth[rows, columns], view.solid[rows, columns]
     found = solid != NOTHING
-    # 0 where nothing is
-    reflectivity, gloss = (np.append(values, 0.0)[solid] for values in materials)
+    reflectivity, gloss = (np.append(values, 0.0)[solid] for values in materials)  # 0: nothing
     cosine = incidence(view, solids)[rows, columns]
     light = reflectivity * (1.0 - gloss) * cosine / depth**2  # s [1/m^2]
     light = np.where((gloss > 0.0) & (cosine > np.cos(np.radians(noise.glare))), 0.0, light)

@@ -21,10 +21,8 @@ class MapSettings:
 
     resolution: float = 0.02  # edge of its cells [m]
     padding: float = 0.0  # distance by which cells are inflated [m]
-    # what cells are that no ray crossed; MoveIt: free
-    unknown: Literal["free", "occupied"] = "free"
-    # corner of the box with unknown cells [m]
-    lower: tuple[float, float, float] = (-1.2, -1.2, -0.4)
+    unknown: Literal["free", "occupied"] = "free"  # cells no ray crossed; MoveIt: free
+    lower: tuple[float, float, float] = (-1.2, -1.2, -0.4)  # corner of unknown cells [m]
     upper: tuple[float, float, float] = (1.2, 1.2, 1.4)  # opposite corner [m, robot base frame]
     robot_margin: float = 0.05  # cells this near to the robot are no unknown ones [m]
 
@@ -81,8 +79,7 @@ def _unknown(
         origin = capture.T_world_camera[:3, 3] / settings.resolution - first
         ends = capture.in_world / settings.resolution - first
         least = np.floor(ends.min(axis=0, initial=0.0)).astype(np.int64)
-        # one ray to each cell is enough
-        ends = distinct(np.floor(ends).astype(np.int64) - least) + least + 0.5
+        ends = distinct(np.floor(ends).astype(np.int64) - least) + least + 0.5  # one ray per cell
         for crossed in _crossed(origin, ends, across):
             known[tuple(crossed.T)] = True
     places = (np.argwhere(~known) + first + 0.5) * settings.resolution

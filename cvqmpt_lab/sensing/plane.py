@@ -11,8 +11,7 @@ from cvqmpt_lab.values import FloatArray
 
 TOLERANCE = 0.01  # [m] from a plane that counts as on it: table tops bend, and cameras err
 CAMERA_UP = np.array([0.0, -1.0, 0.0])  # of an optical frame: x right, y down, z ahead
-# from a table's normal to the camera's up: it may look straight down
-CAMERA_TILT = np.radians(100.0)
+CAMERA_TILT = np.radians(100.0)  # from a table's normal to the camera's up: looking down is fine
 WORLD_TILT = np.radians(15.0)  # the same for the world's up, when the camera's pose is known
 
 

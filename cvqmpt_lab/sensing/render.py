@@ -15,8 +15,7 @@ import numpy as np
 from cvqmpt_lab.sensing.camera import Camera
 
 NOTHING = -1  # in the place of a solid's index
-# [m] corners must lie this far ahead of a camera for their rectangle in the image to be known
-AHEAD = 1e-3
+AHEAD = 1e-3  # [m] least depth of corners that are projected to the image
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,10 +144,8 @@ class View:
     """A depth image of solids."""
 
     camera: Camera
-    # (height, width) [m], along the camera's axis at each pixel's centre; inf: nothing
-    depth: np.ndarray
-    # (height, width) int, index of the solid that is seen; `NOTHING` where none is
-    solid: np.ndarray
+    depth: np.ndarray  # (height, width) [m], along the camera's axis; inf: nothing
+    solid: np.ndarray  # (height, width) int, index of the solid seen, or `NOTHING`
 
     @property
     def points(self) -> np.ndarray:

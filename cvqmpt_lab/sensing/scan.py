@@ -41,14 +41,12 @@ class ScanSettings:
     """Settings of a scan's filters."""
 
     level: bool = False  # level the table, because the single camera's pose is unknown
-    # middle of the levelled table's near edge [m]
-    front: tuple[float, float, float] = (0.3, 0.0, 0.0)
+    front: tuple[float, float, float] = (0.3, 0.0, 0.0)  # middle of the table's near edge [m]
     crop: BoxCrop | BallCrop | None = None  # which points stay [m, robot base frame]; None: all
     voxel: float = 0.01  # edge of the grid in whose cells points are averaged [m]
     robot_margin: float = 0.05  # points this near to the robot are taken for the robot [m]
     neighbours: int = 2  # points with fewer others within three voxels go; 0 keeps all
-    # what becomes of the points of the supporting plane
-    plane: Literal["keep", "box", "remove"] = "keep"
+    plane: Literal["keep", "box", "remove"] = "keep"  # what to do with the plane's points
 
     def __post_init__(self) -> None:
         if not self.voxel > 0.0:

@@ -23,18 +23,14 @@ PUBLISHED_CAMERAS = cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (4
 class CameraSettings:
     """Poses of virtual cameras and thinning of their points; default: the published kitchen's."""
 
-    # by default those of the published kitchen clouds
-    cameras: tuple[Camera, ...] = PUBLISHED_CAMERAS
+    cameras: tuple[Camera, ...] = PUBLISHED_CAMERAS  # of the published kitchen clouds
     obstacles_only: bool = False  # leave out what is no obstacle, such as the floor
     crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)  # which of the merged points stay
-    # [m] edge of the grid in whose cells points are averaged; None: no averaging
-    voxel: float | None = 0.025
+    voxel: float | None = 0.025  # [m] cell in which points are averaged; None: no averaging
     noise: float = 0.0  # [m] standard deviation added to every coordinate of the cloud
     errors: DepthNoise | None = None  # of every camera; None: it measures perfectly
-    # of the objects, for the errors
-    materials: MaterialShares = field(default_factory=MaterialShares)
-    # size of the cloud, drawn at random, repeated if there are fewer; None: all
-    points: int | None = None
+    materials: MaterialShares = field(default_factory=MaterialShares)  # of objects, for errors
+    points: int | None = None  # size of the cloud, random, repeated if too few; None: all
 
     def __post_init__(self) -> None:
         if self.voxel is not None and not self.voxel > 0.0:
@@ -111,8 +107,7 @@ def _solid(item: SceneObject) -> Solid:
         case ConvexMesh(vertices):
             from scipy.spatial import ConvexHull  # a third of a second to import
 
-            # of triangles, several of which may share one
-            planes = ConvexHull(vertices).equations.round(12)
+            planes = ConvexHull(vertices).equations.round(12)  # triangles may share planes
             return Polytope(T, np.unique(planes, axis=0), vertices)
     raise InvalidInputError(
         f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points "

@@ -56,8 +56,7 @@ KIND_COLOURS: Mapping[str, Colour] = {
     "mustard": (0.93, 0.78, 0.22),
     "can": (0.86, 0.24, 0.20),
 }
-# scene objects that stand between the usual viewpoint and the robot
-HIDDEN = ("walls/right",)
+HIDDEN = ("walls/right",)  # objects between the usual viewpoint and the robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,8 +311,7 @@ def constraint_marks(
         if isinstance(region, TaskSpaceRegionChain):
             yield from _arc(problem.robot, region, states[0])
             continue
-        # w, displaced
-        T_world_w = T_world_hand @ np.linalg.inv(region.Tw_e)
+        T_world_w = T_world_hand @ np.linalg.inv(region.Tw_e)  # w, displaced
         rows = set(region.bounded_rows.tolist())
         fixed, free = ([k for k in range(3) if (k in rows) == bound] for bound in (True, False))
         if len(free) in (1, 2):

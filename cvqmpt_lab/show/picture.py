@@ -43,8 +43,7 @@ from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from cvqmpt_lab.tasks.world import World
 
-# a text, and the colour of the swatch before it, if it has one
-Label = tuple[str, Colour | None]
+Label = tuple[str, Colour | None]  # a text, and the colour of its swatch, if it has one
 DRAWN = (Robot, Scene, PlanningProblem, Solution, Task, TaskSolution)
 
 

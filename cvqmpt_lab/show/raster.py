@@ -19,9 +19,8 @@ class Viewpoint:
     target: tuple[float, float, float] = (0.4, -0.1, 0.5)  # in the middle of the picture [m]
     height_angle: float = 0.64  # angle of view from the bottom to the top of the picture [rad]
     near: float = 0.05  # triangles closer to the eye than this are left out [m]
-    # of the sun, seen from the target: to the left of the eye, and above the ground [rad]
-    sun_left: float = 0.14
-    sun_elevation: float = 0.722
+    sun_left: float = 0.14  # angle of the sun to the left of the eye, seen from the target [rad]
+    sun_elevation: float = 0.722  # angle of the sun above the ground [rad]
 
     @property
     def axes(self) -> np.ndarray:
@@ -89,8 +88,7 @@ def rasterise(
         at_once: pixels of such squares.
     """
     screen = viewpoint.screen(mesh.corners, shape)
-    # linear across a triangle on the screen, unlike depth
-    nearness = 1.0 / np.maximum(screen[..., 2], viewpoint.near)
+    nearness = 1.0 / np.maximum(screen[..., 2], viewpoint.near)  # linear on the screen
     weights, area = _corner_weights(screen[..., :2])
     planes = (nearness[..., None] * weights).sum(axis=1)
     low = np.maximum(np.ceil(screen[..., :2].min(axis=1)), 0).astype(int)
@@ -148,8 +146,7 @@ def _fill_small(
     before = flat_nearest[pixel]
     np.maximum.at(flat_nearest, pixel, here)
     wins = (here == flat_nearest[pixel]) & ((here > before) | (f < flat_face[pixel]))
-    # of what is assigned twice the last stays
-    flat_face[pixel[wins][::-1]] = f[wins][::-1]
+    flat_face[pixel[wins][::-1]] = f[wins][::-1]  # of what is assigned twice the last stays
 
 
 def _corner_weights(screen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -227,8 +224,7 @@ class Picture:
 
     image: np.ndarray  # (rows, columns, 3), each channel in [0, 1]
     depth: np.ndarray  # (rows, columns) [m], inf where nothing solid is
-    # the same of each translucent layer over it
-    ghosts: list[np.ndarray] = field(default_factory=list)
+    ghosts: list[np.ndarray] = field(default_factory=list)  # depth of each translucent layer
 
     def blend(self, layer: Layer, coincide: float = 0.01) -> None:
         """Blend a layer over the picture; if translucent, not within `coincide` [m] of bodies."""
@@ -329,8 +325,7 @@ class Stage:
         lit = np.minimum(self._lit(points), shadow.lit(points))
         sky, sunlight = self.viewpoint.light(view.normals[nearer])
         image[at] = mesh.colours[view.face[nearer]] * (sky + lit * sunlight)[:, None]
-        # an outline is where another piece begins to the right or below
-        edge = np.zeros(piece.shape, dtype=bool)
+        edge = np.zeros(piece.shape, dtype=bool)  # pieces that begin right or below
         edge[:, 1:] |= piece[:, 1:] != piece[:, :-1]
         edge[1:] |= piece[1:] != piece[:-1]
         image[edge] *= outline

@@ -38,8 +38,7 @@ class CodeSequence:
     """A predicted sequence."""
 
     codes: tuple[int, ...]  # without the goal token
-    # the goal token was predicted before the length limit; without it the codes lead nowhere
-    finished: bool
+    finished: bool  # ends with the goal token; if not, the codes do not lead to the goal
     score: float  # what the search ranked by
 
 
@@ -75,8 +74,7 @@ def beam_search(
     classes, log_p = decoder.start()
     if np.isnan(log_p).any():
         raise InvalidInputError("predicted logits are not finite; start, goal or weights hold NaN")
-    # impossible classes cannot start a hypothesis
-    most = int(np.isfinite(log_p).sum(axis=1).min())
+    most = int(np.isfinite(log_p).sum(axis=1).min())  # only possible classes start hypotheses
     if not 1 <= beams <= most:
         raise InvalidInputError(f"{beams} beams; give 1 to {most}")
     column, score = _largest(log_p, beams)

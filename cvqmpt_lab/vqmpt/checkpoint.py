@@ -153,14 +153,12 @@ def filled(
     faults = []
     for name, tensor in tensors.items():
         last = name.rsplit(".", 1)[-1]
-        # buffers that follow from the sizes
-        constant = last in ("pos_table", "l_index")
+        constant = last in ("pos_table", "l_index")  # buffers that follow from the sizes
         if constant and (tensor - expected[name]).abs().max() > tolerance:
             faults.append(f"{name} is not that of this model's sizes")
         if last == "running_var" and (tensor < 0.0).any():
             faults.append(f"{name} has negative variances")
-        # planning takes cosines as products with the codes
-        codes = f".{name}".endswith(".embedding.weight")
+        codes = f".{name}".endswith(".embedding.weight")  # planning needs codes of unit length
         if codes and ((tensor.norm(dim=1) - 1.0).abs() > tolerance).any():
             faults.append(f"{name} has codes that are not of unit length")
     _refuse(faults, where)

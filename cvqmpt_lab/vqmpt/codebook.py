@@ -275,8 +275,7 @@ def waypoint_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray
     x = configurations.astype(np.float64)
     for i, (before, after) in enumerate(widths):
         weight, bias = model.linear(DICTIONARY, f"encoder.layers.{2 * i}", before, after)
-        # no activation before the first layer
-        x = (x if i == 0 else np.maximum(x, 0.0)) @ weight.T + bias
+        x = (x if i == 0 else np.maximum(x, 0.0)) @ weight.T + bias  # none before the first
     gain, offset = (
         model.array(DICTIONARY, f"encoder.layers.5.{name}", d) for name in ("weight", "bias")
     )

@@ -58,8 +58,7 @@ class DictionaryConfig:
     ``mlp`` uses only `d_model` and `d_inner` of `transformer`.
     """
     transformer: TransformerConfig = field(default_factory=TransformerConfig)
-    # longest trajectory that the transformer's position table covers [waypoints]
-    n_position: int = 1000
+    n_position: int = 1000  # longest trajectory of the transformer's position table [waypoints]
     n_codes: int = 2048
     code_dim: int = 8
     decoder_dropout: float = 0.5
@@ -102,10 +101,8 @@ class PointCloudConfig:
 class SequenceConfig:
     """Stage 2: scene, start and goal -> sequence of codes."""
 
-    # start and goal attend to the scene
-    context: TransformerConfig = field(default_factory=TransformerConfig)
-    # the autoregressive model
-    transformer: TransformerConfig = field(default_factory=TransformerConfig)
+    context: TransformerConfig = field(default_factory=TransformerConfig)  # of start and goal
+    transformer: TransformerConfig = field(default_factory=TransformerConfig)  # autoregressive
     max_length: int = 50  # tokens predicted at most, the goal token included
 
     def __post_init__(self) -> None:
@@ -118,8 +115,7 @@ class ModelConfig:
 
     kind: Literal["published", "compact"] = "published"
     joint_dim: int = 7
-    # numbers beside the joints, such as link positions [m], flattened (compact only)
-    feature_dim: int = 0
+    feature_dim: int = 0  # features beside the joints, such as link positions [m] (compact only)
     dictionary: DictionaryConfig = field(default_factory=DictionaryConfig)
     # of the sequence model
     point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)
@@ -202,10 +198,8 @@ class MPNetConfig:
     n_points: int = 4120  # of a cloud, drawn at random from what there is
     encoder_widths: tuple[int, ...] = (786, 512, 256)  # hidden layers of the cloud encoder
     code_dim: int = 60  # of an encoded cloud
-    # hidden layers of the planner
-    planner_widths: tuple[int, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)
-    # probability to drop a unit, after every hidden layer of the planner but the last
-    dropout: float = 0.5
+    planner_widths: tuple[int, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)  # of the planner
+    dropout: float = 0.5  # after every hidden layer of the planner but the last
 
     def __post_init__(self) -> None:
         names = ("joint_dim", "n_points", "code_dim", "encoder_widths", "planner_widths")
@@ -232,8 +226,7 @@ def require_point_cloud(points: Any, largest_extent: float = 50.0) -> None:
         )
     if points.shape[-2] < 2:
         raise InvalidInputError(f"point cloud of {points.shape[-2]} points; give at least 2")
-    # of arrays and tensors alike
-    size = abs(points)
+    size = abs(points)  # of arrays and tensors alike
     largest = float(size.max())
     if not largest < math.inf:
         bad = int((~(size < math.inf)).any(-1).sum())
@@ -266,8 +259,7 @@ class SerialChain:
     Sliders have Tz(q_j); T_0 is the robot's base.
     """
 
-    # (n, 3, 3), from one joint's frame to the next
-    rotation: Annotated[FloatArray, Array((None, 3, 3))]
+    rotation: Annotated[FloatArray, Array((None, 3, 3))]  # (n, 3, 3), between joint frames
     translation: Annotated[FloatArray, Array((None, 3), "[m]")]  # (n, 3) [m], likewise
     points: tuple[int, ...]  # (k,), the frame that each point moves with
     offsets: Annotated[FloatArray, Array((None, 3), "[m]")]  # (k, 3) [m], where in that frame

@@ -35,8 +35,7 @@ class LatentSettings:
     steps: int = 5  # at most
     samples: int = 16  # N, draws per code
     delta: float = 1e-3  # a code stops after a step shorter than this
-    # fresh draws per code on which a moved code must be better, or it is moved back
-    check_samples: int = 32
+    check_samples: int = 32  # draws per code on which a moved code must be better to be kept
     mean_decay: float = 0.9  # of Adam
     square_decay: float = 0.999
     tiny: float = 1e-12
@@ -90,8 +89,7 @@ class LatentOptimizer:
         """
         began = time.perf_counter()
         n = len(self._objective.range)
-        # the same draws in every step make L(z) a smooth function
-        noise = rng.standard_normal((self.settings.samples, n))
+        noise = rng.standard_normal((self.settings.samples, n))  # fixed draws: L(z) is smooth
         # judged on other draws, or codes would fit the noise
         fresh = rng.standard_normal((self.settings.check_samples, n))
         z, steps = self._descend(z0, constraint, noise)
@@ -134,8 +132,7 @@ class LatentOptimizer:
             steps[moving] = step
             moving = moving[far & (np.abs(gradient).max(axis=1) > 0.0)]
         z = z.astype(z0.dtype)
-        # rounding of the unit length is no move
-        still = (np.abs(z - z0) <= 1e-6).all(axis=1)
+        still = (np.abs(z - z0) <= 1e-6).all(axis=1)  # rounding of the unit length is no move
         return np.where(still[:, None], z0, z), steps
 
 

@@ -150,8 +150,7 @@ class CodeProposal(Proposal):
     """A proposal that remembers the codes it was made of."""
 
     codes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))  # (c,)
-    # (k, n) that have Gaussians [rad or m]
-    goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # (k, n) [rad or m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,11 +163,9 @@ class LearnedSampler:
     codebook: Codebook
     robot: Robot
     noise: np.ndarray  # (codes, n) standard normal: where in its Gaussian each code's node lies
-    # [rad] no wide Gaussian is narrower in any direction; chosen on the tuning environments
-    width: float = 1.1
+    width: float = 1.1  # [rad] least standard deviation of wide Gaussians, from tuning
     smallest_std: float = 1e-4  # [rad] in any direction, so that covariances stay positive definite
-    # of the Gaussian around each goal, as a share of each joint's range (published code)
-    goal_std: float = 0.1
+    goal_std: float = 0.1  # of goals' Gaussians, share of each joint's range (published code)
     drift: float = 1.5  # [rad] that a projected mean may move; others are left out
 
     def gaussians(

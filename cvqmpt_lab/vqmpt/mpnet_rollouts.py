@@ -43,8 +43,7 @@ class RolloutSettings:
 
     rollouts: int = 10  # tried before giving up
     predictions: int = 10  # states of one rollout
-    # proposals, which dropout makes differ, tested for one state before its rollout is given up
-    attempts: int = 32
+    attempts: int = 32  # proposals (they differ by dropout) per state before giving up
     share: float = 0.1  # of the whole budget, that joining two neighbouring states may take
 
 
@@ -144,8 +143,7 @@ class Rollout(NamedTuple):
     states: np.ndarray  # (k, n) [rad or m]
     meeting: int  # row after which the other side's states come
     met: bool  # otherwise the sides are to be joined by tree growth
-    # the direct motion between the two states that meet, None when there is none
-    joint: JointPath | None
+    joint: JointPath | None  # direct motion between the states that meet, if there is one
 
 
 class MPNetRollouts:
@@ -226,8 +224,7 @@ class _Run:
         """Grow both sides in turn until they meet; on failure, the reason as text."""
         robot, space = self.query.space.robot, self.query.space
         sides: tuple[list[np.ndarray], list[np.ndarray]] = ([start], [goal])
-        # the last state of each side in [-1, 1]
-        told = [_normalised(robot, start), _normalised(robot, goal)]
+        told = [_normalised(robot, start), _normalised(robot, goal)]  # last states in [-1, 1]
         met, joint = False, None
         for turn in range(self.settings.predictions):
             side = turn % 2

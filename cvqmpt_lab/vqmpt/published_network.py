@@ -214,8 +214,7 @@ def _true_places(mask: Tensor) -> tuple[Tensor, Tensor]:
     if mask.device.type != "cpu":
         row, column = mask.nonzero(as_tuple=True)
         return row, column
-    # ten times as fast as torch
-    flat = torch.from_numpy(np.flatnonzero(mask.numpy()))
+    flat = torch.from_numpy(np.flatnonzero(mask.numpy()))  # ten times as fast as torch
     return flat // mask.shape[1], flat % mask.shape[1]
 
 
@@ -364,8 +363,7 @@ class _PrefixDecoder:
     def __init__(
         self, model: PublishedSequenceModel, quantizer: Quantizer, context: Tensor
     ) -> None:
-        # context (rows, 2, d_model)
-        self._model, self._quantizer, self._context = model, quantizer, context
+        self._model, self._quantizer, self._context = model, quantizer, context  # (rows, 2, d)
         self._codes = torch.zeros(len(context), 0, dtype=torch.int64, device=context.device)
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:

@@ -105,8 +105,7 @@ def checked_ends(
         if not np.isfinite(q).all():
             joint = robot.joint_names[int(np.argmin(np.isfinite(q)))]
             raise InvalidInputError(f"{what}: joint {joint!r} is not finite")
-        # rounding may put it outside by 1e-6 rad or m
-        outside = robot.joint_outside_limits(q, 1e-6)
+        outside = robot.joint_outside_limits(q, 1e-6)  # 1e-6 rad or m for rounding
         if outside is not None:
             raise InvalidInputError(
                 f"{what}: joint {outside[0]!r} is {outside[1]:g} outside its limits"

@@ -38,8 +38,7 @@ class SamplerChoice:
     gaussians: str = "decoded"
     update: str = "none"
     cloud: str = "own-cloud"
-    # of samples between the joint limits; at 0 a planner is not probabilistically complete
-    uniform_share: float = 0.0
+    uniform_share: float = 0.0  # of all samples; at 0 planners are not probabilistically complete
     sequences: str = "likeliest"  # of the transformer
 
     def __post_init__(self) -> None:

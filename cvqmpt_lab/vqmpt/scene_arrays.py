@@ -58,8 +58,7 @@ class Arcs(NamedTuple):
 def arcs_of(count: int, edges: np.ndarray) -> Arcs:
     """Arcs of edges (E, 2) between so many nodes."""
     both = np.concatenate([edges, edges[:, ::-1]])
-    # sorted by node, so that the arcs of a node lie together
-    order = np.lexsort((both[:, 1], both[:, 0]))
+    order = np.lexsort((both[:, 1], both[:, 0]))  # by node: a node's arcs lie together
     row, there = both[order].T
     first = np.searchsorted(row, np.arange(count + 1))
     column, width = np.arange(len(row)) - first[row], np.diff(first).max(initial=1)
@@ -154,8 +153,7 @@ class Block:
         norm = layers.norm(f"{name}.norm", width)
         inner_norm = layers.norm(f"{name}.inner_norm", width)
         weight, bias = layers.linear(f"{name}.query", width, width)
-        # 1 / sqrt(d_h), multiplied into the queries
-        scale = np.float32((width // heads) ** -0.5)
+        scale = np.float32((width // heads) ** -0.5)  # 1 / sqrt(d_h), multiplied into the queries
         self.heads, self.width = heads, width
         self.query = norm.then(Linear(scale * weight, scale * bias))
         context_norm = layers.norm(f"{name}.context_norm", width)

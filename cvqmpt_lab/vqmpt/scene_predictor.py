@@ -66,8 +66,7 @@ class EncodedScene:
     edge_odds: np.ndarray  # (E,), log odds of P(edge free)
     arc_cost: np.ndarray  # (2 E,) float64 [rad], length - w log P(free)
     arc_table: np.ndarray  # (N, w) [rad], the same by node, 0 where there is no arc
-    # keys and values for each block that reads landmarks
-    landmarks: tuple[tuple[np.ndarray, np.ndarray], ...]
+    landmarks: tuple[tuple[np.ndarray, np.ndarray], ...]  # keys and values for each block
 
 
 class Ends(NamedTuple):
@@ -107,8 +106,7 @@ class SceneNetwork:
         self._length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         entries = HEAP_ENTRIES * len(self.nodes)
         self._heap = np.empty(entries), np.empty(entries, dtype=np.int32)
-        # not kept: it holds all arrays that were read
-        layers = Layers(model, PART)
+        layers = Layers(model, PART)  # not kept: it holds all arrays that were read
         self._take_scene_layers(layers)
         self._take_roadmap_layers(layers)
         self._take_causal_layers(layers)
@@ -287,8 +285,7 @@ class SceneNetwork:
         """Embed starts or goals q (u, n) [rad], and judge the motions to the codes near them."""
         links = self.config.sizes.links
         squares = ((q[:, None] - self.nodes) ** 2).sum(-1)
-        # links need no order
-        near = np.argpartition(squares, links - 1, axis=1)[:, :links]
+        near = np.argpartition(squares, links - 1, axis=1)[:, :links]  # links need no order
         half_way = 0.5 * (q[:, None] + self.nodes[near])
         states = np.concatenate([q, half_way.reshape(-1, q.shape[1])])
         embeddings = self._embeddings(scene.tokens, states)
@@ -397,8 +394,7 @@ class SequenceDecoder:
         logits[:, :-1] = np.matmul(scene.keys[table], pointer[:, :, None])[..., 0]
         logits[:, :-1] -= gate * np.clip(excess, np.float32(0.0), np.float32(WORST))
         logits[:, :-1][arcs.padding[codes]] = -np.inf
-        # the goal token is possible only at codes that are linked to the goal
-        link = self._link[goal, codes][:, None]
+        link = self._link[goal, codes][:, None]  # the goal token needs a link to the goal
         leads = np.isfinite(link)
         excess = np.where(leads, link, 0.0) - here
         extra = gate * np.clip(excess, np.float32(0.0), np.float32(WORST))
@@ -449,8 +445,7 @@ class SceneTransformerPredictor:
     def _encoded(self, points: np.ndarray, most_points: int) -> EncodedScene:
         sizes = self.network.config.sizes
         if len(points) == 0:
-            # far below the robot, as in training
-            points = np.array([NOWHERE], dtype=np.float32)
+            points = np.array([NOWHERE], dtype=np.float32)  # far below the robot, as in training
         if len(points) > most_points:
             settings = CameraSettings.like_training(most_points, noise=0.0)
             points = thinned(points, settings, np.random.default_rng(0)).astype(np.float32)

@@ -129,8 +129,7 @@ class GeometricAttention(nn.Module):
         )
         self.own_norm, self.norm = nn.LayerNorm(width), nn.LayerNorm(width)
         self.value, self.bias = nn.Linear(width, 4 * values), nn.Linear(width, points)
-        # beta at first [1 / m^2]
-        self.sharpness = nn.Parameter(torch.full((points,), 60.0).log())
+        self.sharpness = nn.Parameter(torch.full((points,), 60.0).log())  # initial beta [1 / m^2]
         self.mix = nn.Sequential(
             nn.Linear(points * (values + 1) + width, 2 * width),
             nn.GELU(approximate="tanh"),
