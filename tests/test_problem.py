@@ -88,10 +88,7 @@ DOOR_OF_FAR_CASING = {
     "T_world_joint": HERE,
     "lower": 0.0,
     "upper": 1.0,
-} | {
-    "parts": [LEAF],
-    "casing": [LEAF | {"name": "post", "T": FAR}],
-}
+} | {"parts": [LEAF], "casing": [LEAF | {"name": "post", "T": FAR}]}
 
 
 @pytest.mark.parametrize(

@@ -73,10 +73,7 @@ def test_a_changed_file_is_not_mixed_with_earlier_rows_and_a_new_one_is_added(
     assert [row.problem for row in added] == ["first-2-carry", "second", "third"]
     assert [added[0], added[1]] == rows and set(
         ProvenanceFile(out).read()["continued"][0]["problem_files"]
-    ) == {
-        "first-2-carry",
-        "third",
-    }
+    ) == {"first-2-carry", "third"}
     capsys.readouterr()
     room = json.loads((folder / "room.json").read_text())
     (folder / "room.json").write_text(json_text({**room, "name": "another room"}))

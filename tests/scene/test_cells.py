@@ -6,14 +6,7 @@ from scipy.spatial import cKDTree
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.cells import (
-    CELL,
-    blocks_of,
-    cells_with,
-    distinct,
-    map_of_points,
-    merged,
-)
+from cvqmpt_lab.scene.cells import CELL, blocks_of, cells_with, distinct, map_of_points, merged
 from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud
 
 

@@ -22,12 +22,7 @@ from cvqmpt_lab.vqmpt import mpnet_rollouts
 from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet
-from cvqmpt_lab.vqmpt.mpnet_rollouts import (
-    MPNetNetwork,
-    MPNetRollouts,
-    RolloutSettings,
-    line_free,
-)
+from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts, RolloutSettings, line_free
 from cvqmpt_lab.vqmpt.weights import RobotSignature, robot_signature
 
 CONFIG = MPNetConfig(
