@@ -23,7 +23,7 @@ pytest_plugins = ["promises"]
 
 @pytest.fixture(scope="session")
 def part(request):
-    """Returns cases of a large comparison: so many of them, evenly spread, or with --long all."""
+    """Cases of a large comparison: `count` of them, evenly spread, or all with --long."""
 
     def chosen(cases, count):
         return cases if request.config.getoption("--long") else cases[:: len(cases) // count]

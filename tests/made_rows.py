@@ -1,4 +1,4 @@
-"""Rows for tests that need no run."""
+"""Made rows for tests without a run."""
 
 import json
 from itertools import zip_longest
@@ -52,12 +52,12 @@ def a_results_folder(tmp_path, **times):
 
 
 def untimed(row):
-    """What must be the same when a run is repeated."""
+    """The columns that a repeated run must reproduce."""
     return {} if row is None else {k: v for k, v in vars(row).items() if not k.startswith("t_")}
 
 
 def differences(rows, again):
-    """A line for every row that differs, naming the first column in which it does."""
+    """A line for every row that differs, with the first column that does."""
     found = []
     for one, two in zip_longest(rows, again):
         old, new = untimed(one), untimed(two)

@@ -1,4 +1,4 @@
-"""Memory that a process holds, as the system and the allocator of the C library count it."""
+"""Memory of a process, by the system and by the C library's allocator."""
 
 import ctypes
 import gc
@@ -16,7 +16,7 @@ class Mallinfo(ctypes.Structure):
 
 
 def resident():
-    """Bytes of memory that the process holds."""
+    """Resident memory of the process [bytes]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 

@@ -50,7 +50,7 @@ def form_of(config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Note at each test what it tries; leave out those without trials in this form."""
+    """Attach its promise to each test; deselect those without trials in this mode."""
     left_out = []
     for item in items:
         if item.get_closest_marker("promise"):

@@ -24,7 +24,7 @@ WORLD = 0  # group of what does not move; group k is carried by joint k
 
 
 class Verdict(NamedTuple):
-    """The deepest overlap that was found."""
+    """The deepest overlap found."""
 
     depth: float  # length [m] of the shortest move that ends it, or less; 0 where nothing overlaps
     pair: tuple[str, str] = ("", "")
@@ -118,7 +118,7 @@ def touching(a, b, T):
 
 
 def swallowed(a, b, T):
-    """Whether a part of one is inside the other."""
+    """Whether a part of one body is inside the other."""
     if isinstance(a, Body) and a.holds(moved(T, b.one_of_each)).any():
         return True
     return isinstance(b, Body) and bool(b.holds(moved(np.linalg.inv(T), a.one_of_each)).any())

@@ -50,7 +50,7 @@ def touching(problem, states, gap):
 
 
 def test_a_path_that_begins_too_close_to_an_obstacle_for_a_proof_is_not_proven(problem, states):
-    """At 0.5 um, less than what coal's distances are rounded to; at 10 um it is proven."""
+    """A gap of 0.5 um is below the rounding of coal's distances; 10 um is proven."""
     certificate = certify(touching(problem, states, 5e-7), JointPath(states[:2]))
     assert certificate.verdict is Verdict.NOT_PROVEN and not certificate.valid
     (fault,) = certificate.faults

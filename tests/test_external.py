@@ -1,4 +1,4 @@
-"""External planners: how they are found, and that whatever they do is a row."""
+"""External planners: how they are found; every outcome gives a row."""
 
 import ctypes
 import json
@@ -172,7 +172,7 @@ def test_what_it_prints_is_kept_off_standard_output(theirs, capfd):
 
 
 def never_returns(task):
-    """Compiled code that keeps the interpreter's lock."""
+    """Compiled code that holds the interpreter lock."""
     ctypes.PyDLL(None).sleep(600)
 
 

@@ -182,7 +182,7 @@ def test_what_belongs_to_another_user_is_not_used(cache, recwarn, path):
 def test_without_a_place_for_the_cache_a_temporary_one_is_used_and_without_that_none(
     cache, recwarn, tmp_path, monkeypatch
 ):
-    """Nobody, root included, can make a folder below a file."""
+    """No user, root included, can make a folder below a file."""
     for temporary in (tmp_path / "temporary", cache / "file"):
         monkeypatch.setattr(tempfile, "tempdir", str(temporary))
         monkeypatch.setattr(caches, "_WARNED", threading.Event())

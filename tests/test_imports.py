@@ -1,4 +1,4 @@
-"""The graph of the project's own imports: no circle, no arrow upwards, a small start of `plan`."""
+"""The project's import graph: no cycle, no upward import, few modules for `plan`."""
 
 import ast
 import configparser

@@ -1,4 +1,4 @@
-"""What holds the project together: pins, licence, layers, and no host names in what installs it."""
+"""Packaging: pins, licences, layers, and no host names in installation files."""
 
 import os
 import re

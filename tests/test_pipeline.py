@@ -93,7 +93,7 @@ def without_pairs(robot):
 
 
 def test_near_goals_are_tried_first_where_joints_turn_more_than_once():
-    """Of a UR5, goals whole turns away made paths longer."""
+    """Goals of a UR5 that were full turns away made paths longer."""
     robot = robot_from_source({"name": "ur5"})
     start = np.array([0.0, -1.5, 1.0, -1.0, -1.5, 0.0])
     near = [start + 0.6 + 0.01 * k for k in range(NEAR_GOALS)]

@@ -139,7 +139,7 @@ def test_what_is_no_problem_as_a_whole_is_refused(data):
 
 
 def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
-    """A changed region beside goals that were sampled from the old one had no effect."""
+    """Once a changed region had no effect beside goals sampled from the old one."""
     moved = replace(problem.goal_region, T0_w=problem.goal_region.T0_w @ pose((0.1, 0.0, 0.0)))
     tilted = problem.start.copy()
     tilted[6] += 0.4 if tilted[6] < 0 else -0.4  # turns the hand about its approach axis: a tilt

@@ -1,4 +1,4 @@
-"""Workers end with the process they work for, and plans do not depend on the machine's threads."""
+"""Workers end with their parent; plans do not depend on the number of threads."""
 
 import multiprocessing
 import os

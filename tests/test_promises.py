@@ -1,4 +1,4 @@
-"""What was tried of a promise is written where it is read."""
+"""The trials of a promise are written beside it."""
 
 import pytest
 from promises import BEGIN, Recorder

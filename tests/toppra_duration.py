@@ -12,7 +12,7 @@ from toppra.interpolator import AbstractGeometricPath
 
 
 class Curve(AbstractGeometricPath):
-    """Our curve as toppra asks for it."""
+    """Our curve with toppra's interface."""
 
     dof = path_interval = waypoints = None  # properties of the base class
 
@@ -25,7 +25,7 @@ class Curve(AbstractGeometricPath):
 
 
 def toppra_duration(curve, velocity, acceleration):
-    """Duration [s]; velocity, acceleration: (n,), largest ones."""
+    """Duration [s]; velocity, acceleration: limits (n,)."""
     toppra.setup_logging("ERROR")
     constraints = [
         JointVelocityConstraint(np.stack([-velocity, velocity], axis=1)),

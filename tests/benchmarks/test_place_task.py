@@ -40,7 +40,7 @@ def test_can_position_formula(environment, u):
 
 
 def test_the_carried_can_stands_upright_where_it_was_grasped():
-    """Its axis is vertical through the centre of mass, its top 0.1475 m above."""
+    """Its axis is vertical through its centre of mass; its top is 0.1475 m above that."""
     com, can = np.array([0.5, -0.2, 0.271]), carried_can()
     T = grasp_region(com).sample_poses(np.random.default_rng(1), 1)[0] @ can.T_hand_object
     np.testing.assert_allclose(T[:3, 2], (0.0, 0.0, 1.0), atol=1e-12)

@@ -143,7 +143,7 @@ def test_two_certificates_of_one_path_are_compared(
 
 
 def until(state, direction, reached):
-    """The state moved by up to 0.6 rad along a direction, as far as it takes until `reached(q)`."""
+    """The state moved along a direction until `reached(q)`, by at most 0.6 rad."""
     low, high = 0.0, 0.6
     assert reached(state + high * direction) and not reached(state)
     for _ in range(40):
@@ -153,7 +153,7 @@ def until(state, direction, reached):
 
 
 def tilted(problem, states):
-    """The hand of one state tilts by 0.101 rad; its neighbours are as they were."""
+    """One state with the hand tilted by 0.101 rad; its neighbours are unchanged."""
     region, bent = problem.constraint[0], states.copy()
 
     def tilt(q):
@@ -165,7 +165,7 @@ def tilted(problem, states):
 
 
 def inside_by_1_mm(problem, states):
-    """One state leans to the side until it is 1 mm inside something."""
+    """One state moved sideways until it is in collision by 1 mm."""
     checker, moved = problem.collision_checker(), states.copy()
     q = next(
         k
@@ -241,7 +241,7 @@ def test_a_trajectory_is_dry_run(judged, trajectory, states, form, name):
 
 
 def test_a_trajectory_that_swings_out_between_its_points_is_refused(judged, trajectory):
-    """Positions are whole; the velocity of one point makes the cubic leave them."""
+    """Positions are intact; a wrong velocity of one point makes the cubic leave the path."""
     velocities = trajectory.velocities.copy()
     middle = len(velocities) // 2
     velocities[middle] += 1.5 * np.eye(7)[0]
@@ -281,7 +281,7 @@ def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(
 def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
     judged, region_problem, trajectory, part, words
 ):
-    """Each of its halves, between the state where it was cut and the end that it kept."""
+    """Both halves of a trajectory that was cut in motion."""
     kinds = ("times", "positions", "velocities", "accelerations")
     half = replace(trajectory, **{kind: getattr(trajectory, kind)[part] for kind in kinds})
     problem = replace(region_problem, start=half.positions[0], goals=half.positions[-1:])

@@ -30,7 +30,7 @@ def test_a_new_problem_suits_arms_with_narrow_limits_and_few_joints(robot):
 
 
 def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tmp_path, capsys):
-    """A UR10 started with a joint at 4.98 rad, in the air; the box stood beside its way."""
+    """Once a UR10 started with a joint at 4.98 rad, in the air, and the box was not in its way."""
     urdf, path = read_source({"name": "ur10"}).urdf, tmp_path / "new" / "mine.json"
     path.parent.mkdir()
     assert main(["problems", "new", str(path), "--urdf", urdf]) == 0

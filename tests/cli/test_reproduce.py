@@ -1,4 +1,4 @@
-"""`cvqmpt reproduce`: what it writes, that it goes on where it was, and what it refuses."""
+"""`cvqmpt reproduce`: output files, continuation of earlier runs, errors."""
 
 import json
 import os

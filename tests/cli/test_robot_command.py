@@ -1,4 +1,4 @@
-"""`cvqmpt robot`, and the options by which other commands name a robot of one's own."""
+"""`cvqmpt robot`, and the options of other commands for a user's robot."""
 
 import json
 
@@ -17,7 +17,7 @@ from cvqmpt_lab.scene.scene import Scene
 
 @pytest.fixture
 def said(capsys):
-    """Runs `cvqmpt robot`; its exit code and what was printed."""
+    """Runs `cvqmpt robot`; returns its exit code and output."""
 
     def call(*words):
         code = main(["robot", *map(str, words)])

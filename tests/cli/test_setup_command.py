@@ -1,4 +1,4 @@
-"""`cvqmpt doctor`, `completion`, `bench`: what is here, what a shell completes, what it takes."""
+"""`cvqmpt doctor`, `completion`, `bench`: installation report, shell completion, timings."""
 
 import json
 import re
@@ -109,7 +109,7 @@ def test_damaged_weights_are_broken(capsys, monkeypatch, tmp_path):
     [("stages", "certificate"), ("paper-check", "PyBullet: 66 distances between 11 links")],
 )
 def test_benches_print_their_figures_and_write_them(capsys, tmp_path, bench, figure):
-    """That they run; times are nobody's pass or fail."""
+    """Checks that they run; no time is required."""
     if bench == "paper-check":
         pytest.importorskip("pybullet")
     out = tmp_path / "figures.json"

@@ -38,14 +38,14 @@ def bare(tmp_path_factory):
 
 
 def python(code, env=None):
-    """What a fresh process prints on its last line."""
+    """Last line printed by a fresh process."""
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()[-1]
 
 
 def imported(*words):
-    """Modules that a command has imported in the end."""
+    """Modules imported at the end of a command."""
     run = f"from cli.main import main; assert main({list(words)!r}) == 0; " if words else ""
     return set(json.loads(python(run + REPORT)))
 

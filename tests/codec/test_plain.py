@@ -1,4 +1,4 @@
-"""The codec: what it makes of json, and the one line that says which field is wrong."""
+"""The codec: values from json, and one-line errors that name the wrong field."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, Literal

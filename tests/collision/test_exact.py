@@ -65,7 +65,7 @@ def test_colliding_pairs_are_named(panda, open_kitchen):
 
 
 def by_pairs(checker, q):
-    """The checker's answer from the plain loop over all pairs."""
+    """The checker's answer from a plain loop over all pairs."""
     return checker.colliding_pair(q) is not None
 
 
@@ -82,7 +82,7 @@ def test_margin_is_a_distance(panda, method):
 
 
 def least_of_all_pairs(checker, q):
-    """Least distance, by a request of its own a pair."""
+    """Least distance, with a new request for each pair."""
     model, geometry = checker.robot.model, checker._geometry
     placed = pin.GeometryData(geometry)
     pin.updateGeometryPlacements(model, model.createData(), geometry, placed, q)
@@ -242,7 +242,7 @@ def test_a_cloud_is_its_balls(panda):
 
 @pytest.mark.parametrize("count", [10, 1500])
 def test_clouds_out_of_reach_are_no_obstacle_and_no_crash(panda, count):
-    """Clouds in reach, of any size and origin, are seen: properties/test_obstacles_inside."""
+    """For clouds in reach see properties/test_obstacles_inside."""
     points = np.random.default_rng(6).uniform(49.9, 50.1, (count, 3))
     scene = scene_with(SceneObject("cloud", PointCloud(points, 0.005), np.eye(4)))
     assert CollisionChecker(panda, scene).clearance(HOME) == CollisionChecker(

@@ -75,7 +75,7 @@ def test_states_that_are_repeated_or_hardly_apart_change_nothing(panda, open_kit
 
 @pytest.mark.parametrize(("thickness", "lever"), [(1e-6, 0.3), (1e-5, 0.3), (2e-4, 8.0)])
 def test_a_thin_sheet_in_the_hand_is_seen_to_pass_through_another(panda, thickness, lever):
-    """At the tip of a long lever, where they overlap for less than 2e-4 rad of the motion."""
+    """At the end of a long lever the overlap lasts less than 2e-4 rad."""
     rng, T_hand_tip = np.random.default_rng(0), pose((0.0, 0.0, lever))
     for way in rng.normal(0.0, 0.02, (5, 7)):
         before, middle, after = (

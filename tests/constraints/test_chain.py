@@ -80,7 +80,7 @@ def test_projection_lands_on_the_handle(door_robot):
 
 
 def test_goals_have_the_door_where_the_hand_takes_it(door):
-    """Goal poses say nothing of the door: its angle comes from the held handle."""
+    """Goal poses do not set the door angle: it follows from the held handle."""
     assert len(door.goals) == 20
     np.testing.assert_allclose(door.goals[:, 7], OPEN, atol=1e-5)
     np.testing.assert_allclose(door.start[7], 0.0, atol=1e-5)
@@ -146,7 +146,7 @@ def test_the_certificate_sees_a_hand_that_lets_go(door, opened):
 
 
 def test_the_certificate_sees_the_door_hit_something(door, opened):
-    """A brick where the panel's upper end passes, out of the arm's reach of the way."""
+    """A brick in the path of the panel's upper end, not in the arm's."""
     brick = SceneObject("brick", Box((0.1, 0.1, 0.1)), pose((0.35, -0.3, 1.33)))
     blocked = replace(door, scene=door.scene.with_objects(brick))
     checker = blocked.collision_checker()

@@ -1,4 +1,4 @@
-"""Regions by name: what they bound, and what they refuse."""
+"""Regions by name: their bounds and errors."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Newton projection onto the manifold: it converges, stays inside the limits and admits failure."""
+"""Newton projection onto the manifold: convergence, limits, reported failure."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""How much of its bounds a path uses, in words and numbers."""
+"""Share of its bounds that a path uses, in words and numbers."""
 
 import numpy as np
 import pytest

@@ -22,7 +22,7 @@ FOUR = Experiment("place-task", (2, 10), ("birrt",), (0, 1), Budget(iterations=2
 
 
 def perform(mark, task):
-    """What the task says: its process is killed always or the first time, stops, or answers."""
+    """Does the task: kills its process (always or once), stops, runs out of memory, or answers."""
     if task == "dies" or (task == "dies once" and not mark.exists()):
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)

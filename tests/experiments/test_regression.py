@@ -1,4 +1,4 @@
-"""The table regression turns red when a planner or a committed table changes, and says where."""
+"""The table regression fails and names the place when a planner or committed table changes."""
 
 from dataclasses import replace
 
@@ -30,12 +30,12 @@ ELSEWHERE = {"cpu_model": "another one", "numba": "1"}
 
 @pytest.fixture(scope="module")
 def few():
-    """Outcomes of FEW by the planners as they are."""
+    """Outcomes of FEW by the unchanged planners."""
     return measure(FEW)
 
 
 class BrokenBiRRT(BiRRT):
-    """birrt that draws the same sample for ever."""
+    """birrt that always draws the same sample."""
 
     def search(self, space, start, goals, distribution, budget, rng):
         near = GaussianMixture(start[None], 1e-6 * np.eye(len(start))[None], np.ones(1))
@@ -81,7 +81,7 @@ def outcome(seed=0, planner="birrt", **values):
     ],
 )
 def test_equality_here_and_stated_bounds_elsewhere(both, change, exactly, by_bounds):
-    """A change of one run, or of both, is a line a run where values must be equal."""
+    """Where values must be equal, every changed run gives a line."""
     expected = Expectations(HERE, outcome(0) | outcome(1))
     outcomes = outcome(0, **change) | outcome(1, **(change if both else {}))
     exactly, by_bounds = [exactly] * (1 + both) if exactly else [], [by_bounds] if by_bounds else []

@@ -1,4 +1,4 @@
-"""From solutions to rows: what is charged to a planner, and under which name."""
+"""Rows of solutions: times charged to a planner, and their columns."""
 
 import time
 from dataclasses import replace
@@ -27,7 +27,7 @@ PARTS = ("t_goals_s", "t_encode_s", "t_predict_s", "t_optimize_s", "t_plan_s", "
 
 
 def row_of(problem, timings, budget=20_000):
-    """The row of birrt after a proposer that takes its time."""
+    """The row of birrt after a slow proposer."""
 
     def think(query, observation):
         time.sleep(timings.total)

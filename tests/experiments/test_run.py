@@ -1,4 +1,4 @@
-"""The runner: rows are the same whatever processes, interruptions and continuations there were."""
+"""The runner: equal rows for any number of processes, interruptions and continuations."""
 
 import os
 import signal
@@ -26,7 +26,7 @@ FOUR = replace(ONE, problems=(2, 10), planners=("birrt", "guided-birrt"))
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
-    """Workers are forked: what is compiled here need not be loaded by each of them."""
+    """Compile before the fork, so that workers need not load the kernels."""
     compile_kernels(lambda _: None)
 
 
@@ -52,7 +52,7 @@ def test_rows_are_sorted_complete_and_those_of_two_processes(four_rows, tmp_path
 
 
 class Killed(BaseException):
-    """Stands for whatever ends a run."""
+    """Stands for any end of a run."""
 
 
 def test_an_interrupted_run_keeps_its_rows_and_continues_without_duplicates(four_rows, tmp_path):

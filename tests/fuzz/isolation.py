@@ -36,7 +36,7 @@ watching = False
 
 @contextmanager
 def judge(reader):
-    """Yields a function: content of a file -> what is wrong with how the reader takes it, or ""."""
+    """Yields a function: content of a file -> the reader's fault, or ""."""
 
     def fault(content):
         try:
@@ -90,7 +90,7 @@ def answer(content):
 
 
 def note(event, arguments):
-    """Remember what a file must not lead to."""
+    """Record an event that no file may cause."""
     changes = event in CHANGING or (event == "open" and writes(arguments[2]))
     if event.startswith(FORBIDDEN) or (changes and not inside(arguments[0])):
         beyond.append(f"{event} {str(arguments)[:100]}")

@@ -223,7 +223,7 @@ def weights(path):
 
 
 class Runs:
-    """Pickles to a call, which a careless reader makes."""
+    """Pickles to a call, which an unsafe reader executes."""
 
     def __init__(self, call, *arguments):
         self.call = call, arguments

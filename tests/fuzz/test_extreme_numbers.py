@@ -1,4 +1,4 @@
-"""Where numbers are extreme every plan ends within its budget, in a certified path or a reason."""
+"""With extreme numbers every plan ends within its budget, by a certified path or a reason."""
 
 import time
 from dataclasses import replace
@@ -35,7 +35,7 @@ def between(rng, scene=EMPTY, spread=0.5):
 
 
 def singular(rng):
-    """The wrist over the first axis, the elbow as straight as it goes, two axes in line."""
+    """The wrist over the first axis, the elbow as straight as possible, two axes aligned."""
     problem = between(rng)
     start = problem.start.copy()
     start[[0, 1, 2, 4]] = rng.choice([0.0, 0.5]), 0.0, 0.0, 0.0
@@ -44,7 +44,7 @@ def singular(rng):
 
 
 def at_limits(rng):
-    """The last joints as far as they go, at both ends."""
+    """The last joints at both of their limits."""
     problem = between(rng)
     start, goal = problem.start.copy(), problem.goals.copy()
     for j in (4, 6):
@@ -98,7 +98,7 @@ def crowded(rng, count, size, far):
 
 
 def denormal(rng):
-    """Numbers next to nothing: of the start, the goal, bounds and places."""
+    """Numbers near zero in the start, goal, bounds and poses."""
     problem = between(rng)
     start, goal = problem.start.copy(), problem.goals.copy()
     start[rng.integers(0, 3)] = TINIEST * rng.choice([-1.0, 1.0])
@@ -116,7 +116,7 @@ EXTREME = "extreme numbers end in a certified path or in no path, within the bud
 
 
 def extreme(what, make, solved, planners=("birrt",), budget=None, ci=1, long=100):
-    """solved: whether there is a path to be found, or None where either may be."""
+    """solved: whether a path exists; None where either is possible."""
     mark = pytest.mark.promise(EXTREME, "plans", ci=ci, long=long)
     return pytest.param(
         make, solved, planners, budget or Budget(iterations=3000), marks=mark, id=what

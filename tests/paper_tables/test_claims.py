@@ -1,4 +1,4 @@
-"""Whether the paper holds: verdicts from rows, and the pages that tell them."""
+"""The paper's claims: verdicts from rows, and the pages with them."""
 
 import json
 from collections import Counter
@@ -52,7 +52,7 @@ def test_the_readme_counts_its_verdicts():
     ],
 )
 def test_a_claim_holds_against_all_planners_that_the_paper_names(tmp_path, ompl, mpnet, expected):
-    """A third of the time of all; of all but one; and nothing that both solved."""
+    """A third of the time of all planners; of all but one; no problem that both solved."""
     others = {"atlas_rrt": 3.0, "tb_rrt": 3.0, "mpnet": mpnet, "birrt": 0.1}
     results = a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=ompl, **others)
     found = by_title(results)["twice as fast"]
@@ -75,7 +75,7 @@ def test_claims_without_rows_say_so_and_what_cannot_be_compared_too(tmp_path):
 
 
 def test_every_step_is_against_the_one_before(tmp_path):
-    """In time 3, 1, 4; work goes with it in these rows."""
+    """Times 3, 1, 4; in these rows work is proportional to time."""
     results = a_results_folder(tmp_path, ompl_projected=3.0, birrt=1.0, cvq_mpt=4.0)
     lines = decomposition_lines(evidence_below(results)["place-task"])
     assert [line[:4] for line in lines[1:]] == [

@@ -1,4 +1,4 @@
-"""Rules of verdicts, on made rows whose verdict is known by hand."""
+"""Rules of verdicts, on made rows with a known verdict."""
 
 import math
 
@@ -28,7 +28,7 @@ SPREAD = (0.9, 1.1, 1.0, 0.95, 1.05, 1.02, 0.98, 1.0, 0.93, 1.07)
 
 
 def pairs(ratio, others=(1.0,) * 10):
-    """Ten problems of equal weight whose ratios lie around one number."""
+    """Ten problems of equal weight with ratios around one number."""
     return [
         Pair(str(k), ratio * s * other, other, ratio * s)
         for k, (s, other) in enumerate(zip(SPREAD, others, strict=True))
@@ -51,7 +51,7 @@ def with_p(p, above=True, claim=HALF):
     ],
 )
 def test_a_stated_half_is_tested_at_nine_tenths_of_itself(ratio, expected):
-    """45 % less is a ratio of 0.55: below it holds, above it does not, at it nobody can tell."""
+    """45 % less is a ratio of 0.55: below it the claim holds, above it fails, at it is open."""
     effect = reduction(HALF, "ompl-projected", pairs(ratio))
     assert rulings([effect]) == [expected]
     assert effect.paired.estimate == pytest.approx(1.0 - ratio, abs=0.01)

@@ -1,4 +1,4 @@
-"""LaTeX tables: split where they are too wide, compiled where there is a compiler."""
+"""LaTeX tables: split if too wide; compiled if a compiler is installed."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""OMPL's own statistics script reads the log that a run is written as."""
+"""OMPL's statistics script reads the log of a run."""
 
 import sqlite3
 import subprocess
@@ -24,7 +24,7 @@ ROWS = (
 
 @pytest.fixture
 def database(tmp_path):
-    """What the script makes of ROWS."""
+    """Output of the script for ROWS."""
     session = {
         "platform": "Linux-6 of a lab",
         "date_utc": "2026-01-02T03:04:05+00:00",

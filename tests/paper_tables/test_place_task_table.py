@@ -1,4 +1,4 @@
-"""The table of the place task: numbers as stated, the paper's beside them, in every form."""
+"""The table of the place task: our numbers beside the paper's, in all formats."""
 
 import math
 from dataclasses import replace
@@ -109,7 +109,7 @@ def test_the_first_table_has_six_columns_and_no_table_is_wider_than_a_page():
 
 
 def test_encoding_is_charged_where_the_scene_is_new_and_told_apart():
-    """0.5 s, of which 0.1 is goals and 0.3 encoding; older rows say nothing of a new scene."""
+    """0.5 s with 0.1 of goals and 0.3 of encoding; older rows do not mark a new scene."""
     times = {"t_goals_s": 0.1, "t_encode_s": 0.3}
     new = [run("cvq-mpt", i, 0.5, scene_new=True, n_clearances=70, **times) for i in range(6)]
     old = [run("cvq-mpt", i, 0.5, **times) for i in range(6)]

@@ -1,4 +1,4 @@
-"""Results directories rendered: files, the head line, and directories without runs."""
+"""Rendered results directories: files, the head line, and directories without runs."""
 
 import json
 from itertools import product

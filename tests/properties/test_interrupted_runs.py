@@ -53,7 +53,7 @@ def kept_shards(out):
 
 
 def curves(out):
-    """Lines of the training's curves, but for the time that they took."""
+    """Lines of the training curves without their times."""
     if not (out / "curves.csv").is_file():
         return []
     with (out / "curves.csv").open(newline="") as file:
@@ -129,7 +129,7 @@ def test_the_same_command_completes_it(command, tmp_path, trials):
 
 
 def disk_full(words, most):
-    """Let no file grow beyond `most` [bytes], fewer than the command must write."""
+    """Limit file sizes to `most` [bytes], less than the command writes."""
     limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (most, most))
     line = last_line(run(words, limit, code=2))
     assert "File too large" in line or "No space left" in line
@@ -165,5 +165,5 @@ def test_read_only(tmp_path, trials):
 
 
 def obey_permissions():
-    """Let root be as others are; of no effect for others."""
+    """Make root obey file permissions; no effect for other users."""
     ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_DAC_OVERRIDE)

@@ -81,7 +81,7 @@ def test_projection(robot, region, seed):
 
 
 def slopes_agree(manifold, q, direction):
-    """J is the slope of F, where no bound lies between the two states."""
+    """J is the derivative of F if no bound lies between the two states."""
     residual, jacobian = manifold.residual_and_jacobian(q)
     ahead, behind = (manifold.residual(q + side * STEP * direction) for side in (1.0, -1.0))
     slopes = (ahead - residual) / STEP, (residual - behind) / STEP

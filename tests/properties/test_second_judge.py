@@ -123,13 +123,13 @@ def unit(rng):
 
 
 def free(given, rng):
-    """A configuration in which the links do not touch each other, if one is found soon."""
+    """A configuration without contact between links, if one is found soon."""
     drawn = given.robot.random_configurations(rng, 20)
     return next((q for q in drawn if not given.checker.in_collision(q)), drawn[0])
 
 
 def near_each_other(given, rng):
-    """A free configuration by the checker with two links as close, or as deep, as possible."""
+    """A configuration that the checker calls free, with two links in or near contact."""
     robot, states = given.robot, given.robot.random_configurations(rng, DRAWN)
     poses, pairs = given.arm.poses(states), given.arm.pairs(given.always)
     pairs = [pair for pair in pairs if (gaps(*pair, poses, 1) < 0.0).any()]
@@ -165,7 +165,7 @@ def gaps(a, b, poses, count):
 
 
 def short_motion(given, held, rng):
-    """States (k, n) of a straight motion, and the one of them (n,) that was drawn."""
+    """States (k, n) of a straight motion, and the state (n,) that was drawn."""
     robot, drawn = given.robot, (near_each_other if rng.random() < 0.4 else free)(given, rng)
     change = rng.standard_normal(robot.dof) * (rng.random(robot.dof) < rng.choice([0.3, 1.0]))
     speeds = given.arm.speeds([*given.arm.bodies, *held], drawn[None])
@@ -178,7 +178,7 @@ def short_motion(given, held, rng):
 
 
 def attachment(rng, folder):
-    """A thing in the hand or before it."""
+    """An object in the hand or in front of it."""
     made, T = shape(rng, folder, carried=True), np.eye(4)
     T[:3, :3] = Rotation.random(random_state=rng).as_matrix()
     lowest = furthest(
@@ -315,7 +315,7 @@ def test_certified_motions(name, trials, tmp_path):
     ids=lambda size: size["type"],
 )
 def test_judge_sees_what_a_corner_of_a_link_is_in(size, tmp_path):
-    """By 5 mm or more; without it, nothing overlaps."""
+    """An object 5 mm deep or more is found; without it there is no overlap."""
     given, rng = given_arm("panda", tmp_path), np.random.default_rng(0)
     q, body, T = free(given, rng), given.arm.bodies[-1], np.eye(4)
     T[:3, 3] = moved(given.arm.poses(q[None])[body.group, 0], body.points[0])

@@ -1,4 +1,4 @@
-"""Paths beside rows: what was hashed, whatever interrupts a run; damage is refused by name."""
+"""Paths beside rows: they match their hashes after any interruption; damage is named."""
 
 import numpy as np
 import pytest

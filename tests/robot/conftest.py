@@ -1,4 +1,4 @@
-"""Urdf files made from the slider arm's, and what they must be refused with."""
+"""URDF files made from the slider arm, and a check of their errors."""
 
 import pytest
 

@@ -282,7 +282,7 @@ def cone():
 def test_a_mesh_without_a_hull_ends_in_one_line_not_in_the_process(
     edited, tmp_path, triangles, pattern
 ):
-    """In a process of its own: the hull of a flat mesh used to end it."""
+    """In a separate process: the hull of a flat mesh once crashed it."""
     (tmp_path / "m.stl").write_bytes(binary_stl(*triangles))
     urdf = edited((SPHERE, '<mesh filename="m.stl"/>'))
     script = (

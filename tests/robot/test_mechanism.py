@@ -73,7 +73,7 @@ def test_parts_move_as_in_the_scene(panda, name, taken_at):
 
 @pytest.mark.parametrize("name", [DOOR, "dagger_door_right", DRAWER, "indigo_door_right"])
 def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
-    """Nothing at rest counts as a collision, and nothing that is excused is ever entered."""
+    """At rest there is no collision, and excused pairs never overlap."""
     whole = kitchen()
     joint = whole.articulation(name)
     scene, robot = mechanism(panda, whole, name)

@@ -30,7 +30,7 @@ def at_height(z, half=0.02):
 
 @pytest.fixture(scope="module")
 def slider_problem(slider_arm):
-    """Past a ball, at one height; slider and hinges have to work together."""
+    """Past a ball at one height; slider and hinges must move together."""
     region = at_height(0.6)
     middle_of_it = RegionConstraint(slider_arm, (at_height(0.6, 0.0),))
     rough = np.array([[-0.4, 1.3, 0.6, -1.6], [0.6, -1.8, -1.2, -2.1]])
@@ -91,7 +91,7 @@ def bulky_urdf(slider_arm_urdf, tmp_path):
 
 
 def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(bulky_urdf, tmp_path):
-    """Whoever lists the pairs to skip is believed; what then overlaps is said, not hidden."""
+    """The SRDF decides which pairs are skipped; pairs that then overlap are named."""
     (tmp_path / "bulky.srdf").write_text('<?xml version="1.0"?>\n<robot name="slider_arm"/>\n')
     robot = load_robot(bulky_urdf, "tool", srdf=tmp_path / "bulky.srdf")
     assert robot.left_out_pairs == ()

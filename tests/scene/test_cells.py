@@ -1,4 +1,4 @@
-"""Boxes of clouds and maps: they hold every ball and every cell, and little more."""
+"""Boxes of clouds and maps: they cover every ball and cell, and little more."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Meshes become convex pieces that hold their surface and what is inside, and not much more."""
+"""Meshes become convex pieces that cover surface and inside, and little more."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Scenes of MoveIt become ours, shape by shape; what ours cannot hold is refused by name."""
+"""MoveIt scenes are converted shape by shape; unsupported content is named."""
 
 import json
 import random

@@ -1,4 +1,4 @@
-"""Problems name clouds and meshes by path, from the folder they stand in."""
+"""Problems name clouds and meshes by paths relative to their folder."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Goals drawn in compiled code: as diverse as by plain inverse kinematics, free, counted."""
+"""Goals from compiled code: as diverse as by plain inverse kinematics, free, counted."""
 
 from dataclasses import replace
 
@@ -61,7 +61,7 @@ def test_goals_near_a_configuration_keep_its_posture(problem):
 
 
 def test_what_cannot_be_had_is_counted(problem):
-    """A region out of reach, and one inside the arm's own base."""
+    """A region out of reach, and one inside the arm's base."""
     far, base = np.eye(4), np.eye(4)
     far[:3, 3], base[:3, 3] = (5.0, 0.0, 0.0), (0.0, 0.0, 0.3)
     bounds = np.array([(-0.01, 0.01)] * 3 + [(-0.1, 0.1)] * 3)

@@ -102,7 +102,7 @@ def motions(kitchen_space):
 
 @pytest.fixture(scope="module")
 def answers(kitchen_space, motions):
-    """What motion_free says of each of the motions, (k,)."""
+    """motion_free of each motion, (k,)."""
     return np.array(
         [motion_free(kitchen_space.arrays, a, b) for a, b in zip(*motions, strict=True)]
     )
@@ -123,7 +123,7 @@ def along(motions, spacing):
 
 
 def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
-    """Every state, not only those that were looked at."""
+    """All states, not only those that were checked."""
     checker = kitchen_space.problem.collision_checker()
     a, b = (ends[answers] for ends in motions)
     close = np.flatnonzero(~all_free(kitchen_space, along((a, b), FINE)))  # by less than the margin

@@ -17,7 +17,7 @@ index_new_nodes, nearest_node = map(from_python, (index_new_nodes, nearest_node)
 
 
 def walks(rng, count, n=7):
-    """Nodes as trees have them: short walks from earlier nodes."""
+    """Nodes like those of trees: short walks from earlier nodes."""
     nodes = np.zeros((count, n))
     for k in range(1, count):
         origin = nodes[k - 1] if k % 7 else nodes[rng.integers(k)]
@@ -68,7 +68,7 @@ def test_of_equal_nodes_the_first_one_is_found():
 
 
 def test_nodes_moved_away_later_are_never_found():
-    """A removed node is put far off without a word to the index."""
+    """A removed node is moved far away; the index is not told."""
     rng = np.random.default_rng(2)
     nodes, index = walks(rng, 3 * BLOCK), nearest_index(3 * BLOCK, 7)
     index_new_nodes(index, 0, nodes, len(nodes))

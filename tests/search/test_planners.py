@@ -1,4 +1,4 @@
-"""Planners: they solve and are certified, repeat, give up when told, and pass exceptions on."""
+"""Planners: certified paths, repeatability, budgets, exceptions."""
 
 import gc
 import subprocess
@@ -45,7 +45,7 @@ def sampling(distribution):
 
 
 def outcome(result):
-    """What must repeat bit for bit."""
+    """Results that must repeat bit for bit."""
     return states_hash(result.path.states), result.counters, result.vertices
 
 
@@ -208,7 +208,7 @@ def test_a_start_that_is_a_goal_is_solved(problem, name):
 
 
 class Broken(CollisionChecker):
-    """A real checker that is interrupted at the hundredth question."""
+    """A real checker that raises at the hundredth call."""
 
     asked = 0
 

@@ -1,4 +1,4 @@
-"""Roadmaps of any robot: nodes, links, the cache, and robots and scenes that hardly allow one."""
+"""Roadmaps of any robot: nodes, edges, cache, and robots and scenes that hardly allow one."""
 
 import warnings
 from dataclasses import replace
@@ -23,7 +23,7 @@ EMPTY = Scene("empty", ())
 
 
 def fresh(robot, attachments=(), **options):
-    """A roadmap that no process remembers."""
+    """A roadmap that is in no cache."""
     return spread_roadmap.__wrapped__(robot, attachments, **options)
 
 
@@ -148,7 +148,7 @@ def test_a_load_larger_than_the_robot_leaves_no_nodes_and_birrt_plans(slider_arm
 
 
 def test_where_every_edge_is_blocked_birrt_searches_within_the_budget(problem):
-    """Five hundred balls in the arm's reach, none where it stands at the start or at a goal."""
+    """500 balls in the arm's reach, none in contact at the start or a goal."""
     rng, problem = (
         np.random.default_rng(0),
         replace(problem, constraint=(), goals=problem.goals[:1]),

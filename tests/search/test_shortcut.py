@@ -83,7 +83,7 @@ def test_tiny_paths_pass_through(problem, space):
 
 
 def test_a_detour_is_cut(problem, space):
-    """Out and back by 0.3 rad of a motion on the manifold: nothing of it is needed."""
+    """A detour of 0.3 rad and back from a motion on the manifold is removed completely."""
     manifold, q = problem.manifold, problem.start
     out = [manifold.project(q + np.array([s, 0, 0, 0, 0, 0, 0])) for s in np.linspace(0.0, 0.3, 11)]
     states = np.array([*out, *out[-2:0:-1], out[1]])

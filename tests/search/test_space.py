@@ -1,4 +1,4 @@
-"""The planning space where its cautious state checks and the meshes disagree."""
+"""The planning space where conservative state checks and the meshes disagree."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Intrinsics and extrinsics in the forms that calibrations write, and what is wrong with others."""
+"""Intrinsics and extrinsics in the formats of calibration tools, and errors of wrong files."""
 
 import json
 

@@ -48,7 +48,7 @@ def picture(mode, size=(200, 160)):
 
 
 def lying_png(path):
-    """A header of a billion pixels before a few bytes."""
+    """A header of a billion pixels and a few bytes of data."""
     body = struct.pack(">IIBBBBB", 32000, 32000, 16, 0, 0, 0, 0)
     chunks = [(b"IHDR", body), (b"IDAT", zlib.compress(bytes(100))), (b"IEND", b"")]
     parts = [

@@ -1,4 +1,4 @@
-"""Filters take away the robot and outliers, and nothing else."""
+"""Filters remove the robot and outliers, and nothing else."""
 
 import coal
 import numpy as np

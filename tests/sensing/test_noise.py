@@ -1,4 +1,4 @@
-"""Errors of depth cameras: how they grow, what gets no depth, what flies, and that they repeat."""
+"""Errors of depth cameras: growth, missing depth, flying pixels, repeatability."""
 
 from dataclasses import fields, replace
 

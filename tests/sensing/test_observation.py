@@ -46,7 +46,7 @@ def test_of_nothing_networks_see_two_points_under_the_base():
 
 
 def test_a_given_cloud_wins_over_the_scenes(problem):
-    """Whatever the method would look at."""
+    """For every kind of observation."""
     method = Method("looks", lambda robot, weights: Stages(observe=Observer()))
     measured = POINTS + (0.4, 0.0, 0.3)
     cloud = method.with_cloud(measured).stages(problem).observe(Scene("s", (SCAN,)))

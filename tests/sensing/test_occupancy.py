@@ -39,7 +39,7 @@ def occupied(scanned, places):
 
 
 def sight(origin, points):
-    """What a camera at origin (3,) saw of points (m, 3) in the world."""
+    """View of a camera at origin (3,) of world points (m, 3)."""
     return Cloud(points - origin, T_world_camera=pose(origin))
 
 
@@ -104,7 +104,7 @@ def truth():
 
 
 def test_what_is_free_in_a_map_is_certified_in_it_and_in_the_truth(panda, truth):
-    """Planned over what one camera saw; the same path is then judged in the scene as it is."""
+    """Planned in the map of one camera, then checked in the true scene."""
     camera = Camera(Intrinsics.from_fov(near=0.1), look_at((-1.0, -0.3, 0.9), (0.5, 0.0, 0.2)))
     settings = CameraSettings(cameras=(camera,), voxel=None)
     points = visible_points(truth, settings, np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""The table is found in oblique scans, and put level in front of the robot."""
+"""The table is found in oblique scans and levelled in front of the robot."""
 
 import numpy as np
 import pytest

@@ -39,7 +39,7 @@ def mixed():
 
 
 def holds(item, points):
-    """Whether points (m, 3) lie in an object; written apart from the rays."""
+    """Whether points (m, 3) lie in an object, without code of the rays."""
     T = item.T_world_object
     local = (points - T[:3, 3]) @ T[:3, :3]
     match item.shape:

@@ -1,4 +1,4 @@
-"""What several tests of pictures and recordings share."""
+"""Fixtures of the tests of pictures and recordings."""
 
 import numpy as np
 import pytest
@@ -25,5 +25,5 @@ def every_shape():
 
 @pytest.fixture(scope="package")
 def unsolved(problem):
-    """What came of `problem` in too little time."""
+    """Result of `problem` with too little time."""
     return solve(problem, "birrt", Budget(iterations=1), seed=0)

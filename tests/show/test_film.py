@@ -1,4 +1,4 @@
-"""Films hold a picture for each moment; what cannot be written is refused."""
+"""Films have a picture for each moment; errors if they cannot be written."""
 
 from pathlib import Path
 

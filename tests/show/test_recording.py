@@ -23,7 +23,7 @@ from cvqmpt_lab.show.viewer import open_viewer
 
 
 def recorded(path, timeline="path_state"):
-    """Per entity, its number of rows on a timeline."""
+    """Rows per entity on a timeline."""
     rows: dict[str, int] = {}
     for chunk in RrdReader(path).stream():
         on_timeline = chunk.num_rows if timeline in chunk.timeline_names else 0

@@ -1,4 +1,4 @@
-"""A page holds the whole motion and its plots, loads nothing, and a browser shows it."""
+"""A page has the whole motion and its plots, loads nothing, and a browser shows it."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""Training needs torch and numpy, nothing else that this package depends on."""
+"""Training needs only torch and numpy."""
 
 import subprocess
 import sys

@@ -46,7 +46,7 @@ def chain():
 
 
 def positions_one_by_one(data, q):
-    """Homogeneous transforms, multiplied in a loop."""
+    """Product of homogeneous transforms in a loop."""
     frames, frame = [], np.eye(4)
     for rotation, translation, angle in zip(data["rotation"], data["translation"], q, strict=True):
         step, turn = np.eye(4), np.eye(4)

@@ -175,7 +175,7 @@ def test_bad_settings_are_named(name, values, words):
 
 
 def test_what_cannot_be_timed_names_joint_and_place():
-    """Joint 'second' moves at the end alone, and hardly may."""
+    """Joint 'second' moves only at the end, with a limit near 0."""
     path = np.array([[x, max(0.0, x - 1.3)] for x in np.linspace(0.0, 1.5, 16)])
     for kind in ("velocity", "acceleration"):
         slow = replace(TWO_JOINTS, **{kind: np.array([2.0, 1e-13])})
@@ -188,7 +188,7 @@ def test_what_cannot_be_timed_names_joint_and_place():
 
 
 def planned(capsys, *words):
-    """What a plan that finds a path prints."""
+    """Output of a plan that finds a path."""
     assert main(["plan", *map(str, words)]) == 0
     return capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""Beam search on a table of probabilities, against the same by hand."""
+"""Beam search on a table of probabilities against a plain implementation."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Algorithm 2 on small networks of random weights: values, gradients, and its promises."""
+"""Algorithm 2 on small networks of random weights: values, gradients, guarantees."""
 
 import copy
 from dataclasses import dataclass

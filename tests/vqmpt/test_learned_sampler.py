@@ -140,7 +140,7 @@ def test_without_codes_samples_are_uniform_and_the_proposal_says_so(problem, que
 
 
 def plan(problem, name, **budget):
-    """What the search of a method finds."""
+    """Search result of a method."""
     budget = Budget(**budget or {"iterations": 20_000})
     return solve(problem, name, budget, seed=0, clearance=False).plan
 
@@ -155,7 +155,7 @@ def test_controls_solve_repeat_and_give_up(problem, name):
 
 
 def test_a_roadmap_needs_its_own_scene():
-    """With another scene's a planner works harder, over a few problems together."""
+    """With another scene's roadmap a planner needs more work, summed over a few problems."""
     ratios = []
     for environment in (1003, 1007, 1017, 1020, 1030):
         problem = with_sampled_goals(place_problem(environment))[0]

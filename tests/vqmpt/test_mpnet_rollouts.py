@@ -65,7 +65,7 @@ def heading_network(share=0.5):
 
 
 def stuck_network(problem):
-    """Proposes the same colliding configuration whatever it is asked."""
+    """Always proposes the same colliding configuration."""
     space, robot, rng = ConstrainedSpace(problem), problem.robot, np.random.default_rng(0)
     q = rng.uniform(robot.lower, robot.upper)
     while not space.project(q) or space.valid(q):
@@ -80,7 +80,7 @@ def stuck_network(problem):
 
 
 def cloud_of(scene):
-    """Corners of the obstacles: quicker than cameras."""
+    """Corners of the obstacles: faster than cameras."""
     return np.array([item.T_world_object[:3, 3] for item in scene.obstacles])
 
 
@@ -92,7 +92,7 @@ def mpnet_of(robot, network=None, observe=cloud_of, bridged=False, **settings):
 
 
 def plan(problem, method, budget=ENOUGH, seed=0):
-    """What the method finds."""
+    """Result of the method."""
     return solve(problem, method, budget, seed, clearance=False).plan
 
 
@@ -180,7 +180,7 @@ def test_attempts_are_bounded_where_nothing_proposed_is_free(tuning):
 
 @dataclass(frozen=True)
 class RecordedBiRRT(BiRRT):
-    """Tree growth that keeps what it was asked."""
+    """Tree growth that records its requests."""
 
     asked: ClassVar[list] = []
 
@@ -232,7 +232,7 @@ def test_trees_grow_between_neighbours_of_a_rollout_alone_and_within_their_share
 
 
 def test_rollouts_alone_need_no_tree(tuning, asked):
-    """A goal that a direct motion reaches."""
+    """A direct motion reaches the goal."""
     rng, space = np.random.default_rng(0), ConstrainedSpace(tuning)
     while True:
         near = tuning.start + rng.normal(scale=0.05, size=7)

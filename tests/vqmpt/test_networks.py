@@ -1,4 +1,4 @@
-"""Both stages as published, against formulas written out a second time."""
+"""Both stages as published, against an independent implementation of the formulas."""
 
 import math
 

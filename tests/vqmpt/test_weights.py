@@ -1,4 +1,4 @@
-"""Weights: round trips, every kind of damage named, comparison with the robot at hand."""
+"""Weights: round trips, every kind of damage named, comparison with the given robot."""
 
 import json
 import os
