@@ -22,7 +22,7 @@ REMOVED = {  # figures by name, and what is there instead of them
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the figure and say what it shows."""
+    """Make the figure and print a summary."""
     if args.figure in REMOVED:
         raise InvalidInputError(
             f"figure {args.figure} was removed, its last numbers are in docs/training_log.md; "

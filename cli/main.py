@@ -80,10 +80,10 @@ class Parser(argparse.ArgumentParser):
 
 
 class Version(argparse.Action):
-    """Print the version and leave; it is read only then."""
+    """Print the version and exit; it is looked up only then."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        """Do it."""
+        """Print the version and exit."""
         from importlib.metadata import version
 
         print(f"cvqmpt_lab {version('cvqmpt-lab')}")
@@ -91,7 +91,7 @@ class Version(argparse.Action):
 
 
 def command_named(name: str) -> tuple[Any, Any]:
-    """What runs a command, and its options, see `options.add_options`; imports its module."""
+    """Function and options of a command (see `options.add_options`); imports its module."""
     module = importlib.import_module(f"cli.{COMMANDS[name][0]}_command")
     return module.COMMANDS[name]
 
@@ -174,12 +174,12 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _silence() -> None:
-    """Nothing more can be printed, and Python shall not try when it ends."""
+    """Discard further output: Python must not write at exit to a closed pipe."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def entry_point() -> None:
-    """Console script; letters that the terminal does not know are written as their numbers."""
+    """Console script; letters outside the terminal's encoding are escaped."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

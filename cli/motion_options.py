@@ -1,4 +1,4 @@
-"""Start, goals and constraint on the command line: what a problem file would say of them."""
+"""Start, goals and constraint on the command line, as in a problem file."""
 
 import argparse
 from typing import Any
@@ -43,7 +43,7 @@ MOTION: Options = {
 
 
 def motion_given(args: argparse.Namespace) -> bool:
-    """Whether start, goal or constraint stand on the command line."""
+    """Whether start, goal or constraint are given."""
     return bool(args.start or args.goal or args.goal_pose or args.constraint)
 
 
@@ -80,14 +80,14 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
 
 
 def scanned(args: argparse.Namespace, arm: Arm) -> Scan:
-    """What --cloud shows; the report of it goes to standard error."""
+    """The scan of --cloud; its report goes to standard error."""
     made = scan_of(args, args.cloud, arm)
     log("\n".join(scan_report(made, args.cloud)))
     return made
 
 
 def arm_of(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Arm:
-    """The robot while the scan was taken: at --arm-at, or else at q (n,)."""
+    """The robot during the scan: at --arm-at, else at q (n,)."""
     return Arm(robot, q if args.arm_at is None else configuration(robot, "--arm-at", args.arm_at))
 
 

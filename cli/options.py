@@ -22,7 +22,7 @@ FLAG: Mapping[str, Any] = {"action": "store_true"}
 
 
 def option(text: str, **settings: Any) -> dict[str, Any]:
-    """An option of a table: its help, and what else argparse's add_argument takes."""
+    """An option: its help and other arguments of argparse's add_argument."""
     return {"help": text, **settings}
 
 

@@ -110,7 +110,7 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
 
 
 def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:
-    """Refuse before planning what would fail after it."""
+    """Refuse before planning what would fail afterwards."""
     if args.trajectory is None:
         if args.speed is not None:
             raise InvalidInputError(
@@ -125,7 +125,7 @@ def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:
 
 
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
-    """Time the certified path, certify the motion too, write it; the line that says so."""
+    """Time the certified path, certify the motion, write it; return the line to print."""
     from cvqmpt_lab.motion_check import certified_motion
     from cvqmpt_lab.trajectory.timing import TimingSettings
     from cvqmpt_lab.trajectory.trajectory import save_trajectory

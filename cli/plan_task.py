@@ -54,7 +54,7 @@ def run_task(args: argparse.Namespace, task: Task) -> int:
 
 
 def _check_folder(path: Path) -> None:
-    """Refuse before planning what would fail after it."""
+    """Refuse before planning what would fail afterwards."""
     if path.suffix or path.is_file():
         raise InvalidInputError(
             f"--trajectory {path}: of a task it is a folder, for a file a phase; name one"

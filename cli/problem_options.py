@@ -1,4 +1,4 @@
-"""Problem, robot, budget and planners on the command line: options, and what they ask for."""
+"""Options for problem, robot, budget and planners, and how they are read."""
 
 import argparse
 import math
@@ -164,7 +164,7 @@ def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
 def with_clearance(
     args: argparse.Namespace, problem: PlanningProblem | Task
 ) -> PlanningProblem | Task:
-    """The problem with --clearance, which tasks have not."""
+    """The problem with --clearance; refused for tasks."""
     if not args.clearance:
         return problem
     if isinstance(problem, Task):
@@ -175,7 +175,7 @@ def with_clearance(
 
 
 def refuse_robot(args: argparse.Namespace) -> None:
-    """Refuse a robot beside a problem that has its own."""
+    """Refuse a robot option for a problem that has its own robot."""
     if robot_source(args):
         raise InvalidInputError(
             "--robot and --urdf go with --problem-file or --start: other problems are for their "
@@ -184,7 +184,7 @@ def refuse_robot(args: argparse.Namespace) -> None:
 
 
 def budget(args: argparse.Namespace) -> Budget:
-    """The budget asked for; 10 s when nothing was."""
+    """The budget of the options; default 10 s."""
     seconds = 10.0 if args.cutoff is None and args.iterations is None else args.cutoff
     return Budget(seconds=seconds, iterations=args.iterations)
 
@@ -199,7 +199,7 @@ def optimize_option(usual: str = "") -> Options:
 
 
 def optimize_budget(args: argparse.Namespace, usual: float | None = None) -> Budget | None:
-    """What --optimize asks for, in the unit that bounds the run; usual: its default [s]."""
+    """Budget of --optimize, in the unit that bounds the run; usual: its default [s]."""
     if args.optimize is None and args.cutoff is None and args.iterations is not None:
         return None  # a run that repeats
     seconds = usual if args.optimize is None else args.optimize

@@ -1,4 +1,4 @@
-"""`cvqmpt robot`: what was understood of a robot's description."""
+"""`cvqmpt robot`: print the model that was read from a robot's description."""
 
 import argparse
 import json
@@ -25,7 +25,7 @@ NAMES = 8  # listed of many; --json lists all
 
 
 def run(args: argparse.Namespace) -> int:
-    """Load and tell."""
+    """Load the robot and report."""
     if args.robot is None:
         for name, arm in ARMS.items():
             print(f"{name:16} {arm.urdf}, end effector {arm.end_effector}")
@@ -59,7 +59,7 @@ def _source(args: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
 
 
 def describe(robot: Robot) -> dict[str, Any]:
-    """What was understood, as plain json."""
+    """The robot model as plain json."""
     velocity = np.array(robot.model.upperVelocityLimit)
     states = robot.random_configurations(np.random.default_rng(0), TRIED)
     nothing = Scene("nothing", ())

@@ -1,4 +1,4 @@
-"""`cvqmpt doctor`, `warmup`, `completion` and `bench`: what this machine has, and what it takes."""
+"""`cvqmpt doctor`, `warmup`, `completion` and `bench`: checks and times of this machine."""
 
 import argparse
 import json
@@ -53,7 +53,7 @@ def _machine() -> Iterator[Finding]:
 
 
 def _packages() -> Iterator[Finding]:
-    """What the project needs, and what each of its extras would add."""
+    """Packages of the project, and those of each extra."""
     try:
         declared = [Requirement(text) for text in metadata.requires("cvqmpt-lab") or ()]
     except metadata.PackageNotFoundError:
@@ -68,7 +68,7 @@ def _packages() -> Iterator[Finding]:
 
 
 def _finding(name: str, asked: Sequence[Requirement], extra: bool = False) -> Finding:
-    """What of the packages that are asked for is there, and how to get the rest."""
+    """Which of these packages are installed, and how to install the rest."""
     versions, missing = [], []
     for item in asked:
         try:
@@ -84,7 +84,7 @@ def _finding(name: str, asked: Sequence[Requirement], extra: bool = False) -> Fi
 
 
 def _weights() -> Iterator[Finding]:
-    """Every byte of the shipped weights is read and compared with its digest."""
+    """Read all shipped weights and compare their digests."""
     from cvqmpt_lab.vqmpt.weights import SHIPPED, read_model, resolve_model, weights_digest
 
     for name in SHIPPED:
@@ -131,7 +131,7 @@ def warmup(args: argparse.Namespace) -> int:
 
 
 def completion(args: argparse.Namespace) -> int:
-    """Print what makes a shell complete commands, options, names and files."""
+    """Print the shell's completion script for commands, options, names and files."""
     if args.shell not in shtab.SUPPORTED_SHELLS:
         raise UnknownChoiceError("shell", args.shell, shtab.SUPPORTED_SHELLS)
     from cvqmpt_lab.benchmarks.suite import SUITES

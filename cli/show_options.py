@@ -35,7 +35,7 @@ SHOW: Options = {
 
 
 def check_show(args: argparse.Namespace) -> None:
-    """Refuse before planning what would fail after it."""
+    """Refuse before planning what would fail afterwards."""
     for path in filter(None, (args.save, args.picture)):
         writable_file(path)
     known = (PAGE, RECORDING, FILM)

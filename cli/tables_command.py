@@ -1,4 +1,4 @@
-"""`cvqmpt table`, `report`, `compare`, `claims` and `check-tables`: what finished rows say."""
+"""`cvqmpt table`, `report`, `compare`, `claims` and `check-tables`: evaluate finished rows."""
 
 import argparse
 import time
@@ -36,7 +36,7 @@ def table(args: argparse.Namespace) -> int:
 
 
 def show_tables(directory: Path) -> None:
-    """Render a directory, print a line a planner, and say where the rest lies."""
+    """Render a directory, print a line for each planner, and where the files are."""
     written = render_directory(directory)
     title, *lines = written.brief
     print("\n".join([f"{title}; all numbers: {written.paths[0]}", *lines]))
@@ -75,7 +75,7 @@ def compare(args: argparse.Namespace) -> int:
 
 
 def claims(args: argparse.Namespace) -> int:
-    """Judge every claim of the paper, say the verdicts, and write the page when asked to."""
+    """Judge every claim of the paper, print the verdicts, and write the page if asked to."""
     if args.results is None:
         require_checkout("cvqmpt claims", "a folder of results directories")
     print("\n".join(verdict_lines(args.results or RESULTS)))
@@ -97,7 +97,7 @@ def page_of(results: Path) -> str:
 
 
 def verdict_lines(results: Path) -> list[str]:
-    """A line a claim that rows judge, and what each step brings."""
+    """A line for each claim that rows judge, and the effect of each step."""
     found = _found(results)
     every = judged_claims(found)
     judged = [item for item in every if item.verdicts]

@@ -1,1 +1,1 @@
-"""Suites and their runner."""
+"""Runs of planners over suites, and figures of them."""

@@ -43,7 +43,7 @@ class Lost(NamedTuple):
 
 @dataclass(frozen=True)
 class Executor:
-    """Calls a function with many tasks, several at a time."""
+    """Applies a function to many tasks in parallel."""
 
     size: int  # tasks at a time
     submit: Callable[..., Future]  # a function and its arguments
@@ -85,7 +85,7 @@ class Executor:
 
 
 def _detail(error: BaseException) -> str:
-    """What a row says of a lost task."""
+    """Text for a row of a lost task."""
     code = getattr(error, "exitcode", None)  # of pebble.ProcessExpired
     if code is not None and code < 0:
         cause = "; perhaps memory ran out" if code == -signal.SIGKILL else ""
@@ -132,7 +132,7 @@ def local_processes(
 
 
 def _prepare_worker(parent: int) -> None:
-    """End with the parent or on SIGTERM; of all processes be the one that runs out of memory."""
+    """End with the parent or on SIGTERM; limit memory, and be killed first when it runs out."""
     end_with_parent(parent)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # compiled code runs no handlers of Python
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

@@ -64,7 +64,7 @@ class Experiment:
 
     @property
     def runs(self) -> "list[Run]":
-        """All of it, planners of one problem side by side."""
+        """All runs; planners of one problem follow each other."""
         found = []
         for seed in self.seeds:
             for problem in self.problems:
@@ -74,12 +74,12 @@ class Experiment:
 
     @property
     def digests(self) -> dict[str, str]:
-        """sha256 of its problems by name, if they are those of a folder."""
+        """sha256 of a folder's problems by name; empty for other suites."""
         known = suite_named(self.suite).digests
         return {str(name): known[str(name)] for name in self.problems} if known else {}
 
     def settings(self) -> dict[str, object]:
-        """What must be equal for a run to be continued: everything that changes a row."""
+        """Settings that must be equal to continue a run: everything that changes a row."""
         return {
             "suite": suite_named(self.suite).name,
             "cutoff_s": self.budget.seconds,
@@ -114,18 +114,18 @@ class Run(NamedTuple):
 
     @property
     def method(self) -> Method:
-        """The planner on its weights."""
+        """The planner with its weights."""
         method, model = planner_named(self.planner), self.experiment.model
         return method if model is None or method.weights is None else method.with_model(model)
 
     @property
     def key(self) -> RowKey:
-        """What its rows have in common."""
+        """Key that the rows of the run have in common."""
         suite = Path(self.experiment.suite).name
         return suite, str(self.item), self.planner, self.seed, self.experiment.backend
 
     def row(self, problem: str, reason: FailReason | None, detail: str, **values: Any) -> ResultRow:
-        """A row of this run, solved unless there is a reason why not."""
+        """A row of this run; solved unless a reason is given."""
         suite, _, planner, seed, backend = self.key
         return ResultRow(
             suite=suite,
@@ -172,7 +172,7 @@ class Part(NamedTuple):
 
 
 def planners_of(suite: Suite) -> tuple[str, ...]:
-    """What runs on a suite unless others are named; on a folder those that can serve all of it."""
+    """Default planners of a suite; of a folder, those that can plan all its problems."""
     if not suite.digests:
         return SUITES[suite.name].planners
     problems = [suite.solvable(name) for name in suite.problems]

@@ -1,4 +1,4 @@
-"""What a state check costs in the paper's simulator, PyBullet: distances of all pairs of links."""
+"""Cost of a state check in the paper's simulator, PyBullet: distances of all pairs of links."""
 
 import importlib.util
 from collections.abc import Sequence
@@ -88,7 +88,7 @@ def _placement(rotation: np.ndarray, translation: np.ndarray) -> Placement:
 
 
 def _obstacles(bullet: Any, obstacles: tuple[SceneObject, ...]) -> int:
-    """One body of fixed links, as a kitchen from an URDF is."""
+    """All obstacles as one body of fixed links, like a kitchen from a URDF."""
     shapes, poses = [], []
     for item in obstacles:
         if isinstance(item.shape, Box):

@@ -1,4 +1,4 @@
-"""Every path of a finished run, judged again from its rows and from what was kept beside them."""
+"""Certify every path of a finished run again, from its rows and stored states."""
 
 from collections.abc import Iterator
 from itertools import groupby
@@ -24,7 +24,7 @@ LENGTH_TOLERANCE = 1e-9  # [rad] between the length in a row and that of its pat
 
 
 class Verdict(NamedTuple):
-    """What a row says of its path, and what the path says."""
+    """The row of a path, and the new certificate."""
 
     row: ResultRow
     certificate: Certificate | None  # None where there is no path to judge
@@ -59,7 +59,7 @@ def recertify(directory: Path, problems_dir: Path | None = None) -> Iterator[Ver
 
 
 def _folder_of(directory: Path, problems_dir: Path | None) -> Suite | None:
-    """The folder of a run of problem files, which are those that were run; None of other runs."""
+    """Folder of a run's problem files, with digests checked; None for other runs."""
     file = ProvenanceFile(directory)
     known = digests_in(file.read(), "problem_files") if file.path.is_file() else {}
     if problems_dir is None and known:

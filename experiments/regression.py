@@ -175,7 +175,7 @@ def compare(
 
 
 def _unequal(pairs: Sequence[tuple[Case, Values, Values]], columns: Sequence[str]) -> list[str]:
-    """A line for the first column in which a run differs, for every run that does."""
+    """A line for each run that differs, with its first different column."""
     found = []
     for case, old, new in pairs:
         column = next((name for name in columns if old[name] != new[name]), None)

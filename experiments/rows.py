@@ -1,4 +1,4 @@
-"""From a run to its result rows: one of a problem, one for each planned phase of a task."""
+"""Result rows of a run: one for a problem, one for each planned phase of a task."""
 
 import time
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "v
 
 
 class Outcome(NamedTuple):
-    """What is kept of a run."""
+    """The results of a run that are stored."""
 
     rows: list[ResultRow]  # one, or one a planned phase
     # states (m, n) of the paths whose hashes stand in the rows [rad or m]
@@ -133,7 +133,7 @@ def _sampled_g(solution: Solution, draws: int = 256) -> float | None:
 
 
 def _fail_reason(solution: Solution) -> FailReason | None:
-    """The first fault of the path, or how the planner ended without one."""
+    """The first violation of the path, or why the planner found none."""
     if solution.solved:
         return None
     if solution.certificate is not None:

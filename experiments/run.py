@@ -1,4 +1,4 @@
-"""Running planners over a suite: side by side, resumable, every outcome one row or more."""
+"""Run planners over a suite, in parallel and resumable; every outcome gives rows."""
 
 import hashlib
 import os
@@ -81,7 +81,7 @@ def default_jobs() -> int:
 
 
 def _installed(experiment: Experiment) -> dict[str, object]:
-    """What decides rows on a machine: digests of the sources and of the planners' weights."""
+    """Digests of the sources and of the planners' weights on this machine: they decide rows."""
     digest, root = hashlib.sha256(), Path(__file__).resolve().parents[1]
     for package in ("cvqmpt_lab", "experiments"):
         for path in sorted((root / package).rglob("*.py")):
@@ -95,7 +95,7 @@ def _installed(experiment: Experiment) -> dict[str, object]:
 
 
 def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
-    """What comes of a run; an error that is no user's costs that run alone."""
+    """Outcome of a run; an unexpected error fails this run alone."""
     _warm_up(tuple(one for one in one_run_a_planner if not one.method.external))
     item, seconds = _item(run.experiment.suite, run.item)
     try:
@@ -121,7 +121,7 @@ def _warm_up(runs: tuple[Run, ...]) -> None:
 
 
 def _run_shortly(run: Run) -> None:
-    """Plan for a few seconds at most, ours for one iteration, and forget what comes of it."""
+    """Plan for a few seconds at most (our planners: one iteration); discard the result."""
     item, seconds = _item(run.experiment.suite, run.item)
     budget = run.experiment.budget
     if run.method.external:

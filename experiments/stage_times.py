@@ -1,4 +1,4 @@
-"""What starting, searching, shortening and certifying cost on this machine, and memory."""
+"""Times of start, search, shortening and certificate on this machine, and memory."""
 
 import resource
 import subprocess
@@ -49,14 +49,14 @@ class CpuClock:
         self._found: dict[str, list[float]] = defaultdict(list)
 
     def __call__(self, name: str, function: Callable[..., Result], *args: object) -> Result:
-        """Call a function and note what it took."""
+        """Call a function and record its processor time."""
         began = time.process_time()
         result = function(*args)
         self._found[name].append(1e3 * (time.process_time() - began))
         return result
 
     def measured(self) -> list[Measured]:
-        """What was noted, name by name."""
+        """Recorded times by name."""
         return [measured(name, found, "ms") for name, found in self._found.items()]
 
 
@@ -94,7 +94,7 @@ def stage_times(problems: int) -> list[Measured]:
 
 
 def _start(*words: str) -> Measured:
-    """Wall time of a command that only starts, seven times after a first one."""
+    """Median wall time of starting a command: seven times, after a first one."""
     seconds = []
     for _ in range(8):
         began = time.perf_counter()

@@ -24,7 +24,7 @@ class Evidence(NamedTuple):
 
 
 class JudgedClaim(NamedTuple):
-    """A claim with what rows say of it."""
+    """A claim and its verdicts."""
 
     claim: Claim
     verdicts: tuple[Verdict, ...]
@@ -32,12 +32,12 @@ class JudgedClaim(NamedTuple):
 
     @property
     def ruling(self) -> Ruling:
-        """Of all its verdicts together."""
+        """Ruling over all verdicts of the claim."""
         return overall([verdict.ruling for verdict in self.verdicts])
 
     @property
     def deciding(self) -> Verdict | None:
-        """The first verdict that is the claim's."""
+        """The first verdict with the ruling of the claim."""
         return next((verdict for verdict in self.verdicts if verdict.ruling is self.ruling), None)
 
 
@@ -107,6 +107,6 @@ def evidence_below(results: Path) -> dict[str, Evidence]:
 
 
 def read_evidence(folder: Path) -> Evidence:
-    """What a results directory holds."""
+    """Rows and provenance of a results directory."""
     rows = read_rows(folder / RUNS_FILE) if (folder / RUNS_FILE).is_file() else []
     return Evidence(folder, rows, ProvenanceFile(folder).read())

@@ -19,7 +19,7 @@ RESULTS = PUBLISHED.parent / "results"
 
 
 def require_checkout(command: str, instead: str) -> None:
-    """Refuse a command without the committed results; instead: what it can be given."""
+    """Refuse a command outside a checkout; instead: what can be given to it."""
     if not RESULTS.is_dir():
         raise InvalidInputError(
             f"{command} needs a checkout of the project: the committed results and expectations "

@@ -78,7 +78,7 @@ def named(pairs: Collection[Pair], most: int = 3) -> str:
 
 
 def comparison_lines(found: Sequence[Compared]) -> Lines:
-    """A line a planner."""
+    """A line for each planner."""
     changed = [f"{name} [%]" for name in COMPARED]
     lines = [["planner", "runs", "left out of A, B", "solved A, B [%]", *changed, "same paths"]]
     for item in found:
@@ -93,7 +93,7 @@ def comparison_lines(found: Sequence[Compared]) -> Lines:
 
 
 def clear(found: Sequence[Compared]) -> list[str]:
-    """A line for every change whose interval leaves no doubt, and for runs gained or lost."""
+    """A line for each change whose interval excludes 0, and for runs gained or lost."""
     lines = []
     for item in found:
         for name, part in item.changes.items():

@@ -80,7 +80,7 @@ NOTES = (
 
 
 class Contrast(NamedTuple):
-    """Two values of a factor, on rows whose other columns are the same."""
+    """Two values of a factor, compared on rows whose other factors are equal."""
 
     title: str
     factor: str  # of FACTORS

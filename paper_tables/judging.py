@@ -38,7 +38,7 @@ FEWEST = 3  # problems with numbers of both, for a test
 
 
 class Ruling(StrEnum):
-    """What rows say of a claim against one baseline, or of a claim."""
+    """Ruling of rows on a claim, or on it against one baseline."""
 
     HOLDS = "holds"
     FAILS = "does not hold"
@@ -61,7 +61,7 @@ class Effect(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """An effect with what was ruled of it."""
+    """An effect and its ruling."""
 
     effect: Effect
     ruling: Ruling
@@ -79,7 +79,7 @@ def rulings(effects: Sequence[Effect], level: float = LEVEL) -> list[Ruling]:
 
 
 def overall(found: Sequence[Ruling]) -> Ruling:
-    """Rule a claim: it holds where it does against all, and does not where it fails against one."""
+    """Rule a claim: it holds if it does against all baselines, and fails if it does against one."""
     order = (Ruling.FAILS, Ruling.INCOMPARABLE, Ruling.TOO_FEW, Ruling.HOLDS)
     return min(found, key=order.index, default=Ruling.NO_ROWS)
 
@@ -127,7 +127,7 @@ def _left_out(judged: Rows, others: Rows) -> str:
 def reduction(
     claim: Claim, baseline: str, pairs: Sequence[Pair], paper: float | None = None
 ) -> Effect:
-    """By both statistics; p is the larger of theirs, 1 where they lie on different sides."""
+    """Reduction by both statistics; p is the larger one, 1 if they lie on different sides."""
     paired = less(geometric_mean_interval([pair.ratio for pair in pairs]))
     means = less(ratio_of_means_interval([(pair.own, pair.other) for pair in pairs]))
     untested = Effect(claim, baseline, paper, paired, means, None, False, f"{len(pairs)} problems")
@@ -164,14 +164,14 @@ def _heaviest(planner: str, baseline: str, pairs: Sequence[Pair]) -> str:
 
 
 def less(ratio: Interval) -> Interval:
-    """How much less of something a ratio means, as a fraction: 1 - ratio."""
+    """Reduction as a fraction: 1 - ratio."""
     bounds = ratio.estimate, ratio.high, ratio.low
     middle, low, high = (None if x is None else 1.0 - x for x in bounds)
     return Interval(middle, low, high, ratio.n)
 
 
 def t_test(values: Sequence[float]) -> float:
-    """Two-sided p of Student's test of a zero mean; 0 or 1 for equal values, 1 for one value."""
+    """Two-sided p of t = mean sqrt(n) / s (Student); equal values: 0 or 1, one value: 1."""
     if len(values) < 2:
         return 1.0
     if max(values) - min(values) < 1e-12:
@@ -191,7 +191,7 @@ def score_test(share: Interval, tested: float) -> float:
 
 
 def cutoff_of(rows: Rows, share: float) -> float:
-    """The least time [s] within which `share` of the runs are solved; infinite where never."""
+    """The least time [s] within which `share` of the runs are solved; inf if never."""
     weighted = []
     for seeds in by_problem(rows):
         weighted += [(row.t_total_s, 1.0 / len(seeds), row.solved) for row in seeds]
@@ -213,7 +213,7 @@ SHARES: Mapping[str, Callable[[ResultRow, float], bool]] = {
 
 
 def _share(claim: Claim, own: Mapping[str, Rows], published: Sequence[PublishedValue]) -> Effect:
-    """A claim of how many runs are so; a share solved in time is more than CBiRRT's."""
+    """Effect of a claim on a share of runs; solved in time: what is above CBiRRT's share."""
     accuracy = next((x for x in published if (x.planner, x.metric) == (CBIRRT, "accuracy")), None)
     cutoff, note, known = math.inf, "", 0.0
     if claim.metric == "solved_in_time" and accuracy is not None:
@@ -246,7 +246,7 @@ def percent(effect: Effect, interval: Interval) -> str:
 
 
 def verdict_lines(verdicts: Iterable[Verdict]) -> Lines:
-    """A line a verdict."""
+    """A line for each verdict."""
     lines = [["planner", "against", "paper [%]", "paired [%]", "means [%]", "n", "p", "verdict"]]
     for effect, ruled in verdicts:
         paper, p = NOTHING, NOTHING

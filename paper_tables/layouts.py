@@ -36,7 +36,7 @@ def _within(time: float, row: ResultRow) -> bool:
 
 
 def _said(how: str, row: ResultRow) -> bool:
-    """Whether a solved run's detail begins so."""
+    """Whether the detail of a solved run begins with this text."""
     return row.solved and (row.detail or "").startswith(how)
 
 
@@ -230,7 +230,7 @@ def _paper_lines(found: Sequence[Entry], metric: str, ours: Mapping[str, str]) -
 
 
 def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
-    """Ratios on all, easy and hard problems, for every planner but the one they are against."""
+    """Ratios on all, easy and hard problems, for every planner except the reference."""
     lines = [["planner", "runs", *(label for label, _ in RATIOS.values())]]
     for item in found:
         for part in PARTS if item.planner != REFERENCE else ():
@@ -240,7 +240,7 @@ def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
 
 
 def _footnotes(runs: SuiteRuns) -> Iterator[str]:
-    """What must be known of these rows."""
+    """Footnotes to the rows."""
     names = ", ".join(runs.solving) or "no planner"
     yield (
         f"Jointly solved: {len(runs.joint)} runs (problem and seed), each solved by all of {names}."

@@ -43,7 +43,7 @@ def work(row: ResultRow) -> float | None:
 
 
 def network_time(row: ResultRow) -> float:
-    """What networks and the latent update took [s]."""
+    """Time of networks and latent update [s]."""
     return (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
 
 
@@ -65,7 +65,7 @@ def own_time(row: ResultRow) -> float | None:
 
 
 def known_time(row: ResultRow) -> float | None:
-    """`own_time` without encoding the scene: of a scene that was encoded before [s]."""
+    """`own_time` without encoding the scene [s]: the time in a known scene."""
     own = own_time(row)
     return None if own is None else own - (row.t_encode_s or 0.0)
 
@@ -121,7 +121,7 @@ RATIOS: Mapping[str, tuple[str, Value]] = {  # by name: what is compared, and it
 
 
 def by_problem(rows: Iterable[ResultRow]) -> list[list[ResultRow]]:
-    """Rows of equal problems together, in the order in which they come."""
+    """Rows grouped by problem, in order of first appearance."""
     found: dict[str, list[ResultRow]] = {}
     for row in rows:
         found.setdefault(row.problem, []).append(row)
@@ -129,7 +129,7 @@ def by_problem(rows: Iterable[ResultRow]) -> list[list[ResultRow]]:
 
 
 def values_of(rows: Iterable[ResultRow], value: Value) -> list[list[float]]:
-    """Values of the rows that say one, by problem; problems where none does are left out."""
+    """Known values by problem; problems without any are left out."""
     found: dict[str, list[float]] = {}
     for row in rows:
         number = value(row)
@@ -152,13 +152,13 @@ def censored(rows: Rows, value: Value) -> list[list[float]]:
 
 
 def fraction(rows: Iterable[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
-    """Share of the rows with Wilson's interval; a problem counts by its share of seeds."""
+    """Mean over problems of the share of its rows, with Wilson's interval."""
     shares = [sum(map(counted, seeds)) / len(seeds) for seeds in by_problem(rows)]
     return wilson_interval(math.fsum(shares), len(shares))
 
 
 def problem_median(values: Iterable[Sequence[float]]) -> Interval:
-    """Median over problems, of each one's median over seeds."""
+    """Median over problems of the median over seeds."""
     return median_interval([median(seeds) for seeds in values])
 
 
@@ -285,7 +285,7 @@ class SuiteRuns:
     split: Split  # by the work of REFERENCE; empty where that was not run
 
     def baseline(self, planner: str) -> Rows:
-        """Rows that ratios are against; none where it was not run."""
+        """Rows of the baseline of ratios; empty if it was not run."""
         return next((rows for rows in self.groups.values() if rows[0].planner == planner), ())
 
 

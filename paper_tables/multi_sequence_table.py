@@ -66,7 +66,7 @@ def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) 
 
 
 def of_tasks(measure: Measure, phases: Collection[str] | None = None) -> Measure:
-    """A number of whole tasks instead of phases."""
+    """A measure of whole tasks instead of phases."""
     return lambda rows, runs: measure(task_rows(rows, phases), runs)
 
 
@@ -92,7 +92,7 @@ TASK_COLUMNS: Mapping[str, Column] = {
 
 
 def _median(label: str, value: str, unit: str = "s", interval: bool = False) -> Column:
-    """Over the runs that reached the phase, failures as infinite."""
+    """Median over runs that reached the phase; failures are infinite."""
     column = Column(f"{label} [{unit}]", unit, median_of(value))
     return column if interval else replace(column, cell=lambda ours: number(ours.estimate))
 
@@ -167,7 +167,7 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
 
 
 def _phase_entry(planner: str, rows: Rows, runs: SuiteRuns, phase: str) -> Entry:
-    """Of the rows of a phase that was tried."""
+    """Entry of the rows of a phase that was tried."""
     tried = [
         row
         for row in rows

@@ -68,7 +68,7 @@ def rendered(template: str, **data: Any) -> str:
 
 
 def reading() -> list[str]:
-    """How to read verdicts, a point each."""
+    """Points on how to read verdicts."""
     return [line.format(share=100 * STATED_SHARE, level=100 * LEVEL) for line in READING]
 
 
@@ -88,7 +88,7 @@ def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
 
 
 def decomposition_lines(evidence: Evidence) -> Lines:
-    """What each step from the paper's CBiRRT to our own ideas brings, paired."""
+    """Paired ratios of each step from the paper's CBiRRT to our own ideas."""
     groups = by_planner(evidence.rows, ())
     lines = [["step", "planner", "against", *COMPARED]]
     for step, planner, against in STEPS:
@@ -109,7 +109,7 @@ def kitchen_lines(found: Mapping[str, Evidence]) -> Lines:
 
 
 def _changes(rows: Rows, baseline: Rows) -> list[str]:
-    """In the columns of COMPARED."""
+    """Changes in the columns of COMPARED."""
     values = (VALUES[name] for name in COMPARED.values())
     return [change(less(paired_ratio(rows, baseline, value))) for value in values]
 
@@ -149,7 +149,7 @@ def _section(item: JudgedClaim) -> dict[str, Any]:
 
 
 def _note(verdict: Verdict) -> str:
-    """What a verdict rests on, or ""."""
+    """What decides a verdict, or ""."""
     effect, ruled = verdict
     texts = [effect.note]
     low, high = effect.paired.low, effect.paired.high
@@ -178,7 +178,7 @@ def _made_by(evidence: Evidence, root: Path) -> dict[str, Any]:
 
 
 def wall_clock(evidence: Evidence) -> str:
-    """How long the command took; where that is not recorded, what its rows add up to."""
+    """Wall clock of the command; if unknown, the sum of times in its rows."""
     known = [session.get("wall_s") for session in sessions(evidence.record)]
     what, seconds = "wall-clock", sum(value or 0.0 for value in known)
     if None in known:
@@ -200,7 +200,7 @@ def with_part(text: str, part: str, table: str) -> str:
 
 
 def committed_pages() -> dict[Path, str]:
-    """The committed page and, in a checkout, the README, as their rows say that they should be."""
+    """The committed page and, in a checkout, the README, rendered from rows."""
     found = evidence_below(RESULTS)
     claims = judged_claims(found)
     pages = {PAGE: page_text(found, claims, PAGE.parent)}
@@ -212,7 +212,7 @@ def committed_pages() -> dict[Path, str]:
 
 
 def stale_pages(pages: Mapping[Path, str]) -> list[str]:
-    """A line for every page that is not as it should be."""
+    """A line for each page that differs from its rendering."""
     return [
         f"{path}: not what the rows say; write it with: cvqmpt claims --write"
         for path, text in pages.items()
@@ -321,7 +321,7 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, str]:
 
 
 def _row(row: ResultRow) -> list[object]:
-    """In `ROW_COLUMNS`."""
+    """Cells of `ROW_COLUMNS`."""
     what = row.fallback or row.detail or ""
     if not row.solved:
         what = f"{row.fail_reason}: {row.detail or ''}"
@@ -331,7 +331,7 @@ def _row(row: ResultRow) -> list[object]:
 
 
 def _provenance(evidence: Evidence) -> dict[str, str]:
-    """Every fact of every session."""
+    """All facts of all sessions."""
     facts: dict[str, dict[str, None]] = {}
     for session in sessions(evidence.record):
         for name, fact in session.items():

@@ -42,7 +42,7 @@ LEGEND_LINE = 0.18  # the same in a legend
 
 
 def svg(figure: Figure) -> str:
-    """The same figure gives the same text."""
+    """A figure as svg; equal figures give equal text."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
@@ -145,7 +145,7 @@ def _by_problem(rows: Sequence[ResultRow], value: Value) -> dict[str, float]:
 
 
 def _plain(axis: Axis) -> None:
-    """Powers of ten as numbers, not as formulas."""
+    """Label powers of ten as plain numbers."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 

@@ -36,7 +36,7 @@ class Claim:
 
 
 def _claim(item: dict[str, Any]) -> Claim:
-    """One of the file's, with the names of its baselines."""
+    """A claim of the file, with the names of its baselines."""
     named = item.pop("baselines", None)
     return Claim(**item, baselines=BASELINES.get(named, (named,)) if named else ())
 

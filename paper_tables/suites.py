@@ -187,7 +187,7 @@ def table_of(rows: Iterable[ResultRow]) -> SuiteTable:
 
 
 class RenderedFiles(NamedTuple):
-    """What was written beside the rows, and the lines that a terminal shows."""
+    """Files written beside the rows, and lines for the terminal."""
 
     paths: list[Path]
     brief: list[str]

@@ -36,7 +36,7 @@ class Column:
 
 
 class Count(NamedTuple):
-    """How many runs had something in common, and the text of the first of them."""
+    """Number of runs with a text in common, and its first example."""
 
     what: str
     example: str
@@ -45,7 +45,7 @@ class Count(NamedTuple):
 
 @dataclass(frozen=True)
 class Entry:
-    """What is known of one planner, on all runs of a suite or on a group of them."""
+    """Measures of one planner on all runs of a suite or on a group of them."""
 
     planner: str
     columns: Mapping[str, Column]
@@ -60,12 +60,12 @@ class Entry:
 
     @property
     def paper_name(self) -> str | None:
-        """Its name in the paper."""
+        """Name in the paper."""
         return next((value.paper_name for value in self.published.values()), None)
 
     @property
     def title(self) -> str:
-        """Its name, and the paper's."""
+        """Name here and in the paper."""
         return f"{self.planner} ({self.paper_name})" if self.paper_name else self.planner
 
     def cell(self, column: str) -> str:
@@ -194,7 +194,7 @@ def _n_runs(rows: Iterable[ResultRow]) -> int:
 
 
 def _at(row: ResultRow, what: str) -> str:
-    """What happened, with the phase of a task before it."""
+    """Reason of a failure, with the phase of a task before it."""
     phase = split_problem(row.problem).phase if "/" in row.problem else ""
     return ": ".join(filter(None, (phase, what)))
 

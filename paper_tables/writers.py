@@ -39,7 +39,7 @@ def number(value: float | None) -> str:
 
 
 def bounds(interval: Interval) -> str:
-    """Its bounds; round brackets where they are the whole range."""
+    """Bounds; round brackets if they are the whole range."""
     if interval.low is None or interval.high is None:
         return ""
     text = f"{number(interval.low)}, {number(interval.high)}"

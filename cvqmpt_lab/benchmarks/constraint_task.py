@@ -39,7 +39,7 @@ EXACT = 0.002  # [m] off a plane, line or arc
 
 
 class HandConstraint(NamedTuple):
-    """What a problem asks of the hand."""
+    """Constraint, start and goal of the hand, and what it carries."""
 
     region: TaskSpaceRegion  # where it must stay
     attachments: tuple[Attachment, ...] = ()  # what it carries
@@ -48,7 +48,7 @@ class HandConstraint(NamedTuple):
 
 
 def _turned_like(T: np.ndarray, about_z: float) -> TaskSpaceRegion:
-    """The hand at the orientation of T (4, 4) but for a turn about its z axis [rad], anywhere."""
+    """Orientation of T (4, 4) up to a turn about its z axis [rad], at any position."""
     there = T.copy()
     there[:3, 3] = 0.0
     bound = np.array([FREE] * 3 + [TURN] * 2 + [about_z])
@@ -56,7 +56,7 @@ def _turned_like(T: np.ndarray, about_z: float) -> TaskSpaceRegion:
 
 
 def _arc(T: np.ndarray, rng: np.random.Generator) -> HandConstraint:
-    """About an axis of any direction, the hand turning with it as with a crank."""
+    """Rotation about a random axis; the hand turns with it as with a crank."""
     axis = Line(_direction(rng), (0.0, 0.0, 0.0)).region().T0_w.copy()
     axis[:3, 3] = T[:3, 3] + rng.uniform(0.15, 0.4) * axis[:3, 0]
     return HandConstraint(_about(axis, T, 2.5))
@@ -69,7 +69,7 @@ def _about(axis: np.ndarray, T: np.ndarray, turn: float) -> TaskSpaceRegion:
 
 
 def _direction(rng: np.random.Generator) -> tuple[float, float, float]:
-    """Uniform on the sphere."""
+    """Unit vector, uniform on the sphere."""
     x, y, z = rng.standard_normal(3)
     return float(x), float(y), float(z)
 
@@ -130,7 +130,7 @@ NAMES = (*KINDS, "door")
 
 
 def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
-    """Problem `index`; with its goals. Indices from 160 on are for tuning."""
+    """Problem `index` with its goals; indices from 160 on are for tuning."""
     number, kind = divmod(index, len(NAMES))
     name = phase_problem(str(index), kind + 1, NAMES[kind])
     rng = np.random.default_rng([index, 11])
@@ -149,7 +149,7 @@ def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
 
 
 def trivial(problem: PlanningProblem) -> bool:
-    """Whether some goal is reached straight from the start, on the manifold."""
+    """Whether a straight motion on the manifold leads from the start to a goal."""
     space = ConstrainedSpace(problem)
     return any(direct_motion(space, problem.start, goal) is not None for goal in problem.goals)
 
@@ -162,7 +162,7 @@ def _within_reach(problem: PlanningProblem) -> bool:
 
 
 def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> PlanningProblem | None:
-    """A constraint of a kind, a free start on it and goals; None where there is none."""
+    """A constraint of a kind, a free start that meets it, and goals; None if none is found."""
     scene, robot, hand = _drawn(kind, number, rng)
     middle = 0.5 * (robot.lower + robot.upper)
     problem = PlanningProblem(

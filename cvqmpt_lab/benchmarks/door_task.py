@@ -32,7 +32,7 @@ TURN = 0.4  # [rad] about the bar: goals lie within +- this, so that the fingers
 
 
 def handle_region(turn: float = FREE) -> TaskSpaceRegionChain:
-    """Hand poses that hold the bar; turn: how far the hand may turn about it either way [rad]."""
+    """Hand poses that hold the bar, turned about it by at most +-turn [rad]."""
     Tw_e = pose((-0.10, 0.0, 0.0))
     # hand z along x, hand x down
     Tw_e[:3, :3] = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]

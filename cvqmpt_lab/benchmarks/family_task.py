@@ -31,7 +31,7 @@ def held_out_problem(family: str, index: int) -> PlanningProblem | UnsolvablePro
 def _first_problem(
     name: str, family: str, numbers: Sequence[int], robot_source: Mapping[str, Any]
 ) -> PlanningProblem | UnsolvableProblem:
-    """Of the first of these scenes that holds a problem."""
+    """The problem of the first of these scenes that allows one."""
     for number in numbers:
         found = family_problem(family, number, robot_source)
         if isinstance(found, PlanningProblem):
@@ -51,7 +51,7 @@ def family_problem(
 def upright_problem(
     name: str, robot: Robot, scene: Scene, rng: np.random.Generator, clear: float
 ) -> PlanningProblem | UnsolvableProblem:
-    """Between a `blocked_pair` of upright states, `clear` [m] from all obstacles."""
+    """Problem between a `blocked_pair` of upright states, `clear` [m] from all obstacles."""
     middle = 0.5 * (robot.lower + robot.upper)
     problem = PlanningProblem(name, robot, scene, middle, middle[None], (upright(),))
     pair = blocked_pair(problem, rng, clear)

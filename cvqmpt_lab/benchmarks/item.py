@@ -1,4 +1,4 @@
-"""What a suite's index may give beside a problem or a task."""
+"""What an index of a suite may give besides a problem or a task."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +9,7 @@ from cvqmpt_lab.scene.scene import Scene
 
 @dataclass(frozen=True)
 class UnsolvableProblem:
-    """An index without a planning problem, and why."""
+    """An index for which no problem was found, and why."""
 
     name: str
     reason: str
@@ -26,10 +26,10 @@ class SensedProblem:
 
     @property
     def name(self) -> str:
-        """Of the problem."""
+        """Name of the problem."""
         return self.problem.name
 
     @property
     def true_problem(self) -> PlanningProblem:
-        """The same problem in the scene as it really is."""
+        """The same problem in the real scene."""
         return replace(self.problem, scene=self.truth)

@@ -42,7 +42,7 @@ def world() -> Scene:
 
 
 def multi_sequence_task(number: int) -> Task:
-    """Task 0 to 9; other numbers give tasks of the same distribution."""
+    """Task `number`; 0 to 9 are the paper's, others follow the same distribution."""
     if number < 0:
         raise InvalidInputError(
             f"multi-sequence task {number}: give 0 or more, the paper's are 0 to 9"

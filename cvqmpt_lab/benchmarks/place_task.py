@@ -92,7 +92,7 @@ def mirrored_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
 
 
 def single_goal_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
-    """The same with the first of its goals alone, so that a planner cannot choose an easier one."""
+    """The problem with its first goal alone, so that planners cannot choose an easier one."""
     problem = place_problem(environment)
     if isinstance(problem, UnsolvableProblem):
         return problem
@@ -121,7 +121,7 @@ def _problem(
     shelf: TaskSpaceRegion,
     attachments: tuple[Attachment, ...] = (),
 ) -> PlanningProblem | UnsolvableProblem:
-    """From a grasp of the can at com (3,) [m] to one of the shelf's."""
+    """Problem from a grasp of the can at com (3,) [m] to grasps of the one on the shelf."""
     name = str(environment)
     robot = robot_from_source({"name": "panda"})
     checker = shared_checker(robot, scene, attachments, SAMPLE_MARGIN)

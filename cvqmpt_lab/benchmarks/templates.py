@@ -137,7 +137,7 @@ def _axes(robot: Robot) -> list[str]:
 
 
 def _scene(robot: Robot, layout: Layout) -> tuple[float, Scene]:
-    """The table's height [m], and the table with a wall on it."""
+    """Height of the table [m], and the scene: a table with a wall on it."""
     reach, (x, y, z) = hand_reach(robot), robot.kinematics.translation[0]
     top = 0.0 if 0.0 <= z <= 0.6 * reach else z - 0.35 * reach
     begin, end, half, thick = (reach * share for share in layout.table)
@@ -179,7 +179,7 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
 def _ends(
     robot: Robot, scene: Scene, layout: Layout, top: float, axis: str
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of free configurations (n,) on the manifold, beside the wall, the calmest first."""
+    """Pairs of free configurations (n,) on the manifold, beside the wall; order of `_calmest`."""
     checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN)
     reach, origin = hand_reach(robot), robot.kinematics.translation[0]
     x, y, z = (reach * share for share in layout.hand)
@@ -204,7 +204,7 @@ def _ends(
 def _calmest(
     robot: Robot, manifold: RegionConstraint, checker: CollisionChecker, draws: int = 400
 ) -> list[np.ndarray]:
-    """Free configurations (n,) on a manifold, those nearest to the middle of their range first."""
+    """Free configurations (n,) on a manifold, nearest to the middle of the joint ranges first."""
     middle = 0.5 * (robot.lower + robot.upper)
     if robot.turning.any():
         middle = np.clip(0.0, robot.lower, robot.upper)

@@ -36,7 +36,7 @@ Shard = tuple[IndexRow, bytes]
 
 @dataclass(frozen=True)
 class SceneRecipe(ABC):
-    """Which scenes a dataset is made of, and of which robot; subclasses label them."""
+    """Robot and scenes of a dataset; subclasses make the labels."""
 
     scenes: int  # in all, families taking turns
     paths_per_scene: int  # pairs tried in each; some give no label
@@ -55,7 +55,7 @@ class SceneRecipe(ABC):
         whole_number("paths per scene", self.paths_per_scene, 1)
 
     def scene_of(self, index: int) -> tuple[int, int]:
-        """Family index and scene number of scene `index`; numbers decide which scenes validate."""
+        """Family index and scene number of scene `index`; the number decides the split."""
         turn, family = divmod(index, len(self.families))
         return family, FIRST_SCENE + self.seed * SCENES_PER_SEED + turn
 
@@ -67,18 +67,18 @@ class SceneRecipe(ABC):
             yield index, family, number, family_scene(self.families[family], number)
 
     def prepare(self, out: Path) -> None:  # noqa: B027 (nothing for most)
-        """Write what shards have in common."""
+        """Write the files that shards have in common."""
 
     def check(self) -> None:  # noqa: B027 (nothing for most)
-        """Raise InvalidInputError, before anything is written, where labels cannot be made."""
+        """Raise InvalidInputError, before anything is written, if labels cannot be made."""
 
     @abstractmethod
     def shard(self, number: int) -> Shard:
-        """One shard; it depends on the recipe and its number alone."""
+        """One shard; depends on the recipe and its number alone."""
 
     @abstractmethod
     def card(self, out: Path) -> str:
-        """What the dataset holds, as a page to read."""
+        """Dataset card: what the dataset holds."""
 
 
 def generate(
@@ -120,7 +120,7 @@ def generate(
 
 
 def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
-    """Write dataset.json, or check that it says the same."""
+    """Write dataset.json, or check that it is equal."""
     robot = robot_from_source(recipe.robot)
     settings = json.loads(json.dumps(asdict(recipe)))
     path = out / DESCRIPTION_FILE
@@ -147,7 +147,7 @@ def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
 
 
 def serial_chain(robot: Robot) -> SerialChain:
-    """Kinematics with a point on each joint but the first, and the hand."""
+    """Kinematics of a robot as a chain, with a point on each joint but the first, and the hand."""
     kinematics, (hand, T) = robot.kinematics, robot.end_effector_link
     offsets = np.zeros((robot.dof, 3))
     offsets[-1] = T[:3, 3]

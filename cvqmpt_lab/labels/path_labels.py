@@ -54,7 +54,7 @@ class PathRecipe(SceneRecipe):
 
 
 class _Label(NamedTuple):
-    """A path of one scene."""
+    """One labelled path of a scene."""
 
     path: JointPath
     trivial: bool  # the straight line is free
@@ -248,7 +248,7 @@ def _card_row(dataset: PathDataset, name: str, families: Sequence[int]) -> str:
 
 
 def _ratio(dataset: PathDataset, twins: np.ndarray) -> str:
-    """Mean waypoint distance of twins to first labels, over that of these to the straight line."""
+    """Waypoint distance of twins to first labels / that of first labels to straight lines."""
     if len(twins) == 0:
         return "-"
     span = np.array(dataset.robot.upper) - np.array(dataset.robot.lower)
@@ -266,6 +266,6 @@ def _ratio(dataset: PathDataset, twins: np.ndarray) -> str:
 
 
 def _resampled(path: np.ndarray, marks: np.ndarray) -> np.ndarray:
-    """Waypoints of a path (t, n) at shares of their number."""
+    """Waypoints of a path (t, n) at given fractions of their indices."""
     places = np.linspace(0.0, 1.0, len(path))
     return np.stack([np.interp(marks, places, joint) for joint in path.T], axis=1)

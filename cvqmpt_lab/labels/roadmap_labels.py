@@ -46,17 +46,17 @@ CHECKS = 60
 
 @dataclass(frozen=True)
 class RoadmapRecipe(SceneRecipe):
-    """Labels on the roadmap of a dictionary, or of free configurations of an arm that has none."""
+    """Labels on the roadmap of a dictionary, or of free configurations of an arm without one."""
 
     labels: str = field(default="roadmap", init=False)
     model: str | None = None  # name or folder of the dictionary's weights; None: see `roadmap_of`
 
     def check(self) -> None:
-        """Refuse a robot that the dictionary is not of, or that has no roadmap."""
+        """Refuse a robot that the dictionary is not of, or one without a roadmap."""
         roadmap_graph(self.model, robot_from_source(self.robot))
 
     def prepare(self, out: Path) -> None:
-        """Write the roadmap, or check that it is the one that is there."""
+        """Write the roadmap, or check that the existing one is equal."""
         graph = roadmap_graph(self.model, robot_from_source(self.robot))
         if (out / ROADMAP_FILE).exists() and RoadmapGraph.read(out).digest != graph.digest:
             raise InvalidInputError(f"{out} holds labels of another roadmap; choose another --out")
@@ -170,7 +170,7 @@ def roadmap_graph(model: str | None, robot: Robot, shipped: str = "vq_mpt") -> R
 
 
 def _free_roadmap(robot: Robot, neighbours: int = 12) -> Roadmap:
-    """The nodes of planner `roadmap`, linked to their nearest ones."""
+    """Nodes of planner `roadmap`, each with edges to its nearest ones."""
     nodes = spread_roadmap(robot).nodes
     if len(nodes) <= neighbours:
         raise InvalidInputError(
@@ -235,7 +235,7 @@ def verdicts(
 
 @lru_cache(maxsize=1)
 def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
-    """State checks an edge that a scene may take: more than CHECKS if already an empty one does."""
+    """Limit of state checks an edge in a scene: CHECKS, or more if an empty scene takes more."""
     space, checks = unconstrained_space(robot, Scene("nothing", ())), CHECKS
     while verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks) is None:
         checks *= 4
@@ -310,7 +310,7 @@ def roadmap_labels(
 
 
 def _nearest_rows(nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Rows (e, LINKS) of the nodes (N, n) nearest to each of ends (e, n), in no order."""
+    """Indices (e, LINKS) of the nodes (N, n) nearest to each of ends (e, n), unordered."""
     squares = (ends**2).sum(1)[:, None] + (nodes**2).sum(1) - 2.0 * ends @ nodes.T
     return np.argpartition(squares, LINKS, axis=1)[:, :LINKS]
 
@@ -370,7 +370,7 @@ def _shortest_paths(
 
 
 def _codes(before: np.ndarray, goal: int) -> list[int]:
-    """Codes on the path to row `goal`, none where there is no path."""
+    """Codes on the path to row `goal`; empty if there is no path."""
     rows, row = [], int(before[goal])
     while row >= 0:
         rows.append(row)

@@ -1,1 +1,1 @@
-"""Rows of runs, their store, provenance and statistics: plain data that knows no robot."""
+"""Rows of runs, their store, provenance and statistics; independent of robots and planners."""

@@ -114,7 +114,7 @@ def _cpu_model() -> str | None:
 
 
 def _check(record: Mapping[str, Any], forms: Mapping[str, Any]) -> None:
-    """Refuse a field that is there and not as it should be."""
+    """Refuse a field of the wrong form."""
     for name in forms.keys() & record.keys():
         from_plain(forms[name], record[name], name)
     for field in DIGESTS:
@@ -123,12 +123,12 @@ def _check(record: Mapping[str, Any], forms: Mapping[str, Any]) -> None:
 
 
 def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """All sessions in a record, the first one first."""
+    """All sessions of a record, the first one first."""
     return [record, *record.get("continued", [])]
 
 
 def digests_in(record: Mapping[str, Any], field: str) -> dict[str, str]:
-    """Digests of all that a record's sessions used, by name; field: one of `DIGESTS`."""
+    """Digests by name from all sessions of a record; field: one of `DIGESTS`."""
     found: dict[str, str] = {}
     for session in sessions(record):
         found |= session.get(field, {})

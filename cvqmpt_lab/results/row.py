@@ -36,7 +36,7 @@ PAPER_PHASES = ("reach-handle", "reach-can", "carry")
 
 
 class FailReason(StrEnum):
-    """Why a run is no certified success."""
+    """Why a run has no certified path."""
 
     TIMEOUT = "timeout"
     ITERATION_LIMIT = "iteration_limit"
@@ -159,17 +159,17 @@ class ResultRow:
 
     @property
     def key(self) -> RowKey:
-        """What identifies the row: a second one with the same key replaces it."""
+        """Key of the row; a later row with an equal key replaces it."""
         return self.suite, self.problem, self.planner, self.seed, self.backend
 
     @property
     def run_key(self) -> RowKey:
-        """The same of the run, which of a task has a row for each planned phase."""
+        """Key of the run; a task's run has a row for each planned phase."""
         return self.suite, self.item, self.planner, self.seed, self.backend
 
     @property
     def item(self) -> str:
-        """What the run was of: the problem, or the whole task."""
+        """The run's problem or whole task."""
         return self.problem.partition("/")[0]
 
 
@@ -336,7 +336,7 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
 
 
 def _unchecked(cells: tuple[Any, ...]) -> ResultRow:
-    """A row of values that were checked column by column."""
+    """A row of values whose columns were checked before."""
     row = object.__new__(ResultRow)
     row.__dict__.update(zip(COLUMNS, cells, strict=True))
     return row

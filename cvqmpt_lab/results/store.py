@@ -120,7 +120,7 @@ class RunStore:
         return rows_csv.sorted_rows(self._rows.values())
 
     def done(self) -> frozenset[RowKey]:
-        """Runs that need not be run again; a task counts as one run, under its own name."""
+        """Keys of finished runs; a task counts as one run, under its own name."""
         return frozenset(row.run_key for row in self._rows.values())
 
     def append(self, rows: Sequence[ResultRow], paths: Sequence[np.ndarray] = ()) -> None:
@@ -145,7 +145,7 @@ class RunStore:
             raise RunStoreError(f"cannot append to {self.directory}: {error.strerror}") from error
 
     def _append_to(self, name: str, data: bytes) -> None:
-        """Put all of it on disk or, when the disk is full, nothing."""
+        """Append all of it to a file or, when the disk is full, nothing."""
         if name not in self._partials:
             self._partials[name] = io.FileIO(self.directory / name, "a")
         handle = self._partials[name]

@@ -22,7 +22,7 @@ from cvqmpt_lab.vqmpt.config import require_sizes
 
 @dataclass(frozen=True, kw_only=True)
 class SceneBatchSettings:
-    """What a batch is made of."""
+    """Amounts and augmentation of a batch of paths."""
 
     scenes: int = 16
     paths_per_scene: int = 4  # a scene with fewer paths repeats one with weight 0
@@ -39,12 +39,12 @@ class SceneBatchSettings:
 
 
 def batch_seed(seed: int, epoch: int, batch: int) -> np.random.SeedSequence:
-    """The only source of randomness of a batch."""
+    """Seed of a batch, the only source of its randomness."""
     return np.random.SeedSequence((seed, epoch, batch))
 
 
 class BaseTurn:
-    """Turns of robot and scene about the base, within the first joint's limits if `active`."""
+    """Rotations of robot and scene about the base, within the limits of joint 1 if `active`."""
 
     def __init__(self, dataset: PathDataset, wanted: bool) -> None:
         self.active = wanted and dataset.chain is not None and dataset.chain.turns_about_base
@@ -55,28 +55,28 @@ class BaseTurn:
         self.most = np.maximum.reduceat(first, starts) / FULL_SCALE
 
     def draw(self, paths: np.ndarray, rng: np.random.Generator) -> float:
-        """One angle [rad] for all of these paths together."""
+        """One angle [rad] that keeps joint 1 of all these paths within its limits."""
         # two draws, as in the trainings of the shipped weights
         place = rng.random(2)[0]
         least, most = self.least[paths].min(), self.most[paths].max()
         return float((-least + place * (1.0 - most + least)) * self._range) if self.active else 0.0
 
     def draw_each(self, paths: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Shifts of the normalised first joint (b,), one for each of these paths."""
+        """Shifts (b,) of the normalised first joint that keep each path within its limits."""
         place = rng.random(len(paths))
         # u_1 + shift is uniform over what leaves the whole path within the limits
         shift = -self.least[paths] + place * (1.0 - self.most[paths] + self.least[paths])
         return shift if self.active else np.zeros(len(paths))
 
     def joints(self, u: np.ndarray, angle: float) -> np.ndarray:
-        """Turn normalised joints u (..., n) by an angle [rad]."""
+        """Turn normalised joints u (..., n): u_1 <- u_1 + angle / (upper_1 - lower_1)."""
         u = np.array(u, dtype=np.float32)
         u[..., 0] += np.float32(angle / self._range)
         return u
 
 
 def turned(cloud: np.ndarray, angle: float) -> np.ndarray:
-    """A cloud (k, 3) turned with its scene about z: rows p of Rz(angle) p, angle in [rad]."""
+    """Rotate a cloud (k, 3) about z by an angle [rad]: p <- Rz(angle) p."""
     c, s = math.cos(angle), math.sin(angle)
     transposed = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)), dtype=np.float32)
     return cloud @ transposed
@@ -113,7 +113,7 @@ def grouped_by_scene(
 
 
 def _place_in_run(values: np.ndarray) -> np.ndarray:
-    """How many equal values stand directly before each."""
+    """For each entry, the number of equal entries directly before it."""
     begins = np.flatnonzero(np.concatenate(([True], values[1:] != values[:-1])))
     return np.arange(len(values)) - begins.repeat(np.diff(np.append(begins, len(values))))
 
@@ -133,7 +133,7 @@ class SceneBatches(Dataset):
         groups: list[np.ndarray],
         seed: tuple[int, int],
     ) -> None:
-        """Take groups (g, p) for each batch; without turns, for validation, no augmentation."""
+        """Take groups (g, p) for each batch; no turns means no augmentation, for validation."""
         self._dataset, self._turn, self._groups, self._seed = dataset, turn, groups, seed
         self._cloud = settings.cloud if turn is not None else settings.cloud.without_augmentation()
 
@@ -146,7 +146,7 @@ class SceneBatches(Dataset):
         seed: int,
         epoch: int,
     ) -> "SceneBatches":
-        """Every training path once, in an order of its own for each epoch."""
+        """Every training path once, in a new order for each epoch."""
         rng = np.random.default_rng((seed, epoch))
         rows = with_few_trivial(dataset.paths, dataset.split("train"), settings.trivial_share, rng)
         key = None
@@ -163,7 +163,7 @@ class SceneBatches(Dataset):
     def for_validation(
         cls, dataset: PathDataset, settings: SceneBatchSettings, seed: int
     ) -> "SceneBatches":
-        """Held-out paths, always the same ones and clouds; scenes of a batch differ if possible."""
+        """Equal held-out paths and clouds each time; scenes of a batch differ if possible."""
         rng = np.random.default_rng(seed)
         rows = with_few_trivial(
             dataset.paths, dataset.split("validation"), settings.trivial_share, rng
@@ -209,7 +209,7 @@ class SceneBatches(Dataset):
 
 
 def other_scenes(scene: np.ndarray) -> np.ndarray | None:
-    """For each entry the place of the next one of another scene; None when all are of one scene."""
+    """For each entry, the next index with another scene; None when all are of one scene."""
     if (scene == scene[0]).all():
         return None
     count = len(scene)
@@ -307,7 +307,7 @@ class SequenceBatches(Dataset):
     def _sequences(
         self, scene: int, length: int | None, rng: np.random.Generator
     ) -> dict[str, np.ndarray]:
-        """Sequences of one scene; of about one length, unless None, so that few are padded."""
+        """Sequences of one scene; of about this length, if given, so that few are padded."""
         dataset, settings = self._dataset, self._settings
         rows = np.arange(self._first[scene], self._first[scene + 1])
         rows = rows[self._count[rows] <= self._longest]
@@ -342,7 +342,7 @@ class SequenceBatches(Dataset):
     def _roadmap_arrays(
         self, roadmap: RoadmapLabels, scenes: np.ndarray, rng: np.random.Generator
     ) -> dict[str, np.ndarray]:
-        """What is free in scenes (s,), and some of their links."""
+        """Which nodes and edges are free in scenes (s,), and some of the scenes' links."""
         rows, wanted = [], self._settings.link_ends
         for scene in scenes:
             first, last = roadmap.link_start[scene : scene + 2]
@@ -359,6 +359,6 @@ class SequenceBatches(Dataset):
 
 
 def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
-    """Arrays of different lengths as one; rows of shorter ones are repeated."""
+    """Stack arrays of different lengths; shorter ones repeat their rows."""
     rows = max(map(len, arrays))
     return np.stack([array[np.arange(rows) % len(array)] for array in arrays])

@@ -23,7 +23,7 @@ SMALL = Intrinsics.from_fov(width=80, height=72, vertical_fov=75.0, near=0.5, fa
 
 @dataclass(frozen=True, kw_only=True)
 class CropSettings:
-    """What of a scene is seen."""
+    """The region of a scene that is in the cloud."""
 
     kind: Literal["ball", "box"] = "ball"
     centre: tuple[float, float, float] = (0.0, 0.0, 0.33)  # of the ball [m]
@@ -75,7 +75,7 @@ def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generat
 
 
 def _drawn(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Points (k, 3) drawn on surfaces, as many as are wanted or can be found."""
+    """Points (k, 3) drawn on surfaces: settings.points, or as many as can be found."""
     found = [np.empty((0, 3), dtype=np.float32)]
     missing = settings.points
     if len(shapes):
@@ -96,7 +96,7 @@ def _drawn(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) ->
 
 
 def _measured(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Points (k, 3) that depth cameras measure, no more than are wanted."""
+    """At most as many points (k, 3) as are wanted, measured by depth cameras."""
     centre = np.array(settings.crop.centre)
     points = measured_points(shapes, _camera_positions(settings, rng), centre, rng)
     return points[_inside_crop(points, settings.crop)][: settings.points]
@@ -127,7 +127,7 @@ def measured_points(
 
 
 def _areas(shapes: Shapes) -> np.ndarray:
-    """Surface of each shape (m,) [m^2]."""
+    """Surface area of each shape (m,) [m^2]."""
     kind, (x, y, z) = shapes.kind, shapes.size.T.astype(np.float64)
     box = 2.0 * (x * y + y * z + z * x)
     cylinder = 2.0 * np.pi * x * (x + z)
@@ -136,7 +136,7 @@ def _areas(shapes: Shapes) -> np.ndarray:
 
 
 def _camera_positions(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Where cameras stand (c, 3) [m]: 2 m from the crop's centre, not below it."""
+    """Camera positions (c, 3) [m]: 2 m from the crop's centre, not below it."""
     directions = rng.standard_normal((int(rng.integers(1, settings.cameras + 1)), 3))
     directions[:, 2] = np.abs(directions[:, 2])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -151,7 +151,7 @@ def _visible_points(
     draw: int,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Those of `draw` surface points that are seen, (k, 3) float32."""
+    """The visible ones of `draw` surface points, (k, 3) float32."""
     cumulated = np.cumsum(weights)
     shape = np.searchsorted(cumulated, rng.random(draw) * cumulated[-1], side="right")
     shape = np.minimum(shape, len(shapes) - 1)

@@ -62,11 +62,11 @@ class Scenes:
 
     @property
     def validate(self) -> np.ndarray:
-        """Which scenes (s,) validate, bool."""
+        """Whether each scene (s,) is for validation, bool."""
         return self.seed % VALIDATION_EVERY == 0
 
     def shapes(self, scene: int) -> Shapes:
-        """Those of one scene."""
+        """Shapes of one scene."""
         rows = slice(int(self.shape_start[scene]), int(self.shape_start[scene + 1]))
         return Shapes(self.shape.kind[rows], self.shape.size[rows], self.shape.pose[rows])
 
@@ -106,7 +106,7 @@ class Paths:
 
 
 def unpacked(joints: np.ndarray) -> np.ndarray:
-    """Normalised joints u float32 of stored ones, uint16."""
+    """Normalised joints u = stored / 65535, float32 of uint16."""
     return joints.astype(np.float32) / np.float32(FULL_SCALE)
 
 
@@ -126,7 +126,7 @@ def with_few_trivial(
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """What all datasets have."""
+    """Fields that all datasets have."""
 
     folder: Path
     robot: RobotSignature
@@ -137,7 +137,7 @@ class TrainingData:
     path_scene: np.ndarray  # (p,) int64: row of each path's scene
 
     def split(self, name: SplitName) -> np.ndarray:
-        """Rows of the paths that train or validate."""
+        """Rows of the paths for training or validation."""
         if name not in get_args(SplitName):
             raise UnknownChoiceError("split", name, get_args(SplitName))
         validates = self.scenes.validate[self.path_scene]
@@ -151,12 +151,12 @@ class PathDataset(TrainingData):
     paths: Paths
 
     def split(self, name: SplitName) -> np.ndarray:
-        """Rows of the paths that train or validate, without twins."""
+        """Rows of the paths for training or validation, without twins."""
         rows = super().split(name)
         return rows[self.paths.twin_of[rows] < 0]
 
     def require_splits(self) -> None:
-        """Raise InvalidInputError unless there is a path to train on and one to validate with."""
+        """Raise InvalidInputError without a path to train on or one to validate with."""
         for name in get_args(SplitName):
             if len(self.split(name)) == 0:
                 raise InvalidInputError(
@@ -296,7 +296,7 @@ def open_labels(folder: Path) -> SequenceDataset:
 
 
 def holds_labels(folder: Path) -> bool:
-    """Whether a dataset holds labels on a roadmap, not paths."""
+    """Whether a dataset holds labels on a roadmap instead of paths."""
     return (Path(folder) / ROADMAP_FILE).exists()
 
 

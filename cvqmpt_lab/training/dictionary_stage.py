@@ -141,7 +141,7 @@ class _Trajectories(Dataset):
 
 
 class _Trainee(nn.Module):
-    """The dictionary, and how often each code was used since the last restart."""
+    """The dictionary, and the number of uses of each code since the last restart."""
 
     uses: Tensor
 
@@ -180,7 +180,7 @@ class DictionaryStage(Stage):
         self._latents = torch.empty(0)
 
     def prepare(self) -> None:
-        """Put the codes onto encoded waypoints."""
+        """Initialise the codes with encoded waypoints z = f(q)."""
         if not self.config.dictionary.data_initialised:
             return
         batches, latents = self.batches(0), []
@@ -204,7 +204,7 @@ class DictionaryStage(Stage):
         return kind(self, epoch, rows, rng)
 
     def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Loss of a batch, per row, and its parts."""
+        """Mean loss of a batch and its parts, see the module."""
         u, visible = batch["u"], batch["visible"]
         output = self.module.dictionary(self._links.configurations(u))
         beta = self.config.dictionary.commitment
@@ -220,7 +220,7 @@ class DictionaryStage(Stage):
         }
 
     def after_step(self, epoch: int, step: int, optimizer: torch.optim.Optimizer) -> None:
-        """Restart codes that are hardly used."""
+        """Move codes that are hardly used to latents of the last batch."""
         settings = self.settings
         if not self.config.dictionary.data_initialised or step % max(settings.restart_every, 1):
             return
@@ -235,7 +235,7 @@ class DictionaryStage(Stage):
         uses.zero_()
 
     def validate(self) -> dict[str, float | None]:
-        """Fit of held-out paths, per waypoint [nats], and how the dictionary is used."""
+        """Fit of held-out paths, per waypoint [nats], and use of the codes."""
         rows = self.dataset.split("validation")[: self.settings.validation_paths]
         span = torch.tensor(self.dataset.robot.upper) - torch.tensor(self.dataset.robot.lower)
         sums = dict.fromkeys(("nll", "negative_entropy", "std", "changes"), 0.0)
@@ -264,6 +264,6 @@ class DictionaryStage(Stage):
         }
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
-        """The dictionary as it stands."""
+        """The dictionary in its present state."""
         self.module.dictionary.quantizer.normalise_codes()
         return Checkpoint(self.config, self.dataset.robot, self.module.dictionary, None, metadata)

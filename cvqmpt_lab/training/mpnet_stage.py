@@ -55,11 +55,11 @@ class MPNetStage(Stage):
         return SceneBatches.of_epoch(self.dataset, self._settings, self._turn, self.seed, epoch)
 
     def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Mean squared error over joints of all steps of all paths, both ways."""
+        """Mean of |g(q_t, q_goal, z) - q_(t+1)|^2 over joints, all steps and both directions."""
         return {"loss": self._squared_error(batch, batch["cloud"], stochastic=True)}
 
     def validate(self) -> dict[str, float | None]:
-        """Error on held-out scenes with their own cloud and with another scene's; no dropout."""
+        """Loss on held-out scenes with their own cloud and with another scene's; no dropout."""
         means = Means()
         for index in range(len(self._validation)):
             batch = self.tensors(self._validation[index])
@@ -74,7 +74,7 @@ class MPNetStage(Stage):
         return {name: means.values().get(name) for name in names}
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> MPNetCheckpoint:
-        """The network as it stands."""
+        """The network in its present state."""
         return MPNetCheckpoint(self.dataset.robot, self.network, metadata)
 
     def _squared_error(

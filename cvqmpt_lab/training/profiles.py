@@ -30,7 +30,7 @@ MODELS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """What to train and how."""
+    """Models and settings of all stages."""
 
     name: str
     link_features: bool  # the model takes link positions, as many as the dataset's kinematics give

@@ -63,7 +63,7 @@ class TransformerStage(SequenceStage):
         self.module.set_roadmap(graph.nodes, graph.edges)
 
     def prepare(self) -> None:
-        """Begin with how often each code and edge is free, or with the weights to fine-tune."""
+        """Set priors to the frequency of free codes and edges, or load weights to fine-tune."""
         if not self.settings.fine_tune:
             _begin_with(self.free_shares(), self.module.node_prior, self.module.edge_prior)
             return
@@ -82,7 +82,7 @@ class TransformerStage(SequenceStage):
         return {"centres": centres, "offsets": offsets}
 
     def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> Predicted:
-        """Logits over codes and goal, and what is free."""
+        """Logits over codes and goal, and log odds that codes, edges and links are free."""
         scenes = self.module.encode(cloud["centres"], cloud["offsets"])
         starts, goals = (self.module.ends(scenes, batch[name]) for name in ("starts", "goals"))
         V = self.module.cost_to_go(scenes, goals)
@@ -93,14 +93,14 @@ class TransformerStage(SequenceStage):
         return Predicted(logits, scenes.node_odds, scenes.edge_odds, links)
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
-        """The dictionary with the transformer as it stands."""
+        """The dictionary and the transformer in their present state."""
         config = replace(self.dictionary.config, transformer=self.config)
         return replace(self.dictionary, config=config, transformer=self.module, metadata=metadata)
 
 
 @torch.no_grad()
 def _begin_with(shares: list[Tensor], node_prior: Tensor, edge_prior: Tensor) -> None:
-    """Copy log odds of how often codes (N,) and edges (E,) are free into a network's priors."""
+    """Copy log odds that codes (N,) and edges (E,) are free into a network's priors."""
     node_prior.copy_(shares[0])
     edge_prior.copy_(shares[1])
 
@@ -179,16 +179,16 @@ class PublishedStage(SequenceStage):
         self._lower, self._range = limits[0], limits[1] - limits[0]
 
     def prepare(self) -> None:
-        """Begin the dense head with how often each code and edge is free."""
+        """Set the dense head's priors to the frequency of free codes and edges."""
         if self.dense is not None:
             _begin_with(self.free_shares(), self.dense.node_prior, self.dense.edge_prior)
 
     def cloud_arrays(self, points: np.ndarray) -> dict[str, np.ndarray]:
-        """The points themselves."""
+        """The cloud's points, unchanged."""
         return {"points": np.asarray(points, dtype=np.float32)}
 
     def validate(self) -> dict[str, float | None]:
-        """The same, and the share of scene features that no cloud changes."""
+        """Validation metrics, and the share of scene features that are equal for all clouds."""
         constant = self.model.context.env_encoder.constant_features()
         return super().validate() | {"constant_features": constant}
 
@@ -214,6 +214,6 @@ class PublishedStage(SequenceStage):
         return Predicted(logits, *(() if self.dense is None else self.dense(scene[0])))
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
-        """The dictionary with the sequence model as it stands."""
+        """The dictionary and the sequence model in their present state."""
         given = self.config, self.dictionary.robot, self.dictionary.dictionary
         return Checkpoint(*given, self.model, metadata)

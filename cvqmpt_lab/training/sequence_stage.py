@@ -43,7 +43,7 @@ Cloud = Mapping[str, Tensor]
 
 
 class Predicted(NamedTuple):
-    """What a model says of a batch."""
+    """A model's output for a batch."""
 
     logits: Tensor  # (s, r, l + 1, classes) after every prefix; the last class is the goal
     node_odds: Tensor | None = None  # (s, N), log odds of P(code free)
@@ -145,7 +145,7 @@ class SequenceStage(Stage):
         self._held_out = np.flatnonzero(usable & validates)
 
     def require_splits(self) -> None:
-        """Raise InvalidInputError where there are fewer scenes than in a batch."""
+        """Raise InvalidInputError for fewer scenes than in a batch."""
         scenes = self.settings.scenes
         if len(self._train) < scenes or len(self._held_out) < scenes:
             raise InvalidInputError(
@@ -160,17 +160,17 @@ class SequenceStage(Stage):
 
     @abstractmethod
     def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> Predicted:
-        """What the model says of a batch's paths, with these clouds."""
+        """The model's output for a batch of sequences with these clouds."""
 
     def free_shares(self) -> list[Tensor]:
-        """Log odds of how often each code (N,) and edge (E,) is free in training scenes."""
+        """Log odds log(p / (1 - p)); p: share of training scenes where a code, an edge is free."""
         assert self.dataset.roadmap is not None
         rows = self._train[:: max(1, len(self._train) // 2000)]
         shares = (torch.from_numpy(each.mean(axis=0)) for each in self.dataset.roadmap.free(rows))
         return [torch.logit(share.float().clamp(0.01, 0.99)) for share in shares]
 
     def batches(self, epoch: int) -> SequenceBatches:
-        """Scenes in a random order."""
+        """Batches of an epoch: scenes in random order."""
         rng = np.random.default_rng((self.seed, epoch))
         wanted = self.settings.batches_per_epoch * self.settings.scenes
         repeats = -(-wanted // len(self._train))
@@ -185,7 +185,7 @@ class SequenceStage(Stage):
         return SequenceBatches(*given, rows, self._longest, seed, augmented)
 
     def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Cross entropy of the next code, and binary ones of what is free; see the module."""
+        """-log p(h_(i+1) | M, h_1 ... h_i), B(codes) + 2 B(edges) + 2 B(links); see the module."""
         bf16 = self.settings.precision == "bf16"
         with torch.autocast(self.device.type, torch.bfloat16, enabled=bf16):
             predicted = self.predict(batch, batch)
@@ -205,7 +205,7 @@ class SequenceStage(Stage):
 
     @staticmethod
     def targets(batch: dict[str, Tensor], goal: int) -> Tensor:
-        """Next codes (s, r, l + 1) int64: class `goal` after the last, NO_TARGET behind it."""
+        """Next codes h_(i+1) (s, r, l + 1) int64; after the last `goal`, then NO_TARGET."""
         codes, count = batch["codes"], batch["count"][..., None]
         step = torch.arange(codes.shape[2] + 1, device=codes.device)
         following = F.pad(codes, (0, 1)).masked_fill(step == count, goal)
@@ -257,7 +257,7 @@ class SequenceStage(Stage):
                         means.add(f"{name}_area_under_curve", sum(known), len(known))
 
     def _ways(self, batch: dict[str, Tensor]) -> Tensor | None:
-        """Which codes and goal (s, r, l + 1, N + 1) an edge or link of a roadmap leads to, bool."""
+        """Successors on a roadmap: codes and goal (s, r, l + 1, N + 1) by an edge or link."""
         if self.dataset.roadmap is None:
             return None
         graph = self.dataset.roadmap.graph
@@ -268,7 +268,7 @@ class SequenceStage(Stage):
 
 
 def chosen(values: Tensor, rows: Tensor) -> Tensor:
-    """Of values (s, u, ...) those of rows (s, r) of each scene, (s, r, ...)."""
+    """Values (s, r, ...) at rows (s, r) of each scene's values (s, u, ...)."""
     return values[torch.arange(len(values), device=values.device)[:, None], rows]
 
 

@@ -110,14 +110,14 @@ def packed_shard(number: int, arrays: dict[str, np.ndarray]) -> tuple[IndexRow, 
 
 
 def write_shard(folder: Path, row: IndexRow, content: bytes, rows: Iterable[IndexRow]) -> None:
-    """Put a shard on disk, then write the index of all `rows`, its own included."""
+    """Write a shard, then the index of all `rows`, its own included."""
     write_bytes(folder / SHARDS_FOLDER / row.file, content)
     lines = [f"{row.shard:06d},{row.sha256},{row.scenes},{row.paths}" for row in sorted(rows)]
     write_text(folder / INDEX_FILE, "\n".join((",".join(IndexRow._fields), *lines, "")))
 
 
 def finished_shards(folder: Path) -> list[IndexRow]:
-    """Rows of the index whose shard is there as it was written; damaged lines are passed over."""
+    """Rows of the index whose shard is complete on disk; damaged lines are skipped."""
     path = folder / INDEX_FILE
     lines = read_text(path).splitlines() if path.exists() else []
     rows = {row.shard: row for row in map(_parsed, lines) if row is not None}
@@ -216,7 +216,7 @@ def _read_shard(
 
 
 def _fits(array: np.ndarray, column: Column, counts: Mapping[str, int]) -> bool:
-    """Whether an array is as its column says, given how many there are of everything."""
+    """Whether an array has the shape and values of its column, given all counts."""
     expected = [counts[part] if isinstance(part, str) else part for part in column.shape]
     if [*array.shape[1:]] != expected:
         return False
@@ -235,7 +235,7 @@ def _fits(array: np.ndarray, column: Column, counts: Mapping[str, int]) -> bool:
 def joined(
     shards: Sequence[Mapping[str, np.ndarray]], columns: Mapping[str, Column]
 ) -> dict[str, np.ndarray]:
-    """Arrays of several shards as those of one: rows and ranges are counted through."""
+    """Concatenate the arrays of several shards; row numbers and ranges are shifted."""
     before = {}
     for name, column in columns.items():
         if not column.ranges and column.rows not in before:
@@ -339,11 +339,11 @@ class RoadmapGraph:
 
     @property
     def digest(self) -> str:
-        """Which nodes these are: sha256 of them."""
+        """sha256 of the nodes."""
         return hashlib.sha256(self.nodes.tobytes()).hexdigest()
 
     def write(self, folder: Path) -> None:
-        """Put it into a dataset's folder."""
+        """Write it into a dataset's folder."""
         file = io.BytesIO()
         np.savez_compressed(file, **vars(self))
         write_bytes(folder / ROADMAP_FILE, file.getvalue())

@@ -1,4 +1,4 @@
-"""What a training trains: a module with its optimizer, batches, losses and validation."""
+"""A training stage: a module with its optimizer, batches, losses and validation."""
 
 import math
 from abc import ABC, abstractmethod
@@ -17,7 +17,7 @@ from cvqmpt_lab.vqmpt.checkpoint import Trained
 
 @dataclass(frozen=True, kw_only=True)
 class OptimizerSettings:
-    """Adam or Adagrad, with a rate that is warmed up and lowered."""
+    """Adam or Adagrad with a learning rate schedule: warm-up, then decay."""
 
     kind: Literal["adam", "adagrad"] = "adam"
     rate: float  # at the peak
@@ -60,7 +60,7 @@ class OptimizerSettings:
 
 
 class Stage(ABC):
-    """One of the trainings; `trainer` runs it."""
+    """Interface of a training stage; `trainer` runs it."""
 
     selection: ClassVar[str]  # the column of the curves whose least value is the best model
     many_processes: ClassVar[bool] = True  # whether steps depend on gradients alone
@@ -73,11 +73,11 @@ class Stage(ABC):
 
     # most stages have nothing to prepare
     def prepare(self) -> None:  # noqa: B027
-        """Once, before the first step of a training."""
+        """Called once, before the first step of a training."""
 
     @abstractmethod
     def batches(self, epoch: int) -> Dataset:
-        """Batches of an epoch: arrays by name, each a function of seed, epoch and its number."""
+        """Batches of an epoch, arrays by name; each depends on seed, epoch and its number alone."""
 
     @abstractmethod
     def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -87,15 +87,15 @@ class Stage(ABC):
     def after_step(  # noqa: B027
         self, epoch: int, step: int, optimizer: torch.optim.Optimizer
     ) -> None:
-        """What else changes with a step."""
+        """Called after each step of the optimizer."""
 
     @abstractmethod
     def validate(self) -> dict[str, float | None]:
-        """Values of the held-out paths, in evaluation mode."""
+        """Metrics of the held-out paths, in evaluation mode."""
 
     @abstractmethod
     def checkpoint(self, metadata: Mapping[str, Any]) -> Trained:
-        """The model as it stands, to be saved."""
+        """The model in its present state, to be saved."""
 
     def tensors(self, arrays: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
         """A batch's arrays on the stage's device."""

@@ -63,7 +63,7 @@ Report = Callable[[int, int, str], None]
 
 @dataclass
 class Progress:
-    """Where a training stands."""
+    """Progress of a training."""
 
     epoch: int = 0  # the next to run
     batch: int = 0  # the next to run
@@ -174,7 +174,7 @@ def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
 
 
 class Trainer:
-    """A stage that is trained in a folder for some epochs."""
+    """Trains a stage in a folder for some epochs."""
 
     def __init__(
         self, stage: Stage, folder: Path, epochs: int, workers: int, metadata: Mapping[str, Any]
@@ -233,7 +233,7 @@ class Trainer:
         return progress
 
     def _epoch(self) -> Iterator[tuple[int, float]]:
-        """Take the steps that are left of an epoch; how many it has, and the loss of each."""
+        """Take the remaining steps of an epoch; yield its number of steps and each step's loss."""
         stage, progress, k = self.stage, self.progress, self.processes
         batches = stage.batches(progress.epoch)
         # torch's Dataset does not promise a length
@@ -300,7 +300,7 @@ class Trainer:
         self._save()
 
     def _validate(self) -> dict[str, float | None]:
-        """Values of the held-out paths, named as in the curves; in the first process alone."""
+        """Validation metrics, named as in curves.csv; computed in the first process alone."""
         if self.rank > 0:
             return {}
         self.stage.module.eval()
@@ -318,7 +318,7 @@ class Trainer:
         return value
 
     def _save(self) -> None:
-        """Write everything needed to continue."""
+        """Write the state that is needed to continue."""
         if self.rank == 0:
             parts = {
                 "module": self.stage.module.state_dict(),
@@ -352,7 +352,7 @@ class _Losses(nn.Module):
 
 
 def joined_processes() -> tuple[int, int]:
-    """Number of this process and how many there are under `torchrun`; (0, 1) without it."""
+    """Rank of this process and number of processes under `torchrun`; (0, 1) without it."""
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
         return 0, 1
@@ -365,7 +365,7 @@ def joined_processes() -> tuple[int, int]:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """A list that a first Ctrl-C or SIGTERM fills; a second one acts as usual."""
+    """A list that the first Ctrl-C or SIGTERM fills; a second one ends the program as usual."""
     received: list[int] = []
     earlier = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 

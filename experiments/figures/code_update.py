@@ -29,7 +29,7 @@ WHEN = ("before", "after")
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateSettings:
-    """How an update is measured."""
+    """Seed and number of draws of a measured update."""
 
     seed: int = 0
     samples: int = 500  # draws of each Gaussian, before and after
@@ -64,7 +64,7 @@ class CodeUpdate:
         )
 
     def rows(self) -> list[dict[str, object]]:
-        """A row a Gaussian: F^T F at its mean, its mean over draws, share of draws with F = 0."""
+        """A row for each Gaussian: F^T F at its mean, its mean over draws, share of F = 0."""
         centres, g = {}, {}
         for when in WHEN:
             mixture: GaussianMixture = getattr(self, when)

@@ -170,7 +170,7 @@ def draw_norms(axes: Axes, updates: Sequence[CodeUpdate]) -> None:
 
 
 class HandPoses(NamedTuple):
-    """Hands at s configurations."""
+    """Poses of the hand at s configurations."""
 
     q: np.ndarray  # (s, n) [rad]
     positions: np.ndarray  # (s, 3) [m]
@@ -188,7 +188,7 @@ class HandPoses(NamedTuple):
 
 
 def hand_rows(update: CodeUpdate) -> list[dict[str, object]]:
-    """A row for every hand that the concept figure shows."""
+    """A row for each hand in the concept figure."""
     names = ("x", "y", "z", "up_x", "up_y", "up_z", "tilt_rad", "g")
     rows: list[dict[str, object]] = []
     for when in WHEN:
@@ -255,7 +255,7 @@ def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
 def _draw_ellipse(
     axes: Axes, hands: HandPoses, start: np.ndarray, goal: np.ndarray, colour: str
 ) -> None:
-    """One standard deviation of hands in (share of the way to the goal, lean towards x [deg])."""
+    """Ellipse of one standard deviation of (share of the path, lean towards x [deg]) of hands."""
     way = (hands.positions - start) @ (goal - start) / np.square(goal - start).sum()
     points = np.column_stack([way, np.degrees(np.arctan2(hands.up[:, 0], hands.up[:, 2]))])
     values, vectors = np.linalg.eigh(np.cov(points.T))

@@ -66,7 +66,7 @@ def draw_cost(folder: Path, out: Path) -> list[Path]:
 def cost_figure(
     times: Mapping[str, Sequence[Interval]], ratios: Mapping[str, Sequence[Interval]]
 ) -> Figure:
-    """Panels of times and ratios, a line with a band a planner, broken where nothing is known."""
+    """Panels of times and ratios; a line and band for each planner, gaps where unknown."""
     figure = Figure(figsize=(9.6, 4.1), layout="constrained")
     panels = {
         "median time without goals": ("time [s]", times),
@@ -105,7 +105,7 @@ def time_at(cost: float, row: ResultRow) -> float | None:
 
 
 def break_even(ratios: Sequence[Interval]) -> float | None:
-    """The least cost [s], interpolated, from which on a method needs less time than `birrt`."""
+    """The least cost [s] (interpolated) above which a method needs less time than `birrt`."""
     estimates = [ratio.estimate for ratio in ratios if ratio.estimate is not None]
     if not estimates or len(estimates) < len(ratios) or estimates[-1] >= 1.0:
         return None
