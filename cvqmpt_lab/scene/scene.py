@@ -97,8 +97,7 @@ class Scene(Checked):
                 if name not in known:
                     raise InvalidInputError(
                         f"articulation {articulation.name!r} moves {name!r}, which is no object "
-                        f"of {scene}: "
-                        f"add the object or correct `moves`"
+                        f"of {scene}: add the object or correct `moves`"
                     )
 
     def __repr__(self) -> str:

@@ -45,8 +45,7 @@ def check_volume(points: FloatArray, what: str) -> None:
     if len(points) < 4 or thickness(points) < MIN_THICKNESS:
         raise InvalidInputError(
             f"{what} must span a volume: give 4 or more points that are not in one plane, and at "
-            f"least "
-            f"{1e3 * MIN_THICKNESS:g} mm thick, got {len(points)} points"
+            f"least {1e3 * MIN_THICKNESS:g} mm thick, got {len(points)} points"
         )
 
 

@@ -71,8 +71,7 @@ def report_out_of_reach(scene: Scene, reach: float) -> None:
         name = min(gaps, key=lambda name: gaps[name])
         _log.warning(
             "scene %r: the arm can touch nothing of it: %r is nearest, %.3g m off, and the arm "
-            "reaches %.3g m; "
-            "no metres, or in another frame than the robot's base?",
+            "reaches %.3g m; no metres, or in another frame than the robot's base?",
             scene.name,
             name,
             gaps[name],

@@ -23,7 +23,7 @@ Pixels = Annotated[
 
 @dataclass(frozen=True, eq=False)
 class Intrinsics(Checked):
-    """How a camera projects, and the range of depths that it measures."""
+    """Intrinsics of a pinhole camera, and the range of depths that it measures."""
 
     width: Pixels
     height: Pixels
@@ -54,7 +54,7 @@ class Intrinsics(Checked):
         near: float = 1.0,
         far: float = 5.1,
     ) -> "Intrinsics":
-        """Square pixels, centred; the default field of view [deg] is the published kitchen's."""
+        """Square centred pixels, f = height / (2 tan(fov / 2)), fov [deg]; default: kitchen's."""
         if not 0.0 < vertical_fov < 180.0:
             raise InvalidInputError(
                 f"intrinsics: vertical_fov {vertical_fov} deg; give one between 0 and 180"
@@ -63,7 +63,7 @@ class Intrinsics(Checked):
         return cls(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), near, far)
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """X (width,) and y (height,) of the rays through the pixels' centres at a depth of 1 m."""
+        """Rays (x, y, 1): x = (u - cx) / fx (width,) and y = (v - cy) / fy (height,)."""
         return _axis(self.width, self.fx, self.cx), _axis(self.height, self.fy, self.cy)
 
 
@@ -92,7 +92,7 @@ class Camera:
         return self.T_world_camera[:3, 3]
 
     def rays(self) -> FloatArray:
-        """Rays (height, width, 3), in the world, through the pixels' centres, of depth 1 m."""
+        """Rays (height, width, 3) [world] through the pixels' centres, to a depth of 1 m."""
         right, down, ahead = self.T_world_camera[:3, :3].T
         x, y = self.intrinsics.axes()
         return ahead + y[:, None, None] * down + x[:, None] * right

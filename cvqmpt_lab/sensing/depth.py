@@ -76,7 +76,7 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
 
 
 def deprojected(depth: FloatArray, lens: Intrinsics) -> FloatArray:
-    """Points (height, width, 3) [m, camera frame] of a depth image (height, width) [m] or NaN."""
+    """Points d ((u - cx) / fx, (v - cy) / fy, 1) [m, camera frame] of a depth image d [m]."""
     x, y = lens.axes()
     return np.stack([depth * x, depth * y[:, None], depth], axis=-1)
 

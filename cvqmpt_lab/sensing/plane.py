@@ -16,7 +16,7 @@ WORLD_TILT = np.radians(15.0)  # the same for the world's up, when the camera's 
 
 
 class SupportingPlane(NamedTuple):
-    """The points x of a cloud with normal x = offset."""
+    """The plane n x = d in a cloud, with unit normal n and offset d."""
 
     normal: FloatArray  # (3,), of length 1, towards where things stand
     offset: float  # [m]

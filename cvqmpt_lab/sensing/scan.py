@@ -116,8 +116,7 @@ def scan(
             low, high = points.min(axis=0).round(3).tolist(), points.max(axis=0).round(3).tolist()
             raise InvalidInputError(
                 f"nothing of the scan is left after {name}: before, its {len(points)} points lay "
-                f"between "
-                f"{low} and {high} [m]"
+                f"between {low} and {high} [m]"
             )
         steps.append(Step(name, len(points), len(left)))
         points = left
@@ -139,8 +138,7 @@ def refuse_touching(scene: Scene, arm: Arm) -> None:
     if pair is not None:
         raise InvalidInputError(
             f"the arm stands inside the scan: {pair} meet; remove more around it (a larger robot "
-            f"margin), "
-            "or say where it really was"
+            f"margin), or say where it really was"
         )
 
 

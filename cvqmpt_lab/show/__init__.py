@@ -1,7 +1,7 @@
 """Pictures without a display, films, web pages, and recordings for rerun.
 
-Inside IPython an import of this package lets notebooks show robots, scenes, problems, tasks and
-what came of them as pictures; elsewhere it imports nothing.
+Inside IPython an import of this package shows robots, scenes, problems, tasks and their solutions
+as pictures; elsewhere it imports nothing.
 """
 
 import sys

@@ -178,7 +178,7 @@ def robot_bodies(
 
 
 def with_load(problem: PlanningProblem, carried: Sequence[Attachment]) -> PlanningProblem:
-    """The problem with `carried` in the hand, if it has nothing there itself."""
+    """The problem with `carried` in the hand if it has no load itself."""
     return problem if problem.attachments else replace(problem, attachments=tuple(carried))
 
 
@@ -190,14 +190,14 @@ def seen_of_problem(
     goals: int = 1,
     hidden: Sequence[str] = HIDDEN,
 ) -> Seen:
-    """What is seen of a problem with a path, or with none.
+    """What is shown of a problem, with or without a path.
 
     Args:
-        problem: with what is in the hand.
+        problem: with the load in the hand.
         path: that is shown.
-        most_states: of it; a longer one is shown at as many even places. None: its own states.
+        most_states: of it; a longer one is sampled evenly. None: its own states.
         ghosts: number of poses shown between start and goal.
-        goals: that are shown, at most, where there is no path.
+        goals: number of goals shown at most if there is no path.
         hidden: objects of the scene that are not shown.
     """
     states = problem.start[None] if path is None else path.states
@@ -253,7 +253,7 @@ def seen_of_solution(
     goals: int = 1,
     hidden: Sequence[str] = HIDDEN,
 ) -> Seen:
-    """What is seen of a solution; `carried`: load in the hand if the problem does not model it."""
+    """What is shown of a solution; `carried`: load in the hand if the problem does not model it."""
     path = solution.simplified.path if solution.simplified else None
     problem = with_load(solution.problem, carried)
     seen = seen_of_problem(problem, path, most_states, goals=goals, hidden=hidden)
@@ -358,7 +358,7 @@ class Frame(NamedTuple):
 
 
 def frames(solution: TaskSolution, period: float = 0.1, pause: float = 0.5) -> list[Frame]:
-    """The task's moments in order, up to its end or the phase that failed.
+    """Moments of a task in order, up to its end or the phase that failed.
 
     Args:
         solution: of the task.
@@ -396,7 +396,7 @@ def shown(world: World) -> PlanningProblem:
 def seen_of_task(
     solution: TaskSolution, most: int | None = None, hidden: Sequence[str] = HIDDEN
 ) -> Seen:
-    """What is seen of a task with at most `most` moments, up to the phase that failed.
+    """What is shown of a task with at most `most` moments, up to the phase that failed.
 
     Raises InvalidInputError if nothing was done.
     """

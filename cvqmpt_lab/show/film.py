@@ -26,14 +26,14 @@ def film_solution(
     progress: Callable[[int, int], None] = lambda done, total: None,
     pictures: int | None = None,
 ) -> None:
-    """Write a film of the robot on its path, or of the start alone without one, or of a task.
+    """Write a film of the robot on its path (without a path, of the start), or of a task.
 
     Args:
         solution: what is shown.
         path: of the gif.
         size: width and height, without the legend or the name of the phase below [pixels].
-        carried: what the hand is shown with where the problem does not model it.
-        progress: told how many pictures of how many are drawn.
+        carried: load in the hand if the problem does not model it.
+        progress: called with the numbers of pictures drawn and of all.
         pictures: of the film, about; default: 49 of a path, 110 at most of a task.
     """
     if isinstance(solution, TaskSolution):
@@ -73,9 +73,9 @@ def save_film(
         frames: (height, width, 3) each, 8 bit.
         path: of the file.
         rate: of pictures [1/s].
-        rest: pictures that the last one is shown for.
-        colours: of the gif.
-        chosen: pictures, about, that they are chosen for.
+        rest: pictures for which the last one is shown.
+        colours: number of colours of the gif.
+        chosen: about how many pictures the colours are chosen from.
     """
     if path.suffix != ".gif":
         raise UnknownChoiceError(f"kind of film {path.name}: suffix", path.suffix, (".gif",))

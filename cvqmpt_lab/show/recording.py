@@ -49,7 +49,7 @@ def log_solution(
         solution: what is shown.
         save: path of the file.
         view: whether the viewer is opened.
-        carried: what the hand is shown with where the problem does not model it.
+        carried: load in the hand if the problem does not model it.
     """
     if save is None and not view:
         raise InvalidInputError(
@@ -114,7 +114,7 @@ def _blueprint(seen: Seen) -> rrb.Blueprint:
 
 
 def _log_seen(recording: rr.RecordingStream, seen: Seen) -> None:
-    """Bodies, what a task does when, and plots."""
+    """Log bodies, phases of a task, and plots."""
     if seen.times is None:
         time = rr.TimeColumn("path_state", sequence=np.arange(len(seen.labels)))
     else:
@@ -163,7 +163,7 @@ def _log_plot(recording: rr.RecordingStream, plot: Plot, time: rr.TimeColumn) ->
 def _log_search(
     recording: rr.RecordingStream, solution: Solution, raw: Colour = (0.55, 0.55, 0.58)
 ) -> None:
-    """The hand's way along the path before it was shortened, and the trees."""
+    """The hand's path before shortening, and the trees."""
     robot = solution.problem.robot
     for k, tree in enumerate(solution.plan.trees):
         _log_tree(recording, robot, f"trees/{k}", tree, _rgba((GHOST, GOAL)[k % 2]))

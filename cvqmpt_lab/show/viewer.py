@@ -18,8 +18,7 @@ def check_viewer() -> None:
     if not (windows or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InvalidInputError(
             "no display to open the rerun viewer on: save a recording here (RUN.rrd) and open it "
-            "elsewhere with: "
-            "rerun RUN.rrd"
+            "elsewhere with: rerun RUN.rrd"
         )
 
 

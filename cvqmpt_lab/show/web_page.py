@@ -49,9 +49,9 @@ def save_page(
     Args:
         solution: what is shown.
         path: of the file.
-        carried: what the hand is shown with where the problem does not model it.
+        carried: load in the hand if the problem does not model it.
 
-    Returns: what a reader should know of it.
+    Returns: messages for the reader.
     """
     if isinstance(solution, TaskSolution):
         seen = seen_of_task(solution)

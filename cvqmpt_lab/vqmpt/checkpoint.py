@@ -129,8 +129,7 @@ def filled(
 ) -> Module:
     """Make a module with exactly these trained tensors, in evaluation mode.
 
-    The module is made only once names and shapes are known to fit, so that sizes which no file
-    confirms cost neither time nor memory.
+    Names and shapes are compared first, so that sizes from a wrong file cost no time or memory.
 
     Args:
         build: makes the module.
@@ -140,8 +139,8 @@ def filled(
 
     Raises:
         InvalidInputError: tensors are missing, left over, of another shape or kind, or not finite,
-            or what no training can have left: negative variances, codes that are not of unit
-            length, constants of another model.
+            or impossible after training: negative variances, codes that are not of unit length,
+            constants of another model.
     """
     # a "meta" module has shapes but no data
     with torch.device("meta"):

@@ -90,8 +90,7 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
     if context["d_context"] != stage1["c_space_dim"]:
         raise InvalidInputError(
             f"{ar_dir / 'cross_attn.json'}: d_context {context['d_context']} is not the "
-            f"dictionary's "
-            f"c_space_dim {stage1['c_space_dim']}; these folders are not of one model"
+            f"dictionary's c_space_dim {stage1['c_space_dim']}; these folders are not of one model"
         )
     if sequence["num_keys"] < 3:
         raise InvalidInputError(

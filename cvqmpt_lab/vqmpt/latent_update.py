@@ -28,7 +28,7 @@ Method = Literal["adam", "gradient"]
 
 @dataclass(frozen=True, kw_only=True)
 class LatentSettings:
-    """How codes are moved; eta, delta and N are not in the paper, chosen on tuning problems."""
+    """Settings of Algorithm 2; eta, delta and N are not in the paper but from tuning problems."""
 
     method: Method = "adam"  # or plain gradient descent, as the paper prints it
     eta: float = 0.05  # step size; of Adam roughly how far each entry of z moves in a step

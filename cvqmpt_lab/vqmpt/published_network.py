@@ -270,7 +270,7 @@ class SceneContext(nn.Module):
 
 
 class AutoRegressiveModel(nn.Module):
-    """Transformer without position code whose tokens all attend to each other."""
+    """Transformer without position encoding whose tokens all attend to each other."""
 
     def __init__(self, n_classes: int, sizes: TransformerConfig) -> None:
         super().__init__()
@@ -290,9 +290,9 @@ class AutoRegressiveModel(nn.Module):
 class PublishedSequenceModel(nn.Module):
     """Context and autoregressive model.
 
-    The sequence is [M_start, M_goal, S, c_1, ..., c_i], S a constant. Since tokens are not causal,
-    each prefix is a sample of its own, and prediction is read at its last token. Codes enter
-    through the dictionary's `Quantizer.lookup`, without gradient, and a linear layer where the
+     The sequence is [M_start, M_goal, S, c_1, ..., c_i], S a constant. The attention is not causal,
+    so each prefix is a sample of its own, and prediction is read at its last token. Codes enter
+    through the dictionary's `Quantizer.lookup`, without gradient, and a linear layer if the
     dictionary has another width.
     """
 
@@ -352,13 +352,13 @@ class PublishedSequenceModel(nn.Module):
         start: np.ndarray | Tensor,
         goal: np.ndarray | Tensor,
     ) -> StepDecoder:
-        """What beam search asks, for starts and goals (q, joint_dim), queries grouped by scene."""
+        """A `StepDecoder` for starts and goals (q, joint_dim), queries grouped by scene."""
         context = self.encode_context(scene, torch.as_tensor(start), torch.as_tensor(goal))
         return _PrefixDecoder(self, dictionary.quantizer, context)
 
 
 class _PrefixDecoder:
-    """A `StepDecoder` that keeps the prefixes alone and runs the model on all of each."""
+    """A `StepDecoder` that stores only the prefixes and runs the model on each whole prefix."""
 
     def __init__(
         self, model: PublishedSequenceModel, quantizer: Quantizer, context: Tensor

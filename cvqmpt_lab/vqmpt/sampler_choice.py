@@ -32,7 +32,7 @@ CHOICES = {
 
 @dataclass(frozen=True, kw_only=True)
 class SamplerChoice:
-    """One product; values of all fields but the share are in CHOICES."""
+    """One product of choices; values of all fields but the share are in CHOICES."""
 
     predictor: str
     gaussians: str = "decoded"
