@@ -25,8 +25,7 @@ def paper_check(problem: PlanningProblem) -> list[Measured]:
     """Processor time of all distances of a robot to itself and the kitchen, as published.
 
     A link is the convex hull of its meshes, an obstacle a box or cylinder. Placing the links is
-    part of a check, computing where they are is not. InvalidInputError without the extra
-    `pybullet`.
+    counted, forward kinematics is not. InvalidInputError without the extra `pybullet`.
     """
     if importlib.util.find_spec("pybullet") is None:
         raise InvalidInputError(

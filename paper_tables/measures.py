@@ -249,9 +249,8 @@ def split_by_work(reference: Iterable[ResultRow]) -> Split:
     """Split a planner's runs: hard problems have more median work than two thirds of the others.
 
     The median is over the planner's other seeds, so that a problem is not called hard because of
-    the very run that others are compared with; with one seed it is that one. A failed run's work is
-    infinite. At most a third are hard: ties are easy. Runs of problems without known work are left
-    out.
+    the run that others are compared with; with one seed it is that one. Failed runs have infinite
+    work. At most a third are hard: ties are easy. Problems of unknown work are left out.
     """
     rows = [row for row in reference if not row.solved or work(row) is not None]
     hard: set[ProblemKey] = set()

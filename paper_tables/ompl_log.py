@@ -55,8 +55,7 @@ PROPERTIES: Mapping[str, Callable[[ResultRow], Any]] = {
 def write_ompl_log(directory: Path, path: Path) -> None:
     """Write the rows of a results directory as one experiment, named after its suite.
 
-    InvalidInputError when the directory holds no readable runs with provenance, or `path` cannot be
-    written.
+    InvalidInputError: no readable runs with provenance, or `path` cannot be written.
     """
     write_text(path, ompl_log(directory_rows(directory), ProvenanceFile(directory).read()))
 

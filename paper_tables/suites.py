@@ -196,8 +196,7 @@ class RenderedFiles(NamedTuple):
 def render_directory(directory: Path) -> RenderedFiles:
     """Write ``table.md``, ``.tex`` and ``.csv`` beside ``runs.csv``, whose rows are of one suite.
 
-    InvalidInputError when the directory holds no readable runs with provenance, or cannot be
-    written.
+    InvalidInputError: no readable runs with provenance, or the directory cannot be written.
     """
     rows = directory_rows(directory)
     record = ProvenanceFile(directory).read()

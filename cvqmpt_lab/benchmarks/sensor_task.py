@@ -1,9 +1,8 @@
 """Planning in a map from depth images; paths are judged in the map and in the scene.
 
-Kitchens and tables by turns; start and goal are random upright configurations at least `ROOM` from
-everything, the straight motion between them blocked. Noisy depth images with the arm at the start
-become, through files, filters and the removal of the robot's points, an occupancy map: all that
-planners know.
+Scenes are kitchens and tables in turn; start and goal are random upright configurations at least
+`ROOM` from everything, the straight motion between them blocked. Planners know an occupancy map
+alone: noisy depth images with the arm at the start, filtered, without the robot's points.
 """
 
 import tempfile

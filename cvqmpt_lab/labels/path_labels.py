@@ -173,15 +173,9 @@ def free_configurations(
 def near_obstacles(
     space: ConstrainedSpace, configurations: np.ndarray, near_hand: float = 0.25
 ) -> np.ndarray:
-    """Whether the hand is within `near_hand` [m] of a box around an obstacle.
+    """Whether the hand is near an obstacle, (b,) bool: within `near_hand` [m] of a box around one.
 
-    Args:
-        space: of the scene.
-        configurations: (b, n) [rad or m].
-        near_hand: [m].
-
-    Returns:
-        (b,) bool.
+    configurations: (b, n) [rad or m].
     """
     robot = space.robot
     link, T = robot.end_effector_link

@@ -60,10 +60,8 @@ class RunStore:
     ) -> "RunStore":
         """Create a store, or continue one with equal configuration and weights.
 
-        configuration: every setting that must not change within one table (suite, cutoff, ...), as
-            json values.
-        session: of `provenance`; a continued store lists it, once it adds a row, under
-            ``continued``.
+        configuration: every setting that must not change within one table (suite, cutoff, ...).
+        session: of `provenance`; a continued store lists it when it adds a row.
 
         RunStoreError when the directory cannot be written, is in use, was made with another
         configuration or other weights (the message names which), or holds runs without provenance

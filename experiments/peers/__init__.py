@@ -33,8 +33,7 @@ def versions(planner: str, *distributions: str) -> str:
 def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
     """The region of a problem that bounds rotation y and z of the hand by +-b, and nothing else.
 
-    Raises InvalidInputError for what the adapters do not translate: other constraints, several
-    goals, a load.
+    InvalidInputError: other constraints, several goals, a load, which adapters do not translate.
     """
     region = problem.constraint[0] if len(problem.constraint) == 1 else None
     if (
