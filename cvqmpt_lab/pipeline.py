@@ -86,8 +86,8 @@ def solve(
     """Draw goals, observe, predict, update, search, shorten, certify.
 
     All randomness comes from seed and start. Calls from several threads run one after the other:
-    OMPL's random numbers, caches of clouds and edge costs, and the number of BLAS threads belong to
-    the process. Several processes plan at the same time.
+    OMPL's random numbers, caches and the number of BLAS threads belong to the process. Several
+    processes plan at the same time.
 
     Args:
         problem: what is planned.
@@ -97,10 +97,8 @@ def solve(
         backend: of state checks, "compiled" or "exact".
         simplification: bounds of the shortening.
         clearance: whether the certificate measures the smallest distance.
-        optimize: budget after the first path for other paths and shortening; the result is never
-            longer than that path.
-        use_cache: False charges the planner for all that it computes from the cloud, although it
-            may be cached.
+        optimize: budget for shorter paths after the first one; the result is never longer.
+        use_cache: False charges the planner for all that it computes from the cloud, cached or not.
         near_goals_first: where hinges turn more than once, the nearest goals are tried alone first:
             others are whole turns away.
 

@@ -271,8 +271,7 @@ def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
         i: number of a shape of a.
         b: shapes.
         j: number of a shape of b.
-        pose: of b's owner in the frame of a's owner, 12-tuple: rotation by rows, then translation
-            [m].
+        pose: of b's owner in a's owner's frame, 12-tuple: rotation by rows, then translation [m].
         axis: first direction, 3-tuple from b towards a of any length, in the frame of a's owner.
         above: stop when a slab is wider [m].
         below: stop when the distance is known to be at most this [m].

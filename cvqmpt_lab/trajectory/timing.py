@@ -160,7 +160,7 @@ def _knots(
     flat: float = 1.5,
     growth: float = 0.5,
 ) -> np.ndarray:
-    """Knots (k,) from 0 to the end, so dense at waypoints that their corners are cut by aim.
+    """Knots (k,) from 0 to the end, dense enough at waypoints to cut their corners by aim.
 
     Args:
         marks: (m,) of the waypoints [rad].
