@@ -85,10 +85,7 @@ def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -
 
 
 def distinct(index: np.ndarray, dense: int = 1 << 26) -> np.ndarray:
-    """Rows of an index (m, 3) of int64 >= 0, each once (k, 3), in order.
-
-    dense: grids of no more cells are searched as a whole: one byte a cell.
-    """
+    """Sorted distinct rows (k, 3) of indices (m, 3) >= 0; by a grid up to `dense` bytes."""
     across = tuple(index.max(axis=0) + 1)
     keys = np.ravel_multi_index(tuple(index.T), across)
     if np.prod(across) <= dense:

@@ -82,10 +82,7 @@ def deprojected(depth: FloatArray, lens: Intrinsics) -> FloatArray:
 
 
 def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES) -> None:
-    """Write depth (height, width) [m] as a 16-bit PNG, `scale` [m] per unit; 0 means not seen.
-
-    Depths that are not finite or do not fit become 0.
-    """
+    """Write depth (height, width) as a 16-bit PNG, `scale` [m] per unit; 0: does not fit."""
     with np.errstate(invalid="ignore"):
         units = np.rint(depth / scale)
     units[~(units < 2**16)] = 0.0

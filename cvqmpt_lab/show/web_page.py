@@ -72,10 +72,7 @@ def path_html(
 
 
 def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> tuple[str, list[str]]:
-    """The text of a page, and a message if triangles were reduced.
-
-    size: [pixels] for which the first viewpoint is chosen.
-    """
+    """Text of a page with a first view of `size` [pixels], and a message on reduced triangles."""
     ends = (0,) if seen.times is not None else (0, len(seen.labels) - 1)
     robot = [body for body in seen.moving if body.layer == "robot"]
     scene = meshes_of(seen.scene)
