@@ -60,12 +60,12 @@ OPTIONS: Options = {
     ),
     "--labels": option(
         f"{' or '.join(LABELS)}: near-shortest paths, or free nodes and edges of a roadmap, and "
-        f"shortest paths (paths)",
+        "shortest paths (paths)",
         default="paths",
     ),
     "--dictionary --model": option(
-        "labels roadmap: --out of `cvqmpt train stage1` (the shipped; free configurations of other "
-        "arms)",
+        "labels roadmap: --out of `cvqmpt train stage1` (the shipped; free configurations of "
+        "other arms)",
         metavar="DIR",
     ),
     "--seed": option("another seed, other scenes and paths (0)", type=int, default=0),

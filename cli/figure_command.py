@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         if args.rows is None:
             raise InvalidInputError(
                 f"figure {args.figure} is drawn from rows or trainings: name their folder with "
-                f"--rows"
+                "--rows"
             )
         if RESULTS.resolve() in (out.resolve(), *out.resolve().parents):
             raise InvalidInputError(

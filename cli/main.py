@@ -140,7 +140,7 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
     if unknown:
         raise InvalidInputError(
             f"unknown arguments: {' '.join(unknown)}; cvqmpt {args.command} --help lists what can "
-            f"be given"
+            "be given"
         )
     return args
 

@@ -100,8 +100,7 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
     if len(given) != 1 or motion_given(args) or args.scene:
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or "
-            f"--start and --goal with "
-            "--cloud or --scene: one of the four"
+            "--start and --goal with --cloud or --scene: one of the four"
         )
     if args.task_file is None:
         return problem_asked(args)
@@ -150,7 +149,7 @@ OPTIONS: Options = {
     ),
     "--planner": option(
         f"one of {', '.join(PLANNERS)}, or package.module:planner (roadmap, for a task or a held "
-        f"mechanism birrt)"
+        "mechanism birrt)"
     ),
     **WEIGHTS,
     "--cloud": option(
@@ -171,8 +170,8 @@ OPTIONS: Options = {
     **SHOW,
     "--save-path": option("write the path's states as csv", type=Path, metavar="PATH.csv"),
     "--trajectory": option(
-        "write the path as the fastest motion in time, json for ROS; of a task a folder: a file a "
-        "phase",
+        "write the path as the fastest motion in time, json for ROS; of a task a folder: a file "
+        "a phase",
         type=Path,
         metavar="OUT.csv|OUT.json|DIR",
     ),

@@ -88,7 +88,7 @@ def robot_source(
     if args.urdf is not None:
         if args.end_effector is None:
             raise InvalidInputError(
-                f"--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot "
+                "--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot "
                 f"{args.urdf} suggests one"
             )
         return {"urdf": str(args.urdf.absolute()), **options}
@@ -192,8 +192,8 @@ def budget(args: argparse.Namespace) -> Budget:
 def optimize_option(usual: str = "") -> Options:
     """--optimize; usual: what the help says of its default."""
     text = (
-        "spend S seconds more on a shorter path (iterations, where only --iterations bounds "
-        "the run)"
+        "spend S seconds more on a shorter path (iterations, where only --iterations bounds the "
+        "run)"
     )
     return {"--optimize": option(text + usual, type=not_negative, metavar="S")}
 
@@ -210,7 +210,7 @@ def optimize_budget(args: argparse.Namespace, usual: float | None = None) -> Bud
     if args.optimize != int(args.optimize):
         raise InvalidInputError(
             f"--optimize {args.optimize:g}: a run of --iterations {args.iterations} knows no "
-            f"clock; give a whole number of iterations, or --cutoff beside it"
+            "clock; give a whole number of iterations, or --cutoff beside it"
         )
     return Budget(iterations=int(args.optimize))
 

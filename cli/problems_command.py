@@ -133,7 +133,7 @@ OPTIONS: Options = {
     "action": option(", ".join(ACTIONS)),
     "what": option(
         f"suite: {', '.join(SUITES)}; with new: the file to write; with import: a scene of MoveIt "
-        f"(scene, yaml)"
+        "(scene, yaml)"
     ),
     "--problems": option("only the first N (all)", type=positive_int, metavar="N"),
     "--out": option(

@@ -141,7 +141,7 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
     names = ", ".join(path.name for path in files)
     yield (
         f"scan        {names}: {made.steps[0].before} points, {made.dropped} pixels or rows "
-        f"without one"
+        "without one"
     )
     if made.levelled is not None:
         from scipy.spatial.transform import Rotation  # a third of a second to import
@@ -150,12 +150,12 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
         tilt = np.degrees(np.arccos(np.clip(plane.normal @ CAMERA_UP, -1.0, 1.0)))
         yield (
             f"levelled    by a table of {plane.share:.0%} of the points, flat to "
-            f"{1e3 * plane.residual:.1f} mm: the "
-            f"camera looks {tilt:.1f} deg down from {-plane.offset:.2f} m above it"
+            f"{1e3 * plane.residual:.1f} mm: the camera looks {tilt:.1f} deg down from "
+            f"{-plane.offset:.2f} m above it"
         )
         quaternion = Rotation.from_matrix(T[:3, :3]).as_quat().round(6).tolist()
         yield (
-            f"extrinsics  "
+            "extrinsics  "
             f"{json.dumps({'xyz': T[:3, 3].round(4).tolist(), 'quaternion': quaternion})}"
         )
     for step in made.steps:

@@ -167,7 +167,7 @@ def bench(args: argparse.Namespace) -> int:
     if args.bench in REMOVED_BENCHES:
         raise InvalidInputError(
             f"bench {args.bench} was removed, its last figures are in docs/performance.md; use "
-            f"bench stages, or planners of a run: cvqmpt reproduce place-task"
+            "bench stages, or planners of a run: cvqmpt reproduce place-task"
         )
     if args.bench not in BENCHES:
         raise UnknownChoiceError("bench", args.bench, BENCHES)

@@ -67,7 +67,7 @@ def compare(args: argparse.Namespace) -> int:
     found = compared(directory_rows(args.before), directory_rows(args.after))
     print(
         f"from A, {args.before}, to B, {args.after}; runs of both; changes over those that both "
-        f"solved, 95 % intervals"
+        "solved, 95 % intervals"
     )
     print("\n".join(text_lines(comparison_lines(found))))
     print("\n".join(clear(found) or ["no clear change"]))
@@ -178,8 +178,8 @@ COMPARE: Options = {
 }
 CLAIMS: Options = {
     "results": option(
-        "folder of results directories, where claims.md goes (the committed ones, with "
-        "page and README)",
+        "folder of results directories, where claims.md goes (the committed ones, with page and "
+        "README)",
         type=Path,
         nargs="?",
         metavar="DIR",

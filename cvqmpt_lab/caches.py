@@ -102,7 +102,7 @@ def named_folder(variable: str, otherwise: str | Path) -> Path:
     except (RuntimeError, OSError) as error:  # no such user, or the working folder was removed
         raise InvalidInputError(
             f"{variable}: no folder {shown(str(named))} ({error}); set it to the full path of a "
-            f"folder"
+            "folder"
         ) from error
 
 

@@ -120,8 +120,8 @@ def certify(
         text = f"off the manifold by {violation.radians:.2g} rad, {violation.metres:.2g} m"
         if not seen:
             text += (
-                f" where it was looked at, not shown to be less than {violation.largest:.2g} "
-                f"in between"
+                f" where it was looked at, not shown to be less than {violation.largest:.2g} in "
+                "between"
             )
         faults.append(Fault(kind, text, _place(path.states, violation.at)))
     if proof.colliding is not None:
@@ -133,7 +133,7 @@ def certify(
         moved, (gap, pair) = checker.moved(q, hull), checker.nearest(q)
         text = (
             f"not proven free over {length:.1g} rad, {1e3 * moved:.1g} mm to each side of the "
-            f"middle"
+            "middle"
         )
         text += f", where {pair} are {1e3 * gap:.2g} mm apart"
         faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))

@@ -153,13 +153,13 @@ def _compared_lines(contents: dict[str, Any]) -> list[str]:
     left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
     return [
         f"compared    {it['moving_pieces']} moving and {it['carried_pieces']} carried pieces: "
-        f"{it['own_pairs']} pairs with each other, all with the {it['obstacle_pieces']} pieces "
-        f"of {near} obstacles in reach, of {it['obstacles']}",
+        f"{it['own_pairs']} pairs with each other, all with the {it['obstacle_pieces']} pieces of "
+        f"{near} obstacles in reach, of {it['obstacles']}",
         f"left out    {it['standing_pieces']} standing pieces against obstacles; of pairs of "
         f"links: {left or 'none'}",
         f"tolerances  constraint {used['constraint']:g} rad or m, step {used['step_rad']:g} rad, "
-        f"ends {used['ends_rad']:g} rad, margin {1e3 * used['margin_m']:.2g} mm, "
-        f"clearance from obstacles {1e3 * used['clearance_m']:g} mm",
+        f"ends {used['ends_rad']:g} rad, margin {1e3 * used['margin_m']:.2g} mm, clearance from "
+        f"obstacles {1e3 * used['clearance_m']:g} mm",
         f"record      version {contents['version']}, problem {contents['problem_sha256'][:12]}, "
         f"motion {contents['motion_sha256'][:12]}",
     ]

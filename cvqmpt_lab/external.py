@@ -122,13 +122,13 @@ def external_planner(name: str) -> ExternalPlanner:
             planner = planner()
         except Exception as error:
             raise InvalidInputError(
-                f"planner {name}: making it without arguments raises "
-                f"{type(error).__name__}: {error}"
+                f"planner {name}: making it without arguments raises {type(error).__name__}: "
+                f"{error}"
             ) from error
     if not callable(planner):
         raise InvalidInputError(
             f"planner {name} is {shown(planner)}: give a function (problem, budget, seed), or a "
-            f"class of such"
+            "class of such"
         )
     made_by = getattr(module, "MADE_BY", "") or distribution or _origin(module_name)
     return ExternalPlanner(planner, made_by)
@@ -178,7 +178,7 @@ def _imported(name: str, module: str) -> Any:
         if error.name is not None and f"{module}.".startswith(f"{error.name}."):
             raise InvalidInputError(
                 f"planner {name}: there is no module {error.name!r}; install it, or start in its "
-                f"folder"
+                "folder"
             ) from error
         raise InvalidInputError(
             f"planner {name}: {module} needs {error.name!r}; install it"

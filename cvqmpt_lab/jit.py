@@ -136,8 +136,8 @@ class _Cache(FunctionCache):
 @functools.cache
 def _warn_not_kept(why: str) -> None:
     message = (
-        f"machine code cannot be kept in {folder()} ({why}): every process compiles for up "
-        f"to half a minute; "
+        f"machine code cannot be kept in {folder()} ({why}): every process compiles for up to "
+        "half a minute; "
     )
     warnings.warn(message + "set NUMBA_CACHE_DIR to a writable folder", stacklevel=2)
 

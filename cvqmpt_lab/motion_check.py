@@ -186,16 +186,16 @@ def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
         worst, joint = np.unravel_index(int(np.argmax(most / limits.acceleration)), most.shape)
         raise InvalidInputError(
             f"from point {worst} on {limits.joint_names[joint]} accelerates by "
-            f"{most[worst, joint]:.3g} rad/s^2, "
-            f"its limit is {limits.acceleration[joint]:.3g}: too much to follow; are units right?"
+            f"{most[worst, joint]:.3g} rad/s^2, its limit is {limits.acceleration[joint]:.3g}: "
+            "too much to follow; are units right?"
         )
     spans = np.diff(curve.x)
     pieces = np.maximum(np.ceil(spans * np.sqrt(most.max(axis=1) / (8.0 * FLAT))), 1.0)
     if pieces.sum() > MOST_PIECES:
         raise InvalidInputError(
             f"a motion of {spans.sum():.3g} s that would be followed in {pieces.sum():.3g} "
-            f"straight pieces; at most "
-            f"{MOST_PIECES} are: certify it in parts; are times in seconds?"
+            f"straight pieces; at most {MOST_PIECES} are: certify it in parts; are times in "
+            "seconds?"
         )
     counted = zip(curve.x, spans, pieces.astype(int), strict=False)
     cuts = [t + span * np.arange(count) / count for t, span, count in counted]
@@ -217,8 +217,8 @@ def _limit_faults(
         share, k, joint = np.unravel_index(int(used.argmax()), used.shape)
         if used[share, k, joint] > 1.0 + OVERSHOOT[kind]:
             reached = (
-                f"{limits.joint_names[joint]} reaches "
-                f"{used[share, k, joint] * limit[joint]:.4g} {unit}"
+                f"{limits.joint_names[joint]} reaches {used[share, k, joint] * limit[joint]:.4g} "
+                f"{unit}"
             )
             moment = curve.x[k] + np.append(SHARES, (0.0, 1.0))[share] * (
                 curve.x[k + 1] - curve.x[k]
@@ -248,8 +248,7 @@ def _start_fault(
     if current.shape != first.shape or not np.isfinite(current).all():
         raise InvalidInputError(
             f"current configuration of {len(current)} values: give {len(first)} finite numbers, "
-            f"one each for "
-            f"{', '.join(problem.robot.joint_names)}"
+            f"one each for {', '.join(problem.robot.joint_names)}"
         )
     off = np.abs(first - current)
     if off.max() <= tolerance:

@@ -76,8 +76,8 @@ class Method:
         rows = sum(len(region.bounded_rows) for region in problem.constraint)
         if self.needs_charts and rows >= problem.robot.dof:
             return (
-                f"it needs more joints than the constraint bounds, {problem.robot.dof} joints "
-                f"and {rows} entries"
+                f"it needs more joints than the constraint bounds, {problem.robot.dof} joints and "
+                f"{rows} entries"
             )
         if self.weights is None:
             return ""

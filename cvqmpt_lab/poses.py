@@ -54,7 +54,7 @@ class Placement:
         if (most := max(map(abs, self.rpy or (0.0,)))) > TURN:
             raise InvalidInputError(
                 f"'rpy' holds {most:g}, more than 2 pi: degrees? Give radians, 90 degrees are "
-                f"1.5708"
+                "1.5708"
             )
         length = math.hypot(*self.quaternion or (1.0,))
         if abs(length - 1.0) > 1e-3:

@@ -166,14 +166,12 @@ class PlanningProblem(Document):
             if isinstance(region, TaskSpaceRegionChain):
                 raise InvalidProblemError(
                     f"{self.name}: {what!r} hangs on {region.base!r}, which moves; give one in "
-                    f"the world: "
-                    f"TaskSpaceRegionChain.at(pose of {region.base!r})"
+                    f"the world: TaskSpaceRegionChain.at(pose of {region.base!r})"
                 )
         if len(self.constraint) > MOST_REGIONS:
             raise InvalidProblemError(
                 f"{self.name}: a constraint of {len(self.constraint)} regions; at most "
-                f"{MOST_REGIONS} can be kept at "
-                "once: leave out those that others say already"
+                f"{MOST_REGIONS} can be kept at once: leave out those that others say already"
             )
         for region in self.constraint:
             # raises UnknownChoiceError for a frame that does not exist
@@ -315,8 +313,7 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
         if worst > CONTRADICTION:
             raise InvalidProblemError(
                 f"{problem.name}: goal {k} lies outside 'goal_region' by {worst:.4f} (rad or m); "
-                f"take out 'goals', "
-                f"and new ones are drawn from the region, or 'goal_region'"
+                "take out 'goals', and new ones are drawn from the region, or 'goal_region'"
             )
 
 

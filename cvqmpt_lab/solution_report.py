@@ -32,8 +32,8 @@ def solution_lines(solution: Solution, planner: str, why: str = "") -> list[str]
         f"constraint  {constraint}",
         f"planner     {planner}{why and f' ({why})'}, samples: {plan.sampler}",
         f"status      {_status(solution)}",
-        f"time        goals {1e3 * solution.goal_seconds:.1f} ms, plan {1e3 * plan.seconds:.1f} ms"
-        f"{simplify}",
+        f"time        goals {1e3 * solution.goal_seconds:.1f} ms, plan {1e3 * plan.seconds:.1f} "
+        f"ms{simplify}",
     ]
     if not plan.as_is:
         lines.append(

@@ -29,7 +29,7 @@ def paper_check(problem: PlanningProblem) -> list[Measured]:
     """
     if importlib.util.find_spec("pybullet") is None:
         raise InvalidInputError(
-            f"bench paper-check needs PyBullet, which is not installed: "
+            "bench paper-check needs PyBullet, which is not installed: "
             f"{install_command('pybullet')}"
         )
     import pybullet as bullet

@@ -96,7 +96,7 @@ def banner(found: Mapping[str, Evidence]) -> str:
         return ""
     return (
         f"These rows are of --profile {', '.join(small)}, made to try things out: few problems, "
-        f"short budgets, wide intervals. Verdicts of the paper need --profile full."
+        "short budgets, wide intervals. Verdicts of the paper need --profile full."
     )
 
 

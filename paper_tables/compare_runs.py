@@ -37,14 +37,14 @@ def compared(a: Rows, b: Rows) -> list[Compared]:
     if suites[0] != suites[1]:
         raise InvalidInputError(
             f"runs of {', '.join(suites[0])} do not pair with runs of {', '.join(suites[1])}; "
-            f"compare equal suites"
+            "compare equal suites"
         )
     groups = by_planner(a, ()), by_planner(b, ())
     common = [name for name in groups[0] if name in groups[1]]
     if not common:
         raise InvalidInputError(
             f"no planner in common: A has {', '.join(groups[0])}, B has {', '.join(groups[1])}; "
-            f"run one in both"
+            "run one in both"
         )
     return [_compared(name, groups[0][name], groups[1][name]) for name in common]
 
@@ -55,7 +55,7 @@ def _compared(planner: str, a: Rows, b: Rows) -> Compared:
     if not pairs:
         raise InvalidInputError(
             f"{planner}: no run in common: A has {named(rows[0])}, B has {named(rows[1])}; run "
-            f"the same ones"
+            "the same ones"
         )
     left_out = len(rows[0]) - len(pairs), len(rows[1]) - len(pairs)
     a, b = [old for _, old, _ in pairs], [new for _, _, new in pairs]

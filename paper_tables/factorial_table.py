@@ -65,14 +65,14 @@ NOTES = (
     "Solved: certified, Wilson interval.",
     "G = F(q)^T F(q): mean over 256 fixed draws of what is sampled, inside the joint limits, "
     "before projection.",
-    "Time: median with failures as infinite; encoding the cloud is in it, goal inverse kinematics "
-    "is not.",
-    "Work counts the projections of means, not the gradient of Algorithm 2 (F and its Jacobian at "
-    "16 draws a code and step, five steps, and F at 64 more), which is in the time.",
+    "Time: median with failures as infinite; encoding the cloud is in it, goal inverse "
+    "kinematics is not.",
+    "Work counts the projections of means, not the gradient of Algorithm 2 (F and its Jacobian "
+    "at 16 draws a code and step, five steps, and F at 64 more), which is in the time.",
     "Contrasts: the first over the second, all else equal; every product that both sides have is "
-    "paired by problem and seed, and a problem counts once. Intervals are not corrected for their "
-    "number. Wide and decoded are compared at 15 % uniform samples. Runs that one side failed are "
-    "left out, which flatters the side that fails more.",
+    "paired by problem and seed, and a problem counts once. Intervals are not corrected for "
+    "their number. Wide and decoded are compared at 15 % uniform samples. Runs that one side "
+    "failed are left out, which flatters the side that fails more.",
     "The transformer also chooses the three goals that Gaussians lie around; graph and random "
     "codes have the nearest. The oracle's work includes the path without constraint that its "
     "codes are of.",

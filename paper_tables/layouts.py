@@ -112,18 +112,18 @@ METHOD_NOTES = (
     "mean, because the paper gives means, leaves failures out (bootstrap interval).",
     "Vertices: median and mean over solved runs. Path length: final path, Euclidean in joint "
     "space; raw length: before simplification; both over the jointly solved runs.",
-    "Projections, Newton iterations, state checks: medians over all runs with failures counted as "
-    "infinite; work is projections and state checks. Approximate checks, no part of it: states "
-    "whose clearance was read from a distance field. Time, scene known: without goal inverse "
-    "kinematics and without encoding the scene's cloud; scene new: with encoding it, where rows "
-    "are of runs that did. Making the checker's obstacles and distance grid, as all planners "
-    "need, and a roadmap for a robot that had none is in nobody's time. atlas-rrt and tb-rrt "
-    "project inside OMPL's charts, where Newton iterations are counted and projections are not: "
-    "their work is too low.",
+    "Projections, Newton iterations, state checks: medians over all runs with failures counted "
+    "as infinite; work is projections and state checks. Approximate checks, no part of it: "
+    "states whose clearance was read from a distance field. Time, scene known: without goal "
+    "inverse kinematics and without encoding the scene's cloud; scene new: with encoding it, "
+    "where rows are of runs that did. Making the checker's obstacles and distance grid, as all "
+    "planners need, and a roadmap for a robot that had none is in nobody's time. atlas-rrt and "
+    "tb-rrt project inside OMPL's charts, where Newton iterations are counted and projections "
+    "are not: their work is too low.",
     f"Time / {BASELINE}: geometric mean of the ratio over problems solved by both, bootstrap "
     "interval.",
-    "By fallback: runs whose path did not come the way the planner's name promises; they count as "
-    "its own.",
+    "By fallback: runs whose path did not come the way the planner's name promises; they count "
+    "as its own.",
     f"At the paper's cost: {1e3 * STATE_CHECK_COST:g} ms a state check (PyBullet, see bench "
     f"paper-check), {1e3 * PROJECTION_COST:g} ms a projection (Newton's method in Python; a lower "
     "bound), networks as measured here, goals and simplification left out. Median with failures "
@@ -149,8 +149,8 @@ SENSED_NOTES = (
     "certificate, in the scene that was scanned, Wilson interval over the paths certified in the "
     "map.",
     "Images to map: reading depth images, intrinsics and extrinsics, removing the robot, "
-    "outliers, and the rest. Images to certificate: everything until the path is certified in the "
-    "map, everything counted. Medians.",
+    "outliers, and the rest. Images to certificate: everything until the path is certified in "
+    "the map, everything counted. Medians.",
     "The paper's scenes, starts and goals are not published: its numbers are of other problems, "
     "on a real robot.",
 )
@@ -269,8 +269,8 @@ GROUP_COLUMNS: Mapping[str, Column] = {
     },
 }
 CONSTRAINT_NOTES = (
-    "No constraint was seen in training. Scenes are held out; all planners get the same start and "
-    "goals.",
+    "No constraint was seen in training. Scenes are held out; all planners get the same start "
+    "and goals.",
     "Solved: certified, Wilson interval. Ratios to uniform samples: geometric mean over problems "
     "that both solved, bootstrap interval; work is projections and state checks, time is without "
     "goal inverse kinematics.",
@@ -343,13 +343,13 @@ PEER_BRIEF = (
     BriefColumn("length [rad]", "path_length", "path_length_median"),
 )
 PEER_NOTES = (
-    "Estimate [95 % interval]. Every planner has one thread, the same convex pieces of the robot, "
-    "the same obstacles and pairs of pieces, its own collision checker; what it loads for a robot "
-    "and a scene is loaded before.",
+    "Estimate [95 % interval]. Every planner has one thread, the same convex pieces of the "
+    "robot, the same obstacles and pairs of pieces, its own collision checker; what it loads for "
+    "a robot and a scene is loaded before.",
     "Path found: the planner returned a path in time. Certified: the path, as it was returned, "
     "also keeps constraint, limits and obstacles between its states; Wilson intervals.",
-    "Time: wall clock around the whole call, for ours with shortening, for theirs with their own; "
-    "the certificate is left out. Median with runs that are not certified as infinite, "
+    "Time: wall clock around the whole call, for ours with shortening, for theirs with their "
+    "own; the certificate is left out. Median with runs that are not certified as infinite, "
     "order-statistic interval.",
     f"Ratios to {REFERENCE}: geometric mean over problems that both solved, paired by problem and "
     "seed, bootstrap interval.",
@@ -357,8 +357,8 @@ PEER_NOTES = (
     "What favours ours: roboplan and sscbirrt bound roll, pitch and yaw, and get a box of nine "
     "tenths of what fits into the problem's bounds at any roll; HPP keeps the hand upright "
     "exactly; its time holds its random shortcuts, as sscbirrt's holds its smoothing; roboplan "
-    "has no shortening that knows constraints. roboplan and sscbirrt check states 0.05 rad apart, "
-    "as they are set up by their makers; their refused paths collide.",
+    "has no shortening that knows constraints. roboplan and sscbirrt check states 0.05 rad "
+    "apart, as they are set up by their makers; their refused paths collide.",
     "Extension length of roboplan, validation and shortcuts of HPP were chosen on problems that "
     "are not in this table.",
 )

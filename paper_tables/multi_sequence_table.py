@@ -130,10 +130,10 @@ NOTES = (
     "controller following waypoints: only ratios compare.",
     "The paper replays a stored motion to open the door; here it is planned, as is the straight "
     "way to the can. Both are outside the first table's times and inside the second's.",
-    "The final pose of the can is drawn for every task; in the published code a side effect makes "
-    "it the same in all.",
-    "Fallbacks: phases whose path did not come the way the planner's name promises; they count as "
-    "its own.",
+    "The final pose of the can is drawn for every task; in the published code a side effect "
+    "makes it the same in all.",
+    "Fallbacks: phases whose path did not come the way the planner's name promises; they count "
+    "as its own.",
 )
 
 

@@ -261,8 +261,8 @@ def evidence_of(directory: Path) -> dict[str, Evidence]:
     found = evidence_below(directory)
     if not found:
         raise InvalidInputError(
-            f"{directory} is no results directory and holds none; make one with: "
-            f"cvqmpt reproduce place-task --out {directory}"
+            f"{directory} is no results directory and holds none; make one with: cvqmpt reproduce "
+            f"place-task --out {directory}"
         )
     return dict(sorted(found.items(), key=lambda item: (item[0] != "place-task", item[0])))
 

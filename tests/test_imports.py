@@ -90,9 +90,9 @@ def test_no_arrow_upwards():
 
 def test_plan_imports_few_modules():
     code = (
-        "import sys; from cli.main import main;"
-        "main(['plan', 'place-task', '--problem', '7', '--seed', '0']);"
-        f"print(*(name for name in sys.modules if name.split('.')[0] in {PACKAGES}))"
+        "import sys; from cli.main import main;main(['plan', 'place-task', '--problem', '7', "
+        "'--seed', '0']);print(*(name for name in sys.modules if name.split('.')[0] in "
+        f"{PACKAGES}))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

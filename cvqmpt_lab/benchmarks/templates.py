@@ -41,8 +41,8 @@ COMMENT = [
     "start: numbers, {joint: value} or the name of a group_state of the SRDF; more "
     "configurations: `cvqmpt ik`.",
     "A pose is {xyz, rpy}, {xyz, quaternion [x, y, z, w]} or a 4x4 matrix.",
-    "Other fields: attachments (what the hand carries), goals (configurations, used as they are), "
-    "start_region.",
+    "Other fields: attachments (what the hand carries), goals (configurations, used as they "
+    "are), start_region.",
 ]
 SHAPES = [
     "type: box with size, cylinder with radius and height, sphere with radius, convex_mesh with "
@@ -100,8 +100,7 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
                     return made
     raise InvalidInputError(
         f"no start and goal were found for robot {robot.name} that keep {TILT} rad of tilt and "
-        f"can be planned; "
-        "write a problem by hand, `cvqmpt problems new` for the panda shows how"
+        "can be planned; write a problem by hand, `cvqmpt problems new` for the panda shows how"
     )
 
 

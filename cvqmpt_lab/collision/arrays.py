@@ -80,7 +80,7 @@ def _require_few_pieces(name: str, spec: ShapeSpec, most: int = 2000) -> None:
     if spec.kind != SPHERE and np.prod(np.maximum(size / ANY_RADIUS, 1.0)) > most:
         raise InvalidInputError(
             f"{name} is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m large, too large to plan "
-            f"with: give sizes in metres"
+            "with: give sizes in metres"
         )
 
 

@@ -351,7 +351,7 @@ def reach_with(robot: Robot, attachments: Sequence[Attachment], longest: float =
         if not length <= longest:
             raise InvalidInputError(
                 f"{name} reaches {length:.3g} m, more than {longest:g}: give positions, sizes and "
-                f"slider limits in metres"
+                "slider limits in metres"
             )
     return robot.reach + carried
 

@@ -159,8 +159,8 @@ def _reach(robot: Robot, T: np.ndarray, rng: np.random.Generator) -> str:
     away = np.linalg.norm(T[:, :3, 3] - axis, axis=1)
     if away.min() > reach:
         return (
-            f"they lie {away.min():.2f} m or more from {robot.joint_names[0]}, the hand "
-            f"reaches {reach:.2f} m"
+            f"they lie {away.min():.2f} m or more from {robot.joint_names[0]}, the hand reaches "
+            f"{reach:.2f} m"
         )
     turned = 0
     for pose in T:
@@ -170,8 +170,8 @@ def _reach(robot: Robot, T: np.ndarray, rng: np.random.Generator) -> str:
         turned += any(manifold.project(q) is not None for q in guesses)
     if turned:
         return (
-            f"turned otherwise the hand gets to {turned} of {len(T)} of their places, turned "
-            f"as asked to none"
+            f"turned otherwise the hand gets to {turned} of {len(T)} of their places, turned as "
+            "asked to none"
         )
     return (
         f"they lie from {away.min():.2f} m on from {robot.joint_names[0]}, where the hand reaches "

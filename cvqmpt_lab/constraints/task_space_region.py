@@ -49,14 +49,14 @@ class BoundsForm:
         for k, (lower, upper) in enumerate(Bw):
             if not (lower <= upper and lower < FREE and upper > -FREE):
                 raise InvalidInputError(
-                    f"{where}[{k}], {ROWS[k]}, is {shown([float(lower), float(upper)])}; "
-                    f"lower <= upper is needed in {ROWS_TEXT}"
+                    f"{where}[{k}], {ROWS[k]}, is {shown([float(lower), float(upper)])}; lower <= "
+                    f"upper is needed in {ROWS_TEXT}"
                 )
         turns = np.abs(Bw[3:], where=np.isfinite(Bw[3:]), out=np.zeros((3, 2)))
         if (most := turns.max()) > TURN:
             raise InvalidInputError(
                 f"{where} bounds a rotation by {most:g} rad, more than 2 pi: degrees? 10 degrees "
-                f"are 0.1745 rad"
+                "are 0.1745 rad"
             )
         Bw.setflags(write=False)
         return Bw

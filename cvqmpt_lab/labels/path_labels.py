@@ -207,9 +207,8 @@ def dataset_card(folder: Path) -> str:
         f"Recipe: `{json.dumps(read_json_object(folder / DESCRIPTION_FILE).get('recipe'))}`",
         "",
         "Scenes whose number is divisible by 20 validate, the others train. Twins are second, "
-        "independent labels; "
-        "the ratio is their mean waypoint distance over that from the first label to the straight "
-        "line.",
+        "independent labels; the ratio is their mean waypoint distance over that from the first "
+        "label to the straight line.",
         "",
         "| family | scenes | paths | trivial | length rad | straight rad | twins | twin / "
         "straight-line distance |",
@@ -236,8 +235,8 @@ def _card_row(dataset: PathDataset, name: str, families: Sequence[int]) -> str:
     ]
     ratio = _ratio(dataset, twins)
     return (
-        f"| {name} | {chosen.sum()} | {len(first)} | {share} | {' | '.join(means)} | "
-        f"{len(twins)} | {ratio} |"
+        f"| {name} | {chosen.sum()} | {len(first)} | {share} | {' | '.join(means)} | {len(twins)} "
+        f"| {ratio} |"
     )
 
 

@@ -74,9 +74,8 @@ class RoadmapRecipe(SceneRecipe):
         if not labels:
             raise InvalidInputError(
                 f"{robot.name}: every scene of shard {number} needs too many checks (a wall "
-                f"millimetres from the base, "
-                "or a dictionary trained too briefly); give another --seed or --base, or "
-                "--dictionary"
+                "millimetres from the base, or a dictionary trained too briefly); give another "
+                "--seed or --base, or --dictionary"
             )
         arrays = {name: np.concatenate([each[name] for each in labels]) for name in labels[0]}
         paths = np.repeat(np.arange(len(scenes)), arrays["path_scene"])
@@ -115,15 +114,15 @@ class RoadmapRecipe(SceneRecipe):
             f"{len(graph.nodes)} nodes and {len(graph.edges)} edges of the roadmap "
             f"{graph.digest[:12]}; the robot itself allows {possible[0]:.3f} of the nodes and "
             f"{possible[1]:.3f} of the edges. Scenes whose number is divisible by "
-            f"{VALIDATION_EVERY} validate. Pairs of start and goal, half of them near an obstacle, "
-            f"whose straight motion is blocked. No path: through this roadmap. Other codes: than "
-            f"those of the shortest path in an empty scene. Detour: length of the shortest path "
-            f"over that of the straight line, mean. Scenes with a wall millimetres from the base "
-            f"are left out: {self.scenes - len(family)}."
+            f"{VALIDATION_EVERY} validate. Pairs of start and goal, half of them near an "
+            "obstacle, whose straight motion is blocked. No path: through this roadmap. Other "
+            "codes: than those of the shortest path in an empty scene. Detour: length of the "
+            "shortest path over that of the straight line, mean. Scenes with a wall millimetres "
+            f"from the base are left out: {self.scenes - len(family)}."
         )
         titles = (
-            "| family | scenes | of them validate | nodes free | edges free | pairs | no path "
-            "| other codes | detour | codes a path |"
+            "| family | scenes | of them validate | nodes free | edges free | pairs | no path | "
+            "other codes | detour | codes a path |"
         )
         rows = [row(name, [k]) for k, name in enumerate(self.families)]
         rows.append(row("all", range(len(self.families))))
@@ -149,7 +148,7 @@ def roadmap_graph(model: str | None, robot: Robot, shipped: str = "vq_mpt") -> R
         except OtherRobotError as error:
             raise InvalidInputError(
                 f"{model} is no dictionary of {robot.name}; leave --dictionary out for a roadmap "
-                f"of free configurations"
+                "of free configurations"
             ) from error
     if len(roadmap.nodes) <= LINKS:
         raise InvalidInputError(
@@ -164,7 +163,7 @@ def roadmap_graph(model: str | None, robot: Robot, shipped: str = "vq_mpt") -> R
     if checked is None:
         raise InvalidInputError(
             f"nodes of {robot.name}'s roadmap are far apart; train its dictionary longer, or "
-            f"leave --dictionary out"
+            "leave --dictionary out"
         )
     return RoadmapGraph(roadmap.nodes, edges, *checked, *body_points(robot))
 
@@ -176,7 +175,7 @@ def _free_roadmap(robot: Robot, neighbours: int = 12) -> Roadmap:
         raise InvalidInputError(
             f"{robot.name} collides with itself in all but {len(nodes)} configurations tried; "
             f"give --srdf or repair its collision geometry (cvqmpt robot --robot {robot.name} "
-            f"shows the pairs)"
+            "shows the pairs)"
         )
     return Roadmap.of(nodes, neighbours)
 

@@ -65,7 +65,7 @@ def require_volume(points: np.ndarray, what: str, thinnest: float = 1e-6) -> Non
     if not thickness >= least:
         raise InvalidInputError(
             f"{what} is {thickness:.2g} m thick, less than {least:.2g}: give a mesh with volume, "
-            f"or a box"
+            "or a box"
         )
 
 

@@ -135,7 +135,7 @@ def unpickled(source: Mapping[str, Any], files: Sequence[tuple[str, str]]) -> Ro
         changed = next((path for path, digest in files if content_digest(path) != digest), source)
         raise InvalidInputError(
             f"robot {robot.name} was pickled from other files than there are now, see {changed}: "
-            f"make the pickle anew"
+            "make the pickle anew"
         )
     return robot
 

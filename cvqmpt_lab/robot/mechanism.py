@@ -52,7 +52,7 @@ class ArticulatedObject(Checked):
         if not self.lower < self.upper:
             raise InvalidInputError(
                 f"{what} has range [{self.lower}, {self.upper}]: lower < upper needed, else leave "
-                f"it in the scene"
+                "it in the scene"
             )
         if not self.parts:
             raise InvalidInputError(f"{what} moves nothing: give 'parts'")

@@ -75,7 +75,7 @@ class NamedRobot(RobotOptions):
         if self.name in ELSEWHERE:
             raise InvalidInputError(
                 f"robot {self.name!r} is not in the package {EXAMPLES}: {ELSEWHERE[self.name]}; "
-                f"give its file as --urdf, or 'urdf' and 'end_effector' in a problem file"
+                "give its file as --urdf, or 'urdf' and 'end_effector' in a problem file"
             )
         name = ALIASES.get(self.name, self.name)
         if name not in ARMS:

@@ -178,8 +178,8 @@ def _refuse_no_tree(file: str, links: Sequence[str], joints: Sequence[Joint]) ->
     for link, names in movers.items():
         if len(names) > 1:
             raise InvalidInputError(
-                f"link {shown(link)} of {file} is the child of {_listed(names)}: "
-                f"a link has one parent"
+                f"link {shown(link)} of {file} is the child of {_listed(names)}: a link has one "
+                "parent"
             )
     roots = [link for link in links if link not in movers]
     if len(roots) != 1:
@@ -228,7 +228,7 @@ def held_joints(
         if movable[name].kind != "prismatic" and abs(value) > TURN:
             raise InvalidInputError(
                 f"joint {name!r} cannot be locked at {value:g} rad, more than 2 pi: degrees? Give "
-                f"radians"
+                "radians"
             )
         held[name] = HeldJoint(name, float(value), "as asked for")
     chain = {joint.name for joint in urdf.chain(end_effector)}
@@ -349,7 +349,7 @@ def _check_numbers(elements: Sequence[ElementTree.Element]) -> None:
             if len(numbers) != count or not all(map(math.isfinite, numbers)) or "_" in text:
                 raise InvalidInputError(
                     f"{name} of its {element.tag} is {shown(text)}; it must be {count} finite "
-                    f"numbers"
+                    "numbers"
                 )
             if element.tag == "axis" and not any(numbers):
                 raise InvalidInputError("its axis is 0 0 0; give a direction")

@@ -222,8 +222,8 @@ def _from_rows(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> n
     """Points (m, 3) of binary rows, of which x, y and z are the fields `axes`."""
     if not 0 <= count * row.itemsize <= len(body):
         raise InvalidInputError(
-            f"its header says {count} points, the file holds "
-            f"{len(body) // max(1, row.itemsize)}: cut short?"
+            f"its header says {count} points, the file holds {len(body) // max(1, row.itemsize)}: "
+            "cut short?"
         )
     # PCL fills the last page of a file with zeros
     if body[count * row.itemsize :].strip(b"\0\n"):

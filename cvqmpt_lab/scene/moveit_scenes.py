@@ -208,7 +208,7 @@ def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]
         names = [str(_field(_field(item, "object"), "id")) for item in items]
         raise InvalidInputError(
             f"the robot carries {', '.join(names)}; take it out and write it as 'attachments' of "
-            f"the problem"
+            "the problem"
         )
     for item in _listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
         moved = _field(item, "transform")

@@ -214,5 +214,5 @@ class Attachment(Checked):
         if isinstance(self.shape, OccupancyMap):
             raise InvalidInputError(
                 f"attachment {self.name!r} is an occupancy map; what is carried is a solid or a "
-                f"point cloud"
+                "point cloud"
             )

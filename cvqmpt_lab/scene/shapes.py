@@ -40,7 +40,7 @@ def check_volume(points: FloatArray, what: str) -> None:
     if farthest > FARTHEST:
         raise InvalidInputError(
             f"{what} must lie within {FARTHEST:g} m of their frame, one is {farthest:.3g} m off: "
-            f"give metres"
+            "give metres"
         )
     if len(points) < 4 or thickness(points) < MIN_THICKNESS:
         raise InvalidInputError(

@@ -63,8 +63,8 @@ def check_units(budget: Budget, optimize: Budget) -> None:
     if budget.seconds is None and optimize.seconds is not None:
         raise InvalidInputError(
             f"optimize: {optimize.seconds:g} s in a run of {budget.iterations} iterations, which "
-            f"knows no clock and "
-            f"so repeats; give optimize in iterations, or the run a budget in seconds"
+            "knows no clock and so repeats; give optimize in iterations, or the run a budget in "
+            "seconds"
         )
 
 

@@ -56,7 +56,7 @@ class Budget:
         if not isinstance(value, cls):
             raise InvalidInputError(
                 f"{what} {shown(value)}: give Budget(seconds=...), Budget(iterations=...) or both "
-                f"in one"
+                "in one"
             )
 
 

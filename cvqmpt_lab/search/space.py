@@ -194,8 +194,8 @@ class ConstrainedSpace:
         """InvalidInputError unless q is one configuration; faster than the check of `jit.entry`."""
         if q.shape != self._shape or q.dtype != np.float64:
             raise InvalidInputError(
-                f"a configuration of {self.robot.name} is an array ({self.robot.dof},) of float64; "
-                f"given: {q.shape} of {q.dtype}"
+                f"a configuration of {self.robot.name} is an array ({self.robot.dof},) of "
+                f"float64; given: {q.shape} of {q.dtype}"
             )
 
     def checked_path(self, states: np.ndarray) -> tuple[JointPath | None, int]:

@@ -101,8 +101,7 @@ def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
     if not cells < 2**62:
         raise InvalidInputError(
             f"voxel of {voxel:g} m is too small for a cloud that is "
-            f"{np.ptp(points, axis=0).max():.3g} m long; "
-            "give a larger one, or crop the cloud"
+            f"{np.ptp(points, axis=0).max():.3g} m long; give a larger one, or crop the cloud"
         )
     x, y, z = (place.astype(np.int64) for place in places)
     cell = (x * int(across[1]) + y) * int(across[2]) + z

@@ -31,8 +31,7 @@ class MapSettings:
         if not np.all(np.subtract(self.upper, self.lower) >= self.resolution):
             raise InvalidInputError(
                 f"box of a map from {self.lower} to {self.upper} m holds no cell of "
-                f"{self.resolution:g} m; "
-                "give a lower corner below the upper one"
+                f"{self.resolution:g} m; give a lower corner below the upper one"
             )
 
 
@@ -71,8 +70,7 @@ def _unknown(
     if across.prod() > most:
         raise InvalidInputError(
             f"box from {settings.lower} to {settings.upper} m holds {across.prod():.2g} cells of "
-            f"{settings.resolution:g} m, more than {most:.2g}; give a smaller box or larger "
-            f"cells"
+            f"{settings.resolution:g} m, more than {most:.2g}; give a smaller box or larger cells"
         )
     known = np.zeros(across, dtype=bool)
     for capture in captures:

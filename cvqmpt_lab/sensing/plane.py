@@ -64,8 +64,8 @@ def supporting_plane(
     if share < least or on.sum() < fewest or normal @ up < np.cos(tilt):
         raise InvalidInputError(
             f"no supporting plane: the best one holds {on.sum()} of {len(points)} points, "
-            f"{least:.0%} and {fewest} are "
-            "needed; crop the cloud to the table, or give the camera's pose"
+            f"{least:.0%} and {fewest} are needed; crop the cloud to the table, or give the "
+            "camera's pose"
         )
     return SupportingPlane(normal, offset, share, float(np.sqrt(np.mean(heights[on] ** 2))))
 

@@ -138,7 +138,7 @@ def refuse_touching(scene: Scene, arm: Arm) -> None:
     if pair is not None:
         raise InvalidInputError(
             f"the arm stands inside the scan: {pair} meet; remove more around it (a larger robot "
-            f"margin), or say where it really was"
+            "margin), or say where it really was"
         )
 
 

@@ -111,7 +111,7 @@ def _solid(item: SceneObject) -> Solid:
             return Polytope(T, np.unique(planes, axis=0), vertices)
     raise InvalidInputError(
         f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points "
-        f"as the cloud"
+        "as the cloud"
     )
 
 

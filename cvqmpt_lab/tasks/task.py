@@ -105,8 +105,7 @@ class Grasp(Checked):
         what = next(key for key in real if not np.array_equal(written[key], real[key]))
         raise InvalidInputError(
             f"{what} of the attachment is {shown(written[what])}, that of {item.name!r} in the "
-            f"scene "
-            f"{shown(real[what])}; leave 'attachment' out, the object is carried as it is"
+            f"scene {shown(real[what])}; leave 'attachment' out, the object is carried as it is"
         )
 
 

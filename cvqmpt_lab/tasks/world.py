@@ -136,8 +136,8 @@ def _require_in_hand(
         if checker.clear_of_obstacles(q[None], q[None, None]).all():
             raise InvalidInputError(
                 f"phase {phase.name!r}: {item.name!r} is more than {IN_HAND} m from the arm; let "
-                f"the phase before end at the object, or say by an 'attachment' where a hand "
-                f"without collision bodies holds it"
+                "the phase before end at the object, or say by an 'attachment' where a hand "
+                "without collision bodies holds it"
             )
         return
     T = phase.attachment.T_hand_object
@@ -154,7 +154,7 @@ def _require_in_hand(
         raise InvalidInputError(
             f"phase {phase.name!r}: {item.name!r} is {off:.3f} m and {turn:.2f} rad from where "
             f"the hand closes by its attachment, at most {IN_HAND} m and {TURNED} rad are "
-            f"allowed; let the phase before end at the object, or leave 'attachment' out"
+            "allowed; let the phase before end at the object, or leave 'attachment' out"
         )
 
 

@@ -270,7 +270,7 @@ def open_labels(folder: Path) -> SequenceDataset:
     if not holds_labels(folder):
         raise InvalidInputError(
             f"{folder} holds paths, not labels on a roadmap; make those: cvqmpt data generate "
-            f"--labels roadmap"
+            "--labels roadmap"
         )
     graph, shards = read_labels(folder)
     arrays = joined(shards, LABEL_ARRAYS)

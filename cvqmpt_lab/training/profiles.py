@@ -54,7 +54,7 @@ class Profile:
         if self.link_features and dataset.chain is None:
             raise InvalidInputError(
                 f"profile {self.name!r} takes link positions, but {dataset.folder} has no "
-                f"kinematics; set link_features to false"
+                "kinematics; set link_features to false"
             )
         feature_dim = dataset.chain.feature_dim if self.link_features and dataset.chain else 0
         return replace(self.model, joint_dim=len(dataset.robot.lower), feature_dim=feature_dim)

@@ -168,8 +168,8 @@ class PublishedStage(SequenceStage):
             if roadmap is None:
                 raise InvalidInputError(
                     f"{dataset.folder} holds paths; the dense loss needs labels on a roadmap "
-                    f"(cvqmpt data generate --labels roadmap), or set published_model.dense to "
-                    f"false"
+                    "(cvqmpt data generate --labels roadmap), or set published_model.dense to "
+                    "false"
                 )
             width = sizes.sequence.transformer.d_model
             self.dense = DenseHead(len(roadmap.graph.nodes), roadmap.graph.edges, width)

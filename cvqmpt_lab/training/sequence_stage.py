@@ -130,7 +130,7 @@ class SequenceStage(Stage):
                     f"{dataset.folder} labels the roadmap of a dictionary of robot "
                     f"{dataset.robot.name!r} with {nodes} codes, but this one is of "
                     f"{dictionary.robot.name!r} with {codes}; give --dictionary DIR, the same as "
-                    f"to cvqmpt data generate"
+                    "to cvqmpt data generate"
                 )
             if dataset.chain is None:
                 raise InvalidInputError(
@@ -150,8 +150,8 @@ class SequenceStage(Stage):
         if len(self._train) < scenes or len(self._held_out) < scenes:
             raise InvalidInputError(
                 f"{self.dataset.folder} has {len(self._train)} scenes to train on and "
-                f"{len(self._held_out)} to validate with; generate "
-                f"{scenes * VALIDATION_EVERY} scenes at least"
+                f"{len(self._held_out)} to validate with; generate {scenes * VALIDATION_EVERY} "
+                "scenes at least"
             )
 
     @abstractmethod

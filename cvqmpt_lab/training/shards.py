@@ -210,7 +210,7 @@ def _read_shard(
     if wrong:
         raise InvalidInputError(
             f"{path}: {', '.join(wrong)} does not fit the index, the roadmap or the other arrays; "
-            f"generate it again"
+            "generate it again"
         )
     return arrays
 

@@ -163,7 +163,7 @@ def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
         if found:
             raise InvalidInputError(
                 f"{folder} holds another training ({min(found, key=len)}); use the same or choose "
-                f"another --out"
+                "another --out"
             )
     elif any(make_folder(folder).iterdir()):
         raise InvalidInputError(

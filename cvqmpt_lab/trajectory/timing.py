@@ -94,7 +94,7 @@ def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
     if states.ndim != 2 or len(states) < 2 or states.shape[1] == 0:
         raise InvalidInputError(
             f"waypoints have shape {states.shape}: give (m, n), two or more, one value a joint "
-            f"[rad]"
+            "[rad]"
         )
     for k, j in np.argwhere(~np.isfinite(states)):
         raise InvalidInputError(

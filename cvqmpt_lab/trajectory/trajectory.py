@@ -186,7 +186,7 @@ def read_motion(path: Path) -> Motion:
     if motion.joint_names is not None and motion.positions.shape[1] != len(motion.joint_names):
         raise InvalidInputError(
             f"motion {path}: {len(motion.joint_names)} joint names, {motion.positions.shape[1]} "
-            f"values a state"
+            "values a state"
         )
     return motion
 

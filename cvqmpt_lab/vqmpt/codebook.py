@@ -178,7 +178,7 @@ def _feature_chain(model: StoredModel, robot: Robot, tolerance: float = 1e-4) ->
     if data is None:
         raise InvalidInputError(
             f"the model takes {model.config.feature_dim} link features, but its metadata has no "
-            f"kinematics; train it again"
+            "kinematics; train it again"
         )
     chain = from_plain(SerialChain, data, "model metadata, kinematics")
     if (len(chain.rotation), chain.feature_dim) != (robot.dof, model.config.feature_dim):
@@ -204,7 +204,7 @@ def _feature_chain(model: StoredModel, robot: Robot, tolerance: float = 1e-4) ->
             raise InvalidInputError(
                 f"the model's link features were made with another {name} of joint "
                 f"{robot.joint_names[joint]!r} (difference {difference[joint]:g}); use the robot "
-                f"description it was trained with"
+                "description it was trained with"
             )
     return chain
 

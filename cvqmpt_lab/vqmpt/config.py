@@ -84,8 +84,8 @@ class SetAbstractionConfig:
         require_sizes(max_neighbours=self.max_neighbours, widths=self.widths)
         if not 0.0 < self.radius < math.inf or not 0.0 < self.ratio <= 1.0:
             raise InvalidInputError(
-                f"set abstraction: radius {self.radius} m and ratio {self.ratio}; "
-                "give a positive radius and a ratio of at most 1"
+                f"set abstraction: radius {self.radius} m and ratio {self.ratio}; give a positive "
+                "radius and a ratio of at most 1"
             )
 
 
@@ -156,7 +156,7 @@ class ModelConfig:
         if self.point_cloud is None or self.sequence is None:
             raise InvalidInputError(
                 f"a model of kind {self.kind!r} without point_cloud and sequence has no sequence "
-                f"model; use kind 'published'"
+                "model; use kind 'published'"
             )
         return self.point_cloud, self.sequence
 
@@ -236,7 +236,7 @@ def require_point_cloud(points: Any, largest_extent: float = 50.0) -> None:
     if largest > largest_extent:
         raise InvalidInputError(
             f"point cloud reaches {largest:g} m; at most {largest_extent:g} m: give metres, not "
-            f"millimetres"
+            "millimetres"
         )
 
 
@@ -275,7 +275,7 @@ class SerialChain:
             raise InvalidInputError(
                 f"rotation, translation, points and offsets describe {joints}, "
                 f"{len(self.translation)}, {len(self.points)} and {len(self.offsets)}; give as "
-                f"many of each pair, and one point at least"
+                "many of each pair, and one point at least"
             )
         for name, listed in (("points", self.points), ("sliders", self.sliders)):
             if max(listed, default=0) >= joints:

@@ -177,7 +177,7 @@ def _refusal(path: Path, beginning: bytes, error: Exception) -> str:
     asks = re.search(r"GLOBAL ([\w.]+)", str(error))
     if isinstance(error, pickle.UnpicklingError) and asks:
         return (
-            f"{path} is refused: it holds {asks[1]}, more than tensors, and would run code, or "
-            f"is cut short"
+            f"{path} is refused: it holds {asks[1]}, more than tensors, and would run code, or is "
+            "cut short"
         )
     return f"{path} is no torch checkpoint, or cut short ({type(error).__name__}); fetch it again"

@@ -321,7 +321,7 @@ class PublishedSequenceModel(nn.Module):
         if left:
             raise InvalidInputError(
                 f"{len(start)} starts and goals for {len(scene[0])} scenes; give equally many for "
-                f"each"
+                "each"
             )
         # starts and goals of a scene ignore each other
         ends = torch.stack((start, goal), 1).view(len(scene[0]), 2 * times, -1)

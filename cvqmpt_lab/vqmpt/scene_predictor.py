@@ -512,6 +512,6 @@ def _near_points(
     if not near.any():
         raise InvalidInputError(
             f"none of the cloud's {len(points)} points is within {farthest:g} m of {centre}: give "
-            f"it in metres, in the frame of the robot's base"
+            "it in metres, in the frame of the robot's base"
         )
     return points if near.all() else points[near]

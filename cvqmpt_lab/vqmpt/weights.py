@@ -78,7 +78,7 @@ class RobotSignature:
             name = "this one" if self.name == other.name else repr(other.name)
             raise OtherRobotError(
                 f"weights are for robot {self.name!r}, not {name}: {'; '.join(differences)}; "
-                f"choose weights trained for it, or train some: cvqmpt data generate --robot "
+                "choose weights trained for it, or train some: cvqmpt data generate --robot "
                 f"{other.name} --out DATA, then cvqmpt train stage1 --data DATA --out DIR"
             )
 
@@ -126,7 +126,7 @@ class StoredModel:
         if limits != joints:
             raise InvalidInputError(
                 f"robot {self.robot.name!r} has limits of {limits} joints, the model {joints} "
-                f"joints"
+                "joints"
             )
 
     def require_part(self, part: str) -> None:
@@ -187,7 +187,7 @@ def write_model(folder: Path, model: StoredModel) -> None:
     except OSError as error:
         raise InvalidInputError(
             f"cannot write weights to {folder}: {error.strerror}; free some space or choose "
-            f"another folder"
+            "another folder"
         ) from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
@@ -345,7 +345,7 @@ def resolve_model(
     if folder is None:
         raise InvalidInputError(
             f"no weights in {model or WEIGHTS / name}; give one of {', '.join(names)}, or the "
-            f"folder of a model that you trained (cvqmpt train) or imported (cvqmpt model import)"
+            "folder of a model that you trained (cvqmpt train) or imported (cvqmpt model import)"
         )
     read_description(folder, architecture, robot)
     return folder

@@ -104,8 +104,8 @@ def summary(updates: Sequence[CodeUpdate]) -> list[str]:
             means.append(np.median([values.mean() for values in g]))
             norms.append(np.median([np.median(np.sqrt(values)) for values in g]))
         lines.append(
-            f"{what}: mean F^T F {means[0]:.3g} before, {means[1]:.3g} after; "
-            f"median |F| {norms[0]:.3g} before, {norms[1]:.3g} after"
+            f"{what}: mean F^T F {means[0]:.3g} before, {means[1]:.3g} after; median |F| "
+            f"{norms[0]:.3g} before, {norms[1]:.3g} after"
         )
     return lines
 

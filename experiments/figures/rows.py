@@ -131,7 +131,7 @@ def draw_training(folder: Path, out: Path) -> list[Path]:
     if not found:
         raise InvalidInputError(
             f"{folder} has no curves of cvqmpt train transformer or published; name the folder "
-            f"above those of --out"
+            "above those of --out"
         )
     return [
         *save_figure(training_figure(found), out, "training"),

@@ -45,7 +45,7 @@ def bodies_of(robot: Robot, scene: Scene) -> list[Body]:
         if not isinstance(item.shape, Box | Cylinder | Sphere | ConvexMesh):
             raise InvalidInputError(
                 f"obstacle {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
-                f"cylinders, spheres or convex meshes"
+                "cylinders, spheres or convex meshes"
             )
         found.append(Body(f"obstacle_{k}", 0, item.T_world_object, item.shape))
     return found

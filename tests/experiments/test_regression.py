@@ -155,8 +155,8 @@ def test_untouched_tables_are_equal_and_their_rows_traced(results):
         ("table.md", "22.95", "21.95", ["row 'ompl-projected (CBiRRT)'", "committed '21.95', "
                                                                          "rendered '22.95'"]),
         ("table.tex", "22.95", "21.95", ["committed '21.95", "rendered '22.95"]),
-        ("table.csv", "22.95", "21.95", ["row 'place-task', cell 6", "committed '21.95', rendered "
-                                                                     "'22.95'"]),
+        ("table.csv", "22.95", "21.95", ["row 'place-task', cell 6", "committed '21.95', "
+                                                                     "rendered '22.95'"]),
         ("table.md", "| birrt", "|  birrt", ["spaces differ"]),
     ],
 )  # fmt: skip

@@ -146,8 +146,8 @@ def test_all_joints_that_cannot_be_planned_for_are_named_with_the_options_that_h
 
 def test_a_floating_base_is_fixed_at_a_pose(edited, refused):
     float_on = (
-        '<link name="earth"/><joint name="float" type="floating">'
-        '<parent link="earth"/><child link="base"/></joint></robot>'
+        '<link name="earth"/><joint name="float" type="floating"><parent link="earth"/><child '
+        'link="base"/></joint></robot>'
     )
     urdf, plain, place = (
         edited((END, float_on)),

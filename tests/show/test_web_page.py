@@ -70,7 +70,7 @@ def test_fine_scenes_are_drawn_with_fewer_triangles_and_the_page_says_so(solutio
     assert (
         note
         == f"drawn with {count} of {note.split()[4]} triangles: close corners of the scene are "
-        f"merged"
+        "merged"
     )
     assert note in data["lines"] and count <= 1.02 * 60_000 < int(note.split()[4])
 

@@ -182,12 +182,12 @@ def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path,
     config, out = tmp_path / "tiny.json", tmp_path / "out"
     config.write_text(json.dumps(to_plain(profile, complete=True)))
     torchrun = (
-        "-m torch.distributed.run --nproc-per-node 2 --rdzv-endpoint localhost:0 "
-        "--rdzv-backend c10d"
+        "-m torch.distributed.run --nproc-per-node 2 --rdzv-endpoint localhost:0 --rdzv-backend "
+        "c10d"
     )
     words = (
-        f"{torchrun} -m cli.main train mpnet --config {config} --device cpu --data {data} "
-        f"--out {out}"
+        f"{torchrun} -m cli.main train mpnet --config {config} --device cpu --data {data} --out "
+        f"{out}"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     words = [sys.executable, *words.split(), "--epochs", "1"]
