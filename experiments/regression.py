@@ -3,9 +3,11 @@
 Budgets are iterations: a run depends only on code, versions and the processor of the kernels.
 """
 
+import contextlib
 import json
 import math
 import platform
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -119,10 +121,20 @@ def made_with() -> dict[str, str | None]:
         "system": platform.system(),
         "machine": platform.machine(),
         "cpu_model": record["cpu_model"],
+        "cpu_ids": _cpu_ids(),
         "instructions": " ".join(np.show_config(mode="dicts")["SIMD Extensions"]["found"]),
         "python": ".".join(platform.python_version_tuple()[:2]),
         **{name: record["versions"][name] for name in WHAT_DECIDES},
     }
+
+
+def _cpu_ids() -> str:
+    """Family, model and stepping of the processor, as Linux tells them; "" elsewhere."""
+    # Virtual machines name different processors alike, and OpenBLAS rounds differently on them.
+    with contextlib.suppress(OSError):
+        text = Path("/proc/cpuinfo").read_text()
+        return " ".join(re.findall(r"^(?:cpu family|model|stepping)\s*: (\d+)", text, re.M)[:3])
+    return ""
 
 
 @lru_cache(maxsize=8)
