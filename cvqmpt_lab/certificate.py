@@ -97,7 +97,7 @@ def certify(
     checker: CollisionChecker | None = None,
     clearance: bool = True,
 ) -> Certificate:
-    """Check every state of a path q(s): no collision, limits, |F(q(s))| <= TOLERANCE; and its ends.
+    """Check all states of a path q(s): collisions, limits, `|F(q(s))|` <= TOLERANCE; and its ends.
 
     Args:
         problem: start, goals, constraint, robot and scene.

@@ -34,7 +34,7 @@ nb_execution_timeout = 300
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-napoleon_google_docstring = False
+napoleon_numpy_docstring = False
 napoleon_use_rtype = False
 
 

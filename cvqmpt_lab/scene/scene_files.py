@@ -33,9 +33,10 @@ log = logging.getLogger(__name__)
 def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Json of a problem or task with its files read and the paths of its robot's files absolute.
 
-    data: not changed; its scene may be the path of a json file. Read are files that the scene and
-        attachments name; anything that is no object with a shape by path stays as it is.
-    folder: of the json file; relative paths start here.
+    Args:
+        data: not changed; its scene may be the path of a json file. Read are files that the scene
+            and attachments name; anything that is no object with a shape by path stays as it is.
+        folder: of the json file; relative paths start here.
     """
     read = dict(data)
     if isinstance(data.get("scene"), str):

@@ -104,7 +104,7 @@ class JointPath:
 
     @cached_property
     def length(self) -> float:
-        """Length of the path, sum_i |q_(i+1) - q_i| [rad]."""
+        """Length of the path, `sum_i |q_(i+1) - q_i|` [rad]."""
         return float(np.linalg.norm(np.diff(self.states, axis=0), axis=1).sum())
 
     def spaced(self, spacing: float) -> np.ndarray:
