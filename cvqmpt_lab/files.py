@@ -186,7 +186,9 @@ def json_text(plain: Any, indent: int = 0, line: int = 120) -> str:
         [f"{json.dumps(key)}: " for key in plain] if isinstance(plain, dict) else [""] * len(plain)
     )
     items = plain.values() if isinstance(plain, dict) else plain
-    lines = [head + json_text(item, indent + 1) for head, item in zip(heads, items, strict=True)]
+    lines = [
+        head + json_text(item, indent + 1, line) for head, item in zip(heads, items, strict=True)
+    ]
     brackets, pad = "{}" if isinstance(plain, dict) else "[]", "\n" + " " * (indent + 1)
     return brackets[0] + pad + f",{pad}".join(lines) + pad[:-1] + brackets[1]
 
