@@ -9,7 +9,7 @@ from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.figures.code_update import UpdateSettings
 from experiments.figures.paper import FIGURES, reproduce_figure, summary
-from experiments.figures.rows import draw_cost, draw_training
+from experiments.figures.row_figures import draw_cost, draw_training
 from paper_tables.committed import RESULTS
 
 ROW_FIGURES = {"cost": draw_cost, "training": draw_training}

@@ -15,9 +15,9 @@ from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW
-from cvqmpt_lab.tasks.report import event_of, steps_of, task_data, task_lines
 from cvqmpt_lab.tasks.solve import TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.tasks.task_report import event_of, steps_of, task_data, task_lines
 from cvqmpt_lab.trajectory.timing import TimingSettings
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
 from cvqmpt_lab.warm_up import compile_kernels

@@ -17,7 +17,7 @@ from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, StoredPaths
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.tasks.goals import phase_problems
+from cvqmpt_lab.tasks.phase_goals import phase_problems
 from cvqmpt_lab.tasks.task import Task
 
 LENGTH_TOLERANCE = 1e-9  # [rad] between the length in a row and that of its path

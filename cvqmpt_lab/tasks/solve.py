@@ -15,7 +15,7 @@ from cvqmpt_lab.motion_check import certified_motion
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.tasks.goals import next_planned, phase_goals, prepare
+from cvqmpt_lab.tasks.phase_goals import next_planned, phase_goals, prepare
 from cvqmpt_lab.tasks.task import Move, PlannedPhase, Task
 from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.timing import TimingSettings

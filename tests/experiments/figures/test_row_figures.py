@@ -8,7 +8,7 @@ from made_rows import a_row
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import RUNS_FILE, write_rows
-from experiments.figures.rows import OURS, draw_cost, draw_training
+from experiments.figures.row_figures import OURS, draw_cost, draw_training
 
 
 def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
