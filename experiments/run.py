@@ -128,7 +128,12 @@ def _run_shortly(run: Run) -> None:
         budget = replace(budget, seconds=min(WARM_UP_S, budget.seconds or WARM_UP_S))
     else:
         budget = Budget(seconds=WARM_UP_S, iterations=None if isinstance(item, Task) else 1)
-    outcome_of(run._replace(experiment=replace(run.experiment, budget=budget)), item, seconds)
+    # this run alone: an experiment checks all that it names when it is made
+    problems, planners, seeds = (run.item,), (run.planner,), (run.seed,)
+    alone = replace(
+        run.experiment, problems=problems, planners=planners, seeds=seeds, budget=budget
+    )
+    outcome_of(run._replace(experiment=alone), item, seconds)
 
 
 @lru_cache(maxsize=4)
