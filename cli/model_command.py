@@ -43,8 +43,7 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InvalidInputError(f"{out} is there and not empty; choose another --out")
     require_torch("cvqmpt model import")
-    from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
-    from cvqmpt_lab.vqmpt.import_published import import_published
+    from cvqmpt_lab.vqmpt.checkpoint import import_published, save_checkpoint
 
     imported = import_published(
         dictionary_dir, ar_dir, robot_signature(robot_from_source({"name": "panda"}))
@@ -52,7 +51,8 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
     print(f"{'state':20} {'tensors':>8} {'numbers':>12}")
     for name, (tensors, numbers) in imported.states.items():
         print(f"{name:20} {tensors:>8} {numbers:>12,}")
-    print("epochs: dictionary {}, sequence model {}".format(*imported.epochs))
+    first, second = imported.checkpoint.metadata["epochs"]
+    print(f"epochs: dictionary {first}, sequence model {second}")
     print(f"not used: {', '.join(imported.ignored) or 'nothing'}\n")
     save_checkpoint(out, imported.checkpoint)
 

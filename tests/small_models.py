@@ -56,4 +56,5 @@ def random_checkpoint(robot, config=None, *, goal_bias=6.0, metadata=METADATA):
             model.autoregressive.class_pred.weight *= 2.0
             model.autoregressive.class_pred.bias[-1] += goal_bias
             model.eval()
-    return Checkpoint(config, robot_signature(robot), dictionary.eval(), model, metadata)
+    modules = {"dictionary": dictionary.eval()} | ({"sequence_model": model} if model else {})
+    return Checkpoint(config, robot_signature(robot), modules, metadata)

@@ -266,4 +266,5 @@ class DictionaryStage(Stage):
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary in its present state."""
         self.module.dictionary.quantizer.normalise_codes()
-        return Checkpoint(self.config, self.dataset.robot, self.module.dictionary, None, metadata)
+        modules = {"dictionary": self.module.dictionary}
+        return Checkpoint(self.config, self.dataset.robot, modules, metadata)

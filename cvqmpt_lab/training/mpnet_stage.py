@@ -14,7 +14,7 @@ from torch import Tensor
 from cvqmpt_lab.training.batches import BaseTurn, SceneBatches, SceneBatchSettings, other_scenes
 from cvqmpt_lab.training.dataset import PathDataset
 from cvqmpt_lab.training.stage import Means, OptimizerSettings, Stage
-from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet
 
@@ -73,9 +73,10 @@ class MPNetStage(Stage):
         names = ("squared_error", "wrong_cloud_squared_error")
         return {name: means.values().get(name) for name in names}
 
-    def checkpoint(self, metadata: Mapping[str, Any]) -> MPNetCheckpoint:
+    def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The network in its present state."""
-        return MPNetCheckpoint(self.dataset.robot, self.network, metadata)
+        modules = {"mpnet": self.network}
+        return Checkpoint(self.network.config, self.dataset.robot, modules, metadata)
 
     def _squared_error(
         self, batch: dict[str, Tensor], cloud: Tensor, *, stochastic: bool

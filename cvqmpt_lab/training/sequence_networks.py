@@ -26,6 +26,7 @@ from cvqmpt_lab.vqmpt.config import (
     SceneTransformerSizes,
     SequenceConfig,
 )
+from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, group_points
 from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer
@@ -67,7 +68,7 @@ class TransformerStage(SequenceStage):
         if not self.settings.fine_tune:
             _begin_with(self.free_shares(), self.module.node_prior, self.module.edge_prior)
             return
-        trained = self.dictionary.transformer
+        trained = self.dictionary.modules.get("transformer")
         if trained is None or trained.config.sizes != self.config.sizes:
             raise InvalidInputError(
                 "fine_tune needs a --dictionary whose weights hold a transformer of the sizes of "
@@ -95,7 +96,8 @@ class TransformerStage(SequenceStage):
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary and the transformer in their present state."""
         config = replace(self.dictionary.config, transformer=self.config)
-        return replace(self.dictionary, config=config, transformer=self.module, metadata=metadata)
+        modules = {**self.dictionary.modules, "transformer": self.module}
+        return Checkpoint(config, self.dictionary.robot, modules, metadata)
 
 
 @torch.no_grad()
@@ -162,7 +164,8 @@ class PublishedStage(SequenceStage):
             point_cloud=sizes.point_cloud,
             sequence=sizes.sequence,
         )
-        self.dictionary.dictionary.to(device).requires_grad_(False)
+        self._words: Dictionary = dictionary.modules["dictionary"]
+        self._words.to(device).requires_grad_(False)
         self.model, self.dense = PublishedSequenceModel(self.config), None
         if sizes.dense:
             if roadmap is None:
@@ -204,7 +207,7 @@ class PublishedStage(SequenceStage):
         ]
         context = self.model.encode_context(scene, *(end.flatten(0, 1) for end in ends))
         codes, count = batch["codes"].flatten(0, 1), batch["count"].flatten()
-        steps, quantizer = [], self.dictionary.dictionary.quantizer
+        steps, quantizer = [], self._words.quantizer
         for length in range(codes.shape[1] + 1):
             rows = (count >= length).nonzero()[:, 0]
             prefixes = context[rows], codes[rows, :length]
@@ -215,5 +218,5 @@ class PublishedStage(SequenceStage):
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary and the sequence model in their present state."""
-        given = self.config, self.dictionary.robot, self.dictionary.dictionary
-        return Checkpoint(*given, self.model, metadata)
+        modules = {"dictionary": self._words, "sequence_model": self.model}
+        return Checkpoint(self.config, self.dictionary.robot, modules, metadata)

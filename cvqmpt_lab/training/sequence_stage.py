@@ -66,13 +66,14 @@ def open_sequences(folder: Path, dictionary: Checkpoint) -> SequenceDataset:
     chain = dataset.chain if dictionary.config.feature_dim else None
     links, counts = LinkPositions(robot.lower, robot.upper, chain), paths.counts(rows)
     each: list[np.ndarray] = [np.empty(0)] * len(rows)
+    words = dictionary.modules["dictionary"]
     # the encoder sees padding, and paths of one length need none
     for count in np.unique(counts).tolist():
         alike = np.flatnonzero(counts == count)
         for some in np.array_split(alike, -(-len(alike) // 64)):
             with torch.no_grad():
                 u = torch.from_numpy(paths.padded(rows[some])[0])
-                codes = dictionary.dictionary.encode(links.configurations(u)).numpy()
+                codes = words.encode(links.configurations(u)).numpy()
             for row, own in zip(some.tolist(), codes, strict=True):
                 each[row] = own[np.append(True, own[1:] != own[:-1])]
     first, last = paths.start[rows], paths.start[rows + 1] - 1

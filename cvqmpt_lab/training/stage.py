@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.utils.data import Dataset
 
 from cvqmpt_lab.training.dataset import TrainingData
-from cvqmpt_lab.vqmpt.checkpoint import Trained
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ class Stage(ABC):
         """Metrics of the held-out paths, in evaluation mode."""
 
     @abstractmethod
-    def checkpoint(self, metadata: Mapping[str, Any]) -> Trained:
+    def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The model in its present state, to be saved."""
 
     def tensors(self, arrays: Mapping[str, np.ndarray]) -> dict[str, Tensor]:

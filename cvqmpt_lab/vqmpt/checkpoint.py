@@ -1,94 +1,76 @@
-"""Trained models as torch modules, to and from weights on disk; every tensor is checked."""
+"""Trained models as torch modules: to and from weights on disk, and from the authors' checkpoints.
 
+Every tensor is checked. The authors' models are two folders with three json files and two pickles
+of tensors; a pickle that wants to run code is refused.
+"""
+
+import pickle
+import re
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.errors import InvalidInputError, located
+from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
+from cvqmpt_lab.vqmpt.config import (
+    DictionaryConfig,
+    ModelConfig,
+    PointCloudConfig,
+    SequenceConfig,
+    SetAbstractionConfig,
+    TransformerConfig,
+)
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
-from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
-from cvqmpt_lab.vqmpt.weights import (
-    MPNET,
-    VQ_MPT,
-    RobotSignature,
-    StoredModel,
-    read_model,
-    write_model,
-)
+from cvqmpt_lab.vqmpt.weights import VQ_MPT, RobotSignature, StoredModel, read_model, write_model
 
 Module = TypeVar("Module", bound=nn.Module)
+
+SIZES = ("n_layers", "n_heads", "d_k", "d_v", "d_model", "d_inner", "dropout")
+STAGE1 = {"encoder_state": "encoder", "quantizer_state": "quantizer", "decoder_state": "decoder"}
+STAGE2 = {"context_state": "context", "ar_model_state": "autoregressive"}
+"""States of each stage's pickle, by the part of our module that they fill."""
+_NUMPY_SCALAR: Any = np.float64(0.0).__reduce__()[0]
+_HARMLESS: list[Any] = [  # a learning rate may have been saved as a numpy number, under either path
+    _NUMPY_SCALAR,
+    (_NUMPY_SCALAR, "numpy.core.multiarray.scalar"),
+    np.dtype,
+    np.dtypes.Float64DType,
+    np.dtypes.Float32DType,
+    np.dtypes.Int64DType,
+]
 
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A VQ-MPT model and what it belongs to."""
+    """A trained model as torch modules, and what it belongs to."""
 
-    architecture: ClassVar[str] = VQ_MPT
-
-    config: ModelConfig
+    config: Any  # of a type of `weights.ARCHITECTURES`
     robot: RobotSignature
-    dictionary: Dictionary
-    sequence_model: PublishedSequenceModel | None = None  # None after stage 1 and in compact models
-    metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
-    transformer: SceneTransformer | None = None
-
-    @property
-    def parts(self) -> dict[str, nn.Module]:
-        """Modules by the name of their weights file."""
-        parts = {
-            "dictionary": self.dictionary,
-            "sequence_model": self.sequence_model,
-            "transformer": self.transformer,
-        }
-        return {name: module for name, module in parts.items() if module is not None}
-
-
-@dataclass(frozen=True, eq=False)
-class MPNetCheckpoint:
-    """A trained MPNet and what it belongs to."""
-
-    architecture: ClassVar[str] = MPNET
-
-    robot: RobotSignature
-    network: MPNet
+    modules: Mapping[str, Any]  # by the names of their weights files
     metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
 
-    @property
-    def config(self) -> MPNetConfig:
-        """Sizes of the network."""
-        return self.network.config
 
-    @property
-    def parts(self) -> dict[str, nn.Module]:
-        """Modules by the name of their weights file."""
-        return {"mpnet": self.network}
-
-
-Trained = Checkpoint | MPNetCheckpoint
-
-
-def stored(checkpoint: Trained) -> StoredModel:
+def stored(checkpoint: Checkpoint) -> StoredModel:
     """A checkpoint's weights as they are now, copied to plain arrays."""
-    parts: dict[str, Mapping[str, np.ndarray]] = {
+    parts = {
         name: {
             key: tensor.detach().cpu().numpy().copy() for key, tensor in module.state_dict().items()
         }
-        for name, module in checkpoint.parts.items()
+        for name, module in checkpoint.modules.items()
     }
-    return StoredModel(
-        checkpoint.architecture, checkpoint.config, checkpoint.robot, parts, checkpoint.metadata
-    )
+    return StoredModel(checkpoint.config, checkpoint.robot, parts, checkpoint.metadata)
 
 
-def save_checkpoint(folder: Path, checkpoint: Trained) -> None:
+def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint; see `write_model`, also for errors."""
     write_model(folder, stored(checkpoint))
 
@@ -105,20 +87,18 @@ def as_modules(model: StoredModel) -> Checkpoint:
         "sequence_model": lambda: PublishedSequenceModel(model.config),
         "transformer": lambda: SceneTransformer(model.config.transformer),
     }
-    modules: dict[str, Any] = {
-        name: filled(
-            build, {key: torch.from_numpy(a) for key, a in model.parts[name].items()}, name
-        )
-        for name, build in builders.items()
-        if name in model.parts
+    modules = {
+        name: filled(builders[name], {key: torch.from_numpy(a) for key, a in arrays.items()}, name)
+        for name, arrays in model.parts.items()
     }
-    return Checkpoint(model.config, model.robot, metadata=model.metadata, **modules)
+    return Checkpoint(model.config, model.robot, modules, model.metadata)
 
 
 @torch.inference_mode()
 def trajectory_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray:
     """Codes (t,) int64 of a trajectory's configurations (t, configuration_dim), by any encoder."""
-    return as_modules(model).dictionary.encode(torch.from_numpy(configurations)[None])[0].numpy()
+    dictionary = as_modules(model).modules["dictionary"]
+    return dictionary.encode(torch.from_numpy(configurations)[None])[0].numpy()
 
 
 def filled(
@@ -145,12 +125,11 @@ def filled(
     # a "meta" module has shapes but no data
     with torch.device("meta"):
         _require_fit(build(), tensors, where)
-    module = build().eval()
+    module, faults = build().eval(), []
     expected = module.state_dict()
-    bad = [name for name, t in tensors.items() if not t.to(expected[name].dtype).isfinite().all()]
-    _refuse([f"{name} has NaN or infinite values" for name in bad], where)
-    faults = []
     for name, tensor in tensors.items():
+        if not tensor.to(expected[name].dtype).isfinite().all():
+            faults.append(f"{name} has NaN or infinite values")
         last = name.rsplit(".", 1)[-1]
         constant = last in ("pos_table", "l_index")  # buffers that follow from the sizes
         if constant and (tensor - expected[name]).abs().max() > tolerance:
@@ -188,3 +167,140 @@ def _refuse(faults: list[str], where: str) -> None:
         raise InvalidInputError(
             f"{where} does not fit its configuration: {'; '.join(faults[:5])}{more}"
         )
+
+
+class Imported(NamedTuple):
+    """A published model in this project's terms, and what was converted."""
+
+    checkpoint: Checkpoint
+    states: dict[str, tuple[int, int]]  # by name: its tensors, and the numbers in them
+    ignored: tuple[str, ...]  # entries beside the states: optimizer, epoch, ...
+
+
+def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) -> Imported:
+    """Convert published checkpoints; every tensor finds its place and none is left over.
+
+    Args:
+        dictionary_dir: folder of ``model_params.json`` and ``best_model.pkl`` (stage 1).
+        ar_dir: folder of ``cross_attn.json``, ``ar_params.json`` and ``best_model.pkl`` (stage 2).
+        robot: by whose joint limits the training data were scaled; the files do not say.
+
+    InvalidInputError names the file, field or tensors that do not fit.
+    """
+    dictionary_dir, ar_dir = Path(dictionary_dir), Path(ar_dir)
+    config = _config(dictionary_dir, ar_dir)
+    path1, path2 = dictionary_dir / "best_model.pkl", ar_dir / "best_model.pkl"
+    stage1, stage2 = read_tensors(path1), read_tensors(path2)
+    dictionary = filled(lambda: Dictionary(config), _together(stage1, STAGE1, path1), str(path1))
+    tensors = _together(stage2, STAGE2, path2)
+    sequence_model = filled(lambda: PublishedSequenceModel(config), tensors, str(path2))
+    both, used = {**stage1, **stage2}, (*STAGE1, *STAGE2)
+    first, second = stage1.get("epoch"), stage2.get("epoch")
+    epochs = [epoch if isinstance(epoch, int) else None for epoch in (first, second)]
+    metadata = {"source": "published checkpoint", "epochs": epochs}
+    modules = {"dictionary": dictionary, "sequence_model": sequence_model}
+    return Imported(
+        Checkpoint(config, robot, modules, metadata),
+        {name: (len(both[name]), sum(t.numel() for t in both[name].values())) for name in used},
+        tuple(sorted({str(name) for name in both} - {*used})),
+    )
+
+
+def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
+    stage1 = _fields(dictionary_dir / "model_params.json", (*SIZES, "n_position", "c_space_dim"))
+    context = _fields(ar_dir / "cross_attn.json", (*SIZES, "d_context"))
+    sequence = _fields(ar_dir / "ar_params.json", (*SIZES, "num_keys"))
+    if context["d_context"] != stage1["c_space_dim"]:
+        raise InvalidInputError(
+            f"{ar_dir / 'cross_attn.json'}: d_context {context['d_context']} is not the "
+            f"dictionary's c_space_dim {stage1['c_space_dim']}; these folders are not of one model"
+        )
+    if sequence["num_keys"] < 3:
+        raise InvalidInputError(
+            f"{ar_dir / 'ar_params.json'}: num_keys {sequence['num_keys']} has no codes"
+        )
+    with located(f"{dictionary_dir} and {ar_dir}"):
+        return ModelConfig(
+            kind="published",
+            joint_dim=stage1["c_space_dim"],
+            dictionary=DictionaryConfig(
+                transformer=_sizes(stage1),
+                n_position=stage1["n_position"],
+                n_codes=sequence["num_keys"] - 2,
+                # a constant of the published scripts, in none of the json files
+                code_dim=8,
+            ),
+            point_cloud=PointCloudConfig(
+                sa2=SetAbstractionConfig(radius=0.4, widths=(256, stage1["d_model"])),
+            ),
+            sequence=SequenceConfig(context=_sizes(context), transformer=_sizes(sequence)),
+        )
+
+
+def _sizes(fields: Mapping[str, Any]) -> TransformerConfig:
+    return TransformerConfig(**{name: fields[name] for name in SIZES})
+
+
+def _fields(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
+    """Read exactly the named numbers from a json file."""
+    data = read_json_object(require_regular_file(path))
+    for name in (*data, *names):
+        if name not in names or name not in data:
+            state = "unknown" if name not in names else "missing"
+            raise InvalidInputError(f"{path}: {name} is {state}; fields: {', '.join(names)}")
+        from_plain(float if name == "dropout" else int, data[name], f"{path}: {name}")
+    return data
+
+
+def _together(
+    content: Mapping[str, Any], places: Mapping[str, str], where: Path
+) -> dict[str, Tensor]:
+    """All tensors of a stage by the names that our module has for them."""
+    tensors: dict[str, Tensor] = {}
+    for name, part in places.items():
+        state = content.get(name)
+        if not isinstance(state, dict) or not all(
+            isinstance(tensor, Tensor) for tensor in state.values()
+        ):
+            raise InvalidInputError(
+                f"{where}: {name} is missing or not made of tensors; the file has "
+                f"{', '.join(map(str, content))}"
+            )
+        tensors |= {f"{part}.{key}": tensor for key, tensor in state.items()}
+    return tensors
+
+
+def read_tensors(path: Path) -> dict[str, Any]:
+    """Read a pickle that may hold tensors and plain values, nothing that runs.
+
+    Raises InvalidInputError, which says what the file is instead: missing, a web page, empty, cut,
+    or a pickle that wants to run code.
+    """
+    data = read_bytes(require_regular_file(path))
+    try:
+        with torch.serialization.safe_globals(_HARMLESS), warnings.catch_warnings():
+            # about other pickles than we read
+            warnings.simplefilter("ignore")
+            content = torch.load(path, map_location="cpu", weights_only=True)
+    # what a damaged pickle raises depends on the byte
+    except Exception as error:
+        raise InvalidInputError(_refusal(path, data[:512], error)) from error
+    if not isinstance(content, dict):
+        raise InvalidInputError(
+            f"{path} holds a {type(content).__name__}; expected a dictionary of states"
+        )
+    return content
+
+
+def _refusal(path: Path, beginning: bytes, error: Exception) -> str:
+    if not beginning:
+        return f"{path} is empty; fetch it again"
+    if beginning.lstrip()[:1] == b"<":
+        return f"{path} is a web page or xml, no torch checkpoint; fetch the file itself"
+    asks = re.search(r"GLOBAL ([\w.]+)", str(error))
+    if isinstance(error, pickle.UnpicklingError) and asks:
+        return (
+            f"{path} is refused: it holds {asks[1]}, more than tensors, and would run code, or is "
+            "cut short"
+        )
+    return f"{path} is no torch checkpoint, or cut short ({type(error).__name__}); fetch it again"

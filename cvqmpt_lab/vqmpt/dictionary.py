@@ -241,32 +241,28 @@ class Quantizer(nn.Module):
         """Latents (..., d_model) of codes (...), ready for the decoder."""
         return self.output_linear_map(self.embedding(codes))
 
-    def restart_codes(
-        self, dead: Tensor, latents: Tensor, generator: torch.Generator | None = None
-    ) -> int:
-        """Put codes onto encoded waypoints drawn at random; return how many were moved.
+    def restart_codes(self, dead: Tensor, latents: Tensor) -> None:
+        """Put codes onto encoded waypoints drawn at random.
 
         Args:
             dead: (n_codes,) bool, codes that no waypoint used lately; all to initialise from data.
             latents: (m, d_model), encoded waypoints, drawn without replacement while they last.
-            generator: random numbers.
 
         Raises:
             InvalidInputError: there are no latents.
         """
         indices = dead.nonzero()[:, 0]
         if len(indices) == 0:
-            return 0
+            return
         if len(latents) == 0:
             raise InvalidInputError(
                 "restart of codes from 0 latents; give at least one encoded waypoint"
             )
         # codes beyond the number of latents take the same ones again
-        order = torch.randperm(len(latents), generator=generator)
+        order = torch.randperm(len(latents))
         chosen = order[torch.arange(len(indices)) % len(latents)].to(latents.device)
         with torch.no_grad():
             self.embedding.weight[indices] = self.project(latents[chosen])
-        return len(indices)
 
 
 @dataclass(frozen=True, eq=False)

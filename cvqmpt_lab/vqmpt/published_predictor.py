@@ -44,9 +44,8 @@ class Predictor:
         from cvqmpt_lab.vqmpt.checkpoint import as_modules
 
         self.robot, self._configurations = robot, ModelConfigurations(model, robot)
-        checkpoint = as_modules(model)
-        assert checkpoint.sequence_model is not None
-        self._dictionary, self._network = checkpoint.dictionary, checkpoint.sequence_model
+        modules = as_modules(model).modules
+        self._dictionary, self._network = modules["dictionary"], modules["sequence_model"]
         self._length = model.config.stage2[1].max_length
         self._scenes = LruCache[Any](SCENES)
 

@@ -115,8 +115,7 @@ class RobotSignature:
 class StoredModel:
     """A trained model as plain data."""
 
-    architecture: str  # key of ARCHITECTURES
-    config: Any  # of the type that ARCHITECTURES says
+    config: Any  # of a type of ARCHITECTURES
     robot: RobotSignature
     parts: Mapping[str, Mapping[str, np.ndarray]]  # arrays by name, by name of the part
     metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
@@ -128,6 +127,11 @@ class StoredModel:
                 f"robot {self.robot.name!r} has limits of {limits} joints, the model {joints} "
                 "joints"
             )
+
+    @property
+    def architecture(self) -> str:
+        """Key of ARCHITECTURES."""
+        return next(name for name, (of, _) in ARCHITECTURES.items() if isinstance(self.config, of))
 
     def require_part(self, part: str) -> None:
         """Raise InvalidInputError when a part was not trained."""
@@ -279,7 +283,7 @@ def read_model(
     config = from_plain(sizes, description["model"], "model", complete=True)
     names = [first, *(name for name in others if name in listed and name != left_out)]
     parts = {name: _read_part(folder, listed, name) for name in names}
-    return StoredModel(of, config, description["robot"], parts, description["metadata"])
+    return StoredModel(config, description["robot"], parts, description["metadata"])
 
 
 def _read_part(folder: Path, sha256: Mapping[str, str], name: str) -> dict[str, np.ndarray]:

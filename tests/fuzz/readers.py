@@ -43,9 +43,8 @@ from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.trajectory.timing import time_path
 from cvqmpt_lab.trajectory.trajectory import read_motion, save_trajectory
-from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, save_checkpoint
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, read_tensors, save_checkpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
-from cvqmpt_lab.vqmpt.import_published import read_tensors
 from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.weights import read_model, robot_signature
 from paper_tables.suites import render_directory
@@ -207,7 +206,8 @@ def network():
     torch.manual_seed(0)
     with tempfile.TemporaryDirectory() as parent:
         folder = Path(parent) / "weights"
-        save_checkpoint(folder, MPNetCheckpoint(robot_signature(panda()), MPNet(sizes)))
+        modules = {"mpnet": MPNet(sizes)}
+        save_checkpoint(folder, Checkpoint(sizes, robot_signature(panda()), modules))
         return (folder / "config.json").read_bytes(), (folder / "mpnet.safetensors").read_bytes()
 
 

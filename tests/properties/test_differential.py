@@ -141,7 +141,7 @@ def test_timing(trials):
 @torch.inference_mode()
 def test_networks(trials):
     stored = load_vq_mpt(panda())
-    dictionary = as_modules(stored).dictionary
+    dictionary = as_modules(stored).modules["dictionary"]
     for problem, count, seed in tuning_problems(trials, STATES):
         rng = np.random.default_rng(seed)
         q = problem.robot.random_configurations(rng, count)

@@ -112,8 +112,8 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
     rows = curves(dictionary)
     assert [row["epoch"] for row in rows] == ["1", "2"] and rows[-1]["step"] == "12"
     checkpoint = load_checkpoint(dictionary / "model")
-    assert checkpoint.sequence_model is None and checkpoint.config.feature_dim == 12
-    norms = checkpoint.dictionary.quantizer.embedding.weight.norm(dim=1)
+    assert [*checkpoint.modules] == ["dictionary"] and checkpoint.config.feature_dim == 12
+    norms = checkpoint.modules["dictionary"].quantizer.embedding.weight.norm(dim=1)
     torch.testing.assert_close(norms, torch.ones_like(norms))
     metadata, losses = checkpoint.metadata, checkpoint.metadata["losses"]
     assert metadata["data_sha256"] == open_dataset(data).sha256 and metadata["seed"] == 0
@@ -133,9 +133,9 @@ def test_the_authors_network_learns_from_paths(tmp_path, data, published_diction
     assert own == float(row["validation_loss"])
     assert own != float(row["validation_wrong_cloud_cross_entropy_all"])
     checkpoint = load_checkpoint(out / "model")
-    model, words = checkpoint.sequence_model, checkpoint.dictionary
-    before = load_checkpoint(published_dictionary / "model").dictionary.state_dict()
-    for name, tensor in before.items():
+    model, words = checkpoint.modules["sequence_model"], checkpoint.modules["dictionary"]
+    before = load_checkpoint(published_dictionary / "model").modules["dictionary"]
+    for name, tensor in before.state_dict().items():
         assert torch.equal(words.state_dict()[name], tensor)
     scene = model.encode_scene(torch.rand(1, 48, 3))
     decoder = model.decoder(words, scene, torch.rand(1, 7), torch.rand(1, 7))

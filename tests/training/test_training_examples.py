@@ -254,7 +254,7 @@ def test_sequences_of_paths_are_their_codes_without_repeats(dataset, panda, conf
     assert len(set(rows)) == len(rows) and 0 < paths.trivial[rows].mean() <= 0.15
     for sequence, path in enumerate(rows):
         u = torch.from_numpy(paths.joints(path))[None]
-        codes = model.dictionary.encode(links.configurations(u))[0].tolist()
+        codes = model.modules["dictionary"].encode(links.configurations(u))[0].tolist()
         kept = [c for i, c in enumerate(codes) if i == 0 or codes[i - 1] != c]
         assert found.codes[slice(*found.code_start[sequence : sequence + 2])].tolist() == kept
         assert found.path_scene[sequence] == paths.scene[path]

@@ -53,7 +53,7 @@ def test_the_loss_counts_motions_to_codes_as_labelled(labels):
 
 def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):
     stage = stage_of(labels, "compact", fine_tune=True)
-    shipped = load_checkpoint(resolve_model(None, VQ_MPT)).transformer
+    shipped = load_checkpoint(resolve_model(None, VQ_MPT)).modules["transformer"]
     for name, value in stage.module.state_dict().items():
         assert torch.equal(value, shipped.state_dict()[name]), name
     batch, optimizer = batch_of(stage), torch.optim.AdamW(stage.module.parameters(), 3e-4)

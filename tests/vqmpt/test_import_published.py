@@ -8,8 +8,12 @@ import torch
 from published_files import CONTEXT, SEQUENCE, STAGE1
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, save_checkpoint
-from cvqmpt_lab.vqmpt.import_published import import_published, read_tensors
+from cvqmpt_lab.vqmpt.checkpoint import (
+    import_published,
+    load_checkpoint,
+    read_tensors,
+    save_checkpoint,
+)
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 
 ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
@@ -17,21 +21,23 @@ ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
 
 def test_published_folders_become_a_model_that_runs(published, published_states, tmp_path):
     imported = import_published(*published(), ROBOT)
-    model = imported.checkpoint
+    modules = imported.checkpoint.modules
+    network, dictionary = modules["sequence_model"], modules["dictionary"]
     tensors = {name: count for name, (count, _) in imported.states.items()}
     assert tensors == {name: len(state) for name, state in published_states.items()}
-    assert imported.ignored == ("epoch", "n_steps", "optimizer") and imported.epochs == (7, 7)
+    assert imported.ignored == ("epoch", "n_steps", "optimizer")
+    assert imported.checkpoint.metadata["epochs"] == [7, 7]
     for name, tensor in published_states["context_state"].items():
-        assert torch.equal(model.sequence_model.context.state_dict()[name], tensor)
-    network, codes = model.sequence_model, model.dictionary.encode(torch.rand(1, 4, 7))
+        assert torch.equal(network.context.state_dict()[name], tensor)
+    codes = dictionary.encode(torch.rand(1, 4, 7))
     scene = network.encode_scene([torch.rand(30, 3)])
     context = network.encode_context(scene, torch.rand(1, 7), torch.rand(1, 7))
-    logits = network.prefix_logits(context, codes, model.dictionary.quantizer)
+    logits = network.prefix_logits(context, codes, dictionary.quantizer)
     assert logits.shape == (1, 2050) and torch.isfinite(logits).all()
-    save_checkpoint(tmp_path / "ours", model)
-    before, after = model.sequence_model, load_checkpoint(tmp_path / "ours", ROBOT).sequence_model
-    assert after.state_dict().keys() == before.state_dict().keys()
-    for name, tensor in before.state_dict().items():
+    save_checkpoint(tmp_path / "ours", imported.checkpoint)
+    after = load_checkpoint(tmp_path / "ours", ROBOT).modules["sequence_model"]
+    assert after.state_dict().keys() == network.state_dict().keys()
+    for name, tensor in network.state_dict().items():
         assert torch.equal(after.state_dict()[name], tensor)
 
 

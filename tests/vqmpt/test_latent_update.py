@@ -37,9 +37,10 @@ def constraint(request, panda):
 def checkpoint(panda):
     checkpoint = random_checkpoint(panda, compact_config())
     with torch.no_grad():  # narrow Gaussians at places all over the joint ranges
-        checkpoint.dictionary.decoder.diag[0].bias -= 3.0
-        checkpoint.dictionary.decoder.l[0].weight *= 0.1
-        checkpoint.dictionary.decoder.mu[0].weight *= 3.0
+        decoder = checkpoint.modules["dictionary"].decoder
+        decoder.diag[0].bias -= 3.0
+        decoder.l[0].weight *= 0.1
+        decoder.mu[0].weight *= 3.0
     return checkpoint
 
 
@@ -70,7 +71,7 @@ def optimized(codebook, z, constraint, seed=0, **settings):
 
 def test_values_are_those_of_torch(panda, checkpoint, codebook, exact, constraint):
     z, noise = unit_codes(25), np.random.default_rng(1).standard_normal((10, 7))
-    gaussians = copy.deepcopy(checkpoint.dictionary).double().decode(torch.from_numpy(z))
+    gaussians = copy.deepcopy(checkpoint.modules["dictionary"]).double().decode(torch.from_numpy(z))
     scale = gaussians.lower * gaussians.diagonal.sqrt()[..., None, :]
     u = gaussians.mean[:, None] + torch.einsum("cij,sj->csi", scale, torch.from_numpy(noise))
     q = panda.lower + u.detach().numpy() * (panda.upper - panda.lower)

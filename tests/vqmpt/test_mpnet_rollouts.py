@@ -19,7 +19,7 @@ from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt import mpnet_rollouts
-from cvqmpt_lab.vqmpt.checkpoint import MPNetCheckpoint, stored
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, stored
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts, RolloutSettings, line_free
@@ -45,7 +45,7 @@ def random_network(config=CONFIG):
 def ready(network):
     """The network in numpy."""
     robot = RobotSignature("arm", (-1.0,) * 7, (1.0,) * 7)
-    return MPNetNetwork(stored(MPNetCheckpoint(robot, network)))
+    return MPNetNetwork(stored(Checkpoint(network.config, robot, {"mpnet": network})))
 
 
 def heading_network(share=0.5):
@@ -86,7 +86,8 @@ def cloud_of(scene):
 
 def mpnet_of(robot, network=None, observe=cloud_of, bridged=False, **settings):
     """A method whose rollouts are those of a network."""
-    checkpoint = MPNetCheckpoint(robot_signature(robot), network or heading_network())
+    network = network or heading_network()
+    checkpoint = Checkpoint(network.config, robot_signature(robot), {"mpnet": network})
     rollouts = MPNetRollouts(stored(checkpoint), bridged, RolloutSettings(**settings))
     return Method.simple("mpnet", predict=rollouts, observe=observe)
 

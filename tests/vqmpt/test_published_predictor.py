@@ -84,5 +84,6 @@ def test_bad_input_is_one_line(predictor, change, message):
 
 
 def test_a_model_of_stage_1_alone_predicts_nothing(panda, checkpoint):
+    alone = {"dictionary": checkpoint.modules["dictionary"]}
     with pytest.raises(InvalidInputError, match="train published"):
-        Predictor(stored(dataclasses.replace(checkpoint, sequence_model=None)), panda)
+        Predictor(stored(dataclasses.replace(checkpoint, modules=alone)), panda)

@@ -64,7 +64,9 @@ def checkpoint(robot):
         for parameter in module.parameters():
             parameter += 0.05 * torch.randn_like(parameter)
     return dataclasses.replace(
-        words, config=dataclasses.replace(config, transformer=sizes), transformer=module.eval()
+        words,
+        config=dataclasses.replace(config, transformer=sizes),
+        modules={**words.modules, "transformer": module.eval()},
     )
 
 
@@ -92,7 +94,7 @@ def by_torch(checkpoint):
         torch.from_numpy(part)[None] for part in group_points(CLOUD, SMALL.groups, SMALL.group_size)
     ]
     with torch.no_grad():
-        return checkpoint.transformer.encode(*groups)
+        return checkpoint.modules["transformer"].encode(*groups)
 
 
 def tensor(array):
@@ -102,7 +104,7 @@ def tensor(array):
 def test_embeddings_odds_and_costs_to_go_are_those_of_torch(
     checkpoint, predictor, by_torch, queries
 ):
-    scene, network = predictor.encode(CLOUD), checkpoint.transformer
+    scene, network = predictor.encode(CLOUD), checkpoint.modules["transformer"]
     for name in ("codes", "keys", "parts", "node_odds", "edge_odds"):
         np.testing.assert_allclose(
             getattr(scene, name), getattr(by_torch, name)[0], atol=1e-4, err_msg=name
@@ -125,7 +127,8 @@ def test_embeddings_odds_and_costs_to_go_are_those_of_torch(
 def test_ways_after_every_prefix_are_as_likely_as_by_torch(
     checkpoint, predictor, by_torch, queries
 ):
-    network, (start, goals), rng = checkpoint.transformer, queries, np.random.default_rng(0)
+    network, (start, goals) = checkpoint.modules["transformer"], queries
+    rng = np.random.default_rng(0)
     decoder = SequenceDecoder(predictor.network, predictor.encode(CLOUD), start, goals)
     ways, log_p = decoder.start()
     steps, codes = [(ways, log_p)], []

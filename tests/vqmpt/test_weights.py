@@ -27,19 +27,18 @@ CONFIG = ModelConfig(kind="compact", dictionary=WORDS, point_cloud=None, sequenc
 
 @pytest.fixture
 def folder(tmp_path):
-    save_checkpoint(
-        tmp_path / "model", Checkpoint(CONFIG, ROBOT, Dictionary(CONFIG), metadata={"note": 1})
-    )
+    modules = {"dictionary": Dictionary(CONFIG)}
+    save_checkpoint(tmp_path / "model", Checkpoint(CONFIG, ROBOT, modules, {"note": 1}))
     return tmp_path / "model"
 
 
 def test_round_trip(folder):
     loaded = load_checkpoint(folder, ROBOT)
     assert (loaded.config, loaded.robot, loaded.metadata) == (CONFIG, ROBOT, {"note": 1})
-    assert loaded.sequence_model is None and not loaded.dictionary.training
+    assert [*loaded.modules] == ["dictionary"] and not loaded.modules["dictionary"].training
     other, first = Dictionary(CONFIG), weights_digest(folder)
-    save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, other))  # replaces
-    for name, tensor in load_checkpoint(folder).dictionary.state_dict().items():
+    save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, {"dictionary": other}))  # replaces
+    for name, tensor in load_checkpoint(folder).modules["dictionary"].state_dict().items():
         assert torch.equal(tensor, other.state_dict()[name])
     assert weights_digest(folder) != first
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
@@ -53,7 +52,7 @@ def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch, name):
     before = weights_digest(folder)
     monkeypatch.setattr(weights, name, full)
     with pytest.raises(InvalidInputError, match="No space left"):
-        save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, Dictionary(CONFIG)))
+        save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, {"dictionary": Dictionary(CONFIG)}))
     assert weights_digest(folder) == before
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
 
@@ -63,7 +62,7 @@ def test_weights_that_are_not_finite_are_not_written(tmp_path):
     with torch.no_grad():
         dictionary.decoder.mu[0].bias[0] = torch.nan
     with pytest.raises(InvalidInputError, match=r"decoder\.mu\.0\.bias has NaN"):
-        save_checkpoint(tmp_path / "m", Checkpoint(CONFIG, ROBOT, dictionary))
+        save_checkpoint(tmp_path / "m", Checkpoint(CONFIG, ROBOT, {"dictionary": dictionary}))
     assert list(tmp_path.iterdir()) == []
 
 
