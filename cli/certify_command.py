@@ -48,17 +48,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> int:
-    from experiments.recertify import recertify
+    from experiments.replay import recertify
 
     summary = {"paths": 0, "certified": 0, "refused": 0}
     troubles = []
-    for verdict in recertify(directory, problems_dir):
-        certified = verdict.certificate is not None and verdict.certificate.valid
+    for judged in recertify(directory, problems_dir):
+        certified = judged.certificate is not None and judged.certificate.valid
         summary["paths"] += 1
         summary["certified" if certified else "refused"] += 1
-        if verdict.trouble:
-            row = verdict.row
-            troubles.append(f"{row.problem} {row.planner} seed {row.seed}: {verdict.trouble}")
+        if judged.trouble:
+            row = judged.row
+            troubles.append(f"{row.problem} {row.planner} seed {row.seed}: {judged.trouble}")
             log(troubles[-1])
     if as_json:
         print(json.dumps({**summary, "troubles": troubles}, indent=1))

@@ -50,7 +50,7 @@ def report(args: argparse.Namespace) -> int:
 
 def write_report(directory: Path, out: Path | None = None) -> Path:
     """Write the report of results, into their folder unless `out` is given, and return its path."""
-    from experiments.stored_path import first_path
+    from experiments.replay import first_path
 
     found = pages.evidence_of(directory)
     text = pages.report_html(found, ProgressBar("report"), first_path(found))

@@ -76,41 +76,28 @@ def require_regular_file(path: Path, what: str = "file", use: str = "read") -> P
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder's advisory lock, as `lock` takes it."""
-    handle = lock(folder)
-    try:
-        yield
-    finally:
-        unlock(handle)
-
-
-def lock(folder: Path) -> int:
-    """Take a folder's advisory lock for this process and return its handle.
+    """Hold a folder's advisory lock for this process.
 
     Temporary files that killed processes left in the folder are removed.
     """
     handle = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+        # a file system without locks: go on without one
+        with contextlib.suppress(OSError):
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InvalidInputError(
+                    f"{folder} is in use by another run; wait or use another folder"
+                ) from None
+            for path in Path(folder).rglob(".*.tmp"):
+                if TEMPORARY.fullmatch(path.name):
+                    path.unlink(missing_ok=True)
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_UN)  # explicit: forked workers may still hold the handle
         os.close(handle)
-        raise InvalidInputError(
-            f"{folder} is in use by another run; wait or use another folder"
-        ) from None
-    except OSError:
-        return handle  # a file system without locks: go on without one
-    for path in Path(folder).rglob(".*.tmp"):
-        if TEMPORARY.fullmatch(path.name):
-            with contextlib.suppress(OSError):
-                path.unlink()
-    return handle
-
-
-def unlock(handle: int) -> None:
-    """Release a lock."""
-    with contextlib.suppress(OSError):
-        fcntl.flock(handle, fcntl.LOCK_UN)  # explicit: forked workers may still hold the handle
-    os.close(handle)
 
 
 def read_bytes(path: Path, what: str = "file") -> bytes:

@@ -1,9 +1,11 @@
 """Provenance of a results directory: commit, versions, machine, weights, seeds, settings."""
 
+import contextlib
 import importlib.metadata
 import json
 import os
 import platform
+import re
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, RunStoreError, located
+from cvqmpt_lab.errors import RunStoreError, located
 from cvqmpt_lab.files import differences, read_json_object, write_text
 
 PROVENANCE_FILE = "provenance.json"
@@ -31,6 +33,7 @@ _FORMS: Mapping[str, Any] = {
     "wall_s": float,
     **dict.fromkeys(DIGESTS, Mapping[str, Any]),
 }
+SESSIONS = tuple[Mapping[str, Any], ...]
 _BUDGET: Mapping[str, Any] = {"suite": str, "cutoff_s": float | None, "iterations": int | None}
 _THREAD_VARIABLES = (
     "MKL_NUM_THREADS",
@@ -38,7 +41,6 @@ _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
 )
-_CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def provenance(
@@ -55,7 +57,8 @@ def provenance(
     problems: digest of each problem that was read from a file, by its name. planners: distributions
         and versions of each external planner, by its name.
     """
-    commit, dirty = _git_state(_CHECKOUT)
+    commit, dirty = _git_state(Path(__file__).resolve().parents[2])
+    cpus = cpu_facts(r"^model name\s*: (.*)$")
     return {
         "date_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": [str(word) for word in command],
@@ -66,7 +69,7 @@ def provenance(
         "versions": {name: _version(name) for name in _PACKAGES},
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "cpu_model": _cpu_model(),
+        "cpu_model": cpus[0] if cpus else platform.processor() or None,
         "cpu_count": os.cpu_count(),
         "processes": processes,
         **({"problem_files": dict(problems)} if problems else {}),
@@ -81,10 +84,8 @@ def _git_state(checkout: Path) -> tuple[str | None, bool | None]:
     # e.g. installed in an environment inside another repository
     if top is None or Path(top) != checkout:
         return None, None
-    commit, changes = (
-        _git(checkout, "rev-parse", "--verify", "HEAD"),
-        _git(checkout, "status", "--porcelain"),
-    )
+    changes = _git(checkout, "status", "--porcelain")
+    commit = _git(checkout, "rev-parse", "--verify", "HEAD")
     return commit, None if changes is None else bool(changes)
 
 
@@ -104,22 +105,12 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _cpu_model() -> str | None:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or None
-
-
-def _check(record: Mapping[str, Any], forms: Mapping[str, Any]) -> None:
-    """Refuse a field of the wrong form."""
-    for name in forms.keys() & record.keys():
-        from_plain(forms[name], record[name], name)
-    for field in DIGESTS:
-        for name, digest in record.get(field, {}).items():
-            from_plain(str, digest, f"{field}.{name}")
+def cpu_facts(pattern: str) -> list[str]:
+    """What a pattern finds in Linux's description of the processors; nothing elsewhere."""
+    with contextlib.suppress(OSError):
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+        return re.findall(pattern, text, re.MULTILINE)
+    return []
 
 
 def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -147,25 +138,24 @@ class ProvenanceFile:
         return self.directory / PROVENANCE_FILE
 
     def read(self) -> dict[str, Any]:
-        """Return the whole record; RunStoreError when it is missing, no json or malformed."""
+        """Return the whole record; InvalidInputError when it is missing, no json or malformed."""
         if not self.path.is_file():
             raise RunStoreError(
                 f"{self.directory} has no {PROVENANCE_FILE}, so its runs cannot be traced; use "
                 "another --out"
             )
-        try:
-            record = read_json_object(self.path)
-        except InvalidInputError as error:
-            raise RunStoreError(f"{error}; use another --out") from error
-        if not isinstance(record.get("configuration"), dict):
-            raise RunStoreError(f"{self.path} records no configuration; use another --out")
+        record = read_json_object(self.path)
         with located(f"{self.path}"):
-            later = from_plain(
-                tuple[Mapping[str, Any], ...], record.get("continued", []), "continued"
-            )
-            for part in (record, *later):
-                _check(part, _FORMS)
-            _check(record["configuration"], _BUDGET)
+            later = from_plain(SESSIONS, record.get("continued", []), "continued")
+            for session in (record, *later):
+                for name in _FORMS.keys() & session.keys():
+                    from_plain(_FORMS[name], session[name], name)
+                for field in DIGESTS:
+                    for name, digest in session.get(field, {}).items():
+                        from_plain(str, digest, f"{field}.{name}")
+            settings = from_plain(Mapping[str, Any], record.get("configuration"), "configuration")
+            for name in _BUDGET.keys() & settings.keys():
+                from_plain(_BUDGET[name], settings[name], name)
         return record
 
     def create(self, configuration: Mapping[str, object], session: Mapping[str, object]) -> None:
@@ -175,7 +165,7 @@ class ProvenanceFile:
     def require_same(self, configuration: Mapping[str, object], session: Mapping[str, Any]) -> None:
         """Raise RunStoreError if the configuration or a digest of both sessions differs."""
         record = self.read()
-        then, now = dict(record["configuration"]), json.loads(_json_text(configuration))
+        then, now = dict(record["configuration"]), json.loads(json.dumps(configuration))
         for field in DIGESTS:
             known, used = digests_in(record, field), session.get(field, {})
             both = known.keys() & used.keys()
@@ -197,18 +187,10 @@ class ProvenanceFile:
     def add_wall_clock(self, seconds: float) -> None:
         """Say how long the last session took [s]."""
         record = self.read()
-        *earlier, last = sessions(record)
-        timed = {**last, "wall_s": round(seconds, 1)}
-        self._write({**record, "continued": [*earlier[1:], timed]} if earlier else timed)
+        last: Any = sessions(record)[-1]  # a part of the record
+        last["wall_s"] = round(seconds, 1)
+        self._write(record)
 
     def _write(self, record: Mapping[str, object]) -> None:
-        write_text(self.path, _json_text(record) + "\n")
-
-
-def _json_text(record: Mapping[str, object]) -> str:
-    try:
-        return json.dumps(record, indent=2, sort_keys=True, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise RunStoreError(
-            f"the configuration cannot be json ({error}); use finite numbers, text and lists"
-        ) from error
+        text = json.dumps(record, indent=2, sort_keys=True, allow_nan=False)
+        write_text(self.path, text + "\n")

@@ -4,9 +4,9 @@ One row is one run of one planner on one problem, or on one phase of a task, wit
 runs have rows too. Undefined values are None in Python and empty in csv, never 0 or -1.
 """
 
+import contextlib
 import csv
 import io
-import math
 import re
 import typing
 from collections.abc import Iterable, Sequence
@@ -24,6 +24,7 @@ from cvqmpt_lab.errors import (
     shown,
 )
 from cvqmpt_lab.files import read_text, write_text
+from cvqmpt_lab.values import scalar
 
 SCHEMA = "2"
 RUNS_FILE = "runs.csv"
@@ -71,7 +72,7 @@ class ResultRow:
     """One run; the fields are the columns of ``runs.csv``, in this order.
 
     Times end in ``_s`` [s], lengths in ``_rad`` [rad, Euclidean in joint space] or ``_m`` [m].
-    numpy scalars are converted to plain Python values.
+    numbers of numpy are converted to plain Python ones.
 
     InvalidInputError or UnknownChoiceError for a value of the wrong type or not finite, text that
     is empty, unprintable or like a formula, a negative number (other than a clearance), ``solved``
@@ -182,60 +183,48 @@ class _Column(NamedTuple):
 
     def checked(self, value: Any) -> Any:
         """A value as its plain Python type; the message of an error begins with the column."""
-        if hasattr(value, "item"):
-            # a numpy scalar
-            value = value.item()
         if value is None and self.optional:
             return None
         if self.kind is FailReason:
             if value not in list(FailReason):
                 raise UnknownChoiceError(self.name, value, FailReason)
             return FailReason(value)
-        if self.kind is float and type(value) is int:
-            value = float(value)
-        if type(value) is not self.kind:
-            raise InvalidInputError(f"{self.name} is {shown(value)}; give {KINDS[self.kind]}")
-        if self.kind is str:
-            self._check_text(value)
-        elif self.kind in (int, float):
-            if not math.isfinite(value):
-                raise InvalidInputError(f"{self.name} is {value}; give {KINDS[self.kind]}")
-            if value < 0 and self.name not in SIGNED:
-                raise InvalidInputError(f"{self.name} is {value}; it cannot be negative")
-        return value
-
-    def _check_text(self, text: str) -> None:
-        if not text or not text.isprintable() or text.startswith(FORMULA):
+        value = scalar(self.kind, value, self.name)
+        if self.kind is str and not (value and value.isprintable() and value[0] not in FORMULA):
             raise InvalidInputError(
-                f"{self.name} is {text!r}; it must be one non-empty line that does not begin like "
+                f"{self.name} is {value!r}; it must be one non-empty line that does not begin like "
                 "a formula"
             )
-        if self.name == "schema" and text != SCHEMA:
-            raise InvalidInputError(f"schema is {text!r}; this version reads and writes {SCHEMA!r}")
+        if self.name == "schema" and value != SCHEMA:
+            raise InvalidInputError(
+                f"schema is {value!r}; this version reads and writes {SCHEMA!r}"
+            )
+        if self.kind is float and value < 0.0 and self.name not in SIGNED:
+            raise InvalidInputError(f"{self.name} is {value}; it cannot be negative")
+        return value
 
     def read(self, text: str) -> Any:
-        """The value of a cell; ValueError for text that is no value of this type."""
-        if text == "" and self.optional:
-            return None
-        if self.kind is bool:
-            return ("false", "true").index(text) == 1
-        return self.checked(text if self.kind in (str, FailReason) else self.kind(text))
+        """The value of a cell; an error as of `checked`."""
+        with contextlib.suppress(ValueError):
+            if text == "" and self.optional:
+                return None
+            if self.kind is bool:
+                return ("false", "true").index(text) == 1
+            if self.kind in (int, float):
+                return self.checked(self.kind(text))
+        return self.checked(text)
 
-    def read_all(self, texts: Sequence[str]) -> list[Any]:
-        """Values as by `read`, called once per text and not for plain numbers: cells are many."""
-        distinct = set(texts)
-        if self.optional:
-            distinct.discard("")
-        if self.kind in (int, float):
-            values = dict(zip(distinct, map(self.kind, distinct), strict=True))
-            finite = all(map(math.isfinite, values.values()))
-            if not finite or (min(values.values(), default=0) < 0 and self.name not in SIGNED):
-                raise ValueError(f"{self.name} out of range")
-        else:
-            values = {text: self.read(text) for text in distinct}
-        if self.optional:
-            values[""] = None
-        return [values[text] for text in texts]
+    def read_all(self, texts: Sequence[str], places: Sequence[str]) -> list[Any]:
+        """The values of cells; plain numbers cost no call of Python each: cells are many."""
+        plain = PLAIN.get(self.kind)
+        known = {text: self.kind(text) for text in set(texts) if plain and plain.fullmatch(text)}
+        for text, place in zip(texts, places, strict=True):
+            if text not in known:
+                try:
+                    known[text] = self.read(text)
+                except CvqmptError as error:
+                    raise RunStoreError(f"{place}: {error}") from None
+        return [known[text] for text in texts]
 
 
 def _columns() -> tuple[_Column, ...]:
@@ -246,7 +235,8 @@ def _columns() -> tuple[_Column, ...]:
     return tuple(found)
 
 
-KINDS = {str: "text", int: "a whole number", float: "a finite number", bool: "true or false"}
+# numbers that need no check: finite and not negative
+PLAIN = {int: re.compile(r"\d{1,9}"), float: re.compile(r"\d{1,9}\.\d+(e-\d+)?")}
 _COLUMNS = _columns()
 COLUMNS = tuple(column.name for column in _COLUMNS)
 FIRST_COLUMNS = COLUMNS.index("t_sense_s")  # so many are in every file; older files lack later ones
@@ -259,21 +249,15 @@ def one_line(text: str) -> str | None:
     return f"'{line}" if line.startswith(FORMULA) else line or None
 
 
-def _to_text(value: object) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value) if isinstance(value, float) else str(value)
-
-
 def csv_text(rows: Iterable[ResultRow], header: bool = True) -> str:
     """Rows as csv."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     if header:
         writer.writerow(COLUMNS)
-    writer.writerows([_to_text(getattr(row, column)) for column in COLUMNS] for row in rows)
+    for row in rows:
+        cells = (getattr(row, column) for column in COLUMNS)
+        writer.writerow(str(x).lower() if isinstance(x, bool) else x for x in cells)
     return buffer.getvalue()
 
 
@@ -312,49 +296,26 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
         columns = _parse_header(path, next(reader, [])) if header else len(COLUMNS)
         lines = [(reader.line_num, cells) for cells in reader if cells]
     except csv.Error as error:
-        raise RunStoreError(f"{path}, line {reader.line_num}, column unknown: {error}") from error
+        raise RunStoreError(f"{path}, line {reader.line_num}: {error}") from error
     for line, cells in lines:
         if len(cells) != columns:
             raise RunStoreError(f"{path}, line {line}: {len(cells)} fields, expected {columns}")
+    places = [f"{path}, line {line}" for line, _ in lines]
     by_column = zip(*(cells for _, cells in lines), strict=True)
-    try:
-        values = [
-            column.read_all(texts) for column, texts in zip(_COLUMNS, by_column, strict=False)
-        ]
-        missing = [[None] * len(lines)] * (len(COLUMNS) - len(values))
-        rows = [_unchecked(cells) for cells in zip(*values, *missing, strict=True)]
-    except (ValueError, CvqmptError):
-        _raise_first_fault(path, lines)
-        raise
-    for (line, _), row in zip(lines, rows, strict=True):
-        if (row.solved and not row.certified) or row.solved is not (row.fail_reason is None):
-            try:
-                row.require_consistent()
-            except CvqmptError as error:
-                raise RunStoreError(f"{path}, line {line}, column {error}") from None
+    values = [
+        column.read_all(texts, places) for column, texts in zip(_COLUMNS, by_column, strict=False)
+    ]
+    missing = [[None] * len(lines)] * (len(COLUMNS) - len(values))
+    rows = []
+    for place, read in zip(places, zip(*values, *missing, strict=True), strict=True):
+        row = object.__new__(ResultRow)  # each of its values is checked
+        vars(row).update(zip(COLUMNS, read, strict=True))
+        try:
+            row.require_consistent()
+        except InvalidInputError as error:
+            raise RunStoreError(f"{place}: {error}") from None
+        rows.append(row)
     return rows
-
-
-def _unchecked(cells: tuple[Any, ...]) -> ResultRow:
-    """A row of values whose columns were checked before."""
-    row = object.__new__(ResultRow)
-    row.__dict__.update(zip(COLUMNS, cells, strict=True))
-    return row
-
-
-def _raise_first_fault(path: Path, lines: Sequence[tuple[int, list[str]]]) -> None:
-    """Name the first line, and its first column, with a cell that cannot be read."""
-    for line, cells in lines:
-        for column, text in zip(_COLUMNS, cells, strict=False):
-            where = f"{path}, line {line}, column"
-            try:
-                column.read(text)
-            except ValueError:
-                raise RunStoreError(
-                    f"{where} {column.name}: {shown(text)} cannot stand there"
-                ) from None
-            except CvqmptError as error:
-                raise RunStoreError(f"{where} {error}") from None
 
 
 def read_rows(path: Path) -> list[ResultRow]:

@@ -15,7 +15,7 @@ from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
-from cvqmpt_lab.results.store import PATHS_FILE, StoredPaths, states_hash
+from cvqmpt_lab.results.store import PATHS_FILE, states_hash, stored_paths
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
@@ -376,7 +376,7 @@ def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, capsys):
     assert capsys.readouterr().out == "2 paths, 2 certified, 0 refused, 0 unlike their rows\n"
 
     rows = read_rows(tmp_path / RUNS_FILE)
-    kept = dict(StoredPaths(tmp_path))
+    kept = dict(stored_paths(tmp_path))
     bent = kept[rows[0].path_sha256].copy()
     bent[10] += 0.05
     forged = replace(rows[0], path_sha256=states_hash(bent), path_length_rad=JointPath(bent).length)

@@ -7,17 +7,13 @@ from cvqmpt_lab.results.row import COLUMNS, one_line, read_rows, write_rows
 
 def test_files_from_before_the_last_columns_are_read(tmp_path):
     path, row = tmp_path / "rows.csv", a_row(t_total_s=1.5, path_sha256="0" * 64)
-    write_rows(path, [row])
     for gone in (1, len(COLUMNS) - COLUMNS.index("t_sense_s")):
+        write_rows(path, [row])
         lines = path.read_text().splitlines()
         path.write_text("".join(",".join(line.split(",")[:-gone]) + "\n" for line in lines))
-        if gone == 1:
-            assert read_rows(path) == [row]
-            write_rows(path, [row])
-    assert read_rows(path) == [row]
-    path.write_text(
-        "".join(line.rpartition(",")[0] + "\n" for line in path.read_text().splitlines())
-    )
+        assert read_rows(path) == [row]
+    lines = path.read_text().splitlines()
+    path.write_text("".join(line.rpartition(",")[0] + "\n" for line in lines))
     with pytest.raises(RunStoreError, match="column 31: expected path_sha256, found nothing"):
         read_rows(path)
 
@@ -33,10 +29,7 @@ def test_files_from_before_the_last_columns_are_read(tmp_path):
         ({"detail": "two\nlines"}, "detail"),
         ({"suite": "=1+1"}, "suite is '=1[+]1'.*formula"),
         ({"planner": "@x"}, "planner"),
-        (
-            {"solved": False, "fail_reason": "bored"},
-            "'bored'; valid choices: timeout, iteration_limit",
-        ),
+        ({"solved": False, "fail_reason": "bored"}, "'bored'; valid choices: timeout, iteration"),
         ({"solved": False}, "solved is False but fail_reason is None"),
         ({"fail_reason": "timeout"}, "solved is True but fail_reason is timeout"),
         ({"seed": None}, "seed"),
@@ -50,19 +43,13 @@ def test_bad_values_are_refused_by_name(values, word):
         a_row(**values)
 
 
-@pytest.mark.parametrize(
-    ("text", "cell"),
-    [
-        ("two\n lines\x1b", "two lines"),
-        ("=1+1", "'=1+1"),
-        ("-3 off", "'-3 off"),
-        (" \t", None),
-        ("ok", "ok"),
-    ],
-)
-def test_any_text_becomes_a_cell_that_no_spreadsheet_runs(text, cell):
-    assert one_line(text) == cell
-    assert a_row(detail=one_line(text)).detail == cell
+TEXTS = {"two\n lines\x1b": "two lines", "=1+1": "'=1+1", "-3 off": "'-3 off", " \t": None}
+
+
+@pytest.mark.parametrize("text", [*TEXTS, "ok"])
+def test_any_text_becomes_a_cell_that_no_spreadsheet_runs(text):
+    assert one_line(text) == TEXTS.get(text, text)
+    assert a_row(detail=one_line(text)).detail == TEXTS.get(text, text)
 
 
 FIELDS = {"seed": "one", "t_total_s": "nan", "vertices": "-1", "solved": "True", "schema": "1"}
@@ -76,7 +63,7 @@ def test_a_bad_field_is_named_with_file_line_and_column(tmp_path, column, text):
     fields = last.split(",")
     fields[COLUMNS.index(column)] = text
     path.write_text("\n".join([*lines, ",".join(fields)]) + "\n")
-    with pytest.raises(RunStoreError, match=f"rows.csv, line 3, column {column}") as caught:
+    with pytest.raises(RunStoreError, match=f"rows.csv, line 3: {column} is '?{text}") as caught:
         read_rows(path)
     assert "\n" not in str(caught.value)
 

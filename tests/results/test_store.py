@@ -1,66 +1,135 @@
+"""A run's directory holds its rows and their paths after any interruption; damage is named."""
+
 import json
 import os
 
+import numpy as np
 import pytest
 from made_rows import CONFIGURATION, a_failure, a_row, names
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
-from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
+from cvqmpt_lab.results.store import (
+    PARTIAL_FILE,
+    PARTIAL_PATHS,
+    PATHS_FILE,
+    RunStore,
+    states_hash,
+    stored_paths,
+)
+
+
+def path(seed):
+    return np.random.default_rng(seed).standard_normal((40, 7))
+
+
+def row(seed, **values):
+    return a_row(f"p{seed}", path_sha256=states_hash(path(seed)), **values)
+
+
+def opened(folder, **session):
+    return RunStore.open(folder, CONFIGURATION, session)
+
+
+def killed_after(folder, *runs):
+    """What a kill after these runs, each its rows and paths, leaves in the partial files."""
+    with opened(folder) as store:
+        for run in runs:
+            store.append(*run)
+        left = {path.name: path.read_bytes() for path in folder.glob("*.partial.*")}
+    for name in (RUNS_FILE, PATHS_FILE):
+        (folder / name).unlink(missing_ok=True)
+    return left
+
+
+@pytest.fixture
+def store(tmp_path):
+    with opened(tmp_path) as store:
+        store.append([row(1)], [path(1)])
+        store.append([row(2), row(3)], [path(2), path(3)])
+    return tmp_path
 
 
 def test_store_writes_rows_and_provenance(tmp_path):
-    with RunStore.open(tmp_path / "deep" / "runs", CONFIGURATION, {"command": ("a", "b")}) as store:
+    directory = tmp_path / "deep" / "runs"
+    with opened(directory, command=("a", "b")) as store:
         store.append([a_row("p2")])
         store.append([a_failure("p1")])
         assert store.done() == {("place", "p1", "birrt", 0, "compiled"), a_row("p2").key}
-    directory = tmp_path / "deep" / "runs"
     assert names(directory) == ["provenance.json", RUNS_FILE]
     assert [row.problem for row in read_rows(directory / RUNS_FILE)] == ["p1", "p2"]
     record = json.loads((directory / "provenance.json").read_text())
     assert record["configuration"] == CONFIGURATION and record["command"] == ["a", "b"]
 
 
+def test_what_was_hashed_comes_back_bit_for_bit(store):
+    assert names(store) == [PATHS_FILE, "provenance.json", RUNS_FILE]
+    kept = stored_paths(store)
+    assert set(kept) == {row.path_sha256 for row in read_rows(store / RUNS_FILE)} and len(kept) == 3
+    for seed in (1, 2, 3):
+        assert kept[states_hash(path(seed))].tobytes() == path(seed).tobytes()
+
+
 def test_the_rows_of_one_run_are_kept_together_or_not_at_all(tmp_path):
     phases = [a_row(f"3/{k}-{name}") for k, name in enumerate(("reach", "carry"), 1)]
-    store = RunStore.open(tmp_path, CONFIGURATION)
-    store.append(phases)
-    assert store.done() == {("place", "3", "birrt", 0, "compiled")}
-    data = (tmp_path / PARTIAL_FILE).read_bytes()
-    store.finish()
-    (tmp_path / RUNS_FILE).unlink()
+    data = killed_after(tmp_path, [phases])[PARTIAL_FILE]
     # cut behind the first phase
     (tmp_path / PARTIAL_FILE).write_bytes(data[: data.index(b"\n") + 1])
-    with RunStore.open(tmp_path, CONFIGURATION) as again:
+    with opened(tmp_path) as again:
         assert again.rows() == [] and again.done() == frozenset()
-
-
-def test_other_weights_are_refused_by_both_digests_and_further_models_are_added(tmp_path):
-    with RunStore.open(tmp_path, CONFIGURATION, {"weights": {}}) as store:
-        store.append([a_row("p1")])
-    with RunStore.open(tmp_path, CONFIGURATION, {"weights": {"mpnet": "aaa"}}) as store:
-        store.append([a_row("p1", "mpnet")])
-    assert digests_in(ProvenanceFile(tmp_path).read(), "weights") == {"mpnet": "aaa"}
-    with pytest.raises(RunStoreError, match=r'weights.mpnet was "aaa", now "bbb".*--out'):
-        RunStore.open(tmp_path, CONFIGURATION, {"weights": {"mpnet": "bbb"}})
-    RunStore.open(tmp_path, CONFIGURATION, {"weights": {"vq_mpt": "ccc"}}).finish()
-    RunStore.open(tmp_path, CONFIGURATION, {"weights": {}}).finish()
+        again.append(phases)
+        assert again.done() == {("place", "3", "birrt", 0, "compiled")}
 
 
 def test_a_truncated_last_line_is_ignored_wherever_it_was_cut(tmp_path):
-    store = RunStore.open(tmp_path, CONFIGURATION)
     rows = [a_row("p1", t_total_s=1.25), a_row("p2", sampler_used='μμμμμμμ, "b"', t_total_s=1.25)]
-    for row in rows:
-        store.append([row])
-    data = (tmp_path / PARTIAL_FILE).read_bytes()
-    store.finish()
+    data = killed_after(tmp_path, *([[row]] for row in rows))[PARTIAL_FILE]
     first = data.index(b"\n\n") + 2
     for cut in [*range(0, len(data), 3), first - 1, first, len(data)]:
         (tmp_path / RUNS_FILE).unlink(missing_ok=True)
         (tmp_path / PARTIAL_FILE).write_bytes(data[:cut])
-        with RunStore.open(tmp_path, CONFIGURATION) as again:
+        with opened(tmp_path) as again:
             assert again.rows() == rows[: 2 if cut == len(data) else int(cut >= first)]
+
+
+@pytest.mark.parametrize("cut", [1, 8, 60, 130, 1000])
+def test_a_path_cut_short_by_a_kill_is_left_out_and_the_others_stay(tmp_path, cut):
+    left = killed_after(tmp_path, ([row(1)], [path(1)]), ([row(2)], [path(2)]))
+    whole = len(left[PARTIAL_PATHS]) // 2
+    (tmp_path / PARTIAL_PATHS).write_bytes(left[PARTIAL_PATHS][: whole + cut])
+    (tmp_path / PARTIAL_FILE).write_bytes(left[PARTIAL_FILE].partition(b"\n\n")[0] + b"\n\n")
+    with opened(tmp_path) as again:
+        again.append([row(2)], [path(2)])
+    assert set(stored_paths(tmp_path)) == {states_hash(path(1)), states_hash(path(2))}
+
+
+def test_a_damaged_store_is_refused_by_name_and_stops_a_run_before_it_begins(store):
+    good = (store / PATHS_FILE).read_bytes()
+    for where in (0.2, 0.5, 0.999):
+        data = bytearray(good)
+        data[int(where * len(data))] ^= 0xFF
+        (store / PATHS_FILE).write_bytes(bytes(data))
+        with pytest.raises(RunStoreError, match=r"paths\.npz is damaged.*another folder"):
+            opened(store).__enter__()
+    forged = path(1)
+    forged[0, 0] += 1e-15
+    np.savez_compressed(store / PATHS_FILE, **{states_hash(path(1)): forged})
+    with pytest.raises(RunStoreError, match=r"paths\.npz is damaged.*another hash"):
+        stored_paths(store)
+
+
+def test_other_weights_are_refused_by_both_digests_and_further_models_are_added(tmp_path):
+    with opened(tmp_path, weights={}) as store:
+        store.append([a_row("p1")])
+    with opened(tmp_path, weights={"mpnet": "aaa"}) as store:
+        store.append([a_row("p1", "mpnet")])
+    assert digests_in(ProvenanceFile(tmp_path).read(), "weights") == {"mpnet": "aaa"}
+    with pytest.raises(RunStoreError, match=r'weights.mpnet was "aaa", now "bbb".*--out'):
+        opened(tmp_path, weights={"mpnet": "bbb"}).__enter__()
+    for weights in ({"vq_mpt": "ccc"}, {}):
+        with opened(tmp_path, weights=weights):
+            pass
 
 
 @pytest.mark.parametrize(
@@ -72,53 +141,42 @@ def test_a_truncated_last_line_is_ignored_wherever_it_was_cut(tmp_path):
     ],
 )
 def test_another_configuration_is_refused_by_setting(tmp_path, change, words):
-    with RunStore.open(tmp_path, CONFIGURATION) as store:
+    with opened(tmp_path) as store:
         store.append([a_row()])
     with pytest.raises(RunStoreError, match=words) as caught:
-        RunStore.open(tmp_path, {**CONFIGURATION, **change})
+        RunStore.open(tmp_path, {**CONFIGURATION, **change}).__enter__()
     assert "--out" in str(caught.value) and "suite" not in str(caught.value)
     # equal by value, and not left locked
-    RunStore.open(tmp_path, {**CONFIGURATION, "cutoff_s": 10}).finish()
+    with RunStore.open(tmp_path, {**CONFIGURATION, "cutoff_s": 10}):
+        pass
 
 
 def test_runs_without_provenance_or_with_foreign_columns_are_refused(tmp_path):
-    with RunStore.open(tmp_path / "new", CONFIGURATION):
+    def refused(words, directory=tmp_path):
+        with pytest.raises(InvalidInputError, match=words):
+            opened(directory).__enter__()
+
+    with opened(tmp_path / "new"):
         pass
     (tmp_path / "new" / PARTIAL_FILE).write_text("1,place,rubbish\n\n")
-    with pytest.raises(RunStoreError, match=r"runs\.partial\.csv, line 1"):
-        RunStore.open(tmp_path / "new", CONFIGURATION)
+    refused(r"runs\.partial\.csv, line 1", tmp_path / "new")
     write_rows(tmp_path / RUNS_FILE, [a_row()])
-    with pytest.raises(RunStoreError, match=r"no provenance\.json.*--out"):
-        RunStore.open(tmp_path, CONFIGURATION)
+    refused(r"no provenance\.json.*--out")
     for broken in ("not json", "[]", '{"configuration": 3}', "[" * 100_000):
         (tmp_path / "provenance.json").write_text(broken)
-        with pytest.raises(RunStoreError, match=r"provenance\.json"):
-            RunStore.open(tmp_path, CONFIGURATION)
+        refused(r"provenance\.json")
     (tmp_path / "provenance.json").write_text(json.dumps({"configuration": CONFIGURATION}))
     (tmp_path / RUNS_FILE).write_text("problem,time\n1,2\n")
-    with pytest.raises(RunStoreError, match=r"line 1, column 1: expected schema, found problem"):
-        RunStore.open(tmp_path, CONFIGURATION)
+    refused(r"line 1, column 1: expected schema, found problem")
 
 
-def test_directories_and_configurations_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
+def test_directories_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
-    for value in (float("inf"), object()):
-        with pytest.raises(RunStoreError, match="configuration"):
-            RunStore.open(tmp_path / "new", {"cutoff_s": value})
-    assert names(tmp_path / "new") == []
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(RunStoreError, match="--out"):
-            RunStore.open(path, CONFIGURATION)
+        with pytest.raises(InvalidInputError, match="cannot make folder"):
+            opened(path).__enter__()
+    with opened(tmp_path / "new"), pytest.raises(InvalidInputError, match="in use"):
+        opened(tmp_path / "new").__enter__()
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     with pytest.raises(RunStoreError, match="read-only"):
-        RunStore.open(tmp_path / "sealed", CONFIGURATION)
-
-
-def test_two_runs_cannot_share_a_directory_and_a_finished_store_takes_no_rows(tmp_path):
-    with RunStore.open(tmp_path, CONFIGURATION), pytest.raises(InvalidInputError, match="in use"):
-        RunStore.open(tmp_path, CONFIGURATION)
-    store = RunStore.open(tmp_path, CONFIGURATION)
-    store.finish()
-    store.finish()
-    with pytest.raises(RunStoreError, match="finished"):
-        store.append([a_row()])
+        opened(tmp_path / "sealed").__enter__()
