@@ -1,4 +1,4 @@
-"""Frozen dataclasses from json and back: the annotations of their fields say how they are read.
+"""Frozen dataclasses from json and back: annotations of fields say how they are read.
 
 Understood are numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses and
 `Annotated[T, form]`. A form has `read(value, where)`, which makes a T from json or checks one, and
@@ -7,6 +7,7 @@ of the field. The json schemas for editors are files of their own, `schemas/*.js
 """
 
 import dataclasses
+import inspect
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -140,19 +141,18 @@ class Document(Checked):
 
 @cached
 def field_kinds(kind: Any) -> dict[str, Any]:
-    """The annotation of each field of a dataclass."""
+    """The annotation of each field of a dataclass, or argument of a function."""
     hints = typing.get_type_hints(kind, include_extras=True)
-    return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.init}
+    return {name: hints[name] for name in inspect.signature(kind).parameters}
 
 
 @cached
 def field_defaults(kind: Any) -> dict[str, Any]:
-    """The default of each field of a dataclass that has one."""
-    defaults = {}
-    for item in dataclasses.fields(kind):
-        if item.default is not dataclasses.MISSING:
-            defaults[item.name] = item.default
-        elif item.default_factory is not dataclasses.MISSING:
+    """The default of each field or argument that has one."""
+    given = inspect.signature(kind).parameters.values()
+    defaults = {item.name: item.default for item in given if item.default is not item.empty}
+    for item in dataclasses.fields(kind) if isinstance(kind, type) else ():
+        if item.default_factory is not dataclasses.MISSING:
             defaults[item.name] = item.default_factory()
     return defaults
 
@@ -222,7 +222,7 @@ def _reader(kind: Any, complete: bool) -> Reader:
         return _tuple(parts, complete)
     if origin is Mapping:
         return lambda value, where: dict(mapping(value, where))
-    if dataclasses.is_dataclass(kind):
+    if dataclasses.is_dataclass(kind) or inspect.isfunction(kind):
         return partial(_object, kind, complete)
     return partial(scalar, kind)
 
@@ -233,8 +233,8 @@ def _field_readers(kind: Any, complete: bool) -> dict[str, Reader]:
 
 
 def _object(kind: Any, complete: bool, value: Any, where: str) -> Any:
-    """A dataclass from a json object with its fields, or itself."""
-    if isinstance(value, kind):
+    """A dataclass from a json object with its fields, or itself; a function's value likewise."""
+    if isinstance(kind, type) and isinstance(value, kind):
         return value
     readers = _field_readers(kind, complete)
     listed, defaults = ", ".join(readers), {} if complete else field_defaults(kind)
@@ -249,7 +249,7 @@ def _object(kind: Any, complete: bool, value: Any, where: str) -> Any:
         name: read(value[name], at(where, name)) for name, read in readers.items() if name in value
     }
     with located(where):
-        if not issubclass(kind, Checked):
+        if not (isinstance(kind, type) and issubclass(kind, Checked)):
             return kind(**parts)
         made = _made(kind, {**defaults, **parts})
         made._check()

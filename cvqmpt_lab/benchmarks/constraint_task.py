@@ -15,7 +15,7 @@ from cvqmpt_lab.benchmarks.family_task import blocked_pair
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
-from cvqmpt_lab.constraints.named import Line, Plane
+from cvqmpt_lab.constraints.named import line, plane
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
@@ -57,7 +57,7 @@ def _turned_like(T: np.ndarray, about_z: float) -> TaskSpaceRegion:
 
 def _arc(T: np.ndarray, rng: np.random.Generator) -> HandConstraint:
     """Rotation about a random axis; the hand turns with it as with a crank."""
-    axis = Line(_direction(rng), (0.0, 0.0, 0.0)).region().T0_w.copy()
+    axis = line(_direction(rng), (0.0, 0.0, 0.0)).T0_w.copy()
     axis[:3, 3] = T[:3, 3] + rng.uniform(0.15, 0.4) * axis[:3, 0]
     return HandConstraint(_about(axis, T, 2.5))
 
@@ -77,8 +77,8 @@ def _direction(rng: np.random.Generator) -> tuple[float, float, float]:
 KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]] = {
     "upright": lambda T, rng: HandConstraint(upright()),
     "fixed-orientation": lambda T, rng: HandConstraint(_turned_like(T, TURN)),
-    "plane": lambda T, rng: HandConstraint(Plane(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
-    "line": lambda T, rng: HandConstraint(Line(_direction(rng), tuple(T[:3, 3]), EXACT).region()),
+    "plane": lambda T, rng: HandConstraint(plane(_direction(rng), tuple(T[:3, 3]), EXACT)),
+    "line": lambda T, rng: HandConstraint(line(_direction(rng), tuple(T[:3, 3]), EXACT)),
     "arc": _arc,
     "tray": lambda T, rng: HandConstraint(
         upright(LEVEL), (Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19))),)

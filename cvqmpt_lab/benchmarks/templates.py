@@ -17,6 +17,7 @@ from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     ROWS_TEXT,
+    Axis,
     RegionConstraint,
     TaskSpaceRegion,
     upright,
@@ -125,7 +126,7 @@ def _solved(problem: PlanningProblem, matters: bool) -> bool:
     return direct_motion(space, problem.start, goal) is None
 
 
-def _axes(robot: Robot) -> list[str]:
+def _axes(robot: Robot) -> list[Axis]:
     """Axes of the end effector that may point up: first that of a tool that looks down."""
     _, T_link_hand = robot.end_effector_link
     outward = T_link_hand[2, :3] * (-1.0 if T_link_hand[2, 3] < 0.0 else 1.0)
@@ -176,7 +177,7 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
 
 
 def _ends(
-    robot: Robot, scene: Scene, layout: Layout, top: float, axis: str
+    robot: Robot, scene: Scene, layout: Layout, top: float, axis: Axis
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Pairs of free configurations (n,) on the manifold, beside the wall; order of `_calmest`."""
     checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN)

@@ -1,23 +1,23 @@
 """Regions as problem files write them: in full, or one of a few common ones by name."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, get_args
 
 import numpy as np
 
 from cvqmpt_lab.codec import COMMENT, field_kinds, from_plain, to_plain
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
+    Axis,
     TaskSpaceRegion,
     TaskSpaceRegionChain,
+    symmetric_region,
     upright,
 )
 from cvqmpt_lab.errors import (
     InvalidInputError,
     UnknownChoiceError,
     at,
-    located,
     mapping,
     nearest,
     shown,
@@ -26,94 +26,78 @@ from cvqmpt_lab.poses import Placement, Pose, pose
 from cvqmpt_lab.values import Angle, Condition
 
 Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")]
 
 
-@dataclass(frozen=True)
-class Upright:
-    """An axis of the end effector points up; yaw about it and position are free."""
-
-    tilt: Angle = 0.1  # [rad]
-    axis: Literal["x", "-x", "y", "-y", "z", "-z"] = "x"  # Axis of the end-effector frame
-
-    def region(self) -> TaskSpaceRegion:
-        """The region in full."""
-        return upright(self.tilt, self.axis)
-
-
-def upper_axis(T_world_hand: np.ndarray) -> str:
+def upper_axis(T_world_hand: np.ndarray) -> Axis:
     """The axis of the end effector, at a pose (4, 4), that points up most."""
     up = T_world_hand[2, :3]
     k = int(np.argmax(np.abs(up)))
-    return ("-" if up[k] < 0.0 else "") + "xyz"[k]
+    return get_args(Axis)[2 * k + (up[k] < 0.0)]
 
 
-@dataclass(frozen=True)
-class FixedOrientation:
-    """The end effector has a fixed orientation; its position is free."""
+def fixed_orientation(
+    tolerance: Angle, rpy: Vector | None = None, quaternion: Quaternion | None = None
+) -> TaskSpaceRegion:
+    """The end effector has a fixed orientation; its position is free.
 
-    tolerance: Angle  # Of each entry of the rotation vector from that orientation [rad]
-    rpy: Vector | None = None  # Roll, pitch, yaw about the world's x, y, z [rad]
-    quaternion: tuple[float, float, float, float] | None = None  # The same as x, y, z, w
-
-    def region(self) -> TaskSpaceRegion:
-        """The region in full."""
-        there = Placement(rpy=self.rpy, quaternion=self.quaternion).matrix
-        return _region(there, np.eye(4), [FREE] * 3 + [self.tolerance] * 3)
-
-
-@dataclass(frozen=True)
-class Plane:
-    """The end effector's origin stays in a plane; it turns freely."""
-
-    normal: Vector  # Of any length
-    point: Vector  # A point of the plane [m]
-    tolerance: Tolerance = 0.0  # To both sides [m]
-
-    def region(self) -> TaskSpaceRegion:
-        """The region in full."""
-        return _region(
-            _along(self.point, self.normal), np.eye(4), [FREE, FREE, self.tolerance] + [FREE] * 3
-        )
+    Args:
+        tolerance: of each entry of the rotation vector from that orientation [rad].
+        rpy: roll, pitch, yaw about the world's x, y, z [rad].
+        quaternion: the same as x, y, z, w.
+    """
+    there = Placement(rpy=rpy, quaternion=quaternion).matrix
+    return symmetric_region(there, np.eye(4), [FREE] * 3 + [tolerance] * 3)
 
 
-@dataclass(frozen=True)
-class Line:
-    """The end effector's origin stays on a line; it turns freely."""
+def plane(normal: Vector, point: Vector, tolerance: Tolerance = 0.0) -> TaskSpaceRegion:
+    """The end effector's origin stays in a plane; it turns freely.
 
-    direction: Vector  # Of any length
-    point: Vector  # A point of the line [m]
-    tolerance: Tolerance = 0.0  # Across the line, in each of two directions [m]
-
-    def region(self) -> TaskSpaceRegion:
-        """The region in full."""
-        there = _along(self.point, self.direction)
-        return _region(there, np.eye(4), [self.tolerance, self.tolerance, FREE] + [FREE] * 3)
+    Args:
+        normal: of any length.
+        point: of the plane [m].
+        tolerance: to both sides [m].
+    """
+    bounds = [FREE, FREE, tolerance] + [FREE] * 3
+    return symmetric_region(_along(point, normal), np.eye(4), bounds)
 
 
-@dataclass(frozen=True)
-class Near:
-    """The end effector stands at a pose, or close to it."""
+def line(direction: Vector, point: Vector, tolerance: Tolerance = 0.0) -> TaskSpaceRegion:
+    """The end effector's origin stays on a line; it turns freely.
 
-    at: Pose  # Its pose in the world
-    position: Tolerance = 0.0  # Of x, y and z [m]
-    tilt: Angle = 0.0  # About the world's x and y [rad]
-    yaw: Angle = 0.0  # About the world's vertical [rad]; 3.15 leaves it free
-
-    def region(self) -> TaskSpaceRegion:
-        """The region in full."""
-        turned = self.at.copy()
-        turned[:3, 3] = 0.0
-        bounds = [self.position] * 3 + [self.tilt] * 2 + [self.yaw]
-        return _region(pose(self.at[:3, 3]), turned, bounds)
+    Args:
+        direction: of any length.
+        point: of the line [m].
+        tolerance: across the line, in each of two directions [m].
+    """
+    bounds = [tolerance, tolerance, FREE] + [FREE] * 3
+    return symmetric_region(_along(point, direction), np.eye(4), bounds)
 
 
-BY_POSITION = {"plane": Plane, "line": Line, "pose": Near}
-# what may stand for a region: `{"upright": {...}}` or `{"upright": 0.1}`, its first field
+def near_pose(
+    at: Pose, position: Tolerance = 0.0, tilt: Angle = 0.0, yaw: Angle = 0.0
+) -> TaskSpaceRegion:
+    """The end effector stands at a pose, or close to it.
+
+    Args:
+        at: its pose in the world (4, 4).
+        position: tolerance of x, y and z [m].
+        tilt: tolerance about the world's x and y [rad].
+        yaw: tolerance about the world's vertical [rad]; 3.15 leaves it free.
+    """
+    turned = at.copy()
+    turned[:3, 3] = 0.0
+    return symmetric_region(pose(at[:3, 3]), turned, [position] * 3 + [tilt] * 2 + [yaw])
+
+
+# what may stand for a region: `{"upright": {...}}` or `{"upright": 0.1}`, its first argument
 NAMED: Mapping[str, Any] = {
-    "upright": Upright,
-    "fixed-orientation": FixedOrientation,
-    **BY_POSITION,
+    "upright": upright,
+    "fixed-orientation": fixed_orientation,
+    "plane": plane,
+    "line": line,
+    "pose": near_pose,
 }
 
 
@@ -125,11 +109,6 @@ def region(name: str, **fields: Any) -> TaskSpaceRegion:
     if name not in NAMED:
         raise UnknownChoiceError("region", name, NAMED)
     return from_plain(Region, {name: fields})
-
-
-def _region(T0_w: np.ndarray, Tw_e: np.ndarray, bounds: list[float]) -> TaskSpaceRegion:
-    """A region with symmetric bounds (6,)."""
-    return TaskSpaceRegion(T0_w, Tw_e, np.array([[-bound, bound] for bound in bounds]))
 
 
 def _along(point: Vector, direction: Vector) -> np.ndarray:
@@ -166,12 +145,10 @@ class RegionForm:
             return from_plain(kind, value, where)
         if len(keys) > 1:
             raise InvalidInputError(f"{where} has {', '.join(keys)}; a region by name stands alone")
-        kind, content, where = NAMED[keys[0]], value[keys[0]], at(where, keys[0])
+        kind, content = NAMED[keys[0]], value[keys[0]]
         if not isinstance(content, Mapping):
             content = {next(iter(field_kinds(kind))): content}
-        named = from_plain(kind, content, where)
-        with located(where):
-            return named.region()
+        return from_plain(kind, content, at(where, keys[0]))
 
     def write(self, value: TaskSpaceRegion) -> Any:
         """The region in full."""

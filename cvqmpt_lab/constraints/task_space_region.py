@@ -4,8 +4,8 @@ from __future__ import annotations  # so `help` shows forms by their names
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Annotated, Any
+from functools import cached_property
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -15,8 +15,9 @@ from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.errors import InvalidInputError, shown
 from cvqmpt_lab.poses import Pose, rotation_matrices
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.values import TURN, FloatArray, Name, numbers
+from cvqmpt_lab.values import TURN, Angle, FloatArray, Name, numbers
 
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 TOLERANCE = 1e-4  # on |F|, OMPL's default
 MAX_ITERATIONS = 50  # Newton steps, OMPL's default
 FREE = np.inf
@@ -149,12 +150,22 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
         return TaskSpaceRegion(T_world_base @ self.T0_w, self.Tw_e, self.Bw)
 
 
-@lru_cache(maxsize=16)
-def upright(tilt: float = 0.1, axis: str = "x") -> TaskSpaceRegion:
-    """An axis of the hand ("x", "-z", ...) points up; yaw about it and position are free.
+def symmetric_region(
+    T0_w: np.ndarray, Tw_e: np.ndarray, bounds: Sequence[float]
+) -> TaskSpaceRegion:
+    """A region whose entries x (6,) lie in +-bounds (6,) [m, rad]."""
+    return TaskSpaceRegion(T0_w, Tw_e, np.array([[-bound, bound] for bound in bounds]))
 
-    With R_t the upright orientation, entries 1 and 2 of Log(R_t^T R) lie in +-tilt [rad]. With the
-    hand's x and 0.1 rad this is the constraint of the published experiment code.
+
+def upright(tilt: Angle = 0.1, axis: Axis = "x") -> TaskSpaceRegion:
+    """An axis of the hand points up; yaw about it and position are free.
+
+    With R_t the upright orientation, entries 1 and 2 of Log(R_t^T R) lie in +-tilt. With the hand's
+    x and 0.1 rad this is the constraint of the published experiment code.
+
+    Args:
+        tilt: [rad].
+        axis: of the end-effector frame.
     """
     T0_w, Tw_e = np.eye(4), np.eye(4)
     T0_w[:3, :3] = UPRIGHT_ROTATION
@@ -162,7 +173,7 @@ def upright(tilt: float = 0.1, axis: str = "x") -> TaskSpaceRegion:
     Tw_e[:3, :3] = np.roll(np.eye(3), -"xyz".index(axis[-1]), axis=0)
     if axis[0] == "-":
         Tw_e[:3, :3] = np.diag([-1.0, -1.0, 1.0]) @ Tw_e[:3, :3]  # ... or opposite to it
-    return TaskSpaceRegion(T0_w, Tw_e, np.array([[-FREE, FREE]] * 4 + [[-tilt, tilt]] * 2))
+    return symmetric_region(T0_w, Tw_e, [FREE] * 4 + [tilt] * 2)
 
 
 @dataclass(frozen=True, eq=False)
