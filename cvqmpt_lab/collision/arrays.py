@@ -3,7 +3,6 @@
 A robot's are kept in the user's cache: cutting its hulls into pieces takes a quarter of a second.
 """
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -19,7 +18,6 @@ from cvqmpt_lab.collision.geometry import (
     outline,
     robot_geometry,
     scene_geometry,
-    swing,
 )
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
 from cvqmpt_lab.errors import InvalidInputError
@@ -29,31 +27,13 @@ from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, Shape, Sphere
 
-PIECES = "pieces."  # before the names of the arrays of `RobotGeometry.pieces`
-
-
-def stored_robot_geometry(
-    specs: Sequence[ShapeSpec], link: Sequence[int], pairs: Sequence[tuple[int, int]]
-) -> RobotGeometry:
-    """`robot_geometry` of the same arguments, kept in the user's cache."""
-
-    def arrays() -> dict[str, np.ndarray]:
-        made = robot_geometry(specs, link, pairs)
-        pieces = {PIECES + name: array for name, array in made.pieces._asdict().items()}
-        return pieces | {name: value for name, value in made._asdict().items() if name != "pieces"}
-
-    made_of = [f"{SOURCES} {list(link)} {list(pairs)}".encode()]
-    for spec in specs:
-        made_of.append(f"{spec.kind} {spec.size} {spec.inflation} {spec.vertices.shape}".encode())
-        made_of += (spec.vertices.tobytes(), spec.T_owner_shape.tobytes())
-    found = cached_arrays("robot_geometry", b"".join(made_of), arrays)
-    pieces = ConvexShapes(*(found.pop(PIECES + name) for name in ConvexShapes._fields))
-    return RobotGeometry(pieces=pieces, largest=float(found.pop("largest")), **found)
-
 
 @lru_cache(maxsize=8)
 def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> RobotGeometry:
-    """Convex pieces of robot and attachments; InvalidInputError before cutting ones too large."""
+    """Convex pieces of robot and attachments, kept in the user's cache.
+
+    InvalidInputError before cutting ones too large.
+    """
     reach_with(robot, attachments)
     specs = [ShapeSpec(HULL, (), piece.vertices, piece.T_link_geometry) for piece in robot.links]
     for spec, piece in zip(specs, robot.links, strict=True):
@@ -69,7 +49,19 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
         specs.extend(carried)
         links.extend([hand] * len(carried))
     pairs = [(i, row) for i, k in carried_pairs(robot, attachments) for row in rows[k]]
-    return stored_robot_geometry(specs, links, [*robot.self_collision_pairs, *pairs])
+    pairs = [*robot.self_collision_pairs, *pairs]
+    made_of = [f"{SOURCES} {links} {pairs}".encode()]
+    for spec in specs:
+        made_of.append(f"{spec.kind} {spec.size} {spec.inflation} {spec.vertices.shape}".encode())
+        made_of += (spec.vertices.tobytes(), spec.T_owner_shape.tobytes())
+
+    def arrays() -> dict[str, np.ndarray]:
+        made = robot_geometry(specs, links, pairs)._asdict()
+        return made.pop("pieces")._asdict() | made
+
+    found = cached_arrays("robot_geometry", b"".join(made_of), arrays)
+    pieces = ConvexShapes(*(found.pop(name) for name in ConvexShapes._fields))
+    return RobotGeometry(**found | {"pieces": pieces, "largest": float(found["largest"])})
 
 
 def _require_few_pieces(name: str, spec: ShapeSpec, most: int = 2000) -> None:
@@ -86,8 +78,18 @@ def _require_few_pieces(name: str, spec: ShapeSpec, most: int = 2000) -> None:
 
 @lru_cache(maxsize=8)
 def robot_swing(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> np.ndarray:
-    """`geometry.swing` of a robot and what it carries."""
-    return swing(robot.kinematics, robot_arrays(robot, attachments))
+    """Bounds (n,) on |dx/dq_j| of any point x of the robot [m/rad of hinges, 1 of sliders]."""
+    kinematics, pieces = robot.kinematics, robot_arrays(robot, attachments)
+    extent = np.zeros(robot.dof + 1)  # of what hangs on each pose row, from its origin
+    for row, first in zip(pieces.body_link, pieces.body_start, strict=True):
+        ball = pieces.sphere[first]
+        extent[row] = max(extent[row], np.linalg.norm(ball[:3]) + ball[3])
+    slides = np.maximum(np.abs(kinematics.lower), np.abs(kinematics.upper)) * kinematics.prismatic
+    for j in reversed(range(robot.dof)):
+        step = np.linalg.norm(kinematics.translation[j]) + slides[j]
+        up = kinematics.parent[j]
+        extent[up] = max(extent[up], step + extent[j + 1])
+    return np.where(kinematics.prismatic, 1.0, extent[1:])
 
 
 @lru_cache(maxsize=8)
@@ -115,7 +117,7 @@ def scene_arrays(
             else:
                 specs.append(spec._replace(inflation=spec.inflation + clearance))
     cell = max(CELL, 2.0 * reach / most_cells)
-    return scene_geometry(specs, np.full(3, -reach), np.full(3, reach), cell, clouds)
+    return scene_geometry(specs, clouds, reach, cell)
 
 
 def shape_specs(shape: Shape, T: np.ndarray) -> list[ShapeSpec]:

@@ -8,7 +8,7 @@ as collisions.
 
 import numpy as np
 
-from cvqmpt_lab.collision.distance_grid import cell_of, known_distance
+from cvqmpt_lab.collision.distance_grid import REACH, cell_of, known_distance
 from cvqmpt_lab.collision.separation import box_separated, compose, separated
 from cvqmpt_lab.jit import kernel
 
@@ -109,7 +109,7 @@ def _touches_item(r, t, robot, scene, link, node, where, margin):
     """Whether an item is within margin of the piece in a leaf; where: its ball's place and cell."""
     x, y, z, ix, iy, iz, inside = where
     piece, reach = robot.leaf[node], robot.sphere[node, 3] + margin
-    listed = inside and reach <= scene.reach
+    listed = inside and reach <= REACH
     first, count = 0, scene.bounds.shape[0]
     if listed:
         first = scene.grid.list_start[ix >> 1, iy >> 1, iz >> 1]

@@ -9,7 +9,6 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import entry
 
 LARGEST_RADIUS = 0.08  # [m] pieces are cut until their ball is this small
@@ -26,12 +25,13 @@ class Piece(NamedTuple):
     number: int  # the caller's number for it
 
 
-class SphereTree(NamedTuple):
-    """Balls in preorder: one that is cleared clears all nodes up to its `skip`."""
+class SphereTrees(NamedTuple):
+    """Trees of balls, one after the other, in preorder: a cleared ball clears all up to `skip`."""
 
     sphere: np.ndarray  # (k, 4) centre and radius [m]
     skip: np.ndarray  # (k,) int64 next node outside the subtree
     leaf: np.ndarray  # (k,) int64 number of the piece inside the ball, -1 for inner nodes
+    start: np.ndarray  # (trees + 1,) int64 first node of each tree, and the number of nodes
 
 
 @entry
@@ -129,17 +129,15 @@ def _halves(hull: Hull) -> tuple[Hull, Hull]:
     return convex_hull(np.concatenate([below, cut])), convex_hull(np.concatenate([above, cut]))
 
 
-def sphere_tree(pieces: Sequence[Piece]) -> SphereTree:
-    """A tree of balls over pieces; every ball contains the inflated pieces below it."""
-    spheres: list[np.ndarray] = []
-    skips: list[int] = []
-    leaves: list[int] = []
+def sphere_trees(groups: Sequence[Sequence[Piece]]) -> SphereTrees:
+    """A tree of balls over each group of pieces; a ball contains the inflated pieces below it."""
+    spheres, skips, leaves = [np.empty((0, 4))], list[int](), list[int]()
 
     def visit(group: Sequence[Piece]) -> None:
-        node = len(spheres)
+        node = len(skips)
         centre, _ = enclosing_sphere(np.concatenate([piece.points for piece in group]))
         radius = max(np.linalg.norm(p.points - centre, axis=1).max() + p.inflation for p in group)
-        spheres.append(np.append(centre, radius + SLACK))
+        spheres.append(np.append(centre, radius + SLACK)[None])
         leaves.append(group[0].number if len(group) == 1 else -1)
         skips.append(0)
         if len(group) > 1:
@@ -148,12 +146,14 @@ def sphere_tree(pieces: Sequence[Piece]) -> SphereTree:
             order = np.argsort(middles[:, axis], kind="stable")
             visit([group[i] for i in order[: len(group) // 2]])
             visit([group[i] for i in order[len(group) // 2 :]])
-        skips[node] = len(spheres)
+        skips[node] = len(skips)
 
-    visit(pieces)
-    return SphereTree(
-        np.array(spheres), np.array(skips, dtype=np.int64), np.array(leaves, dtype=np.int64)
-    )
+    starts = [0]
+    for group in groups:
+        visit(group)
+        starts.append(len(skips))
+    skip, leaf, start = (np.array(rows, dtype=np.int64) for rows in (skips, leaves, starts))
+    return SphereTrees(np.concatenate(spheres), skip, leaf, start)
 
 
 class Cloud(NamedTuple):
@@ -168,45 +168,17 @@ class Cloud(NamedTuple):
 class Clusters(NamedTuple):
     """Boxes around neighbouring primitives, along the axes of their cloud's frame."""
 
-    centre: np.ndarray  # (n, 3) in the world [m]
-    half: np.ndarray  # (n, 3) half edges [m]
-    rotation: np.ndarray  # (n, 3, 3), of the cloud's frame
-    radius: np.ndarray  # (n,) inflation of the primitives [m]
-    start: np.ndarray  # (n + 1,) int64 range in `primitives`; empty for a cluster of one primitive
+    bounds: np.ndarray  # (n, 16) as of `distance_grid`, inflated like the primitives
+    count: np.ndarray  # (n,) int64 rows of `primitives`; none for a cluster of one primitive
     # (k, 6) centres, from the cluster's in the cloud's axes, and half edges [m]
     primitives: np.ndarray
 
 
-def cluster_primitives(clouds: Sequence[Cloud], voxel: float) -> Clusters:
-    """Boxes around the primitives of clouds whose centres lie in the same voxel of this edge [m].
+def cluster_primitives(cloud: Cloud, voxel: float, most: int = 16, fine: int = 8) -> Clusters:
+    """Boxes around primitives of a cloud whose centres lie in the same voxel of this edge [m].
 
-    InvalidInputError: a primitive is not finite, or a radius is negative.
+    Each holds at most `most` of them, sorted along a curve of `fine` steps a voxel.
     """
-    parts = [_cluster_cloud(cloud, k, voxel) for k, cloud in enumerate(clouds) if len(cloud.centre)]
-    if not parts:
-        none, start = np.empty((0, 3)), np.zeros(1, np.int64)
-        return Clusters(none, none, np.empty((0, 3, 3)), np.empty(0), start, np.empty((0, 6)))
-    offsets = np.cumsum([0, *(len(part.primitives) for part in parts)])
-    starts = [part.start[:-1] + offset for part, offset in zip(parts, offsets[:-1], strict=True)]
-    names = (name for name in Clusters._fields if name != "start")
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Clusters(**joined, start=np.concatenate([*starts, offsets[-1:]]).astype(np.int64))
-
-
-def _cluster_cloud(
-    cloud: Cloud, number: int, voxel: float, most: int = 16, fine: int = 8
-) -> Clusters:
-    """Clusters of at most `most` primitives, sorted along a curve of `fine` steps a voxel."""
-    finite = np.isfinite(cloud.centre).all(axis=1) & np.isfinite(cloud.half).all(axis=1)
-    if not finite.all():
-        bad = int(np.flatnonzero(~finite)[0])
-        raise InvalidInputError(
-            f"cloud {number}: point {bad} is {cloud.centre[bad]}; remove points that are not finite"
-        )
-    if not 0.0 <= cloud.radius < np.inf:
-        raise InvalidInputError(
-            f"cloud {number}: radius {cloud.radius} of its points; give a length >= 0 [m]"
-        )
     key = _curve_position(cloud.centre, voxel / fine)
     order = np.argsort(key)
     centre, half, cell = cloud.centre[order], cloud.half[order], key[order] // fine**3
@@ -217,15 +189,12 @@ def _cluster_cloud(
     middle, count = 0.5 * (low + high), np.diff(start, append=len(cell))
     listed = np.repeat(count > 1, count)
     primitives = np.concatenate([centre - np.repeat(middle, count, axis=0), half], axis=1)[listed]
-    R, n = cloud.T_world_cloud[:3, :3], len(start)
-    return Clusters(
-        middle @ R.T + cloud.T_world_cloud[:3, 3],
-        0.5 * (high - low) + 1e-12,
-        np.tile(R, (n, 1, 1)),
-        np.full(n, float(cloud.radius)),
-        np.append(0, np.cumsum(np.where(count > 1, count, 0))),
-        primitives,
-    )
+    T, bounds = cloud.T_world_cloud, np.empty((len(start), 16))
+    bounds[:, :9] = T[:3, :3].ravel()
+    bounds[:, 9:12] = middle @ T[:3, :3].T + T[:3, 3]
+    bounds[:, 12:15] = 0.5 * (high - low) + 1e-12
+    bounds[:, 15] = cloud.radius
+    return Clusters(bounds, np.where(count > 1, count, 0), primitives)
 
 
 def _curve_position(points: np.ndarray, step: float, bits: int = 21) -> np.ndarray:

@@ -61,8 +61,8 @@ def _distances(bounds, i, x, y, z, half):
 
 
 @kernel
-def _relevant(bounds, grid, corner, candidates, reach, near, kept):
-    """Copy the candidates that can be nearest somewhere in a block, or within its reach, to kept.
+def _relevant(bounds, grid, corner, candidates, near, kept):
+    """Copy the candidates that can be nearest somewhere in a block, or within REACH, to kept.
 
     near: (candidates,), written: distances from the block of those kept [m]. Returns their number.
     """
@@ -72,7 +72,7 @@ def _relevant(bounds, grid, corner, candidates, reach, near, kept):
         near[k], from_centre = _distances(bounds, candidates[k], x, y, z, half)
         nearest = min(nearest, max(from_centre, 0.0) + _HALF_DIAGONAL * half)
     for k in range(candidates.shape[0]):
-        if near[k] <= max(nearest, reach):
+        if near[k] <= max(nearest, REACH):
             kept[n], near[n] = candidates[k], near[k]
             n += 1
     return n
@@ -107,7 +107,7 @@ def _lower_inflated(best, x, yz, inflation):
 
 
 @kernel
-def _add_straight(bounds, i, grid, reach, matters, work):
+def _add_straight(bounds, i, grid, matters, work):
     """Lower the distances of a block's cells to those from a box along the axes, and list it.
 
     matters: False when no distance of the block can be lowered. work: see `Work`.
@@ -125,7 +125,7 @@ def _add_straight(bounds, i, grid, reach, matters, work):
             _lower(work.best2, x, work.yz)
         else:
             _lower_inflated(work.best, x, work.yz, inflation)
-    limit2 = (reach + inflation) * (reach + inflation)
+    limit2 = (REACH + inflation) * (REACH + inflation)
     for lx in range(SIDE):
         across = min(x[2 * lx], x[2 * lx + 1])
         for ly in range(SIDE if across <= limit2 else 0):
@@ -138,7 +138,7 @@ def _add_straight(bounds, i, grid, reach, matters, work):
 
 
 @kernel
-def _add_turned(bounds, i, grid, reach, work):
+def _add_turned(bounds, i, grid, work):
     """Lower the distances of a block's cells to those from a turned box, and list it."""
     edge, corner, upper, best = grid.cell, work.corner, work.upper, work.best
     for s in range(LISTS):
@@ -149,7 +149,7 @@ def _add_turned(bounds, i, grid, reach, work):
             corner[2] + (lz + 1) * edge,
         )
         near, from_centre = _distances(bounds, i, x, y, z, edge)
-        if near <= reach:
+        if near <= REACH:
             work.listed[s, work.counts[s]] = i
             work.counts[s] += 1
         if near > upper[s]:
@@ -206,16 +206,16 @@ class Work(NamedTuple):
 
 
 @kernel
-def _add_all(bounds, grid, kept, near, n, reach, work):
+def _add_all(bounds, grid, kept, near, n, work):
     """Lower the distances of a block to those from n obstacles, and list these."""
     work.best2[:], work.best[:], work.upper[:], work.counts[:] = np.inf, RANGE, RANGE, 0
     farthest = RANGE
     for k in range(n):
         i = kept[k]
         if bounds[i, 1] == 0.0 and bounds[i, 2] == 0.0 and bounds[i, 5] == 0.0:
-            _add_straight(bounds, i, grid, reach, near[k] < farthest, work)
+            _add_straight(bounds, i, grid, near[k] < farthest, work)
         else:
-            _add_turned(bounds, i, grid, reach, work)
+            _add_turned(bounds, i, grid, work)
         if k % BETWEEN == BETWEEN - 1:
             farthest = _farthest(work.best2, work.best)
 
@@ -226,7 +226,6 @@ def fill_blocks(
     grid: DistanceGrid,
     block_start: Annotated[np.ndarray, "int64 blocks"],
     block_items: Annotated[np.ndarray, "int32 listed"],
-    reach: float,
     work: Work,
     first: int,
     used: int,
@@ -240,10 +239,10 @@ def fill_blocks(
         work.corner[1] = grid.origin[1] + COARSE * grid.cell * by
         work.corner[2] = grid.origin[2] + COARSE * grid.cell * bz
         some = block_items[block_start[block] : block_start[block + 1]]
-        n = _relevant(bounds, grid, work.corner, some, reach, near, kept)
+        n = _relevant(bounds, grid, work.corner, some, near, kept)
         if n == 0:
             continue
-        _add_all(bounds, grid, kept, near, n, reach, work)
+        _add_all(bounds, grid, kept, near, n, work)
         _store(grid, bx, by, bz, work.best2, work.best)
         listed = 0
         # work.counts.sum() would import scipy.linalg wherever this is loaded
@@ -297,23 +296,19 @@ def assign(
                     starts[block] += 1
 
 
-def distance_grid(
-    bounds: np.ndarray, lower: np.ndarray, upper: np.ndarray, cell: float, reach: float = REACH
-) -> DistanceGrid:
-    """The grid over a box around obstacles.
+def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
+    """The grid over a cube about the world's origin.
 
     Each cell holds a lower bound of min_i min_{x in cell} d(x, obstacle_i), at most RANGE.
+    Obstacles within REACH are listed.
 
     Args:
         bounds: (k, COLUMNS), oriented boxes around obstacles.
-        lower: (3,) corner of the grid [m].
-        upper: (3,) corner of the grid [m].
+        half: half edge of the cube [m].
         cell: edge of a cell [m].
-        reach: obstacles within it are listed [m].
     """
-    edge = COARSE * cell
-    origin = np.asarray(lower, dtype=float).copy()
-    blocks = np.maximum(np.ceil((np.asarray(upper) - origin) / edge - 1e-9).astype(np.int64), 1)
+    edge, origin = COARSE * cell, np.full(3, -half)
+    blocks = np.maximum(np.ceil((np.full(3, half) - origin) / edge - 1e-9).astype(np.int64), 1)
     starts = np.zeros(int(blocks.prod()) + 1, dtype=np.int64)
     span = np.empty((2, 3), dtype=np.int64)
     assign(bounds, origin, edge, blocks, span, starts[1:], np.empty(0, dtype=np.int32), False)
@@ -332,7 +327,7 @@ def distance_grid(
     )
     block, used, work = 0, 0, _work_arrays(most)
     while block < len(starts) - 1:
-        block, used = fill_blocks(bounds, grid, starts, block_items, reach, work, block, used)
+        block, used = fill_blocks(bounds, grid, starts, block_items, work, block, used)
         if block < len(starts) - 1:
             more = np.empty(max(len(grid.items), work.listed.size), dtype=np.int32)
             grid = grid._replace(items=np.concatenate([grid.items, more]))

@@ -5,7 +5,6 @@ checked against the same others; it has one tree of balls. An *item* is an obsta
 neighbouring primitives of a cloud.
 """
 
-import math
 from collections.abc import Sequence
 from itertools import product
 from typing import Annotated, NamedTuple
@@ -14,19 +13,17 @@ import numpy as np
 
 from cvqmpt_lab.collision.covers import (
     Cloud,
-    Clusters,
     Piece,
     cluster_primitives,
     convex_hull,
     cut_into_pieces,
-    sphere_tree,
+    sphere_trees,
 )
 from cvqmpt_lab.collision.distance_grid import (
     CENTRE,
     COLUMNS,
     HALF,
     INFLATION,
-    REACH,
     DistanceGrid,
     distance_grid,
 )
@@ -39,7 +36,6 @@ from cvqmpt_lab.collision.separation import (
     ConvexShapes,
 )
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.kinematics import Kinematics
 
 CELL = 0.04  # [m] of the distance grid
 
@@ -79,11 +75,7 @@ def outline(spec: ShapeSpec, sides: int = 16) -> tuple[np.ndarray, float]:
 
 
 def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
-    """Shapes as a struct of arrays, in the order given; of a mesh only the vertices of its hull.
-
-    InvalidInputError: a pose, size or vertex is not finite, or a mesh has no vertices.
-    """
-    _check(specs)
+    """Shapes as a struct of arrays, in the order given; of a mesh only the vertices of its hull."""
     n = len(specs)
     size, radius = np.zeros((n, 3)), np.zeros(n)
     rotation, translation = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
@@ -95,6 +87,11 @@ def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
             points, _ = outline(spec)
             corners.append(convex_hull(points).corners)
             count[i] = len(corners[-1])
+            if count[i] >= MAX_HULL_VERTICES:
+                raise InvalidInputError(
+                    f"shape {i}: a mesh whose hull has {count[i]} vertices; give at most "
+                    f"{MAX_HULL_VERTICES - 1}"
+                )
             size[i] = np.abs(corners[-1]).max(axis=0)
             continue
         rotation[i], translation[i] = spec.T_owner_shape[:3, :3], spec.T_owner_shape[:3, 3]
@@ -110,34 +107,12 @@ def pack_shapes(specs: Sequence[ShapeSpec]) -> ConvexShapes:
     )
 
 
-def _check(specs: Sequence[ShapeSpec]) -> None:
-    """InvalidInputError for shapes that kernels cannot handle."""
-    poses = np.array([spec.T_owner_shape for spec in specs]).reshape(-1, 16)
-    wrong = ~np.isfinite(poses).all(axis=1)
-    for i, spec in enumerate(specs):
-        if wrong[i] or not all(map(math.isfinite, spec.size)):
-            raise InvalidInputError(
-                f"shape {i}: its pose or size {spec.size} is not finite; give numbers [m]"
-            )
-        if min(spec.size, default=0.0) < 0.0:
-            raise InvalidInputError(
-                f"shape {i}: its size {spec.size} is negative; give lengths >= 0 [m]"
-            )
-        if spec.kind == HULL and not 0 < len(spec.vertices) < MAX_HULL_VERTICES:
-            raise InvalidInputError(
-                f"shape {i}: a mesh with {len(spec.vertices)} vertices; give 1 to "
-                f"{MAX_HULL_VERTICES - 1}"
-            )
-        if spec.kind == HULL and not np.isfinite(spec.vertices).all():
-            raise InvalidInputError(f"shape {i}: a mesh vertex is not finite; give numbers [m]")
-
-
 class RobotGeometry(NamedTuple):
     """Convex pieces of a robot, its attachments included."""
 
     pieces: ConvexShapes  # m convex pieces in their link frames
-    sphere: Annotated[np.ndarray, "balls 4"]  # Balls of all bodies, see `SphereTree` [m]
-    skip: Annotated[np.ndarray, "int64 balls"]  # See `SphereTree`
+    sphere: Annotated[np.ndarray, "balls 4"]  # Balls of all bodies, see `SphereTrees` [m]
+    skip: Annotated[np.ndarray, "int64 balls"]  # See `SphereTrees`
     leaf: Annotated[np.ndarray, "int64 balls"]  # Piece in each ball, or -1
     body_link: Annotated[np.ndarray, "int64 bodies"]  # Pose row of each body
     body_start: Annotated[np.ndarray, "int64 bodies"]  # First ball of each body
@@ -157,7 +132,6 @@ class SceneGeometry(NamedTuple):
     # Centres and half edges in their items' frames [m]
     primitives: Annotated[np.ndarray, "primitives 6"]
     grid: DistanceGrid  # Distances over the robot's reach
-    reach: float  # Largest ball whose neighbours the grid lists [m]
 
 
 def robot_geometry(
@@ -172,47 +146,23 @@ def robot_geometry(
     """
     bodies, body_pairs = _bodies(link, pairs)
     piece_specs: list[ShapeSpec] = []
-    trees = [
-        sphere_tree([leaf for g in body for leaf in _cut(specs[g], piece_specs)]) for body in bodies
-    ]
-    end = np.cumsum([len(tree.leaf) for tree in trees], dtype=np.int64)
-    start = end - [len(tree.leaf) for tree in trees]
+    trees = sphere_trees(
+        [[leaf for g in body for leaf in _cut(specs[g], piece_specs)] for body in bodies]
+    )
     rows = np.array([link[members[0]] for members in bodies], dtype=np.int64)
     order = [b for b in np.argsort(-rows, kind="stable") if rows[b] != 0]
-    sphere = np.concatenate([np.empty((0, 4)), *(tree.sphere for tree in trees)])
-    leaf = np.concatenate([np.empty(0, np.int64), *(tree.leaf for tree in trees)])
-    skips = [tree.skip + first for tree, first in zip(trees, start, strict=True)]
     return RobotGeometry(
         pieces=pack_shapes(piece_specs),
-        sphere=sphere,
-        skip=np.concatenate([np.empty(0, np.int64), *skips]),
-        leaf=leaf,
+        sphere=trees.sphere,
+        skip=trees.skip,
+        leaf=trees.leaf,
         body_link=rows,
-        body_start=start.astype(np.int64),
-        body_end=end,
+        body_start=trees.start[:-1],
+        body_end=trees.start[1:],
         order=np.array(order, dtype=np.int64),
         pairs=np.array(body_pairs, dtype=np.int64).reshape(-1, 2),
-        largest=float(sphere[leaf >= 0, 3].max(initial=0.0)),
+        largest=float(trees.sphere[trees.leaf >= 0, 3].max(initial=0.0)),
     )
-
-
-def swing(kinematics: Kinematics, robot: RobotGeometry) -> np.ndarray:
-    """Bounds (n,) on |dx/dq_j| of any point x of the robot [m/rad of hinges, 1 of sliders]."""
-    n = len(kinematics.parent)
-    extent = np.zeros(n + 1)  # of what hangs on each pose row, from its origin
-    for row, first in zip(robot.body_link, robot.body_start, strict=True):
-        ball = robot.sphere[first]
-        extent[row] = max(extent[row], np.linalg.norm(ball[:3]) + ball[3])
-    for j in reversed(range(n)):
-        slide = (
-            max(abs(kinematics.lower[j]), abs(kinematics.upper[j]))
-            if kinematics.prismatic[j]
-            else 0.0
-        )
-        step = np.linalg.norm(kinematics.translation[j]) + slide
-        up = kinematics.parent[j]
-        extent[up] = max(extent[up], step + extent[j + 1])
-    return np.where(kinematics.prismatic, 1.0, extent[1:])
 
 
 def _bodies(
@@ -247,65 +197,47 @@ def _cut(spec: ShapeSpec, pieces: list[ShapeSpec]) -> list[Piece]:
 
 
 def scene_geometry(
-    specs: Sequence[ShapeSpec],
-    lower: np.ndarray,
-    upper: np.ndarray,
-    cell: float = CELL,
-    clouds: Sequence[Cloud] = (),
+    specs: Sequence[ShapeSpec], clouds: Sequence[Cloud], reach: float, cell: float = CELL
 ) -> SceneGeometry:
-    """Obstacles and clouds with a grid over the box lower..upper (3,) [m].
+    """Obstacles and clouds with a grid of cells over a cube of half edge `reach` [m].
 
     Balls outside the grid, or larger than `REACH`, are compared with every item: correct, but slow.
-    InvalidInputError: see `pack_shapes` and `cluster_primitives`.
     """
-    solid = pack_shapes(specs)
-    clusters = cluster_primitives(clouds, cell)
-    turn, count = clusters.rotation.reshape(-1, 9), len(specs)
-    boxes = np.column_stack([turn, clusters.centre, clusters.half, clusters.radius])
-    bounds = np.concatenate([_bounds(specs), boxes])
+    clusters = [cluster_primitives(cloud, cell) for cloud in clouds if len(cloud.centre)]
+    solid, boxes = (
+        pack_shapes(specs),
+        np.concatenate([np.empty((0, COLUMNS)), *(it.bounds for it in clusters)]),
+    )
+    none = np.zeros(len(boxes), dtype=np.int64)
+    parts = (
+        np.full(len(boxes), BOX),
+        boxes[:, HALF:INFLATION],
+        boxes[:, INFLATION],
+        boxes[:, :CENTRE].reshape(-1, 3, 3),
+        boxes[:, CENTRE:HALF],
+        none,
+        none,
+    )
+    joined = [np.concatenate(pair) for pair in zip(solid[:-1], parts, strict=True)]
+    bounds = np.concatenate([_bounds(specs, solid), boxes])
+    counts = [np.zeros(len(specs) + 1, dtype=np.int64), *(it.count for it in clusters)]
     return SceneGeometry(
-        shapes=_with_boxes(solid, clusters),
+        shapes=ConvexShapes(*joined, solid.vertices),
         bounds=bounds,
-        primitive_start=np.concatenate([np.zeros(count, np.int64), clusters.start]),
-        primitives=clusters.primitives,
-        grid=distance_grid(bounds, lower, upper, cell, REACH),
-        reach=float(REACH),
+        primitive_start=np.cumsum(np.concatenate(counts)),
+        primitives=np.concatenate([np.empty((0, 6)), *(it.primitives for it in clusters)]),
+        grid=distance_grid(bounds, reach, cell),
     )
 
 
-def _bounds(specs: Sequence[ShapeSpec]) -> np.ndarray:
+def _bounds(specs: Sequence[ShapeSpec], packed: ConvexShapes) -> np.ndarray:
     """Oriented boxes (n, COLUMNS) around shapes, inflated; exact for boxes and spheres."""
-    rows = np.zeros((len(specs), COLUMNS))
-    for row, spec in zip(rows, specs, strict=True):
-        R, middle, half = spec.T_owner_shape[:3, :3], np.zeros(3), np.zeros(3)
-        row[INFLATION] = spec.inflation
+    turns = packed.rotation.reshape(-1, 9)
+    bounds = np.column_stack([turns, packed.translation, packed.size, packed.radius])
+    for row, spec in zip(bounds, specs, strict=True):
         if spec.kind == HULL:
             low, high = spec.vertices.min(axis=0), spec.vertices.max(axis=0)
-            middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        elif spec.kind == CYLINDER:
-            half[:] = spec.size[0], spec.size[0], 0.5 * spec.size[2]
-        elif spec.kind == BOX:
-            half = 0.5 * np.array(spec.size)
-        else:
-            row[INFLATION] = spec.size[0]
-        row[:CENTRE], row[CENTRE:HALF] = R.ravel(), R @ middle + spec.T_owner_shape[:3, 3]
-        row[HALF:INFLATION] = half
-    return rows
-
-
-def _with_boxes(shapes: ConvexShapes, clusters: Clusters) -> ConvexShapes:
-    """Shapes followed by the boxes of clusters."""
-    n = len(clusters.half)
-    if n == 0:
-        return shapes
-    none = np.zeros(n, dtype=np.int64)
-    return ConvexShapes(
-        kind=np.concatenate([shapes.kind, np.full(n, BOX, dtype=np.int64)]),
-        size=np.concatenate([shapes.size, clusters.half]),
-        radius=np.concatenate([shapes.radius, clusters.radius]),
-        rotation=np.concatenate([shapes.rotation, clusters.rotation]),
-        translation=np.concatenate([shapes.translation, clusters.centre]),
-        vertex_start=np.concatenate([shapes.vertex_start, none]),
-        vertex_count=np.concatenate([shapes.vertex_count, none]),
-        vertices=shapes.vertices,
-    )
+            R, t = spec.T_owner_shape[:3, :3], spec.T_owner_shape[:3, 3]
+            row[:CENTRE], row[CENTRE:HALF] = R.ravel(), R @ (0.5 * (low + high)) + t
+            row[HALF:INFLATION] = 0.5 * (high - low)
+    return bounds

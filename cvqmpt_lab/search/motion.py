@@ -8,6 +8,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.collision.checker import in_contact
+from cvqmpt_lab.collision.distance_grid import REACH
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.project import ProjectionScratch, project
 from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
@@ -324,7 +325,7 @@ def motion_free(space: Space, a: Annotated[np.ndarray, "n"], b: Annotated[np.nda
     while done < pieces:
         place = 1.0 if done < 0 else (done + (1.0 if space.exact else 0.5 * span)) / pieces
         clearance = 0.0 if span == 1 else 0.5 * sweep * span / pieces
-        free = clearance <= space.scene.reach - space.robot.largest or span == 1
+        free = clearance <= REACH - space.robot.largest or span == 1
         if free:
             _place_between(space, a, b, place)
             free = posed_state_valid(space, space.state, clearance)

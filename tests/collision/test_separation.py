@@ -7,7 +7,7 @@ from compiled_kernels import from_python
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.collision.covers import ANY_RADIUS, Cloud, Piece, cut_into_pieces, sphere_tree
+from cvqmpt_lab.collision.covers import ANY_RADIUS, Piece, cut_into_pieces, sphere_trees
 from cvqmpt_lab.collision.distance_grid import RANGE, cell_of, known_distance
 from cvqmpt_lab.collision.geometry import ShapeSpec, outline, pack_shapes, scene_geometry
 from cvqmpt_lab.collision.separation import (
@@ -19,13 +19,11 @@ from cvqmpt_lab.collision.separation import (
     distance,
     separating_gap,
 )
-from cvqmpt_lab.errors import InvalidInputError
 
 cell_of, known_distance = map(from_python, (cell_of, known_distance))
 distance, separating_gap = map(from_python, (distance, separating_gap))
 MARGIN = 1e-4
 NO_VERTICES = np.empty((0, 3))
-LOWER, UPPER = np.full(3, -0.6), np.full(3, 0.6)
 
 
 def pose(R=None, t=(0.0, 0.0, 0.0)):
@@ -33,11 +31,6 @@ def pose(R=None, t=(0.0, 0.0, 0.0)):
     T[:3, :3] = np.eye(3) if R is None else R
     T[:3, 3] = t
     return T
-
-
-def balls(points, radius):
-    """A cloud of balls around points (k, 3)."""
-    return Cloud(points, np.zeros_like(points), radius, pose())
 
 
 def random_spec(rng, kind, spread=0.25, longest=0.2):
@@ -119,7 +112,7 @@ def test_balls_and_pieces_cover_the_shape(kind):
         spec = random_spec(rng, kind, longest=0.5)
         points, inflation = outline(spec)
         parts = cut_into_pieces(points) if inflation == 0.0 else [points]
-        tree = sphere_tree([Piece(part, inflation, i) for i, part in enumerate(parts)])
+        tree = sphere_trees([[Piece(part, inflation, i) for i, part in enumerate(parts)]])
         leaves = tree.sphere[tree.leaf >= 0]
         assert sorted(tree.leaf[tree.leaf >= 0]) == list(range(len(parts)))
         assert inflation > 0.0 or leaves[:, 3].max() <= ANY_RADIUS + 1e-6
@@ -159,10 +152,10 @@ def test_flat_shapes_are_cut_too(points):
 def test_grid_never_overestimates_and_is_not_idle():
     rng = np.random.default_rng(4)
     specs = [random_spec(rng, kind) for kind in (BOX, BOX, SPHERE)]
-    scene = scene_geometry(specs, LOWER, UPPER)
+    scene = scene_geometry(specs, (), 0.6)
     objects = [coal_object(spec) for spec in specs]
     slack = []
-    for point in rng.uniform(LOWER, UPPER, (800, 3)):
+    for point in rng.uniform(-0.6, 0.6, (800, 3)):
         ix, iy, iz, inside = cell_of(scene.grid, *point)
         assert inside
         probe = coal.Sphere(1e-9), coal.Transform3s(np.eye(3), point)
@@ -173,18 +166,3 @@ def test_grid_never_overestimates_and_is_not_idle():
     assert np.max(slack) < 2.5 * scene.grid.cell
     assert np.median(slack) < scene.grid.cell
     assert not cell_of(scene.grid, 0.0, 0.0, 9.0)[3]
-
-
-@pytest.mark.parametrize(
-    ("specs", "clouds", "message"),
-    [
-        ([ShapeSpec(HULL, (), NO_VERTICES, pose())], [], "0 vertices"),
-        ([ShapeSpec(HULL, (), np.full((4, 3), np.nan), pose())], [], "not finite"),
-        ([ShapeSpec(BOX, (1.0, 1.0, 1.0), NO_VERTICES, pose(t=(np.nan, 0, 0)))], [], "not finite"),
-        ([], [balls(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]), 0.01)], "point 1"),
-        ([], [balls(np.zeros((3, 3)), -1.0)], "radius -1.0"),
-    ],
-)
-def test_invalid_scenes_are_refused(specs, clouds, message):
-    with pytest.raises(InvalidInputError, match=message):
-        scene_geometry(specs, LOWER, UPPER, clouds=clouds)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.collision.arrays import robot_arrays
-from cvqmpt_lab.collision.geometry import swing
+from cvqmpt_lab.collision.arrays import robot_swing
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -45,7 +44,7 @@ def placed_points(robot, attachments, configurations):
 )
 def test_no_point_moves_further_than_its_swing(request, name, attachments):
     robot = request.getfixturevalue(name)
-    bound = swing(robot.kinematics, robot_arrays(robot, attachments))
+    bound = robot_swing(robot, attachments)
     rng = np.random.default_rng(0)
     before = robot.random_configurations(rng, 1000)
     change = 10.0 ** rng.uniform(-4.0, 0.3, (1000, 1)) * rng.standard_normal(before.shape)

@@ -106,7 +106,7 @@ def test_what_is_too_large_to_carry_is_named_before_it_is_cut(
     problem, monkeypatch, shape, x, message
 ):
     monkeypatch.setattr(
-        collision_arrays, "stored_robot_geometry", lambda *given: pytest.fail("it was cut")
+        collision_arrays, "robot_geometry", lambda *given: pytest.fail("it was cut")
     )
     carried = (Attachment("can", shape, pose((x, 0.0, 0.0))),)
     with pytest.raises(InvalidInputError, match=message):
