@@ -5,7 +5,6 @@ links against obstacles are coal's broad phases, one a link and one for the worl
 obstacles need no pairs.
 """
 
-from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +14,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.collision.motion_bounds import Sweep, balls_around
+from cvqmpt_lab.collision.motion_bounds import Sweep, ball_around
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.robot.robot import Robot
@@ -103,7 +102,8 @@ class CollisionChecker:
             item.name for k, *_ in self._links for item in objects if item.parentJoint == k
         ]
         self._moving = [item for *_, items in self._links for item in items]
-        self._balls = np.array([g.parentJoint for g in objects], dtype=int), balls_around(objects)
+        balls = np.array([ball_around([item]) for item in objects]).reshape(-1, 4)
+        self._balls = np.array([item.parentJoint for item in objects], dtype=int), balls
         pairs = [(p.first, p.second) for p in self._geometry.collisionPairs]
         self._own_pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
         self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments) + clearance))
@@ -136,7 +136,7 @@ class CollisionChecker:
             q: (k, n), a configuration in each hull.
             hulls: (k, c, n), corners of convex hulls of configurations.
         """
-        moved = self._needed(self._sweep.in_world(q, hulls), self._outer)
+        moved = _needed(self._sweep.in_world(q, hulls), self._outer)
         clear = moved.max(axis=1, initial=0.0) <= INFLATIONS[-1]
         for k in np.flatnonzero(clear):
             pin.updateGeometryPlacements(
@@ -150,14 +150,8 @@ class CollisionChecker:
         """As `clear_of_obstacles` for pairs of links and of what is carried."""
         if len(self._geometry.collisionPairs) == 0:
             return np.ones(len(q), dtype=bool)
-        moved = self._needed(self._sweep.between(q, hulls), self._margin)
+        moved = _needed(self._sweep.between(q, hulls), self._margin)
         return np.array([self._apart(*pair) for pair in zip(q, moved, strict=True)], dtype=bool)
-
-    @staticmethod
-    def _needed(moved: np.ndarray, margin: float) -> np.ndarray:
-        """Distances [m] that coal must report where points may have moved that far."""
-        # coal never reports less than the true distance
-        return (moved + margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)
 
     def moved(self, q: np.ndarray, hull: np.ndarray) -> float:
         """Bound [m] on the motion of any point of the robot from q (n,) in a hull (c, n)."""
@@ -268,13 +262,18 @@ class CollisionChecker:
             # few inflations serve all margins: a broad phase of 10 000 obstacles is slow to make
             inflation = self._outer
             if margin > inflation:
-                larger = bisect_left(INFLATIONS, margin)
-                inflation = INFLATIONS[larger] if larger < len(INFLATIONS) else margin
+                inflation = next((size for size in INFLATIONS if size >= margin), margin)
             world = self._worlds.get(inflation) or self._world(inflation)
             manager.collide(world[0], self._callback)
             if result.isCollision():
                 return True
         return False
+
+
+def _needed(moved: np.ndarray, margin: float) -> np.ndarray:
+    """Distances [m] that coal must report where points may have moved that far."""
+    # coal never reports less than the true distance
+    return (moved + margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)
 
 
 def _forget_guesses(results: pin.GeometryData) -> None:

@@ -1,7 +1,7 @@
 """Proof that a motion is free at every state, not only at samples (conservative advancement).
 
 A stretch of a motion is free when the distance by coal at its middle exceeds how far any link can
-move inside the stretch. A stretch that is not proven is cut in two, down to FINEST; one still not
+move inside the stretch. A stretch that is not proven is cut in two, down to `finest`; one still not
 proven is reported, although its middle is free. Nothing depends on which of several pairs coal
 finds first: that is chance.
 """
@@ -14,17 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.collision.exact import CollisionChecker
-
-LONGEST = 0.2  # [rad] half of a stretch that is tried first
-# [rad] half of the shortest stretches: unproven ones whose middle is free are not cut further
-FINEST = 1e-7
-# [rad] the same after the first such stretch, or after MOST_FINE checks of shorter ones
-COARSE = 1e-4
-MOST_FINE = 4000  # about 0.2 s; else sliding along an obstacle at micrometres would take hours
-# [rad] of unproven stretches with at most this half length, the middle is checked for collision
-DOUBTFUL = 0.01
-# neighbouring stretches in one call: few, because work behind a collision is wasted
-BATCH = 64
 
 
 class Unproven(NamedTuple):
@@ -66,27 +55,48 @@ def _walk(
     line: "_Polyline",
     clear: Callable[[np.ndarray, np.ndarray], np.ndarray],
     hits: Callable[[np.ndarray], bool],
+    longest: float = 0.2,
+    finest: float = 1e-7,
+    coarse: float = 1e-4,
+    doubtful: float = 0.01,
+    most_fine: int = 4000,
+    most_at_once: int = 64,
 ) -> MotionProof:
-    """Prove stretch after stretch with `CollisionChecker.clear_of_obstacles` or `_of_itself`."""
+    """Prove stretch after stretch with `CollisionChecker.clear_of_obstacles` or `_of_itself`.
+
+    Args:
+        line: the motion.
+        clear: (middles, hulls) -> which stretches are proven free.
+        hits: whether a configuration collides.
+        longest: half of a stretch that is tried first [rad].
+        finest: half of the shortest stretches: unproven ones whose middle is free are not cut
+            further [rad].
+        coarse: the same after the first such stretch, or after most_fine checks of shorter ones
+            [rad].
+        doubtful: half of the unproven stretches whose middle is checked for collision [rad].
+        most_fine: about 0.2 s; else sliding along an obstacle at micrometres would take hours.
+        most_at_once: neighbouring stretches in one call: few, because work behind a collision is
+            wasted.
+    """
     half_length = 0.5 * line.length
-    count = max(1, int(np.ceil(half_length / LONGEST)))
+    count = max(1, int(np.ceil(half_length / longest)))
     # begin and half the length of each stretch
     ahead = deque((2.0 * k * half_length / count, half_length / count) for k in range(count))
     looks = fine = 0
     unproven: Unproven | None = None
     proven: list[tuple[float, np.ndarray]] = []
     while ahead:
-        batch = [ahead.popleft() for _ in range(min(BATCH, len(ahead)))]
+        batch = [ahead.popleft() for _ in range(min(most_at_once, len(ahead)))]
         middles, hulls = line.stretches(np.array(batch))
         left: list[tuple[float, float]] = []
         judged = zip(batch, middles, hulls, clear(middles, hulls), strict=True)
         for (begin, half), middle, hull, free in judged:
             looks += 1
-            fine += half < COARSE
+            fine += half < coarse
             if not free:
-                if half <= DOUBTFUL and hits(middle):
+                if half <= doubtful and hits(middle):
                     return MotionProof(middle, None, np.empty((0, len(middle))), looks)
-                if half > (COARSE if unproven or fine > MOST_FINE else FINEST):
+                if half > (coarse if unproven or fine > most_fine else finest):
                     left += (begin, 0.5 * half), (begin + half, 0.5 * half)
                     continue
                 if unproven is None or 2.0 * half > unproven.length:

@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.constraints.report import displacements
+from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.robot.robot import Robot
 
@@ -53,27 +52,27 @@ def largest_violation(
     at, most = None, -np.inf
     begin = evenly_spaced(states, spacing)
     for region in regions:
-        q, use = begin, _use(robot, region, begin, displacements(robot, region, begin))
-        for _ in range(ROUNDS):
-            doubtful = use.highest + use.between > tolerance
-            if use.outside.max() > tolerance or not doubtful.any():
+        q, x = begin, displacements(robot, region, begin)
+        for rounds_left in range(ROUNDS, -1, -1):
+            beyond = excess(region, x)
+            outside = beyond.max(axis=1)
+            at_ends = np.maximum(outside[:-1], outside[1:])
+            between, flips = _between(robot, region, q, x)
+            doubtful = at_ends + between > tolerance
+            if rounds_left == 0 or outside.max() > tolerance or not doubtful.any():
                 break
-            allowed = np.maximum(tolerance - use.highest, 1e-3 * use.between)
-            ratio = use.between / allowed
-            parts = np.clip(
-                np.ceil(np.where(use.flips, ratio, np.sqrt(ratio))), 2, most_parts
-            ).astype(int)
-            counts = np.where(doubtful, parts, 1)
+            ratio = between / np.maximum(tolerance - at_ends, 1e-3 * between)
+            parts = np.ceil(np.where(flips, ratio, np.sqrt(ratio)))
+            counts = np.where(doubtful, np.clip(parts, 2, most_parts).astype(int), 1)
             known, q = np.concatenate([[0], np.cumsum(counts)]), _cut(q, counts)
-            x, new = np.empty((len(q), 6)), np.ones(len(q), dtype=bool)
-            new[known] = False
-            x[known], x[new] = use.x, displacements(robot, region, q[new])
-            use = _use(robot, region, q, x)
-        radians, metres = max(radians, use.radians), max(metres, use.metres)
-        highest = max(highest, float((use.highest + use.between).max(initial=use.outside.max())))
-        if use.outside.max() > most:
-            most, at = float(use.outside.max()), q[int(use.outside.argmax())]
-    return Violation(radians, metres, highest, at)
+            new, before = np.ones(len(q), dtype=bool), x
+            new[known], x = False, np.empty((len(q), 6))
+            x[known], x[new] = before, displacements(robot, region, q[new])
+        radians, metres = max(radians, beyond[:, 3:].max()), max(metres, beyond[:, :3].max())
+        highest = max(highest, (at_ends + between).max(initial=outside.max()))
+        if outside.max() > most:
+            most, at = outside.max(), q[outside.argmax()]
+    return Violation(float(radians), float(metres), float(highest), at)
 
 
 def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:
@@ -93,26 +92,22 @@ def _cut(states: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return np.concatenate([states[:1], cut])
 
 
-class _Use(NamedTuple):
-    """A region along m states, and the m - 1 stretches between them."""
+def _between(
+    robot: Robot, region: TaskSpaceRegion, q: np.ndarray, x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What may be added between m states q (m, n) to the larger `excess` of both.
 
-    x: np.ndarray  # (m, 6) displacements [m, rad]
-    outside: np.ndarray  # (m,) distance outside the bounds, negative inside [m, rad]
-    radians: float  # Largest of the rotation entries [rad]
-    metres: float  # Largest of the positions [m]
-    highest: np.ndarray  # (m - 1,) the larger `outside` of a stretch's ends [m, rad]
-    between: np.ndarray  # (m - 1,) what may be added inside the stretch [m, rad]
-    # (m - 1,) bool, whether the rotation vector may change its sign: `between` is linear
-    flips: np.ndarray
+    Args:
+        robot: the robot.
+        region: the region.
+        q: (m, n) [rad or m].
+        x: (m, 6), displacements [m, rad].
 
-
-def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray, x: np.ndarray) -> _Use:
-    """The region along states q (m, n) with displacements x (m, 6)."""
-    (lower, upper), rows = region.Bw.T, region.bounded_rows
-    excess = np.full_like(x, -np.inf)
-    excess[:, rows] = np.maximum(lower - x, x - upper)[:, rows]
-    outside = excess.max(axis=1)
-    change = np.abs(np.diff(q, axis=0))
+    Returns:
+        The bound (m - 1,) [m, rad], and whether the rotation vector may change its sign in the
+        stretch (m - 1,): then the bound is linear in its length.
+    """
+    change, rows = np.abs(np.diff(q, axis=0)), region.bounded_rows
     slides = robot.kinematics.prismatic
     turn, slide = change[:, ~slides].sum(1), change[:, slides].sum(1)
     angle = np.linalg.norm(x[:, 3:], axis=1)
@@ -120,13 +115,4 @@ def _use(robot: Robot, region: TaskSpaceRegion, q: np.ndarray, x: np.ndarray) ->
     rotation = np.where(flips, 0.5 * RATE * turn, BEND / 8.0 * turn**2)
     lever = 2.0 * robot.reach + np.linalg.norm(np.linalg.inv(region.Tw_e)[:3, 3])
     position = 0.25 * turn * (lever * turn + slide)
-    between = np.maximum(rotation * bool((rows >= 3).any()), position * bool((rows < 3).any()))
-    return _Use(
-        x,
-        outside,
-        max(float(excess[:, 3:].max()), 0.0),
-        max(float(excess[:, :3].max()), 0.0),
-        np.maximum(outside[:-1], outside[1:]),
-        between,
-        flips,
-    )
+    return np.maximum(rotation * bool((rows >= 3).any()), position * bool((rows < 3).any())), flips

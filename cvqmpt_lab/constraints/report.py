@@ -60,10 +60,9 @@ def bound_usage(
     uses = []
     for k, region in enumerate(regions):
         x = displacements(robot, region, states)
+        worst = excess(region, x).argmax(axis=0)
         for row in map(int, region.bounded_rows):
-            lower, upper = map(float, region.Bw[row])
-            excess = np.maximum(lower - x[:, row], x[:, row] - upper)
-            uses.append(BoundUse(k, row, float(x[np.argmax(excess), row]), lower, upper))
+            uses.append(BoundUse(k, row, float(x[worst[row], row]), *map(float, region.Bw[row])))
     return tuple(uses)
 
 
@@ -84,15 +83,20 @@ def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray
     return np.hstack([T[:, :3, 3], rotation_vectors(T[:, :3, :3])])
 
 
+def excess(region: TaskSpaceRegion, x: np.ndarray) -> np.ndarray:
+    """max(lower - x, x - upper) of displacements x (m, 6), negative inside; -inf without bounds."""
+    lower, upper = region.Bw.T
+    bounded = np.isin(np.arange(6), region.bounded_rows)
+    return np.where(bounded, np.maximum(lower - x, x - upper), -np.inf)
+
+
 def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
     """The bound that the best of displacements x (m, 6) breaks most, in words, or ""."""
-    rows = region.bounded_rows
-    lower, upper = region.Bw[rows].T
-    excess = np.maximum(lower - x[:, rows], x[:, rows] - upper)
-    k = int(excess.max(axis=1, initial=-np.inf).argmin())
-    if excess[k].max(initial=-np.inf) <= TOLERANCE:
+    beyond = excess(region, x)
+    k = int(beyond.max(axis=1).argmin())
+    if beyond[k].max() <= TOLERANCE:
         return ""
-    row = int(rows[excess[k].argmax()])
+    row = int(beyond[k].argmax())
     use = BoundUse(0, row, float(x[k, row]), *map(float, region.Bw[row]))
     # names of regions in problem files (see `named`) by the rows that they bound
     kinds = {
@@ -102,7 +106,7 @@ def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
         (0, 1): "line",
         (0, 1, 2, 3, 4, 5): "pose",
     }
-    kind = kinds.get(tuple(rows.tolist()), "the region")
+    kind = kinds.get(tuple(region.bounded_rows.tolist()), "the region")
     tilt = np.degrees(np.arccos(np.clip(rotation_matrices(x[k, None, 3:])[0, 0, 0], -1.0, 1.0)))
     tilts = f" (it tilts by {tilt:.0f}°)" if kind == "upright" else ""
     return f"`{kind}` by {use.excess:.3g} {use.unit}: {use}{tilts}"
