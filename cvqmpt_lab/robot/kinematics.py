@@ -10,11 +10,6 @@ import numpy as np
 
 from cvqmpt_lab.jit import entry, kernel
 
-_TWO_OVER_PI = 2.0 / np.pi
-# pi / 2 as a sum of three doubles; the first two have 33 bits, so that k times them is exact.
-_QUARTER_HIGH = 1.5707963267341256
-_QUARTER_MIDDLE = 6.077100506303966e-11
-_QUARTER_LOW = 2.0222662487959506e-21
 _S = [(-1.0) ** k / float(np.prod(np.arange(1.0, 2 * k + 2))) for k in range(9)]  # 1 / (2 k + 1)!
 _C = [(-1.0) ** k / float(np.prod(np.arange(1.0, 2 * k + 1))) for k in range(9)]  # 1 / (2 k)!
 _S1, _S2, _S3, _S4, _S5, _S6, _S7 = _S[1:8]
@@ -28,8 +23,10 @@ def sine_and_cosine(angle):
     x = angle - k pi / 2 in [-pi / 4, pi / 4] is formed by three exact subtractions, then Taylor:
     sin x = x - x^3 / 3! + ..., cos x = 1 - x^2 / 2! + ...
     """
-    k = np.floor(angle * _TWO_OVER_PI + 0.5)
-    x = ((angle - k * _QUARTER_HIGH) - k * _QUARTER_MIDDLE) - k * _QUARTER_LOW
+    k = np.floor(angle * (2.0 / np.pi) + 0.5)
+    # pi / 2 as a sum of three doubles; the first two have 33 bits, so that k times them is exact
+    x = angle - k * 1.5707963267341256
+    x = (x - k * 6.077100506303966e-11) - k * 2.0222662487959506e-21
     z = x * x
     s = x + x * z * (_S1 + z * (_S2 + z * (_S3 + z * (_S4 + z * (_S5 + z * (_S6 + z * _S7))))))
     c = 1.0 - z * (

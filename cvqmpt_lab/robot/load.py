@@ -15,7 +15,6 @@ import pinocchio as pin
 
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, mapping, shown
-from cvqmpt_lab.files import read_text
 from cvqmpt_lab.robot.hulls import link_geometry, replace_meshes_by_hulls
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
@@ -25,13 +24,13 @@ from cvqmpt_lab.robot.robot import (
     kinematics_arrays,
     positive_per_joint,
 )
-from cvqmpt_lab.robot.self_collision import checked_pairs, left_out_pairs
+from cvqmpt_lab.robot.self_collision import checked_pairs, left_out_pairs, srdf_root
 from cvqmpt_lab.robot.source import (
     ARTICULATED,
     FINGER_OPENING,
     ROS_VARIABLE,
     WHERE,
-    UrdfRobot,
+    RobotSource,
     content_digest,
     find_collision_meshes,
     read_source,
@@ -174,15 +173,21 @@ def _built(source: Mapping[str, Any]) -> Robot:
         files=tuple({**read, **meshes}.items()),
     )
     if robot.reach > MOST_REACH:
-        _refuse_far(robot, urdf)
-    srdf = Path(given.srdf) if given.srdf else None
-    left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, srdf)
+        sliders = [joint for joint in urdf.joints.values() if joint.kind == "prismatic"]
+        slides = {joint.name: max(abs(joint.lower), abs(joint.upper)) for joint in sliders}
+        far = [f"joint {n!r} slides to {s:g} m" for n, s in slides.items() if s > MOST_REACH / 2]
+        raise InvalidInputError(
+            f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because "
+            f"{', '.join(far) or 'its links or base lie far away'}: at most {MOST_REACH:g} m; are "
+            "all lengths in metres?"
+        )
+    left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
     pairs = checked_pairs(model, geometry, left_out)
     return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
 
 
 def _models(
-    urdf: Urdf, given: UrdfRobot, held: Sequence[HeldJoint], prefix: str = "joint: "
+    urdf: Urdf, given: RobotSource, held: Sequence[HeldJoint], prefix: str = "joint: "
 ) -> tuple[pin.Model, pin.GeometryModel, dict[str, str]]:
     """Pinocchio's models of the joints that are not held, on the given base; digests of meshes.
 
@@ -227,19 +232,6 @@ def _models(
     return model, geometry, digests
 
 
-def _refuse_far(robot: Robot, urdf: Urdf) -> None:
-    sliders = [joint for joint in urdf.joints.values() if joint.kind == "prismatic"]
-    slides = {joint.name: max(abs(joint.lower), abs(joint.upper)) for joint in sliders}
-    name, slide = max(slides.items(), key=lambda item: item[1], default=("", 0.0))
-    reason = "its links or base lie far away"
-    if slide > MOST_REACH / 2:
-        reason = f"joint {name!r} slides to {slide:g} m"
-    raise InvalidInputError(
-        f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because {reason}: at most "
-        f"{MOST_REACH:g} m; are all lengths in metres?"
-    )
-
-
 def numbers_of(robot: Robot, value: Any, where: str) -> Any:
     """The numbers, in the robot's order, of a configuration as people name it.
 
@@ -276,14 +268,14 @@ def group_states(robot: Robot) -> dict[str, dict[str, float]]:
         return {}
     states: dict[str, dict[str, float]] = {}
     try:
-        for state in ElementTree.fromstring(read_text(Path(path), "SRDF")).iter("group_state"):
+        for state in srdf_root(Path(path)).iter("group_state"):
             joints = states.setdefault(state.get("name", ""), {})
             for joint in state.iter("joint"):
                 values = joint.get("value", "").split()
                 # an arm has no joints of several coordinates
                 if len(values) == 1:
                     joints[joint.get("name", "")] = float(values[0])
-    except (ElementTree.ParseError, ValueError) as error:
+    except ValueError as error:
         raise InvalidInputError(
             f"group_states of SRDF {path} cannot be read: {shown(str(error))}"
         ) from error

@@ -5,9 +5,8 @@ arrays for the compiled kernels. Tests compare the two.
 """
 
 import hashlib
-import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -105,13 +104,6 @@ def positive_per_joint(
     return array
 
 
-class _ThreadData(threading.local):
-    """pinocchio's memory for intermediate results; each thread has its own."""
-
-    def __init__(self, model: pin.Model) -> None:
-        self.data = model.createData()
-
-
 @dataclass(frozen=True, eq=False)
 class Robot:
     """A tree of n one-degree-of-freedom joints: an arm, or an arm and the door it moves.
@@ -134,10 +126,6 @@ class Robot:
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
     acceleration_limits: np.ndarray | None = None  # (n,) [rad/s^2 or m/s^2], or None if not given
     files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each file that it was built from
-    _of_thread: _ThreadData = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_of_thread", _ThreadData(self.model))
 
     def __repr__(self) -> str:
         return (
@@ -226,7 +214,7 @@ class Robot:
                 f"robot {self.name} has no frame {name!r}; see `Robot.frame_names`"
             )
         frame_id = self.model.getFrameId(name, pin.FrameType.BODY)
-        poses, data = np.empty((len(q), 4, 4)), self._of_thread.data
+        poses, data = np.empty((len(q), 4, 4)), self.model.createData()
         for T, row in zip(poses, np.asarray(q, dtype=float), strict=True):
             pin.forwardKinematics(self.model, data, row)
             T[:] = pin.updateFramePlacement(self.model, data, frame_id).homogeneous

@@ -40,25 +40,22 @@ def left_out_pairs(
     links: Sequence[LinkGeometry],
     kinematics: Kinematics,
     urdf: Urdf,
-    srdf: Path | None,
+    srdf: str,
 ) -> tuple[LeftOut, ...]:
     """The pairs that an SRDF leaves out; without one those found by the rule above, cached."""
-    if srdf is not None:
-        return tuple(
-            pair._replace(reason=FROM_SRDF + pair.reason.removeprefix(FROM_SRDF))
-            for pair in read_srdf(srdf)
-        )
+    if srdf:
+        return read_srdf(Path(srdf))
     names = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
     near = _neighbours(urdf, set(names))
     # all that the pairs depend on: the rule, axes, placements and limits of joints, and the pieces
-    digest = hashlib.sha256(f"{sources_digest(Path(__file__).parent)} {sorted(near)!r}".encode())
-    for array in kinematics:
-        digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())
-    for name, piece, item in zip(names, links, geometry.geometryObjects, strict=True):
-        kind = type(item.geometry).__name__
-        text = f"{name!r} {piece.name!r} {piece.link} {kind} {piece.vertices.shape}"
-        digest.update(text.encode() + piece.T_link_geometry.tobytes() + piece.vertices.tobytes())
-    key = digest.hexdigest()
+    kinds = [type(item.geometry).__name__ for item in geometry.geometryObjects]
+    arrays, texts = list(kinematics), [sources_digest(Path(__file__).parent), sorted(near)]
+    for name, kind, piece in zip(names, kinds, links, strict=True):
+        texts.append((name, kind, piece.name, piece.link))
+        arrays += [piece.T_link_geometry, piece.vertices]
+    texts += [(str(array.dtype), array.shape) for array in arrays]
+    bytes_of_arrays = b"".join(array.tobytes() for array in arrays)
+    key = hashlib.sha256(repr(texts).encode() + bytes_of_arrays).hexdigest()
 
     def find() -> dict[str, np.ndarray]:
         found = _found_pairs(model, geometry, names, links, kinematics, near)
@@ -296,20 +293,24 @@ def distance_levers(
     return levers
 
 
-def read_srdf(path: Path) -> tuple[LeftOut, ...]:
-    """The pairs that an SRDF file leaves out; InvalidInputError names a file that is none."""
+def srdf_root(path: Path) -> ElementTree.Element:
+    """The content of an SRDF file; InvalidInputError names a file that is none."""
     try:
         root = ElementTree.fromstring(read_text(path, "SRDF file"))
     except ElementTree.ParseError as error:
         raise InvalidInputError(f"cannot read SRDF file {path}: {error}") from error
     if root.tag != "robot":
         raise InvalidInputError(f"SRDF file {path} has the root <{root.tag}>, not <robot>")
-    return tuple(
-        LeftOut(
-            item.get("link1", ""), item.get("link2", ""), item.get("reason", "left out by the SRDF")
-        )
-        for item in root.findall("disable_collisions")
-    )
+    return root
+
+
+def read_srdf(path: Path) -> tuple[LeftOut, ...]:
+    """The pairs that an SRDF file leaves out, with its reasons after `FROM_SRDF`."""
+    pairs = []
+    for item in srdf_root(path).findall("disable_collisions"):
+        reason = item.get("reason", "left out by the SRDF").removeprefix(FROM_SRDF)
+        pairs.append(LeftOut(item.get("link1", ""), item.get("link2", ""), FROM_SRDF + reason))
+    return tuple(pairs)
 
 
 def srdf_text(name: str, pairs: Sequence[LeftOut]) -> str:

@@ -6,11 +6,12 @@ import sys
 import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from types import MappingProxyType
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
+
+import numpy as np
 
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, mapping
@@ -26,84 +27,27 @@ class PerJoint:
     """A number for all joints, or one for each."""
 
     def read(self, value: Any, where: str) -> FloatArray:
-        """A read-only array (n,) or ()."""
-        array = numbers(value, where, "a number, or one a joint")
-        array.setflags(write=False)
-        return array
-
-    def write(self, value: FloatArray) -> Any:
-        """The same in json."""
-        return value.tolist()
+        """An array (n,) or ()."""
+        return numbers(value, where, "a number, or one a joint")
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RobotOptions:
-    """Options of any robot."""
+@dataclass(frozen=True, eq=False)
+class RobotSource:
+    """Where a robot comes from, a URDF or an arm's name, and its options; "" where not given."""
 
-    # file with the link pairs to skip; None: the named arm's own, or sampled
-    srdf: str | None = None
+    urdf: str = ""  # path of the file
+    end_effector: str = ""  # frame that constraints and goals are about; of an arm: the usual one
+    srdf: str = ""  # file with the link pairs to skip; without one: the named arm's own, or sampled
     # joints to fix, with their values [rad or m]
     locked: Mapping[str, float] = field(default_factory=dict)
-    # folders in which ``package://`` mesh paths are looked up first
-    package_dirs: tuple[str, ...] = ()
     # (n,) or () [rad/s^2 or m/s^2]
     acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None
+    # folders in which ``package://`` mesh paths are looked up first
+    package_dirs: tuple[str, ...] = ()
     # (4, 4), pose of the URDF's base link in the world; None: the identity
     base: Pose | None = None
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class UrdfRobot(RobotOptions):
-    """A robot of a URDF file."""
-
-    urdf: str  # path of the file
-    end_effector: str  # frame that constraints and goals are about
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class NamedRobot(RobotOptions):
-    """A robot with a name; options given here replace those of the name."""
-
-    name: str  # a key of `ARMS`
-    # frame that constraints and goals are about, instead of the usual one
-    end_effector: str | None = None
+    name: str = ""  # a key of `ARMS`, instead of a URDF; options given beside it replace the arm's
     finger_opening: float | None = None  # [m] of each finger of the Panda
-
-    @property
-    def described(self) -> UrdfRobot:
-        """The URDF, options and end effector that the name stands for."""
-        if self.name in ELSEWHERE:
-            raise InvalidInputError(
-                f"robot {self.name!r} is not in the package {EXAMPLES}: {ELSEWHERE[self.name]}; "
-                "give its file as --urdf, or 'urdf' and 'end_effector' in a problem file"
-            )
-        name = ALIASES.get(self.name, self.name)
-        if name not in ARMS:
-            raise UnknownChoiceError("robot", self.name, [*ARMS, "or 'urdf' and 'end_effector'"])
-        arm, robots = ARMS[name], example_robots()
-        fingers: Mapping[str, float] = {}
-        if self.finger_opening is not None:
-            if name != "panda":
-                raise InvalidInputError(
-                    f"'finger_opening' is the panda's, not that of {self.name!r}; use 'locked'"
-                )
-            if not 0.0 <= self.finger_opening <= FINGER_OPENING:
-                raise InvalidInputError(
-                    f"finger opening {self.finger_opening} m: give a value from 0 to "
-                    f"{FINGER_OPENING} m"
-                )
-            fingers = dict.fromkeys(arm.locked, self.finger_opening)
-        accelerations = numbers(arm.acceleration_limits, WHERE) if arm.acceleration_limits else None
-        given = self.acceleration_limits
-        return UrdfRobot(
-            urdf=str(robots / arm.urdf),
-            end_effector=self.end_effector or arm.end_effector,
-            srdf=self.srdf or (arm.srdf and str(robots / arm.srdf)),
-            locked={**arm.locked, **fingers, **self.locked},
-            package_dirs=self.package_dirs,
-            acceleration_limits=accelerations if given is None else given,
-            base=self.base,
-        )
 
 
 def seen_from(folder: Path, source: Any) -> Any:
@@ -118,83 +62,126 @@ def seen_from(folder: Path, source: Any) -> Any:
     return {**source, **files}
 
 
-def read_source(source: Mapping[str, Any]) -> UrdfRobot:
+def read_source(source: Mapping[str, Any]) -> RobotSource:
     """The files and options of a robot's source; errors name the field, or list the arms."""
     values = {name: value for name, value in mapping(source, WHERE).items() if name != ARTICULATED}
-    if "urdf" in values:
-        return from_plain(UrdfRobot, values, WHERE)
-    if "name" not in values:
+    for name in ("end_effector", "srdf"):
+        # null stands for what is not given
+        if values.get(name) is None:
+            values.pop(name, None)
+    given = from_plain(RobotSource, values, WHERE)
+    if given.name and given.urdf:
+        raise InvalidInputError(f"{WHERE} has 'name' and 'urdf': give one of the two")
+    if given.name:
+        return _of_arm(given)
+    if not given.urdf:
         raise InvalidInputError(
             f"{WHERE} needs 'name' ({', '.join(ARMS)}) or 'urdf' and 'end_effector'"
         )
-    return from_plain(NamedRobot, values, WHERE).described
+    if not given.end_effector:
+        raise InvalidInputError(f"{WHERE}.end_effector is missing: a frame of {given.urdf}")
+    if given.finger_opening is not None:
+        raise InvalidInputError(f"{WHERE}.finger_opening is that of 'name': 'panda'; use 'locked'")
+    return given
+
+
+def _of_arm(given: RobotSource) -> RobotSource:
+    """The URDF, options and end effector that a name stands for, with the options given."""
+    if given.name in ELSEWHERE:
+        raise InvalidInputError(
+            f"robot {given.name!r} is not in the package {EXAMPLES}: {ELSEWHERE[given.name]}; "
+            "give its file as --urdf, or 'urdf' and 'end_effector' in a problem file"
+        )
+    name = ALIASES.get(given.name, given.name)
+    if name not in ARMS:
+        raise UnknownChoiceError("robot", given.name, [*ARMS, "or 'urdf' and 'end_effector'"])
+    arm, robots = ARMS[name], example_robots()
+    fingers: Mapping[str, float] = {}
+    if given.finger_opening is not None:
+        if name != "panda":
+            raise InvalidInputError(
+                f"'finger_opening' is the panda's, not that of {given.name!r}; use 'locked'"
+            )
+        if not 0.0 <= given.finger_opening <= FINGER_OPENING:
+            raise InvalidInputError(
+                f"finger opening {given.finger_opening} m: give a value from 0 to "
+                f"{FINGER_OPENING} m"
+            )
+        fingers = dict.fromkeys(arm.locked, given.finger_opening)
+    limits = given.acceleration_limits
+    return replace(
+        given,
+        urdf=str(robots / arm.urdf),
+        end_effector=given.end_effector or arm.end_effector,
+        srdf=given.srdf or (arm.srdf and str(robots / arm.srdf)),
+        locked={**arm.locked, **fingers, **given.locked},
+        acceleration_limits=arm.acceleration_limits if limits is None else limits,
+    )
 
 
 FINGER_OPENING = 0.04  # [m] of each finger of the Panda's hand, the largest
 
-
-class NamedArm(NamedTuple):
-    """Files of a fixed-base arm, below example-robot-data's folder of robots, and its options."""
-
-    urdf: str
-    end_effector: str  # frame that constraints and goals are about
-    srdf: str | None = None  # file with the pairs to skip; None: found by sampling
-    locked: Mapping[str, float] = MappingProxyType({})  # [rad or m], as `RobotOptions.locked`
-    acceleration_limits: tuple[float, ...] | None = None  # [rad/s^2] of the maker's data sheet
-
-
-UR, XARM, KINOVA = "ur_description", "xarm_description", "kinova_description"
+UR, XARM = "ur_description", "xarm_description"
 TALOS = "talos_data/robots/talos_reduced.urdf"
 BAXTER_SRDF = "baxter_description/srdf/baxter_manipulation.srdf"
 STANDING = {"torso_1_joint": 0.0, "torso_2_joint": 0.0}
 
-ARMS: Mapping[str, NamedArm] = {
-    "panda": NamedArm(
+# Fixed-base arms; their files lie below `example_robots`.
+ARMS: Mapping[str, RobotSource] = {
+    "panda": RobotSource(
         "panda_description/urdf/panda.urdf",
         "panda_hand",
         "panda_description/srdf/panda.srdf",
         {"panda_finger_joint1": FINGER_OPENING, "panda_finger_joint2": FINGER_OPENING},
         # [rad/s^2], data sheet
-        (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
+        np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]),
     ),
-    "ur3": NamedArm(f"{UR}/urdf/ur3_robot.urdf", "tool0"),
-    "ur5": NamedArm(f"{UR}/urdf/ur5_robot.urdf", "tool0"),
-    "ur10": NamedArm(f"{UR}/urdf/ur10_robot.urdf", "tool0"),
-    "ur3-limited": NamedArm(f"{UR}/urdf/ur3_joint_limited_robot.urdf", "tool0"),
-    "ur5-limited": NamedArm(f"{UR}/urdf/ur5_joint_limited_robot.urdf", "tool0"),
-    "ur10-limited": NamedArm(f"{UR}/urdf/ur10_joint_limited_robot.urdf", "tool0"),
-    "kinova": NamedArm(f"{KINOVA}/robots/kinova.urdf", "j2s6s200_end_effector"),
-    "xarm7": NamedArm(f"{XARM}/urdf/xarm7.urdf", "link_eef", f"{XARM}/srdf/xarm7.srdf"),
-    "z1": NamedArm("z1_description/urdf/z1.urdf", "gripperStator"),
-    "so-arm": NamedArm("so_arm_description/urdf/so100.urdf", "gripper"),
-    "so-arm101": NamedArm("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
-    "tiago": NamedArm("tiago_description/robots/tiago.urdf", "hand_tool_link"),
-    "tiago-no-hand": NamedArm("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
-    "tiago-dual-left": NamedArm("tiago_description/robots/tiago_dual.urdf", "hand_left_palm_link"),
-    "tiago-dual-right": NamedArm(
+    "ur3": RobotSource(f"{UR}/urdf/ur3_robot.urdf", "tool0"),
+    "ur5": RobotSource(f"{UR}/urdf/ur5_robot.urdf", "tool0"),
+    "ur10": RobotSource(f"{UR}/urdf/ur10_robot.urdf", "tool0"),
+    "ur3-limited": RobotSource(f"{UR}/urdf/ur3_joint_limited_robot.urdf", "tool0"),
+    "ur5-limited": RobotSource(f"{UR}/urdf/ur5_joint_limited_robot.urdf", "tool0"),
+    "ur10-limited": RobotSource(f"{UR}/urdf/ur10_joint_limited_robot.urdf", "tool0"),
+    "kinova": RobotSource("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
+    "xarm7": RobotSource(f"{XARM}/urdf/xarm7.urdf", "link_eef", f"{XARM}/srdf/xarm7.srdf"),
+    "z1": RobotSource("z1_description/urdf/z1.urdf", "gripperStator"),
+    "so-arm": RobotSource("so_arm_description/urdf/so100.urdf", "gripper"),
+    "so-arm101": RobotSource("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
+    "tiago": RobotSource("tiago_description/robots/tiago.urdf", "hand_tool_link"),
+    "tiago-no-hand": RobotSource(
+        "tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"
+    ),
+    "tiago-dual-left": RobotSource(
+        "tiago_description/robots/tiago_dual.urdf", "hand_left_palm_link"
+    ),
+    "tiago-dual-right": RobotSource(
         "tiago_description/robots/tiago_dual.urdf", "hand_right_palm_link"
     ),
-    "tiago-pro-left": NamedArm(
+    "tiago-pro-left": RobotSource(
         "tiago_pro_description/robots/tiago_pro.urdf", "gripper_left_base_link"
     ),
-    "tiago-pro-right": NamedArm(
+    "tiago-pro-right": RobotSource(
         "tiago_pro_description/robots/tiago_pro.urdf", "gripper_right_base_link"
     ),
-    "talos-left-arm": NamedArm(TALOS, "gripper_left_base_link", locked=STANDING),
-    "talos-right-arm": NamedArm(TALOS, "gripper_right_base_link", locked=STANDING),
-    "baxter-left": NamedArm("baxter_description/urdf/baxter.urdf", "left_gripper", BAXTER_SRDF),
-    "baxter-right": NamedArm("baxter_description/urdf/baxter.urdf", "right_gripper", BAXTER_SRDF),
-    "pr2-left": NamedArm("pr2_description/urdf/pr2.urdf", "l_gripper_tool_frame"),
-    "pr2-right": NamedArm("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame"),
-    "two-dof": NamedArm("asr_twodof_description/urdf/TwoDofs.urdf", "Tip"),
-    "finger": NamedArm("finger_edu_description/robots/finger_edu.urdf", "finger_tip_link"),
+    "talos-left-arm": RobotSource(TALOS, "gripper_left_base_link", locked=STANDING),
+    "talos-right-arm": RobotSource(TALOS, "gripper_right_base_link", locked=STANDING),
+    "baxter-left": RobotSource("baxter_description/urdf/baxter.urdf", "left_gripper", BAXTER_SRDF),
+    "baxter-right": RobotSource(
+        "baxter_description/urdf/baxter.urdf", "right_gripper", BAXTER_SRDF
+    ),
+    "pr2-left": RobotSource("pr2_description/urdf/pr2.urdf", "l_gripper_tool_frame"),
+    "pr2-right": RobotSource("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame"),
+    "two-dof": RobotSource("asr_twodof_description/urdf/TwoDofs.urdf", "Tip"),
+    "finger": RobotSource("finger_edu_description/robots/finger_edu.urdf", "finger_tip_link"),
 }
 
 ALIASES = {"so100": "so-arm", "so101": "so-arm101", "j2s6s200": "kinova", "franka": "panda"}
-LBR = "its URDF comes with ROS's lbr_description (github.com/lbr-stack/lbr_fri_ros2_stack)"
 ELSEWHERE = {
     "gen3": "its URDF comes with ROS's kortex_description (github.com/Kinovarobotics/ros2_kortex)",
-    **dict.fromkeys(("iiwa", "iiwa7", "iiwa14"), LBR),
+    **dict.fromkeys(
+        ("iiwa", "iiwa7", "iiwa14"),
+        "its URDF comes with ROS's lbr_description (github.com/lbr-stack/lbr_fri_ros2_stack)",
+    ),
 }
 
 

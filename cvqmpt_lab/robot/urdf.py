@@ -9,16 +9,15 @@ import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, shown
 from cvqmpt_lab.files import read_text, require_regular_file
-
-TURN = 2.0 * math.pi  # [rad] a continuous joint turns by up to this much either way
+from cvqmpt_lab.values import TURN, scalar
 
 
 @dataclass(frozen=True)
@@ -220,38 +219,29 @@ def held_joints(
     for name, value in locked.items():
         if name not in movable:
             raise UnknownChoiceError("joint to lock", name, list(movable))
-        number = isinstance(value, Real) and not isinstance(value, bool)
-        if not number or not math.isfinite(float(value)):
+        number = scalar(float, value, f"locked value [rad or m] of joint {name!r}")
+        if movable[name].kind != "prismatic" and abs(number) > TURN:
             raise InvalidInputError(
-                f"joint {name!r} cannot be locked at {value!r}: give a finite number [rad or m]"
+                f"joint {name!r} cannot be locked at {number:g} rad, more than 2 pi: degrees? "
+                "Give radians"
             )
-        if movable[name].kind != "prismatic" and abs(value) > TURN:
-            raise InvalidInputError(
-                f"joint {name!r} cannot be locked at {value:g} rad, more than 2 pi: degrees? Give "
-                "radians"
-            )
-        held[name] = HeldJoint(name, float(value), "as asked for")
+        held[name] = HeldJoint(name, number, "as asked for")
     chain = {joint.name for joint in urdf.chain(end_effector)}
     free = [joint for name, joint in movable.items() if name not in held]
-    for joint in free:
-        if joint.mimics is not None:
-            continue
-        if joint.name not in chain:
-            reason = "not between the base and the end effector"
-            held[joint.name] = HeldJoint(joint.name, joint.neutral, reason)
-        elif joint.kind == "floating" and base_given:
-            held[joint.name] = HeldJoint(joint.name, 0.0, "the base is given")
-    for joint in free:
-        leader = held.get(joint.mimics or "")
-        if joint.mimics is None or joint.name in chain:
-            continue
-        if leader is not None:
-            value = joint.multiplier * leader.value + joint.offset
-        elif joint.mimics in chain:
-            continue
+    # those that mimic come last: others may have been held by then
+    for joint in sorted(free, key=lambda joint: joint.mimics is not None):
+        leader, off_chain = held.get(joint.mimics or ""), joint.name not in chain
+        if joint.mimics is not None and off_chain and (leader or joint.mimics not in chain):
+            value, reason = joint.neutral, f"mimics {joint.mimics}"
+            if leader is not None:
+                value = joint.multiplier * leader.value + joint.offset
+        elif joint.mimics is None and off_chain:
+            value, reason = joint.neutral, "not between the base and the end effector"
+        elif joint.mimics is None and joint.kind == "floating" and base_given:
+            value, reason = 0.0, "the base is given"
         else:
-            value = joint.neutral
-        held[joint.name] = HeldJoint(joint.name, value, f"mimics {joint.mimics}")
+            continue
+        held[joint.name] = HeldJoint(joint.name, value, reason)
     offending = [joint for joint in free if joint.name not in held and joint.hindrance]
     if offending:
         floats = any(joint.kind == "floating" for joint in offending)
@@ -279,6 +269,7 @@ def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
             limit = element.find("limit")
             if limit is None:
                 limit = ElementTree.SubElement(element, "limit")
+            # it turns once either way
             stated = {"velocity": "0", "effort": "0"} | dict(limit.attrib)
             limit.attrib.update(stated | {"lower": repr(-TURN), "upper": repr(TURN)})
             element.set("type", "revolute")
@@ -302,15 +293,6 @@ def collada_unit(data: bytes) -> float:
     return unit
 
 
-# how many numbers are in each attribute that pinocchio reads of a collision body or a joint
-NUMBERS: Mapping[str, Mapping[str, int]] = {
-    "box": {"size": 3},
-    "cylinder": {"radius": 1, "length": 1},
-    "sphere": {"radius": 1},
-    "mesh": {"scale": 3},
-    "origin": {"xyz": 3, "rpy": 3},
-    "axis": {"xyz": 3},
-}
 SHAPES = ("box", "cylinder", "sphere", "mesh")
 
 
@@ -334,28 +316,46 @@ def check_bodies(root: ElementTree.Element, path: Path) -> None:
             _check_numbers([*joint.findall("origin"), *axes])
 
 
+class Numbers(NamedTuple):
+    """What an attribute that pinocchio reads of a collision body or a joint must hold."""
+
+    tag: str
+    attribute: str
+    count: int
+    fits: Callable[[Sequence[float]], bool] = lambda _: True
+    cure: str = ""  # what to give instead of numbers that do not fit
+    has_default: bool = False
+
+
+def _positive(values: Sequence[float]) -> bool:
+    return min(values) > 0.0
+
+
+ATTRIBUTES = (
+    Numbers("box", "size", 3, _positive, "more than 0 [m]"),
+    Numbers("cylinder", "radius", 1, _positive, "more than 0 [m]"),
+    Numbers("cylinder", "length", 1, _positive, "more than 0 [m]"),
+    Numbers("sphere", "radius", 1, _positive, "more than 0 [m]"),
+    Numbers("mesh", "scale", 3, all, "numbers other than 0", has_default=True),
+    Numbers("origin", "xyz", 3, has_default=True),
+    Numbers("origin", "rpy", 3, has_default=True),
+    Numbers("axis", "xyz", 3, any, "a direction"),
+)
+
+
 def _check_numbers(elements: Sequence[ElementTree.Element]) -> None:
-    for element in elements:
-        for name, count in NUMBERS[element.tag].items():
-            text = element.get(name, "")
-            # these have defaults
-            if element.tag in ("origin", "mesh") and name not in element.attrib:
-                continue
-            try:
-                numbers = [float(word) for word in text.split()]
-            except ValueError:
-                numbers = []
-            # Python reads 1_0 as a number
-            if len(numbers) != count or not all(map(math.isfinite, numbers)) or "_" in text:
-                raise InvalidInputError(
-                    f"{name} of its {element.tag} is {shown(text)}; it must be {count} finite "
-                    "numbers"
-                )
-            if element.tag == "axis" and not any(numbers):
-                raise InvalidInputError("its axis is 0 0 0; give a direction")
-            if element.tag == "mesh" and 0.0 in numbers:
-                raise InvalidInputError("scale of its mesh is 0; give other numbers")
-            if element.tag in ("box", "cylinder", "sphere") and min(numbers) <= 0.0:
-                raise InvalidInputError(
-                    f"{name} of its {element.tag} is {numbers}; give more than 0 [m]"
-                )
+    for element, row in product(elements, ATTRIBUTES):
+        text = element.get(row.attribute, "")
+        stated = row.attribute in element.attrib
+        if element.tag != row.tag or (row.has_default and not stated):
+            continue
+        what = f"{row.attribute} of its {row.tag} is {shown(text)}"
+        try:
+            values = [float(word) for word in text.split()]
+        except ValueError:
+            values = []
+        # Python reads 1_0 as a number
+        if len(values) != row.count or not all(map(math.isfinite, values)) or "_" in text:
+            raise InvalidInputError(f"{what}; it must be {row.count} finite numbers")
+        if not row.fits(values):
+            raise InvalidInputError(f"{what}; give {row.cure}")

@@ -14,13 +14,13 @@ from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.files import json_text
 from cvqmpt_lab.poses import Placement
 from cvqmpt_lab.problem import PlanningProblem, check_problem
-from cvqmpt_lab.robot.source import NamedRobot, UrdfRobot
+from cvqmpt_lab.robot.source import RobotSource
 from cvqmpt_lab.scene.scene import Articulation, Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import SHAPES, SHAPES_BY_PATH
 from cvqmpt_lab.tasks.task import PHASES, Task
 
 FOLDER = Path(cvqmpt_lab.__file__).parent / "schemas"
-KINDS = {"problem": (PlanningProblem, NamedRobot, UrdfRobot), "task": (Task, *PHASES.values())}
+KINDS = {"problem": (PlanningProblem, RobotSource), "task": (Task, *PHASES.values())}
 BOTH = (Scene, SceneObject, Articulation, Attachment, Placement)
 BOTH += (TaskSpaceRegion, TaskSpaceRegionChain)
 APART = {"schema", "$schema", "_comment", "type", "kind", "articulated"}  # of all, and tags

@@ -341,7 +341,10 @@ def test_what_is_given_beside_a_name_overrides_it():
         ({"name": "panda", "fingeropening": 0.01}, "did you mean 'finger_opening'"),
         ({"name": "panda", "lock": {}}, r"robot\.lock is unknown; did you mean 'locked'"),
         ({"urdf": "a.urdf"}, r"robot\.end_effector is missing"),
-        ({"urdf": "a.urdf", "end_effector": "tool", "name": "panda"}, r"robot\.name is unknown"),
+        (
+            {"urdf": "a.urdf", "end_effector": "tool", "name": "panda"},
+            r"'name' and 'urdf': give one of the two",
+        ),
         ({"name": "ur5", "finger_opening": 0.01}, "the panda's, not that of 'ur5'"),
         ({"name": "panda", "locked": [1]}, "must be an object"),
         ({"name": "panda", "base": [0, 0]}, r"robot\.base has shape"),
