@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from cvqmpt_lab.benchmarks.door_task import GRIP, OPEN, PADS, TURN, bar_pose, handle_region
+from cvqmpt_lab.benchmarks.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.benchmarks.place_task import DOOR, LIFT, SHELF_LINK, grasp_region
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
@@ -21,7 +22,6 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import PAPER_PHASES
 from cvqmpt_lab.robot.load import FINGER_OPENING, robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
 

@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.objects import CAN
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright
 from cvqmpt_lab.pipeline import drawn_goals
@@ -24,8 +25,6 @@ from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.kitchen_parameters import KitchenParameters
-from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.scene import Attachment, Scene
 
 ENVIRONMENTS = range(150)
@@ -72,10 +71,9 @@ def _world() -> Scene:
 def _mirrored_world() -> Scene:
     """The re-measured kitchen, mirrored. Its boxes and cylinders are their own mirror images."""
     # [m]; wider, flatter and higher cabinets, a lower hood
-    remeasured = KitchenParameters(
-        cabinet_width=0.42, wall_cabinet_depth=0.33, dagger_bottom_z=0.6765, hood_bottom_z=0.70
-    )
-    scene = kitchen(remeasured, door_angles={DOOR: DOOR_ANGLE})
+    remeasured = {"cabinet_width": 0.42, "wall_cabinet_depth": 0.33}
+    remeasured |= {"dagger_bottom_z": 0.6765, "hood_bottom_z": 0.70}
+    scene = kitchen(remeasured, {DOOR: DOOR_ANGLE})
     objects = tuple(
         replace(item, T_world_object=MIRROR @ item.T_world_object @ MIRROR)
         for item in scene.objects

@@ -14,6 +14,7 @@ import numpy as np
 
 from cvqmpt_lab.benchmarks.family_task import PANDA, upright_problem
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
@@ -21,7 +22,6 @@ from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.depth import read_capture, write_view

@@ -1,7 +1,7 @@
 """The suites by name: each is an ordered set of problems or tasks.
 
-A folder of problem files is one by its path. The module of a suite other than the place task is
-imported when its first problem is made, so that `cvqmpt plan` imports only what it plans.
+A folder of problem files is one by its path. Modules of suites other than the place task are
+imported when their first problem is made, so that `cvqmpt plan` need not import them.
 """
 
 import os
@@ -64,43 +64,30 @@ class Suite:
         return item.problem if isinstance(item, SensedProblem) else item
 
 
-def _family(name: str, index: int) -> SuiteItem:
-    from cvqmpt_lab.benchmarks.family_task import held_out_problem
+def _item(suite: str, index: int) -> SuiteItem:
+    """Problem or task of a suite whose module is imported when its first item is made."""
+    from cvqmpt_lab.benchmarks import (
+        constraint_task,
+        door_task,
+        family_task,
+        multi_sequence,
+        sensor_task,
+    )
 
-    return held_out_problem(name, index)
-
-
-def _robots(index: int) -> SuiteItem:
-    from cvqmpt_lab.benchmarks.family_task import robots_problem
-
-    return robots_problem(index)
-
-
-def _constraint(index: int) -> SuiteItem:
-    from cvqmpt_lab.benchmarks.constraint_task import constraint_problem
-
-    return constraint_problem(index)
-
-
-def _door(index: int) -> SuiteItem:
-    from cvqmpt_lab.benchmarks.door_task import door_problem
-
-    return door_problem(index)
-
-
-def _sensor(index: int) -> SuiteItem:
-    from cvqmpt_lab.benchmarks.sensor_task import sensor_problem
-
-    return sensor_problem(index)
-
-
-def _multi_sequence(index: int) -> SuiteItem:
-    from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
-
-    return multi_sequence_task(index)
+    if suite.startswith("family-"):
+        return family_task.held_out_problem(suite.removeprefix("family-"), index)
+    makers: Mapping[str, Callable[[int], SuiteItem]] = {
+        "constraints": constraint_task.constraint_problem,
+        "open-door": door_task.door_problem,
+        "robots": family_task.robots_problem,
+        "sensor": sensor_task.sensor_problem,
+        "multi-sequence": multi_sequence.multi_sequence_task,
+    }
+    return makers[suite](index)
 
 
 _CAN = (carried_can(),)
+_CONSTRAINED = partial(_item, "constraints")
 SUITES: Mapping[str, Suite] = {
     suite.name: suite
     for suite in (
@@ -108,16 +95,20 @@ SUITES: Mapping[str, Suite] = {
         Suite("place-task-with-can", ENVIRONMENTS, partial(place_problem, with_can=True)),
         Suite("place-task-single-goal", range(30), single_goal_problem, _CAN),
         Suite("place-task-mirrored", range(60), mirrored_problem, _CAN),
-        *(Suite(f"family-{name}", range(50), partial(_family, name)) for name in FAMILIES),
-        Suite("constraints", range(160), _constraint),
+        *(Suite(f"family-{n}", range(50), partial(_item, f"family-{n}")) for n in FAMILIES),
+        Suite("constraints", range(160), _CONSTRAINED),
         Suite("factorial", range(60), place_problem),
-        Suite("factorial-constraints", range(80), _constraint),
-        Suite("open-door", range(10), _door, new_scenes=False),
-        Suite("robots", range(180), _robots),
+        Suite("factorial-constraints", range(80), _CONSTRAINED),
+        Suite("open-door", range(10), partial(_item, "open-door"), new_scenes=False),
+        Suite("robots", range(180), partial(_item, "robots")),
         Suite("peers", range(30), single_goal_problem, _CAN, new_scenes=False),
-        Suite("sensor", range(30), _sensor),
+        Suite("sensor", range(30), partial(_item, "sensor")),
         Suite(
-            "multi-sequence", range(10), _multi_sequence, new_scenes=False, settings={"speed": SLOW}
+            "multi-sequence",
+            range(10),
+            partial(_item, "multi-sequence"),
+            new_scenes=False,
+            settings={"speed": SLOW},
         ),
     )
 }

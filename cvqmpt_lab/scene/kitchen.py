@@ -1,33 +1,36 @@
-"""The kitchen of the place and multi-sequence tasks, built from parameters.
+"""The kitchen of the place and multi-sequence tasks, built from its dimensions.
 
 World frame: robot base link, +x towards the kitchen's back wall, +y to the left as the robot looks
-at it, z up; metres and radians. The default parameters reproduce the kitchen of the published
-experiment code piece by piece within 5 mm. Row and door names ("dagger", "sektion", "hitman",
-"indigo") are the ones of that kitchen: dagger and indigo are right of the range, above and below
-the counter; sektion and hitman are left of it. Cabinets are hollow and have no back panel: the back
-wall closes them.
+at it, z up; metres and radians. The dimensions of `kitchen.toml` reproduce the kitchen of the
+published experiment code piece by piece within 5 mm. Row and door names ("dagger", "sektion",
+"hitman", "indigo") are the ones of that kitchen: dagger and indigo are right of the range, above
+and below the counter; sektion and hitman are left of it. Cabinets are hollow and have no back
+panel: the back wall closes them.
 """
 
-from collections.abc import Iterator, Mapping
+import math
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from types import SimpleNamespace
 
-from cvqmpt_lab.scene.kitchen_parameters import WALL_CELLS, KitchenParameters
-from cvqmpt_lab.scene.objects import (
-    Assembly,
-    Span,
-    articulated,
-    bar_y,
-    box,
-    cylinder,
-    handle,
-    hinged,
-    oriented,
-    shrunk,
-)
-from cvqmpt_lab.scene.scene import Scene, SceneObject
+import numpy as np
+
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, Cylinder
+from cvqmpt_lab.values import FloatArray, Length
+
+PUBLISHED: Mapping[str, float] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
+"""Dimensions of the published kitchen [m], and its doors' range [rad], by name."""
+Span = tuple[float, float]
+Piece = SceneObject | Articulation
 
 
 def kitchen(
-    parameters: KitchenParameters | None = None, door_angles: Mapping[str, float] | None = None
+    changes: Mapping[str, float] | None = None, door_angles: Mapping[str, float] | None = None
 ) -> Scene:
     """Build the kitchen with the robot's pedestal and the floor, which is visible but no obstacle.
 
@@ -35,39 +38,140 @@ def kitchen(
     multi-sequence task), "{dagger,chewie}_door_right", "chewie_door_left", "baker_door",
     "indigo_door_{left,right}". Sliders: "{hitman,indigo}_drawer_{top,bottom}".
 
-    parameters: dimensions; None: the published kitchen.
-    door_angles: values of articulations by name, hinges [rad], drawers [m]; default 0, closed.
+    Args:
+        changes: dimensions that differ from those of `kitchen.toml`, by name.
+        door_angles: values of articulations by name, hinges [rad], drawers [m]; default 0, closed.
     """
-    p = KitchenParameters() if parameters is None else parameters
-    parts = [
-        Assembly([*_room(p), *_range(p)]),
-        Assembly(_wall_cabinets("sektion", p)),
-        _wall_door("baker_door", "sektion", 2, -1, p),
-        _wall_door("chewie_door_right", "sektion", 0, -1, p),
-        _wall_door("chewie_door_left", "sektion", 1, +1, p),
-        Assembly(_wall_cabinets("dagger", p)),
-        _wall_door("dagger_door_left", "dagger", 1, +1, p),
-        _wall_door("dagger_door_right", "dagger", 0, -1, p),
-        Assembly(
-            _base_cabinet("hitman", p.left_y, (p.left_y, p.left_y + p.left_countertop_width), p)
-        ),
+    p = _dimensions(changes or {})
+    pieces: list[Piece] = [
+        *_room(p),
+        *_range(p),
+        *_wall_cabinets("sektion", p),
+        *_wall_door("baker_door", "sektion", 2, -1, p),
+        *_wall_door("chewie_door_right", "sektion", 0, -1, p),
+        *_wall_door("chewie_door_left", "sektion", 1, +1, p),
+        *_wall_cabinets("dagger", p),
+        *_wall_door("dagger_door_left", "dagger", 1, +1, p),
+        *_wall_door("dagger_door_right", "dagger", 0, -1, p),
+        *_base_cabinet("hitman", p.left_y, (p.left_y, p.left_y + p.left_countertop_width), p),
         *_drawers("hitman", p),
-        Assembly(_base_cabinet("indigo", p.right_y, (p.right_wall_y, p.right_y + p.base_width), p)),
+        *_base_cabinet("indigo", p.right_y, (p.right_wall_y, p.right_y + p.base_width), p),
         *_drawers("indigo", p),
-        _base_door("indigo_door_right", p.right_y, -1, p),
-        _base_door("indigo_door_left", p.right_y + p.cabinet_width, +1, p),
+        *_base_door("indigo_door_right", p.right_y, -1, p),
+        *_base_door("indigo_door_left", p.right_y + p.cabinet_width, +1, p),
     ]
     scene = Scene(
         name="kitchen",
-        objects=tuple(item for part in parts for item in part.objects),
-        articulations=tuple(part.articulation for part in parts if part.articulation is not None),
+        objects=tuple(piece for piece in pieces if isinstance(piece, SceneObject)),
+        articulations=tuple(piece for piece in pieces if isinstance(piece, Articulation)),
     )
     for name, value in (door_angles or {}).items():
         scene = scene.with_joint(name, value)
     return scene
 
 
-def _room(p: KitchenParameters) -> list[SceneObject]:
+def _dimensions(changes: Mapping[str, float]) -> SimpleNamespace:
+    """The dimensions and what follows from them; InvalidInputError: they do not fit together."""
+    p = SimpleNamespace(**PUBLISHED)
+    for name, value in changes.items():
+        if name not in PUBLISHED:
+            raise UnknownChoiceError("dimension of the kitchen", name, PUBLISHED)
+        kind = float if name.endswith(("_x", "_y", "_z")) else Length
+        setattr(p, name, from_plain(kind, value, f"kitchen dimension {name}"))
+    p.base_width = 2.0 * p.cabinet_width
+    p.cabinet_back_x = p.back_wall_x - p.cabinet_wall_gap
+    # right ends of the cabinets left and right of the range
+    p.left_y = p.range_y + 0.5 * p.range_width + p.range_side_gap
+    p.right_y = p.range_y - 0.5 * p.range_width - p.range_side_gap - p.base_width
+    p.right_wall_y = p.right_y - p.right_counter_gap
+    # face of the doors and front panels of the base cabinets, and upper edge of the uppermost
+    p.base_face_x = p.cabinet_back_x - p.base_cabinet_depth - p.base_front_gap - p.door_thickness
+    p.base_front_top_z = p.base_cabinet_bottom_z + p.base_cabinet_height - p.base_front_reveal
+    # each of the two front panels that cover the left base cabinet
+    covered = p.base_front_top_z - p.base_cabinet_bottom_z
+    p.hitman_front_height = 0.5 * covered - p.stacked_front_gap
+    p.indigo_door_top_z = p.base_front_top_z - 2.0 * (p.indigo_front_height + p.stacked_front_gap)
+    # rows of wall cabinets: number of cells, counted from the right end, whose y follows; bottom z
+    p.wall_rows = {
+        "dagger": (2, p.right_y, p.dagger_bottom_z),
+        "sektion": (3, p.left_y, p.sektion_bottom_z),
+    }
+    for fits, broken in _fitting_rules(p):
+        if not fits:
+            raise InvalidInputError(f"dimensions of the kitchen do not fit together: {broken}")
+    return p
+
+
+def _fitting_rules(p: SimpleNamespace) -> list[tuple[bool, str]]:
+    """Return (whether it holds, what is broken if not) of every rule of a consistent kitchen."""
+    boards, handle, half_range = 2.0 * p.board_thickness, p.handle_length, 0.5 * p.range_width
+    counter_z = p.base_cabinet_bottom_z + p.base_cabinet_height + p.countertop_thickness
+    wall_door_height = p.wall_cabinet_height - p.door_gap
+    base_door_height = p.indigo_door_top_z - (p.base_cabinet_bottom_z - p.base_door_overhang)
+    drawer_width = p.base_width - boards - 2.0 * p.drawer_side_gap
+    drawer_room = p.base_cabinet_depth - p.base_back_thickness + p.base_front_gap
+    drawer_top = p.hitman_drawer_lift + p.drawer_height
+    left_end = p.left_y + max(p.left_countertop_width, p.wall_rows["sektion"][0] * p.cabinet_width)
+    wall_end = p.right_wall_y - p.wall_thickness + p.back_wall_width
+    insets = (p.front_plate_side_inset, p.back_plate_side_inset)
+    radii = (p.front_plate_radius, p.back_plate_radius)
+    return [
+        (p.cabinet_width > boards, "cabinet_width leaves no room between two boards"),
+        (p.cabinet_width > p.door_gap, "door_gap is wider than cabinet_width"),
+        (p.wall_cabinet_height > boards, "wall_cabinet_height leaves no room between two boards"),
+        (
+            p.wall_handle_side_inset < p.cabinet_width - p.door_gap,
+            "wall_handle_side_inset is off the door",
+        ),
+        (
+            p.base_handle_side_inset < p.cabinet_width - p.door_gap,
+            "base_handle_side_inset is off the door",
+        ),
+        (p.post_spacing < handle, "post_spacing is not below handle_length"),
+        (
+            p.wall_handle_end_inset + handle <= wall_door_height,
+            "wall_cabinet_height is below the handle",
+        ),
+        (
+            p.base_handle_end_inset + handle <= base_door_height,
+            "indigo's doors are too low for handles",
+        ),
+        (
+            min(p.dagger_bottom_z, p.sektion_bottom_z) > counter_z,
+            "wall cabinets reach into the countertop",
+        ),
+        (p.hood_bottom_z > p.range_top_z, "the hood reaches into the range"),
+        (handle <= drawer_width, "drawers are narrower than their handles"),
+        (drawer_width > 2.0 * p.drawer_board_thickness, "drawers have no room between their sides"),
+        (p.drawer_height <= p.indigo_front_height, "indigo_front_height is below drawer_height"),
+        (
+            drawer_top <= p.hitman_front_height,
+            "hitman's drawers are higher than their front panels",
+        ),
+        (
+            p.drawer_length <= drawer_room,
+            "drawer_length reaches through the back of the base cabinet",
+        ),
+        (p.drawer_travel <= p.drawer_length, "drawer_travel pulls the drawers out of the cabinet"),
+        (
+            p.countertop_depth >= p.base_cabinet_depth,
+            "countertop_depth is below base_cabinet_depth",
+        ),
+        (
+            p.left_countertop_width >= p.base_width,
+            "left_countertop_width is below two cabinet widths",
+        ),
+        (left_end <= wall_end, "the left cabinets or countertop reach beyond back_wall_width"),
+        (
+            all(r <= i <= half_range - r for r, i in zip(radii, insets, strict=True)),
+            "stove plates overlap",
+        ),
+        (p.pedestal_top_z - p.pedestal_height <= p.floor_z, "the pedestal floats above the floor"),
+        (p.door_range <= math.pi, "door_range turns the doors by more than half a turn"),
+    ]
+
+
+def _room(p: SimpleNamespace) -> list[SceneObject]:
     """Return the pedestal, the floor and the two walls."""
     half, outer_y = 0.5 * p.pedestal_side, p.right_wall_y - p.wall_thickness
     wall_z = (p.wall_bottom_z, p.wall_bottom_z + p.wall_height)
@@ -89,7 +193,7 @@ def _room(p: KitchenParameters) -> list[SceneObject]:
     ]
 
 
-def _range(p: KitchenParameters) -> list[SceneObject]:
+def _range(p: SimpleNamespace) -> list[SceneObject]:
     """Return the range (block, control panel, four plates, four knobs) and the extractor hood."""
     back_x = p.back_wall_x - p.range_wall_gap
     front_x, top_z, half = back_x - p.range_depth, p.range_top_z, 0.5 * p.range_width
@@ -123,65 +227,82 @@ def _range(p: KitchenParameters) -> list[SceneObject]:
     return [*pieces, box("extractor_hood", (hood_x - p.hood_depth, hood_x), y, hood_z)]
 
 
-def _row_corner(row: str, p: KitchenParameters) -> Span:
-    """Right end (y) and bottom (z) of a row of wall cabinets."""
-    return (p.right_y, p.dagger_bottom_z) if row == "dagger" else (p.left_y, p.sektion_bottom_z)
-
-
-def _wall_cabinets(row: str, p: KitchenParameters) -> list[SceneObject]:
-    """Return the boards of a row of wall cabinets: bottom, top and two sides for each cell."""
-    right_y, bottom_z = _row_corner(row, p)
+def _wall_cabinets(row: str, p: SimpleNamespace) -> Iterator[SceneObject]:
+    """Boards of a row of wall cabinets: bottom, top and two sides for each cell."""
+    cells, right_y, bottom_z = p.wall_rows[row]
     board, width = p.board_thickness, p.cabinet_width
     x = (p.cabinet_back_x - p.wall_cabinet_depth, p.cabinet_back_x)
     z = (bottom_z, bottom_z + p.wall_cabinet_height)
-    pieces = []
-    for cell in range(WALL_CELLS[row]):
+    for cell in range(cells):
         y = (right_y + cell * width, right_y + (cell + 1) * width)
         inner = (y[0] + board, y[1] - board)
         name = f"{row}/cell{cell}"
-        pieces += [
-            box(f"{name}_bottom", x, inner, (z[0], z[0] + board)),
-            box(f"{name}_top", x, inner, (z[1] - board, z[1])),
-            box(f"{name}_side_right", x, (y[0], inner[0]), z),
-            box(f"{name}_side_left", x, (inner[1], y[1]), z),
-        ]
-    return pieces
+        yield box(f"{name}_bottom", x, inner, (z[0], z[0] + board))
+        yield box(f"{name}_top", x, inner, (z[1] - board, z[1]))
+        yield box(f"{name}_side_right", x, (y[0], inner[0]), z)
+        yield box(f"{name}_side_left", x, (inner[1], y[1]), z)
 
 
-def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: KitchenParameters) -> Assembly:
-    """Return the door of a wall cabinet cell, hinged at its left (+1) or right (-1) front edge."""
-    row_y, bottom_z = _row_corner(row, p)
+def _wall_door(name: str, row: str, cell: int, hinge_side: int, p: SimpleNamespace) -> list[Piece]:
+    """The door of a wall cabinet cell, hinged at its left (+1) or right (-1) front edge."""
+    _, row_y, bottom_z = p.wall_rows[row]
     cell_y, back_x = row_y + cell * p.cabinet_width, p.cabinet_back_x - p.wall_cabinet_depth
-    y = shrunk((cell_y, cell_y + p.cabinet_width), 0.5 * p.door_gap)
     z = shrunk((bottom_z, bottom_z + p.wall_cabinet_height), 0.5 * p.door_gap)
-    face_x = back_x - p.door_thickness
-    bar = (face_x - p.wall_handle_standoff, bar_y(y, hinge_side, p.wall_handle_side_inset))
-    objects = [
-        box(f"{name}/panel", (face_x, back_x), y, z),
-        *handle(name, (*bar, z[0] + p.wall_handle_end_inset + 0.5 * p.handle_length), "z", p),
-    ]
-    hinge_y = cell_y + (p.cabinet_width if hinge_side > 0 else 0.0)
-    return hinged(name, objects, (back_x, hinge_y), hinge_side, p)
+    x = (back_x - p.door_thickness, back_x)
+    hinge = (back_x, cell_y + (p.cabinet_width if hinge_side > 0 else 0.0))
+    bar_z = z[0] + p.wall_handle_end_inset + 0.5 * p.handle_length
+    bar = (p.wall_handle_standoff, p.wall_handle_side_inset, bar_z)
+    return _door(name, hinge_side, cell_y, x, z, hinge, bar, p)
 
 
-def _base_door(name: str, cell_y: float, hinge_side: int, p: KitchenParameters) -> Assembly:
-    """Return a door below the right base cabinet's drawers, hinged left (+1) or right (-1)."""
-    y = shrunk((cell_y, cell_y + p.cabinet_width), 0.5 * p.door_gap)
+def _base_door(name: str, cell_y: float, hinge_side: int, p: SimpleNamespace) -> list[Piece]:
+    """A door below the right base cabinet's drawers, hinged left (+1) or right (-1)."""
     z = (p.base_cabinet_bottom_z - p.base_door_overhang, p.indigo_door_top_z)
     x = (p.base_face_x, p.base_face_x + p.door_thickness)
-    bar = (x[0] - p.base_handle_standoff, bar_y(y, hinge_side, p.base_handle_side_inset))
+    inset = p.base_hinge_inset
+    hinge = (0.5 * sum(x), cell_y + (p.cabinet_width - inset if hinge_side > 0 else inset))
+    bar_z = z[1] - p.base_handle_end_inset - 0.5 * p.handle_length
+    bar = (p.base_handle_standoff, p.base_handle_side_inset, bar_z)
+    return _door(name, hinge_side, cell_y, x, z, hinge, bar, p)
+
+
+def _door(
+    name: str,
+    hinge_side: int,
+    cell_y: float,
+    x: Span,
+    z: Span,
+    hinge: Span,
+    bar: tuple[float, float, float],
+    p: SimpleNamespace,
+) -> list[Piece]:
+    """A door with a vertical hinge; left (+1) opens to -door_range, right (-1) to +door_range.
+
+    Args:
+        name: of the articulation.
+        hinge_side: +1 or -1.
+        cell_y: right end of the cell that the door closes.
+        x: of its panel.
+        z: of its panel.
+        hinge: x and y of the axis.
+        bar: the handle bar's distance from the panel's face and from its free edge; its middle z.
+        p: dimensions.
+    """
+    y = shrunk((cell_y, cell_y + p.cabinet_width), 0.5 * p.door_gap)
+    standoff, inset, bar_z = bar
+    bar_y = y[0] + inset if hinge_side > 0 else y[1] - inset
     objects = [
         box(f"{name}/panel", x, y, z),
-        *handle(name, (*bar, z[1] - p.base_handle_end_inset - 0.5 * p.handle_length), "z", p),
+        *handle(name, (x[0] - standoff, bar_y, bar_z), "z", p),
     ]
-    hinge_y = cell_y + (
-        p.cabinet_width - p.base_hinge_inset if hinge_side > 0 else p.base_hinge_inset
-    )
-    return hinged(name, objects, (0.5 * sum(x), hinge_y), hinge_side, p)
+    lower, upper = (-p.door_range, 0.0) if hinge_side > 0 else (0.0, p.door_range)
+    moves = tuple(item.name for item in objects)
+    T_world_joint = pose((*hinge, 0.0))
+    return [*objects, Articulation(name, "hinge", T_world_joint, lower, upper, 0.0, moves)]
 
 
 def _base_cabinet(
-    name: str, right_y: float, counter_y: Span, p: KitchenParameters
+    name: str, right_y: float, counter_y: Span, p: SimpleNamespace
 ) -> list[SceneObject]:
     """Return a base cabinet (bottom, back, two sides) and the countertop above it."""
     back_x, board = p.cabinet_back_x, p.board_thickness
@@ -197,17 +318,17 @@ def _base_cabinet(
     ]
 
 
-def _drawers(cabinet: str, p: KitchenParameters) -> Iterator[Assembly]:
+def _drawers(cabinet: str, p: SimpleNamespace) -> Iterator[Piece]:
     """Yield a cabinet's two drawers; hitman's fill it and have trays, indigo's are low."""
     top_z, height = p.base_front_top_z, p.indigo_front_height
     if cabinet == "hitman":
         height = p.hitman_front_height
     for place in ("top", "bottom"):
-        yield _drawer(cabinet, f"{cabinet}_drawer_{place}", (top_z - height, top_z), p)
+        yield from _drawer(cabinet, f"{cabinet}_drawer_{place}", (top_z - height, top_z), p)
         top_z = top_z - height - p.stacked_front_gap
 
 
-def _drawer(cabinet: str, name: str, front_z: Span, p: KitchenParameters) -> Assembly:
+def _drawer(cabinet: str, name: str, front_z: Span, p: SimpleNamespace) -> list[Piece]:
     """Return a drawer: front panel, handle, two sides, back, bottom and hitman's tray."""
     middle_z, tray = 0.5 * sum(front_z), cabinet == "hitman"
     cabinet_y = p.left_y if tray else p.right_y
@@ -230,5 +351,49 @@ def _drawer(cabinet: str, name: str, front_z: Span, p: KitchenParameters) -> Ass
     if tray:
         tray_z = z[0] + p.tray_lift
         objects.append(box(f"{name}/tray", x, y, (tray_z, tray_z + p.tray_thickness)))
+    moves = tuple(item.name for item in objects)
     T_world_joint = oriented("-x", (front_x[0], 0.5 * sum(y), middle_z))
-    return articulated(name, "slider", T_world_joint, (0.0, p.drawer_travel), objects)
+    return [*objects, Articulation(name, "slider", T_world_joint, 0.0, p.drawer_travel, 0.0, moves)]
+
+
+def handle(
+    name: str, centre: tuple[float, float, float], axis: str, p: SimpleNamespace
+) -> list[SceneObject]:
+    """Return a bar along `axis` ("y" or "z") at `centre`, and the two posts from it towards +x."""
+    bar = cylinder(f"{name}/handle_bar", 0.5 * p.handle_diameter, p.handle_length, centre, axis)
+    along = bar.T_world_object[:3, 2]
+    ends = ("right", "left") if axis == "y" else ("lower", "upper")
+    pieces = [bar]
+    for end, sign in zip(ends, (-1, +1), strict=True):
+        middle = centre + sign * 0.5 * p.post_spacing * along + (0.5 * p.post_length, 0.0, 0.0)
+        post = f"{name}/handle_post_{end}"
+        pieces.append(cylinder(post, 0.5 * p.post_diameter, p.post_length, middle, "x"))
+    return pieces
+
+
+def box(name: str, x: Span, y: Span, z: Span, obstacle: bool = True) -> SceneObject:
+    """Return an upright box that fills the three world intervals."""
+    centre = (0.5 * sum(x), 0.5 * sum(y), 0.5 * sum(z))
+    return SceneObject(name, Box((x[1] - x[0], y[1] - y[0], z[1] - z[0])), pose(centre), obstacle)
+
+
+def cylinder(
+    name: str, radius: float, height: float, centre: Iterable[float], axis: str = "z"
+) -> SceneObject:
+    """Return a cylinder whose axis is a world axis."""
+    return SceneObject(name, Cylinder(radius, height), oriented(axis, centre))
+
+
+def oriented(axis: str, xyz: Iterable[float]) -> FloatArray:
+    """Return the (4, 4) pose at `xyz` whose z points along a world axis: "x", "y", "z" or "-x"."""
+    T = pose(xyz)
+    columns = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2), "-x": (2, 1, 0)}[axis]
+    T[:3, :3] = np.eye(3)[:, columns]
+    if axis == "-x":
+        T[:3, 2] *= -1.0
+    return T
+
+
+def shrunk(span: Span, margin: float) -> Span:
+    """Return the interval made smaller by `margin` at both ends."""
+    return span[0] + margin, span[1] - margin

@@ -7,7 +7,6 @@ import pytest
 
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.kitchen_parameters import KitchenParameters
 from cvqmpt_lab.scene.shapes import Box
 
 TOLERANCE = 0.005  # [m]
@@ -107,22 +106,18 @@ def test_drawers_slide_out_of_their_cabinet(name):
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("given", "message"),
     [
-        (
-            lambda: kitchen(door_angles={"fridge": 0.1}),
-            r"'fridge'; valid choices: .*dagger_door_left",
-        ),
-        (lambda: kitchen(door_angles={"dagger_door_left": 0.1}), r"\[-1\.57, 0\.0\] rad"),
-        (lambda: KitchenParameters(cabinet_width=-0.3), r"KitchenParameters\.cabinet_width.*-0\.3"),
-        (lambda: KitchenParameters(range_y=math.nan), r"KitchenParameters\.range_y.*nan"),
-        (lambda: KitchenParameters(drawer_length=0.6), "drawer_length reaches through the back"),
-        (
-            lambda: KitchenParameters(wall_cabinet_height=0.2),
-            "wall_cabinet_height is below the handle",
-        ),
+        ({"door_angles": {"fridge": 0.1}}, r"'fridge'; valid choices: .*dagger_door_left"),
+        ({"door_angles": {"dagger_door_left": 0.1}}, r"\[-1\.57, 0\.0\] rad"),
+        ({"changes": {"cabinet_width": -0.3}}, r"dimension cabinet_width is -0\.3; it must be"),
+        ({"changes": {"range_y": math.nan}}, r"dimension range_y is nan; it must be a"),
+        ({"changes": {"range_z": 1.0}}, r"'range_z'; valid choices: back_wall_x, .*mean 'range_"),
+        ({"changes": {"drawer_length": 0.6}}, "drawer_length reaches through the back"),
+        ({"changes": {"wall_cabinet_height": 0.2}}, "wall_cabinet_height is below the handle"),
     ],
+    ids=str,
 )
-def test_unusable_angles_and_parameters_are_refused(make, message):
+def test_unusable_angles_and_dimensions_are_refused(given, message):
     with pytest.raises(CvqmptError, match=message):
-        make()
+        kitchen(**given)

@@ -5,12 +5,12 @@ from itertools import compress
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.objects import CAN
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import random_scene
-from cvqmpt_lab.scene.objects import CAN
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.sensing.camera import KINECT, cameras_on_sphere
