@@ -15,9 +15,8 @@ from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW
-from cvqmpt_lab.tasks.solve import TaskSolution, solve_task
+from cvqmpt_lab.tasks.solve import TaskSolution, event_of, solve_task, task_data, task_lines
 from cvqmpt_lab.tasks.task import Task
-from cvqmpt_lab.tasks.task_report import event_of, steps_of, task_data, task_lines
 from cvqmpt_lab.trajectory.timing import TimingSettings
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
 from cvqmpt_lab.warm_up import compile_kernels
@@ -67,7 +66,7 @@ def _write_trajectories(solution: TaskSolution, folder: Path, speed: float) -> s
     if not solution.solved:
         return "trajectory  none: only tasks whose phases are all certified are written"
     steps = []
-    for k, (phase, outcome) in enumerate(steps_of(solution), start=1):
+    for k, (phase, outcome) in enumerate(solution.steps, start=1):
         said = event_of(phase)
         if outcome is not None and outcome.arm_trajectory is not None:
             name = f"{k:02d}-{re.sub('[^A-Za-z0-9_.-]', '-', phase.name)}.json"

@@ -14,7 +14,7 @@ from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, one_line, phase_problem
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
-from cvqmpt_lab.tasks.task import PlannedPhase, Task
+from cvqmpt_lab.tasks.task import Task
 from experiments.experiment import Run
 
 SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "vertices")
@@ -147,8 +147,10 @@ def _defined(value: float) -> float | None:
 
 def _phase_problems(task: Task) -> list[str]:
     """Names, in rows, of a task's planned phases."""
-    planned = [phase.name for phase in task.phases if isinstance(phase, PlannedPhase)]
-    return [phase_problem(task.name, number, name) for number, name in enumerate(planned, start=1)]
+    return [
+        phase_problem(task.name, number, phase.name)
+        for number, (_, phase) in enumerate(task.planned, start=1)
+    ]
 
 
 def phase_rows(run: Run, solution: TaskSolution) -> list[ResultRow]:

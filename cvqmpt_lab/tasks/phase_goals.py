@@ -12,7 +12,7 @@ from cvqmpt_lab.constraints.task_space_region import TOLERANCE
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import MAX_GOALS
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.tasks.task import Move, PlannedPhase, Slide, Task, Turn
+from cvqmpt_lab.tasks.task import HandPhase, Move, PlannedPhase, Slide, Task, Turn
 from cvqmpt_lab.tasks.world import World
 
 
@@ -35,37 +35,27 @@ EFFORT: dict[type, Effort] = {
 }
 
 
-def next_planned(task: Task, k: int) -> tuple[int, PlannedPhase | None]:
-    """The first planned phase from number k on; the number of phases and None without one."""
-    for number, phase in enumerate(task.phases[k:], start=k):
-        if isinstance(phase, PlannedPhase):
-            return number, phase
-    return len(task.phases), None
-
-
 def phase_problems(task: Task, paths: Sequence[np.ndarray]) -> Iterator[PlanningProblem]:
     """The problems, without goals, of the planned phases whose paths (m, n) are given."""
-    world, begin = World.before(task), 0
-    for states in paths:
-        number, phase = next_planned(task, begin)
-        assert phase is not None, "more paths than planned phases"
-        world = world.through(task.phases[begin:number])
+    world = World.before(task)
+    for (hand, phase), states in zip(task.planned, paths, strict=False):
+        world = world.through(hand)
         yield world.problem(task, phase)
-        world, begin = world.moved(states[-1]), number + 1
+        world = world.moved(states[-1])
 
 
 def phase_goals(task: Task, k: int, world: World) -> tuple[np.ndarray, str]:
     """Goals (m, n) [rad or m] of planned phase k from which the next can begin; "", or why none."""
-    phase, (_, after) = task.phases[k], next_planned(task, k + 1)
-    assert isinstance(phase, PlannedPhase)
+    (_, phase), *later = task.planned[k : k + 2]
     problem, effort = world.problem(task, phase), EFFORT[type(phase)]
-    ahead = None if after is None else EFFORT[type(after)]
-    if after is None or ahead is None or not ahead.grasps:
+    ahead = EFFORT[type(later[0][1])] if later else None
+    if ahead is None or not ahead.grasps:
         return _sampled(problem, phase, effort.goals, effort.poses)
+    hand, after = later[0]
     found, reason = _sampled(problem, phase, ahead.first_goals, effort.poses)
     good: list[np.ndarray] = []
     for goal in found:
-        if len(good) < ahead.grasps and _goes_on(task, k, world.moved(goal)):
+        if len(good) < ahead.grasps and _goes_on(task, hand, after, world.moved(goal)):
             good.append(goal)
     if not good and not reason:
         reason = f"none of {len(found)} goals lets {after.name!r} reach its own"
@@ -74,19 +64,17 @@ def phase_goals(task: Task, k: int, world: World) -> tuple[np.ndarray, str]:
 
 def prepare(task: Task, k: int, world: World) -> None:
     """Build the collision checkers for sampling goals; as spaces of planners, it is not timed."""
-    phase, (number, after) = task.phases[k], next_planned(task, k + 1)
-    assert isinstance(phase, PlannedPhase)
+    (_, phase), *later = task.planned[k : k + 2]
     _checker(world.problem(task, phase))
-    if isinstance(phase, Move) and isinstance(after, Turn):
-        _checker(world.through(task.phases[k + 1 : number]).problem(task, after))
+    for hand, after in later:
+        if isinstance(phase, Move) and isinstance(after, Turn):
+            _checker(world.through(hand).problem(task, after))
 
 
-def _goes_on(task: Task, k: int, world: World) -> bool:
-    """Whether the slide or turn after phase k has goals from a world."""
-    number, after = next_planned(task, k + 1)
-    assert after is not None
+def _goes_on(task: Task, hand: Sequence[HandPhase], after: PlannedPhase, world: World) -> bool:
+    """Whether the slide or turn after phases of the hand has goals from a world."""
     try:
-        problem = world.through(task.phases[k + 1 : number]).problem(task, after)
+        problem = world.through(hand).problem(task, after)
     except InvalidInputError:
         # what is grasped there is too far
         return False

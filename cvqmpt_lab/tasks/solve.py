@@ -6,17 +6,21 @@ if all grasps fail.
 """
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError, require_kind, whole_number
 from cvqmpt_lab.motion_check import certified_motion
 from cvqmpt_lab.pipeline import Solution, no_plan, solve
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.tasks.phase_goals import next_planned, phase_goals, prepare
-from cvqmpt_lab.tasks.task import Move, PlannedPhase, Task
+from cvqmpt_lab.solution_report import solution_data
+from cvqmpt_lab.tasks.phase_goals import phase_goals, prepare
+from cvqmpt_lab.tasks.task import Move, Phase, PlannedPhase, Task
 from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.timing import TimingSettings
 from cvqmpt_lab.trajectory.trajectory import Trajectory
@@ -79,7 +83,7 @@ class TaskSolution:
     @property
     def solved(self) -> bool:
         """Every phase certified."""
-        planned = sum(isinstance(phase, PlannedPhase) for phase in self.task.phases)
+        planned = len(self.task.planned)
         return len(self.outcomes) == planned and all(outcome.solved for outcome in self.outcomes)
 
     @property
@@ -87,6 +91,15 @@ class TaskSolution:
         """The phase that failed and why, or ""."""
         last = self.outcomes[-1]
         return "" if last.solved else f"phase {last.phase.name!r}: {last.reason}"
+
+    @property
+    def steps(self) -> Iterator[tuple[Phase, PhaseOutcome | None]]:
+        """The phases in order, planned ones with their outcome, up to the one that failed."""
+        outcomes = {outcome.phase.name: outcome for outcome in self.outcomes}
+        for phase in self.task.phases:
+            if isinstance(phase, PlannedPhase) and phase.name not in outcomes:
+                return
+            yield phase, outcomes.get(phase.name)
 
 
 def solve_task(
@@ -120,7 +133,6 @@ def solve_task(
 class _Step:
     """A planned phase and the goals that it has left."""
 
-    number: int
     phase: PlannedPhase
     world: World
     goals: np.ndarray  # (k, n) [rad or m]
@@ -146,67 +158,66 @@ class _Run:
     seed: int
     timing: TimingSettings
     backend: str
-    # of 10 s: slides of tasks 100 to 124 take birrt, roadmap or ompl-projected up to 0.24 s
-    first_share: float = 0.02
-    most_retries: int = 10  # times that a task goes back to another goal
-    retries: int = 0
+    retries: int = 0  # times that it may still go back to another goal
     runs: int = 0
     cut_short: bool = False  # whether a run failed with a share of the budget
-    attempts: dict[int, tuple[Solution, ...]] = field(default_factory=dict)  # by number of phase
+    attempts: dict[str, tuple[Solution, ...]] = field(default_factory=dict)  # by name of phase
 
     def solve(self) -> TaskSolution:
         """With little for slides and turns, then with the whole budget if one of them failed."""
-        found = self._search(self.first_share)
+        # of 10 s: slides of tasks 100 to 124 take birrt, roadmap or ompl-projected up to 0.24 s
+        found = self._search(0.02)
         if found.solved or not self.cut_short:
             return found
         return self._search(1.0)
 
     def _search(self, share: float) -> TaskSolution:
         """Plan the next phase, or go back after a failure; share: of budget, slides and turns."""
-        self.retries = self.most_retries
-        world, begin = World.before(self.task), 0
-        done: list[_Step] = []
+        self.retries = 10
+        steps = [self._step(0, World.before(self.task))]
         deepest: tuple[PhaseOutcome, ...] = ()
-        step = self._step(begin, world)
-        while step is not None:
-            first_or_move = not done or isinstance(step.phase, Move)
-            outcome = step.outcome = self._planned(step, 1.0 if first_or_move else share)
-            outcomes = (*(earlier.outcome for earlier in done if earlier.outcome), outcome)
+        while True:
+            step = steps[-1]
+            first_or_move = len(steps) == 1 or isinstance(step.phase, Move)
+            step.outcome = self._planned(step, 1.0 if first_or_move else share)
+            outcomes = tuple(planned.outcome for planned in steps if planned.outcome)
             if len(outcomes) > len(deepest):
                 deepest = outcomes
-            if outcome.solved:
-                done.append(step)
-                world, begin = step.world.moved(step.end), step.number + 1
-                step = self._step(begin, world)
+            if step.outcome.solved:
+                world = step.world.moved(step.end)
+                if len(steps) == len(self.task.planned):
+                    last = self.task.phases.index(step.phase)
+                    return TaskSolution(
+                        self.task, outcomes, world.through(self.task.phases[last + 1 :])
+                    )
+                steps.append(self._step(len(steps), world))
                 continue
-            if not done or self.retries == 0:
+            if len(steps) == 1 or self.retries == 0:
                 return TaskSolution(self.task, deepest, deepest[-1].world)
             self.retries -= 1
-            step = done.pop()
+            steps.pop()
+            step = steps[-1]
             step.ends += 1
             step.goals = step.goals[np.abs(step.goals - step.end).max(axis=1) > 1e-6]
             step.reason = f"a later phase failed from each of the {step.ends} ends reached"
-        return TaskSolution(self.task, outcomes, world.through(self.task.phases[begin:]))
 
-    def _step(self, k: int, world: World) -> _Step | None:
-        """The first planned phase from k on with its goals; None if there is none."""
-        number, phase = next_planned(self.task, k)
-        if phase is None:
-            return None
-        world = world.through(self.task.phases[k:number])
-        prepare(self.task, number, world)
+    def _step(self, k: int, world: World) -> _Step:
+        """Planned phase k with its goals, from the world after the planned phase before it."""
+        hand, phase = self.task.planned[k]
+        world = world.through(hand)
+        prepare(self.task, k, world)
         began = time.perf_counter()
-        goals, reason = phase_goals(self.task, number, world)
+        goals, reason = phase_goals(self.task, k, world)
         if len(goals) == 0 and isinstance(phase, Move):
             # another start of the move would not change that
             self.retries = 0
-        return _Step(number, phase, world, goals, time.perf_counter() - began, reason)
+        return _Step(phase, world, goals, time.perf_counter() - began, reason)
 
-    def _planned(self, step: _Step, share: float, substitute: str = "birrt") -> PhaseOutcome:
+    def _planned(self, step: _Step, share: float) -> PhaseOutcome:
         """One planning run to the goals left, its certificate and its timing."""
         problem = step.world.problem(self.task, step.phase)
         incompatible = self.method.incompatibility(problem)
-        fallback = f"{substitute}: {incompatible}" if incompatible else ""
+        fallback = f"birrt: {incompatible}" if incompatible else ""
         reason = step.reason
         if len(step.goals) == 0:
             solution = Solution(problem, no_plan(PlanStatus.NO_GOAL))
@@ -217,7 +228,7 @@ class _Run:
                 # each phase must observe its own world, so not from the cache
                 solution = solve(
                     problem.with_goals(step.goals),
-                    substitute if incompatible else self.method,
+                    "birrt" if incompatible else self.method,
                     self.budget.share(share),
                     int(np.random.default_rng([self.seed, self.runs]).integers(2**32)),
                     backend=self.backend,
@@ -229,7 +240,8 @@ class _Run:
                 solution, reason = Solution(problem, no_plan(PlanStatus.INVALID_START)), str(error)
         solution = replace(solution, goal_seconds=step.goal_seconds)
         step.goal_seconds = 0.0
-        attempts = self.attempts[step.number] = (*self.attempts.get(step.number, ()), solution)
+        name = step.phase.name
+        attempts = self.attempts[name] = (*self.attempts.get(name, ()), solution)
         outcome = PhaseOutcome(step.phase, step.world, attempts, fallback=fallback, reason=reason)
         if not solution.solved or solution.simplified is None:
             return outcome
@@ -246,3 +258,55 @@ def _why(solution: Solution) -> str:
     if solution.certificate is not None:
         return "; ".join(solution.certificate.reasons)
     return solution.plan.detail or str(solution.plan.status)
+
+
+def event_of(phase: Phase) -> dict[str, Any]:
+    """Name and kind of a phase, and what the gripper does in it."""
+    plain = to_plain(phase, Phase)
+    told = ("kind", "articulation", "object", "gripper")
+    return {"phase": phase.name, **{key: plain[key] for key in told if key in plain}}
+
+
+def task_data(solution: TaskSolution, planner: str) -> dict[str, Any]:
+    """Plain data for json: the phases in order, planned ones as `solution_data` has them."""
+    phases = []
+    for phase, outcome in solution.steps:
+        said = event_of(phase)
+        if outcome is not None:
+            seconds = outcome.trajectory and outcome.trajectory.duration
+            more = {
+                "attempts": len(outcome.attempts),
+                "duration_s": seconds,
+                "reason": outcome.reason,
+            }
+            said |= more | solution_data(outcome.solution, planner)
+            said |= {"solved": outcome.solved, "fallback": outcome.fallback or said["fallback"]}
+        phases.append(said)
+    whole = {"task": solution.task.name, "planner": planner, "solved": solution.solved}
+    return {**whole, "failure": solution.failure, "phases": phases}
+
+
+def task_lines(solution: TaskSolution, planner: str) -> list[str]:
+    """The lines a person reads."""
+    lines = [f"task        {solution.task.name}, planner {planner}"]
+    planning = execution = 0.0
+    for outcome in solution.outcomes:
+        goals = sum(attempt.goal_seconds for attempt in outcome.attempts)
+        search = sum(attempt.plan.seconds for attempt in outcome.attempts)
+        simplify = sum(
+            attempt.simplified.seconds for attempt in outcome.attempts if attempt.simplified
+        )
+        planning += goals + search + simplify
+        line = (
+            f"{outcome.phase.name:15} goals {1e3 * goals:.0f} ms, plan {1e3 * search:.0f} ms, "
+            f"simplify {1e3 * simplify:.0f} ms"
+        )
+        if len(outcome.attempts) > 1:
+            line += f" in {len(outcome.attempts)} attempts"
+        if outcome.trajectory is not None:
+            execution += outcome.trajectory.duration
+            line += f", certified, {outcome.trajectory.duration:.1f} s of motion"
+        lines.append(line + (f" ({outcome.fallback})" if outcome.fallback else ""))
+    if solution.solved:
+        return [*lines, f"solved      planning {planning:.2f} s, execution {execution:.1f} s"]
+    return [*lines, f"FAILED      {solution.failure}"]

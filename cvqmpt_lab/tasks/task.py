@@ -126,7 +126,8 @@ PHASES = {
     "release": Release,
 }
 PlannedPhase: TypeAlias = Move | Slide | Turn
-Phase: TypeAlias = Annotated[PlannedPhase | Hold | Grasp | Release, Tagged("kind", PHASES)]
+HandPhase: TypeAlias = Hold | Grasp | Release
+Phase: TypeAlias = Annotated[PlannedPhase | HandPhase, Tagged("kind", PHASES)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,7 @@ class Task(Document):
                 f"task {self.name!r}: start has shape {self.start.shape}, robot {robot.name} "
                 f"needs ({robot.dof},)"
             )
-        if not any(isinstance(phase, PlannedPhase) for phase in self.phases):
+        if not self.planned:
             raise InvalidInputError(
                 f"task {self.name!r} plans nothing: give it a move, slide or turn"
             )
@@ -181,6 +182,18 @@ class Task(Document):
         refuse_far(task.scene)
         report_out_of_reach(task.scene, robot_from_source(task.robot).reach)
         return task
+
+    @property
+    def planned(self) -> list[tuple[tuple[HandPhase, ...], PlannedPhase]]:
+        """The planned phases in order, each with the phases of the hand right before it."""
+        found, before = [], []
+        for phase in self.phases:
+            if isinstance(phase, PlannedPhase):
+                found.append((tuple(before), phase))
+                before = []
+            else:
+                before.append(phase)
+        return found
 
     @property
     def in_legs(self) -> Task:

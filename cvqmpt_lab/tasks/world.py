@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Cylinder, Sphere
-from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Phase, PlannedPhase, Release, Slide, Task, Turn
+from cvqmpt_lab.tasks.task import Grasp, HandPhase, Hold, Move, PlannedPhase, Slide, Task, Turn
 
 # [m] and [rad] between an object and where a grasp expects it; checks use its true pose
 IN_HAND, TURNED = 0.02, 0.1
@@ -32,13 +32,6 @@ class Load(NamedTuple):
     attachment: Attachment  # the same in the hand
 
 
-class HeldDoor(NamedTuple):
-    """A door or drawer in the hand."""
-
-    name: str  # of the scene's articulation
-    may_touch: tuple[tuple[str, str], ...]  # (robot piece, part of the door) pairs that touch
-
-
 @dataclass(frozen=True, eq=False)
 class World:
     """One moment of a task."""
@@ -46,7 +39,7 @@ class World:
     source: Mapping[str, Any]  # of the arm, with the gripper as it is now
     scene: Scene  # without what is carried, doors at their values
     q: np.ndarray  # (n,) of the arm [rad or m]
-    held: Load | HeldDoor | None = None
+    held: Load | Hold | None = None  # an object, or since this phase a door or drawer
 
     @staticmethod
     def before(task: Task) -> "World":
@@ -74,10 +67,11 @@ class World:
                 there = T_world_hand @ pose((0.0, 0.0, phase.distance))
                 goal = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)))
             case Turn():
-                assert isinstance(self.held, HeldDoor)
-                turned = scene.with_joint(self.held.name, phase.value)[phase.goal.base]
+                assert isinstance(self.held, Hold)
+                door = self.held.articulation
+                turned = scene.with_joint(door, phase.value)[phase.goal.base]
                 constraint, goal = (phase.constraint,), phase.goal.at(turned.T_world_object)
-                start = np.append(start, scene.articulation(self.held.name).value)
+                start = np.append(start, scene.articulation(door).value)
                 scene, robot = _mechanism(robot, scene, self.held)
         return PlanningProblem(
             name=f"{task.name}/{phase.name}",
@@ -91,27 +85,22 @@ class World:
 
     def moved(self, q: np.ndarray) -> "World":
         """The world after a planned phase that ended at q (n,), or (n + 1,) with a door in hand."""
-        if not isinstance(self.held, HeldDoor):
+        if not isinstance(self.held, Hold):
             return replace(self, q=q)
-        joint = self.scene.articulation(self.held.name)
+        joint = self.scene.articulation(self.held.articulation)
         value = float(np.clip(q[-1], joint.lower, joint.upper))
-        return replace(self, scene=self.scene.with_joint(self.held.name, value), q=q[:-1])
+        return replace(self, scene=self.scene.with_joint(joint.name, value), q=q[:-1])
 
-    def through(self, phases: Sequence[Phase]) -> "World":
+    def through(self, phases: Sequence[HandPhase]) -> "World":
         """The world after phases that are not planned."""
-        world = self
-        for phase in phases:
-            assert not isinstance(phase, PlannedPhase), "its end is not known before"
-            world = world.after(phase)
-        return world
+        return reduce(World.after, phases, self)
 
-    def after(self, phase: Hold | Grasp | Release) -> "World":
+    def after(self, phase: HandPhase) -> "World":
         """The world after the fingers moved; InvalidInputError if they close beside the object."""
         source = {**self.source, **phase.gripper}
         match phase:
             case Hold():
-                held = HeldDoor(phase.articulation, phase.may_touch)
-                return replace(self, source=source, held=held)
+                return replace(self, source=source, held=phase)
             case Grasp():
                 item, expected = self.scene[phase.object], phase.attachment
                 T_hand_object = np.linalg.inv(self.arm.pose(self.q)) @ item.T_world_object
@@ -163,7 +152,7 @@ _taken_out = lru_cache(maxsize=8)(take_out)
 
 
 @lru_cache(maxsize=8)
-def _mechanism(robot: Robot, scene: Scene, held: HeldDoor) -> tuple[Scene, Robot]:
+def _mechanism(robot: Robot, scene: Scene, held: Hold) -> tuple[Scene, Robot]:
     """A scene without the held door, and the robot with it."""
-    rest, door = _taken_out(scene, held.name, held.may_touch)
+    rest, door = _taken_out(scene, held.articulation, held.may_touch)
     return rest, with_articulated_object(robot, door)

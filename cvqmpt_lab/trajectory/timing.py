@@ -32,7 +32,6 @@ class TimingSettings:
 
     speed: float = SLOW  # factor on velocity and acceleration limits, above 0 and at most 1
     deviation: float = 1e-3  # of the motion from the polyline at rounded corners, at most [rad]
-    tightenings: int = 3  # of a refused curve, each to a quarter of the deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +70,8 @@ def time_path(
         )
     limits = limits.scaled(settings.speed)
     reasons: Sequence[str] = ()
-    for k in range(settings.tightenings + 1):
+    # a refused curve is drawn again, three times, each at a quarter of the deviation
+    for k in range(4):
         curve = smooth_curve(states, settings.deviation / 4**k)
         motion = _trajectory(curve, squared_speeds(curve, limits), limits)
         reasons = check(motion) if check else ()
