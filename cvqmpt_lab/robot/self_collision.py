@@ -48,14 +48,17 @@ def left_out_pairs(
     names = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
     near = _neighbours(urdf, set(names))
     # all that the pairs depend on: the rule, axes, placements and limits of joints, and the pieces
-    kinds = [type(item.geometry).__name__ for item in geometry.geometryObjects]
-    arrays, texts = list(kinematics), [sources_digest(Path(__file__).parent), sorted(near)]
-    for name, kind, piece in zip(names, kinds, links, strict=True):
-        texts.append((name, kind, piece.name, piece.link))
+    pieces = [
+        (name, piece.name, piece.link, type(item.geometry).__name__)
+        for name, piece, item in zip(names, links, geometry.geometryObjects, strict=True)
+    ]
+    arrays = list(kinematics)
+    for piece in links:
         arrays += [piece.T_link_geometry, piece.vertices]
-    texts += [(str(array.dtype), array.shape) for array in arrays]
-    bytes_of_arrays = b"".join(array.tobytes() for array in arrays)
-    key = hashlib.sha256(repr(texts).encode() + bytes_of_arrays).hexdigest()
+    shapes = [(str(array.dtype), array.shape) for array in arrays]
+    text = f"{sources_digest(Path(__file__).parent)} {sorted(near)!r} {pieces!r} {shapes!r}"
+    content = b"".join(array.tobytes() for array in arrays)
+    key = hashlib.sha256(text.encode() + content).hexdigest()
 
     def find() -> dict[str, np.ndarray]:
         found = _found_pairs(model, geometry, names, links, kinematics, near)
@@ -306,11 +309,14 @@ def srdf_root(path: Path) -> ElementTree.Element:
 
 def read_srdf(path: Path) -> tuple[LeftOut, ...]:
     """The pairs that an SRDF file leaves out, with its reasons after `FROM_SRDF`."""
-    pairs = []
-    for item in srdf_root(path).findall("disable_collisions"):
-        reason = item.get("reason", "left out by the SRDF").removeprefix(FROM_SRDF)
-        pairs.append(LeftOut(item.get("link1", ""), item.get("link2", ""), FROM_SRDF + reason))
-    return tuple(pairs)
+    return tuple(
+        LeftOut(
+            item.get("link1", ""),
+            item.get("link2", ""),
+            FROM_SRDF + item.get("reason", "left out by the SRDF").removeprefix(FROM_SRDF),
+        )
+        for item in srdf_root(path).findall("disable_collisions")
+    )
 
 
 def srdf_text(name: str, pairs: Sequence[LeftOut]) -> str:
