@@ -39,7 +39,7 @@ def show_tables(directory: Path) -> None:
     """Render a directory, print a line for each planner, and where the files are."""
     written = render_directory(directory)
     title, *lines = written.brief
-    print("\n".join([f"{title}; all numbers: {written.paths[0]}", *lines]))
+    print("\n".join([f"{title}; all numbers: {directory / 'table.md'}", *lines]))
 
 
 def report(args: argparse.Namespace) -> int:

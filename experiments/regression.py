@@ -25,7 +25,7 @@ from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.search.result import Budget
 from experiments.experiment import Experiment
 from experiments.rows import result_row
-from paper_tables.paper_numbers import PUBLISHED
+from paper_tables.statements import PUBLISHED
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"
 SCHEMA = "cvqmpt-expectations/1"

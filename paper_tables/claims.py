@@ -2,14 +2,14 @@
 
 import csv
 from collections.abc import Mapping
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions
 from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, read_rows
-from paper_tables.judging import Effect, Ruling, Verdict, effects_of, overall, reduction, rulings
-from paper_tables.measures import Rows, pair_of
+from paper_tables.judging import Ruling, Verdict, overall, reduction, ruled, verdicts_of
+from paper_tables.measures import Pair, Rows, grouped
 from paper_tables.multi_sequence_table import task_rows
 from paper_tables.statements import CLAIMS, PREDICTED, Claim
 from paper_tables.suites import suite_of
@@ -28,12 +28,8 @@ class JudgedClaim(NamedTuple):
 
     claim: Claim
     verdicts: tuple[Verdict, ...]
+    ruling: Ruling  # over all verdicts of the claim
     evidence: Evidence | None
-
-    @property
-    def ruling(self) -> Ruling:
-        """Ruling over all verdicts of the claim."""
-        return overall([verdict.ruling for verdict in self.verdicts])
 
     @property
     def deciding(self) -> Verdict | None:
@@ -46,18 +42,19 @@ def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
 
     Rows of a profile too small for verdicts rule nothing: too few runs.
     """
-    measured = [_effects(claim, found.get(claim.suite)) for claim in CLAIMS]
+    measured = [_verdicts(claim, found.get(claim.suite)) for claim in CLAIMS]
+    every = [verdict for verdicts in measured for verdict in verdicts]
     if profiles(found):
-        measured = [[effect._replace(p=None) for effect in effects] for effects in measured]
-    ruled = iter(rulings([effect for effects in measured for effect in effects]))
+        every = [verdict._replace(p=None) for verdict in every]
+    rest = iter(ruled(every))
     judged = []
-    for claim, effects in zip(CLAIMS, measured, strict=True):
-        verdicts = tuple(Verdict(effect, next(ruled)) for effect in effects)
-        judged.append(JudgedClaim(claim, verdicts, found.get(claim.suite)))
+    for claim, verdicts in zip(CLAIMS, measured, strict=True):
+        own = tuple(islice(rest, len(verdicts)))
+        judged.append(JudgedClaim(claim, own, overall(own), found.get(claim.suite)))
     return judged
 
 
-def _effects(claim: Claim, evidence: Evidence | None) -> list[Effect]:
+def _verdicts(claim: Claim, evidence: Evidence | None) -> list[Verdict]:
     if evidence is not None and claim.baselines == (PREDICTED,):
         return [updated_codes(claim, evidence.folder)]
     if evidence is None or not evidence.rows:
@@ -65,27 +62,25 @@ def _effects(claim: Claim, evidence: Evidence | None) -> list[Effect]:
     suite, rows = evidence.rows[0].suite, evidence.rows
     if suite == "multi-sequence":
         rows = task_rows(rows, PAPER_PHASES)
-    return effects_of(claim, rows, suite_of(suite).published)
+    return verdicts_of(claim, rows, suite_of(suite).published)
 
 
-def updated_codes(claim: Claim, folder: Path) -> Effect:
+def updated_codes(claim: Claim, folder: Path) -> Verdict:
     """G of the predicted codes after the update over that before; a problem counts once."""
-    codes: dict[str, list[tuple[float, float]]] = {}
+    codes = []
     with (folder / "values.csv").open(encoding="utf-8", newline="") as handle:
         for line in csv.DictReader(handle):
             after, before = float(line["g_after"]), float(line["g_before"])
             if line["code"] != "goal" and after > 0.0 < before:
-                codes.setdefault(line["problem"], []).append((after, before))
-    return reduction(claim, PREDICTED, [pair_of(name, values) for name, values in codes.items()])
+                codes.append((line["problem"], (after, before)))
+    return reduction(claim, PREDICTED, [Pair(*of_it) for of_it in grouped(codes).items()])
 
 
 def profiles(found: Mapping[str, Evidence]) -> list[str]:
     """Profiles of `cvqmpt reproduce all` that are too small for verdicts: all but the full one."""
-    named: dict[str, None] = {}
-    for item in found.values():
-        for session in sessions(item.record):
-            words = pairwise(session.get("command") or [])
-            named |= dict.fromkeys(after for word, after in words if word == "--profile")
+    records = [session for item in found.values() for session in sessions(item.record)]
+    words = [pair for session in records for pair in pairwise(session.get("command") or [])]
+    named = dict.fromkeys(after for word, after in words if word == "--profile")
     return [name for name in named if name != "full"]
 
 

@@ -1,10 +1,7 @@
 """Committed results: their tables equal a fresh rendering, and their rows can be traced."""
 
 import csv
-import io
 import math
-import shutil
-import tempfile
 from collections.abc import Callable, Collection
 from itertools import zip_longest
 from pathlib import Path
@@ -12,8 +9,8 @@ from pathlib import Path
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
-from paper_tables.paper_numbers import PUBLISHED
-from paper_tables.suites import render_directory
+from paper_tables.statements import PUBLISHED
+from paper_tables.suites import rendered_tables
 
 RESULTS = PUBLISHED.parent / "results"
 
@@ -64,56 +61,50 @@ def differing_cells(directory: Path) -> list[str]:
     """A line for every table of a directory's rows that is missing or differs: file, row, cell."""
     if not (directory / RUNS_FILE).is_file():
         return []
-    with tempfile.TemporaryDirectory(prefix="cvqmpt-tables-") as scratch:
-        for name in (RUNS_FILE, PROVENANCE_FILE):
-            if (directory / name).is_file():
-                shutil.copy(directory / name, scratch)
-        try:
-            fresh = render_directory(Path(scratch)).paths
-        except CvqmptError as error:
-            why = str(error).replace(scratch, str(directory))
-            return [f"{directory}: cannot be rendered: {why}"]
-        found = []
-        for path in fresh:
-            committed, cure = directory / path.name, f"cvqmpt table {directory}"
-            if not committed.is_file():
-                found.append(f"{committed}: missing; render it with: {cure}")
-            elif where := _first_difference(committed.read_bytes(), path.read_bytes(), path.suffix):
-                found.append(f"{committed}, {where}; render it again with: {cure}")
-        return found
+    try:
+        texts = rendered_tables(directory).texts
+    except CvqmptError as error:
+        return [f"{directory}: cannot be rendered: {error}"]
+    found = []
+    for name, text in texts.items():
+        path, cure = directory / name, f"cvqmpt table {directory}"
+        if not path.is_file():
+            found.append(f"{path}: missing; render it with: {cure}")
+        elif where := _first_difference(path.read_bytes(), text, path.suffix):
+            found.append(f"{path}, {where}; render it again with: {cure}")
+    return found
 
 
-def _first_difference(committed: bytes, fresh: bytes, suffix: str) -> str | None:
+def _first_difference(committed: bytes, fresh: str, suffix: str) -> str | None:
     """The first line, and cell of it, in which two texts differ by more than rounding."""
-    if committed == fresh:
-        return None
-    old_lines = committed.decode("utf-8", "replace").splitlines()
-    new_lines = fresh.decode("utf-8").splitlines()
-    for number, (old, new) in enumerate(zip_longest(old_lines, new_lines, fillvalue=""), start=1):
+    old_lines = committed.decode("utf-8", "replace").split("\n")
+    lines = zip_longest(old_lines, fresh.split("\n"), fillvalue="")
+    for number, (old, new) in enumerate(lines, start=1):
         if old == new:
             continue
         cells = list(zip_longest(_cells(old, suffix), _cells(new, suffix), fillvalue=""))
-        if suffix == ".csv" and all(_same(was, now) for was, now in cells):
-            continue
-        for column, (was, now) in enumerate(cells, start=1):
-            if was != now:
-                row = next((cell for cell in _cells(new, suffix) if cell), "")
-                place = f"line {number}, row {row!r}, cell {column}"
-                return f"{place}: committed {was!r}, rendered {now!r}"
-        return f"line {number}: spaces differ"
-    return None if committed.count(b"\r") == fresh.count(b"\r") else "line ends differ"
+        different = [k for k, (was, now) in enumerate(cells) if was != now]
+        if not different:
+            return f"line {number}: spaces differ"
+        if suffix != ".csv" or not all(_close(*cells[k]) for k in different):
+            row = next((now for _, now in cells if now), "")
+            was, now = cells[different[0]]
+            place = f"line {number}, row {row!r}, cell {different[0] + 1}"
+            return f"{place}: committed {was!r}, rendered {now!r}"
+    return None
 
 
-def _same(was: str, now: str) -> bool:
-    """Whether cells are equal up to rounding: a sum's last digit depends on the processor."""
+def _close(was: str, now: str) -> bool:
+    """Whether numbers are equal up to rounding: a sum's last digit depends on the processor."""
     try:
-        return was == now or math.isclose(float(was), float(now), rel_tol=1e-12)
+        return math.isclose(float(was), float(now), rel_tol=1e-12)
     except ValueError:
         return False
 
 
 def _cells(line: str, suffix: str) -> list[str]:
     """The cells of one line of a table."""
-    if suffix == ".csv":
-        return next(csv.reader(io.StringIO(line)), [])
-    return [cell.strip() for cell in line.split({".md": "|", ".tex": "&"}[suffix])]
+    delimiter = {".csv": ",", ".md": "|", ".tex": "&"}[suffix]
+    quoting = csv.QUOTE_MINIMAL if suffix == ".csv" else csv.QUOTE_NONE
+    cells = next(csv.reader([line], delimiter=delimiter, quoting=quoting), [])
+    return [cell.strip() for cell in cells]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.statistics import Interval
 from paper_tables.judging import less
-from paper_tables.measures import VALUES, Rows, fraction, paired_ratio, solved
+from paper_tables.measures import VALUES, Rows, fraction, mean_ratio, paired, solved
 from paper_tables.table_engine import by_planner
 from paper_tables.writers import Lines, change, number
 
@@ -65,7 +65,7 @@ def _compared(planner: str, a: Rows, b: Rows) -> Compared:
         solved=(fraction(a, solved).scaled(100), fraction(b, solved).scaled(100)),
         gained=tuple(pair for pair, old, new in pairs if new.solved and not old.solved),
         lost=tuple(pair for pair, old, new in pairs if old.solved and not new.solved),
-        changes={name: less(paired_ratio(b, a, value)) for name, value in COMPARED.items()},
+        changes={name: less(mean_ratio(paired(b, a, value))) for name, value in COMPARED.items()},
         left_out=left_out,
         same_paths=sum(old.path_sha256 == new.path_sha256 is not None for _, old, new in pairs),
     )
@@ -83,9 +83,7 @@ def comparison_lines(found: Sequence[Compared]) -> Lines:
     lines = [["planner", "runs", "left out of A, B", "solved A, B [%]", *changed, "same paths"]]
     for item in found:
         solved = ", ".join(number(part.estimate) for part in item.solved)
-        changes = [
-            change(part) if part.estimate is not None else "–" for part in item.changes.values()
-        ]
+        changes = map(change, item.changes.values())
         left_out = "{}, {}".format(*item.left_out)
         same = str(item.same_paths)
         lines.append([item.planner, str(item.pairs), left_out, solved, *changes, same])

@@ -16,13 +16,14 @@ from paper_tables.measures import (
     Rows,
     SuiteRuns,
     Value,
+    mean_ratio,
     median_of,
-    paired_ratio,
+    paired,
     ratio_to,
     share_of,
     solved,
 )
-from paper_tables.paper_numbers import PublishedValue
+from paper_tables.statements import PublishedValue
 from paper_tables.table_engine import Column, SuiteTable
 from paper_tables.writers import text_lines
 
@@ -88,25 +89,19 @@ class Contrast(NamedTuple):
     other: object
     within: Mapping[str, object]  # what both sides have
 
-    def side(self, rows: Rows, value: object) -> Rows:
-        """The rows of one side."""
-        wanted = {**self.within, self.factor: value}
-        return [row for row in rows if all(getattr(row, name) == x for name, x in wanted.items())]
-
     def entry(self, runs: SuiteRuns) -> table.Entry:
-        """The ratios of the first side's rows to the second's."""
-        first, second = (self.side(runs.rows, value) for value in (self.one, self.other))
-        columns = {
-            name: Column(name, "1", partial(self._ratio, second, value))
-            for name, value in COMPARED.items()
-        }
-        return table.entry(self.title, first, runs, columns, suffix="_contrast")
+        """The ratios of the first side's rows to the second's, whose rows share all else."""
+        sides = []
+        for value in (self.one, self.other):
+            wanted = {**self.within, self.factor: value}.items()
+            sides.append([row for row in runs.rows if all(getattr(row, n) == x for n, x in wanted)])
+        shared = attrgetter("suite", "problem", "seed", *(n for n in FACTORS if n != self.factor))
 
-    def _ratio(self, second: Rows, value: Value, first: Rows, runs: SuiteRuns) -> Interval:
-        # rows of a pair share everything else
-        others = [name for name in FACTORS if name != self.factor]
-        shared = attrgetter("suite", "problem", "seed", *others)
-        return paired_ratio(first, second, value, shared)
+        def ratio(value: Value, rows: Rows, runs: SuiteRuns) -> Interval:
+            return mean_ratio(paired(rows, sides[1], value, shared))
+
+        columns = {name: Column(name, "1", partial(ratio, x)) for name, x in COMPARED.items()}
+        return table.entry(self.title, sides[0], runs, columns, suffix="_contrast")
 
 
 CONTRASTS = (

@@ -7,28 +7,24 @@ is more than CBiRRT's share. The tests of a page are one family, at LEVEL for al
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import (
-    UNDEFINED,
-    Interval,
-    geometric_mean_interval,
-    ratio_of_means_interval,
-)
+from cvqmpt_lab.results.statistics import UNDEFINED, Interval, ratio_of_means_interval
 from paper_tables.measures import (
     VALUES,
     Pair,
     Rows,
     by_problem,
     fraction,
-    paired_values,
+    grouped,
+    mean_ratio,
+    paired,
     problem_key,
 )
-from paper_tables.paper_numbers import PublishedValue
-from paper_tables.statements import CBIRRT, Claim
+from paper_tables.statements import CBIRRT, Claim, PublishedValue
 from paper_tables.writers import Lines
 
 NOTHING = "–"  # the baseline of a share, which is of nothing but itself
@@ -47,7 +43,7 @@ class Ruling(StrEnum):
     NO_ROWS = "no rows yet"
 
 
-class Effect(NamedTuple):
+class Verdict(NamedTuple):
     """A claim against one baseline, measured: reductions, or a share of runs, as fractions."""
 
     claim: Claim
@@ -58,40 +54,33 @@ class Effect(NamedTuple):
     p: float | None  # of "exactly what is tested", two-sided; None where nothing can be tested
     above: bool  # whether the estimate is on the claim's side
     note: str = ""
+    ruling: Ruling = Ruling.TOO_FEW  # by `ruled`
 
 
-class Verdict(NamedTuple):
-    """An effect and its ruling."""
-
-    effect: Effect
-    ruling: Ruling
-
-
-def rulings(effects: Sequence[Effect], level: float = LEVEL) -> list[Ruling]:
+def ruled(verdicts: Sequence[Verdict], level: float = LEVEL) -> list[Verdict]:
     """Rule by Holm's step-down: sorted p are compared with level / m, level / (m - 1), ..."""
-    tested = sorted((e.p, k) for k, e in enumerate(effects) if e.p is not None)
-    found = [Ruling.INCOMPARABLE if e.claim.incomparable else Ruling.TOO_FEW for e in effects]
+    found = list(verdicts)
+    tested = sorted((verdict.p, k) for k, verdict in enumerate(found) if verdict.p is not None)
     for rank, (p, k) in enumerate(tested):
         if p > level / (len(tested) - rank):
             break
-        found[k] = Ruling.HOLDS if effects[k].above else Ruling.FAILS
+        ruling = Ruling.HOLDS if found[k].above else Ruling.FAILS
+        found[k] = found[k]._replace(ruling=ruling)
     return found
 
 
-def overall(found: Sequence[Ruling]) -> Ruling:
+def overall(verdicts: Iterable[Verdict]) -> Ruling:
     """Rule a claim: it holds if it does against all baselines, and fails if it does against one."""
     order = (Ruling.FAILS, Ruling.INCOMPARABLE, Ruling.TOO_FEW, Ruling.HOLDS)
-    return min(found, key=order.index, default=Ruling.NO_ROWS)
+    return min((x.ruling for x in verdicts), key=order.index, default=Ruling.NO_ROWS)
 
 
-# ---------------------------------------------------------------- effects
+# ---------------------------------------------------------------- what is measured
 
 
-def effects_of(claim: Claim, rows: Rows, published: Sequence[PublishedValue]) -> list[Effect]:
+def verdicts_of(claim: Claim, rows: Rows, published: Sequence[PublishedValue]) -> list[Verdict]:
     """The claim against each baseline; against those without rows nothing can be told."""
-    own: dict[str, list[ResultRow]] = {}
-    for row in rows:
-        own.setdefault(row.planner, []).append(row)
+    own = grouped((row.planner, row) for row in rows)
     if claim.planner not in own:
         return []
     if not claim.baselines:
@@ -104,20 +93,18 @@ def effects_of(claim: Claim, rows: Rows, published: Sequence[PublishedValue]) ->
         paper = None
         if claim.planner in numbers and baseline in numbers:
             paper = 1.0 - numbers[claim.planner] / numbers[baseline]
-        pairs = paired_values(judged, others, VALUES[claim.metric])
-        effect = reduction(claim, baseline, pairs, paper)
+        verdict = reduction(claim, baseline, paired(judged, others, VALUES[claim.metric]), paper)
         left_out = "" if claim.incomparable else _left_out(judged, others)
-        found.append(effect._replace(note="; ".join(filter(None, (effect.note, left_out)))))
+        found.append(verdict._replace(note="; ".join(filter(None, (verdict.note, left_out)))))
     return found
 
 
 def _left_out(judged: Rows, others: Rows) -> str:
     """How many runs are in no pair because one of two planners failed; "" for none."""
-    ours = {problem_key(row): row.solved for row in judged}
-    theirs = {problem_key(row): row.solved for row in others}
-    both = ours.keys() & theirs.keys()
+    solved = [{problem_key(row): row.solved for row in rows} for rows in (judged, others)]
+    both = solved[0].keys() & solved[1].keys()
     told = []
-    for rows, own, other in ((judged, ours, theirs), (others, theirs, ours)):
+    for rows, own, other in ((judged, *solved), (others, *reversed(solved))):
         lost = sum(not own[key] and other[key] for key in both)
         if lost:
             told.append(f"{lost} that {rows[0].planner} alone failed")
@@ -126,31 +113,31 @@ def _left_out(judged: Rows, others: Rows) -> str:
 
 def reduction(
     claim: Claim, baseline: str, pairs: Sequence[Pair], paper: float | None = None
-) -> Effect:
+) -> Verdict:
     """Reduction by both statistics; p is the larger one, 1 if they lie on different sides."""
-    paired = less(geometric_mean_interval([pair.ratio for pair in pairs]))
     means = less(ratio_of_means_interval([(pair.own, pair.other) for pair in pairs]))
-    untested = Effect(claim, baseline, paper, paired, means, None, False, f"{len(pairs)} problems")
+    found = Verdict(claim, baseline, paper, less(mean_ratio(pairs)), means, None, False)
     if claim.incomparable:
-        nothing = UNDEFINED._replace(n=paired.n)
-        return untested._replace(paired=nothing, means=nothing, note=claim.incomparable)
+        nothing = UNDEFINED._replace(n=len(pairs))
+        why, ruling = claim.incomparable, Ruling.INCOMPARABLE
+        return found._replace(paired=nothing, means=nothing, note=why, ruling=ruling)
     if len(pairs) < FEWEST:
-        return untested
+        return found._replace(note=f"{len(pairs)} problems")
     tested = 1.0 - STATED_SHARE * claim.stated  # ratio
     # Student's test of the logarithms; Fieller's of a ratio of means
     logs = t_test([math.log(pair.ratio / tested) for pair in pairs])
     differences = t_test([pair.own - tested * pair.other for pair in pairs])
-    above = [(one.estimate or 0.0) > 1.0 - tested for one in (paired, means)]
+    above = [(one.estimate or 0.0) > 1.0 - tested for one in (found.paired, means)]
     alone = []
     for p, side in zip((logs, differences), above, strict=True):
-        ruled = Ruling.HOLDS if side else Ruling.FAILS
-        alone.append(Ruling.TOO_FEW if p > LEVEL else ruled)
+        ruling = Ruling.HOLDS if side else Ruling.FAILS
+        alone.append(Ruling.TOO_FEW if p > LEVEL else ruling)
     note = ""
     if alone[0] is not alone[1] or above[0] != above[1]:
         heaviest = _heaviest(claim.planner, baseline, pairs)
         note = f"each alone, paired: {alone[0]}, means: {alone[1]}; {heaviest}"
     p = max(logs, differences) if above[0] == above[1] else 1.0
-    return untested._replace(p=p, above=all(above), note=note)
+    return found._replace(p=p, above=all(above), note=note)
 
 
 def _heaviest(planner: str, baseline: str, pairs: Sequence[Pair]) -> str:
@@ -187,33 +174,25 @@ def score_test(share: Interval, tested: float) -> float:
     return math.erfc(abs((share.estimate or 0.0) - tested) / spread / math.sqrt(2.0))
 
 
-# ---------------------------------------------------------------- shares
-
-
 def cutoff_of(rows: Rows, share: float) -> float:
     """The least time [s] within which `share` of the runs are solved; inf if never."""
     weighted = []
-    for seeds in by_problem(rows):
-        weighted += [(row.t_total_s, 1.0 / len(seeds), row.solved) for row in seeds]
-    total = math.fsum(weight for _, weight, _ in weighted)
+    problems = by_problem(rows)
+    for seeds in problems:
+        weighted += [(row.t_total_s or 0.0, 1.0 / len(seeds)) for row in seeds if row.solved]
     done = 0.0
-    for time, weight in sorted((t, w) for t, w, solved in weighted if solved and t is not None):
+    for time, weight in sorted(weighted):
         done += weight
-        if done >= share * total * (1.0 - 1e-12):
+        if done >= share * len(problems) * (1.0 - 1e-12):
             return time
     return math.inf
 
 
-# by metric: what is counted of a planner's runs, with a cutoff [s]
-SHARES: Mapping[str, Callable[[ResultRow, float], bool]] = {
-    "accuracy": lambda row, cutoff: row.solved,
-    "failed": lambda row, cutoff: not row.solved,
-    "solved_in_time": lambda row, cutoff: row.solved and (row.t_total_s or math.inf) <= cutoff,
-}
-
-
-def _share(claim: Claim, own: Mapping[str, Rows], published: Sequence[PublishedValue]) -> Effect:
-    """Effect of a claim on a share of runs; solved in time: what is above CBiRRT's share."""
+def _share(claim: Claim, own: Mapping[str, Rows], published: Sequence[PublishedValue]) -> Verdict:
+    """A claim on a share of runs; solved in time: what is above CBiRRT's share."""
+    if claim.incomparable:
+        why, ruling = claim.incomparable, Ruling.INCOMPARABLE
+        return Verdict(claim, NOTHING, claim.stated, UNDEFINED, UNDEFINED, None, False, why, ruling)
     accuracy = next((x for x in published if (x.planner, x.metric) == (CBIRRT, "accuracy")), None)
     cutoff, note, known = math.inf, "", 0.0
     if claim.metric == "solved_in_time" and accuracy is not None:
@@ -222,24 +201,26 @@ def _share(claim: Claim, own: Mapping[str, Rows], published: Sequence[PublishedV
         note = f"within {cutoff:.3g} s, in which {CBIRRT} has solved {100.0 * known:.1f} %"
         if math.isinf(cutoff):
             note = f"{CBIRRT} never solves {100.0 * known:.1f} %: without a cutoff"
-    counted = SHARES[claim.metric]
-    ours = fraction(own[claim.planner], lambda row: counted(row, cutoff))
-    ours = UNDEFINED if claim.incomparable else ours
+
+    def counted(row: ResultRow) -> bool:
+        in_time = row.solved and (row.t_total_s or math.inf) <= cutoff
+        return in_time is not (claim.metric == "failed")
+
+    ours = fraction(own[claim.planner], counted)
     tested = known + STATED_SHARE * (claim.stated - known)
     p = None if ours.n < FEWEST else score_test(ours, tested)
     above = (ours.estimate or 0.0) > tested
-    note = claim.incomparable or note
-    return Effect(claim, NOTHING, claim.stated, ours, UNDEFINED, p, above, note)
+    return Verdict(claim, NOTHING, claim.stated, ours, UNDEFINED, p, above, note)
 
 
 # ---------------------------------------------------------------- lines
 
 
-def percent(effect: Effect, interval: Interval) -> str:
+def percent(verdict: Verdict, interval: Interval) -> str:
     """A reduction as a signed change [%], a share as it is; no decimals."""
     if interval.estimate is None:
         return NOTHING
-    sign, signed = (1.0, "") if effect.baseline == NOTHING else (-1.0, "+")
+    sign, signed = (1.0, "") if verdict.baseline == NOTHING else (-1.0, "+")
     bounds = sorted(sign * 100.0 * x for x in (interval.low, interval.high) if x is not None)
     inside = f" [{', '.join(f'{round(x)}' for x in bounds)}]" if bounds else ""
     return f"{round(sign * 100.0 * interval.estimate):{signed}d}{inside}".replace("-", "−")
@@ -248,15 +229,14 @@ def percent(effect: Effect, interval: Interval) -> str:
 def verdict_lines(verdicts: Iterable[Verdict]) -> Lines:
     """A line for each verdict."""
     lines = [["planner", "against", "paper [%]", "paired [%]", "means [%]", "n", "p", "verdict"]]
-    for effect, ruled in verdicts:
+    for verdict in verdicts:
         paper, p = NOTHING, NOTHING
-        if effect.paper is not None:
-            sign = 100.0 if effect.baseline == NOTHING else -100.0
-            paper = f"{round(sign * effect.paper)}".replace("-", "−")
-        if effect.p is not None:
-            p = "<0.001" if effect.p < 0.001 else f"{effect.p:.3f}"
-        paired, means = percent(effect, effect.paired), percent(effect, effect.means)
-        n = str(effect.paired.n)
-        planner, against = effect.claim.planner, effect.baseline
-        lines.append([planner, against, paper, paired, means, n, p, str(ruled)])
+        if verdict.paper is not None:
+            sign = 100.0 if verdict.baseline == NOTHING else -100.0
+            paper = f"{round(sign * verdict.paper)}".replace("-", "−")
+        if verdict.p is not None:
+            p = "<0.001" if verdict.p < 0.001 else f"{verdict.p:.3f}"
+        numbers = [percent(verdict, interval) for interval in (verdict.paired, verdict.means)]
+        n, ruling = str(verdict.paired.n), str(verdict.ruling)
+        lines.append([verdict.claim.planner, verdict.baseline, paper, *numbers, n, p, ruling])
     return lines

@@ -20,7 +20,7 @@ from paper_tables.measures import (
     share_of,
     solved,
 )
-from paper_tables.paper_numbers import PublishedValue
+from paper_tables.statements import PublishedValue
 from paper_tables.table_engine import BriefColumn, Column, Entry, SuiteTable
 from paper_tables.writers import Lines, Sections, number, text_lines
 
@@ -373,7 +373,7 @@ def peer_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
     made = sorted({f"{row.planner}: {row.sampler_used}" for row in external})
     sections: Sections = {
         size: table.column_lines(found, PEER_COLUMNS),
-        "Failures": table.count_lines(found, "failures"),
+        "Failures": table.count_lines(found, table.failure),
         "Notes": [*PEER_NOTES, *made, *table.seed_notes(runs)],
     }
     shown = {name: {"": name} for name in PEER_COLUMNS}

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, S
 from dataclasses import dataclass
 from operator import attrgetter
 from statistics import fmean, median
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import (
@@ -30,6 +30,8 @@ STATE_CHECK_COST = 3.5e-3
 # time, which favours planners that project much.
 PROJECTION_COST = 2e-5
 
+Key = TypeVar("Key")
+Item = TypeVar("Item")
 Rows = Sequence[ResultRow]
 Value = Callable[[ResultRow], float | None]  # of a run; None where the row does not say it
 solved = attrgetter("solved")
@@ -40,11 +42,6 @@ def work(row: ResultRow) -> float | None:
     if row.n_projections is None or row.n_state_checks is None:
         return None
     return float(row.n_projections + row.n_state_checks)
-
-
-def network_time(row: ResultRow) -> float:
-    """Time of networks and latent update [s]."""
-    return (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
 
 
 def paper_cost(row: ResultRow) -> float | None:
@@ -70,24 +67,16 @@ def known_time(row: ResultRow) -> float | None:
     return None if own is None else own - (row.t_encode_s or 0.0)
 
 
-def new_time(row: ResultRow) -> float | None:
-    """`own_time` [s] where all from the scene's cloud was computed in the run; else None."""
-    return own_time(row) if row.scene_new else None
-
-
-def _planning_and_execution(row: ResultRow) -> float | None:
-    if row.t_total_s is None or row.execution_time_s is None:
-        return None
-    return row.t_total_s + row.execution_time_s
-
-
-VALUES: Mapping[str, Value] = {  # of a row, by name
+VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
     "time": attrgetter("t_total_s"),
     "own_time": own_time,
     "known_time": known_time,
-    "new_time": new_time,
+    # where all from the scene's cloud was computed in the run
+    "new_time": lambda row: own_time(row) if row.scene_new else None,
     "goals_time": attrgetter("t_goals_s"),
-    "network_time": network_time,
+    "network_time": lambda row: (
+        (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
+    ),
     "search_time": attrgetter("t_plan_s"),
     "simplify_time": attrgetter("t_simplify_s"),
     "sense_time": attrgetter("t_sense_s"),
@@ -95,7 +84,9 @@ VALUES: Mapping[str, Value] = {  # of a row, by name
     "wall_time": attrgetter("t_wall_s"),
     "planning_time": attrgetter("t_total_s"),
     "execution_time": attrgetter("execution_time_s"),
-    "total_time": _planning_and_execution,
+    "total_time": lambda row: (
+        None if row.execution_time_s is None else (row.t_total_s or 0.0) + row.execution_time_s
+    ),
     "work": work,
     "paper_cost": paper_cost,
     "projections": attrgetter("n_projections"),
@@ -120,35 +111,26 @@ RATIOS: Mapping[str, tuple[str, Value]] = {  # by name: what is compared, and it
 # ---------------------------------------------------------------- statistics over rows
 
 
+def grouped(pairs: Iterable[tuple[Key, Item]]) -> dict[Key, list[Item]]:
+    """Items of (key, item) by key, in order of first appearance."""
+    found: dict[Key, list[Item]] = {}
+    for key, item in pairs:
+        found.setdefault(key, []).append(item)
+    return found
+
+
 def by_problem(rows: Iterable[ResultRow]) -> list[list[ResultRow]]:
-    """Rows grouped by problem, in order of first appearance."""
-    found: dict[str, list[ResultRow]] = {}
-    for row in rows:
-        found.setdefault(row.problem, []).append(row)
-    return list(found.values())
-
-
-def values_of(rows: Iterable[ResultRow], value: Value) -> list[list[float]]:
-    """Known values by problem; problems without any are left out."""
-    found: dict[str, list[float]] = {}
-    for row in rows:
-        number = value(row)
-        if number is not None:
-            found.setdefault(row.problem, []).append(number)
-    return list(found.values())
+    """Rows grouped by problem."""
+    return [*grouped([(row.problem, row) for row in rows]).values()]
 
 
 def censored(rows: Rows, value: Value) -> list[list[float]]:
     """Values of solved runs and +inf for failures, by problem; [] if no solved run has one."""
-    found: dict[str, list[float]] = {}
-    solved_runs, stated = 0, 0
-    for row in rows:
-        number = value(row) if row.solved else math.inf
-        solved_runs += row.solved
-        if number is not None:
-            stated += row.solved
-            found.setdefault(row.problem, []).append(number)
-    return [] if solved_runs and not stated else list(found.values())
+    numbers = [value(row) if row.solved else math.inf for row in rows]
+    if set(numbers) - {math.inf} == {None}:
+        return []
+    known = [(row.problem, x) for row, x in zip(rows, numbers, strict=True) if x is not None]
+    return [*grouped(known).values()]
 
 
 def fraction(rows: Iterable[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
@@ -168,66 +150,51 @@ def problem_mean(values: Iterable[Sequence[float]]) -> Interval:
     return mean_of_solved([fmean(seeds) for seeds in finite if seeds])
 
 
-def paired_ratio(
-    rows: Iterable[ResultRow],
-    baseline: Iterable[ResultRow],
-    value: Value,
-    pair: Callable[[ResultRow], Hashable] = problem_key,
-) -> Interval:
-    """`exp(mean(log(own / other)))` over problems of `paired_values`, with a bootstrap interval."""
-    found = _paired(rows, baseline, value, pair)
-    return geometric_mean_interval([_ratio(values) for values in found.values()])
-
-
 class Pair(NamedTuple):
-    """A problem that both solved: the mean of a value over seeds, of each, and their mean ratio."""
+    """A problem that both solved, and positive values of the one and the other, seed by seed."""
 
     problem: str
-    own: float
-    other: float
-    ratio: float
+    values: Sequence[tuple[float, float]]
+
+    @property
+    def own(self) -> float:
+        """Mean over seeds."""
+        return fmean([own for own, _ in self.values])
+
+    @property
+    def other(self) -> float:
+        """Mean of the other over seeds."""
+        return fmean([other for _, other in self.values])
+
+    @property
+    def ratio(self) -> float:
+        """Geometric mean of the ratios: `exp(mean(log(own / other)))`."""
+        logs = [math.log(own / other) for own, other in self.values]
+        return math.exp(math.fsum(logs) / len(logs))
 
 
-def pair_of(problem: str, values: Sequence[tuple[float, float]]) -> Pair:
-    """The pair of a problem's seeds, or codes: positive values of the one and the other."""
-    own, other = (fmean(column) for column in zip(*values, strict=True))
-    return Pair(problem, own, other, _ratio(values))
-
-
-def paired_values(
+def paired(
     rows: Iterable[ResultRow],
     baseline: Iterable[ResultRow],
     value: Value,
-    pair: Callable[[ResultRow], Hashable] = problem_key,
+    key: Callable[[ResultRow], Hashable] = problem_key,
 ) -> list[Pair]:
-    """Problems that both solved; runs are paired by problem and seed, or by `pair`.
+    """Problems that both solved; runs are paired by problem and seed, or by `key`.
 
     Values that are not positive have no ratio and are left out.
     """
-    found = _paired(rows, baseline, value, pair)
-    return [pair_of(problem, values) for problem, values in found.items()]
-
-
-def _paired(
-    rows: Iterable[ResultRow],
-    baseline: Iterable[ResultRow],
-    value: Value,
-    pair: Callable[[ResultRow], Hashable],
-) -> dict[str, list[tuple[float, float]]]:
-    """Values of both, of every pair of runs, by problem."""
-    reference = {pair(row): value(row) for row in baseline if row.solved}
+    reference = {key(row): value(row) for row in baseline if row.solved}
     found: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
-        own, other = value(row) if row.solved else None, reference.get(pair(row))
+        own, other = value(row) if row.solved else None, reference.get(key(row))
         if own and other and own > 0.0 < other:
             found.setdefault(row.problem, []).append((own, other))
-    return found
+    return [Pair(problem, values) for problem, values in found.items()]
 
 
-def _ratio(values: Sequence[tuple[float, float]]) -> float:
-    """Geometric mean of the ratios: `exp(mean(log(own / other)))`."""
-    logs = [math.log(own / other) for own, other in values]
-    return math.exp(math.fsum(logs) / len(logs))
+def mean_ratio(pairs: Iterable[Pair]) -> Interval:
+    """`exp(mean(log(own / other)))` over problems, with a bootstrap interval."""
+    return geometric_mean_interval([pair.ratio for pair in pairs])
 
 
 # ---------------------------------------------------------------- easy and hard problems
@@ -317,16 +284,17 @@ def _numbers(rows: Rows, runs: SuiteRuns, value: str, over: Over) -> list[list[f
     chosen = [row for row in rows if row.solved or over == "stated"]
     if over == "joint":
         chosen = [row for row in chosen if problem_key(row) in runs.joint]
-    return values_of(chosen, VALUES[value])
+    known = [(row.problem, x) for row in chosen if (x := VALUES[value](row)) is not None]
+    return [*grouped(known).values()]
 
 
 def ratio_to(baseline: str, value: Value, part: str | None = None) -> Measure:
-    """See `paired_ratio`; on a part of the split, or everywhere."""
+    """`mean_ratio` to the baseline; on a part of the split, or everywhere."""
 
     def measure(rows: Rows, runs: SuiteRuns) -> Interval:
         if part is not None:
             counted = runs.split.parts[part]
             rows = [row for row in rows if problem_key(row) in counted]
-        return paired_ratio(rows, runs.baseline(baseline), value)
+        return mean_ratio(paired(rows, runs.baseline(baseline), value))
 
     return measure

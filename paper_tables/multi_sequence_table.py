@@ -9,7 +9,7 @@ from dataclasses import replace
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
 from paper_tables import table_engine as table
 from paper_tables.measures import Measure, Rows, SuiteRuns, mean_of, median_of, share_of, solved
-from paper_tables.paper_numbers import PublishedValue
+from paper_tables.statements import PublishedValue
 from paper_tables.table_engine import BriefColumn, Column, Entry, SuiteTable
 from paper_tables.writers import Lines, number
 

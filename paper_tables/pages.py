@@ -7,6 +7,7 @@ import base64
 import re
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +36,11 @@ from paper_tables.judging import (
     percent,
     verdict_lines,
 )
-from paper_tables.measures import REFERENCE, VALUES, Rows, paired_ratio, work
-from paper_tables.paper_numbers import PUBLISHED
-from paper_tables.statements import CBIRRT, CVQ, OPT, READING, STEPS
+from paper_tables.measures import REFERENCE, VALUES, Rows, grouped, mean_ratio, paired, work
+from paper_tables.statements import CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
 from paper_tables.suites import Suite, suite_of, table_of
 from paper_tables.table_engine import by_planner
-from paper_tables.writers import Lines, Sections, change, markdown_table
+from paper_tables.writers import Lines, change, markdown_table
 
 PAGE = PUBLISHED.parent / "README.md"
 README = PUBLISHED.parent.parent / "README.md"
@@ -64,6 +64,7 @@ def rendered(template: str, **data: Any) -> str:
         trim_blocks=not html,
         keep_trailing_newline=not html,
     )
+    environment.filters |= {"table": markdown_table, "verdicts": verdict_lines, "note": _note}
     return environment.get_template(template).render(**data)
 
 
@@ -80,9 +81,9 @@ def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
     lines = [["claim", "against", "paired [%]", "means [%]", "verdict"]]
     for item in claims:
         cells = [NOTHING] * 3
-        if item.deciding is not None:
-            effect = item.deciding.effect
-            cells = [effect.baseline, percent(effect, effect.paired), percent(effect, effect.means)]
+        if (shown := item.deciding) is not None:
+            numbers = [percent(shown, interval) for interval in (shown.paired, shown.means)]
+            cells = [shown.baseline, *numbers]
         lines.append([item.claim.title, *cells, str(item.ruling)])
     return lines
 
@@ -90,73 +91,59 @@ def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
 def decomposition_lines(evidence: Evidence) -> Lines:
     """Paired ratios of each step from the paper's CBiRRT to our own ideas."""
     groups = by_planner(evidence.rows, ())
-    lines = [["step", "planner", "against", *COMPARED]]
-    for step, planner, against in STEPS:
-        if planner in groups and against in groups:
-            lines.append([step, planner, against, *_changes(groups[planner], groups[against])])
-    return lines
+    found = [
+        ([step, planner, against], groups, planner, against) for step, planner, against in STEPS
+    ]
+    return _change_lines(["step", "planner", "against"], found)
 
 
 def kitchen_lines(found: Mapping[str, Evidence]) -> Lines:
     """Every planner against `birrt`, in the known kitchen and in one never seen."""
-    lines = [["planner", "kitchen", *COMPARED]]
-    for planner in (CVQ, OPT, "cvq-wide", "roadmap", "roadmap-cvq", CBIRRT):
-        for suite, word in KITCHENS.items():
-            groups = by_planner(found[suite].rows, ())
-            if planner in groups and REFERENCE in groups:
-                lines.append([planner, word, *_changes(groups[planner], groups[REFERENCE])])
+    kitchens = {word: by_planner(found[suite].rows, ()) for suite, word in KITCHENS.items()}
+    planners = (CVQ, OPT, "cvq-wide", "roadmap", "roadmap-cvq", CBIRRT)
+    pairs = product(planners, kitchens.items())
+    rows = [([name, word], groups, name, REFERENCE) for name, (word, groups) in pairs]
+    return _change_lines(["planner", "kitchen"], rows)
+
+
+def _change_lines(
+    head: Sequence[str], rows: Iterable[tuple[list[str], Mapping[str, Rows], str, str]]
+) -> Lines:
+    """Changes in the columns of COMPARED; rows: first cells, rows by planner, planner, baseline."""
+    lines = [[*head, *COMPARED]]
+    for cells, groups, planner, against in rows:
+        if planner in groups and against in groups:
+            for value in COMPARED.values():
+                pairs = paired(groups[planner], groups[against], VALUES[value])
+                cells.append(change(less(mean_ratio(pairs))))
+            lines.append(cells)
     return lines
-
-
-def _changes(rows: Rows, baseline: Rows) -> list[str]:
-    """Changes in the columns of COMPARED."""
-    values = (VALUES[name] for name in COMPARED.values())
-    return [change(less(paired_ratio(rows, baseline, value))) for value in values]
 
 
 def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root: Path) -> str:
     """The page; links go from the folder `root`."""
-    steps = kitchens = ""
-    if "place-task" in found:
-        steps = markdown_table(decomposition_lines(found["place-task"]))
-    if found.keys() >= KITCHENS.keys():
-        kitchens = markdown_table(kitchen_lines(found))
     used = {item.claim.suite for item in claims} | KITCHENS.keys()
     return rendered(
         "claims.md.j2",
         banner=banner(found),
-        summary=markdown_table(summary_lines(claims)),
+        summary=summary_lines(claims),
         reading=reading(),
-        claims=[_section(item) for item in claims],
-        steps=steps,
-        kitchens=kitchens,
+        claims=claims,
+        steps=decomposition_lines(found["place-task"]) if "place-task" in found else [],
+        kitchens=kitchen_lines(found) if found.keys() >= KITCHENS.keys() else [],
         reference=REFERENCE,
         results=[_made_by(item, root) for name, item in found.items() if name in used],
     )
 
 
-def _section(item: JudgedClaim) -> dict[str, Any]:
-    """One claim: its verdict, and every baseline."""
-    remark = f" {item.claim.remark}" if item.claim.remark else ""
-    return {
-        "title": item.claim.title,
-        "ruling": item.ruling,
-        "text": f"The paper: {item.claim.paper}.{remark}",
-        "table": markdown_table(verdict_lines(item.verdicts)) if item.verdicts else "",
-        "notes": list(filter(None, map(_note, item.verdicts))),
-        "folder": item.evidence.folder.name if item.evidence else "",
-    }
-
-
 def _note(verdict: Verdict) -> str:
     """What decides a verdict, or ""."""
-    effect, ruled = verdict
-    texts = [effect.note]
-    low, high = effect.paired.low, effect.paired.high
-    if ruled is Ruling.TOO_FEW and low is not None and high is not None:
-        texts = [f"known to ±{50.0 * (high - low):.0f} points", effect.note]
-    text = "; ".join(filter(None, texts))
-    of = effect.claim.planner if effect.baseline == NOTHING else effect.baseline
+    low, high = verdict.paired.low, verdict.paired.high
+    width = ""
+    if verdict.ruling is Ruling.TOO_FEW and low is not None and high is not None:
+        width = f"known to ±{50.0 * (high - low):.0f} points"
+    text = "; ".join(filter(None, (width, verdict.note)))
+    of = verdict.claim.planner if verdict.baseline == NOTHING else verdict.baseline
     return f"{of}: {text}" if text else ""
 
 
@@ -278,7 +265,7 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
     return {
         "name": name,
         "title": table.title if name == suite else f"{name}: {table.title}",
-        "blocks": _blocks(table_of(rows).sections) if rows else [],
+        "blocks": [block for block in table_of(rows).sections.items() if block[1]] if rows else [],
         "planners": list(groups),
         "plots": _plots(groups) if rows else {},
         "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},
@@ -287,19 +274,6 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
         "provenance": _provenance(evidence),
         "pictures": _pictures(evidence.folder),
     }
-
-
-def _blocks(sections: Sections) -> list[dict[str, Any]]:
-    """Titles with tables (the header first) and texts."""
-    found = []
-    for title, part in sections.items():
-        texts = [text for text in part if isinstance(text, str)]
-        lines = [line for line in part if not isinstance(line, str)]
-        if len(lines) == 1:  # a header alone
-            texts, lines = ["None."], []
-        if texts or lines:
-            found.append({"title": title, "texts": texts, "lines": lines})
-    return found
 
 
 def _plots(groups: Mapping[str, Rows]) -> dict[str, str]:
@@ -332,29 +306,27 @@ def _row(row: ResultRow) -> list[object]:
 
 def _provenance(evidence: Evidence) -> dict[str, str]:
     """All facts of all sessions."""
-    facts: dict[str, dict[str, None]] = {}
+    facts = []
     for session in sessions(evidence.record):
         for name, fact in session.items():
             if name not in SHOWN_FACTS or not fact:
                 continue
             text = shlex.join(fact) if isinstance(fact, list) else str(fact)
             if isinstance(fact, Mapping):
-                known = (f"{key} {value}" for key, value in sorted(fact.items()) if value)
-                text = ", ".join(known)
-            facts.setdefault(name.replace("_", " "), {})[text] = None
-    joined = {name: " and ".join(found) for name, found in facts.items()}
+                text = ", ".join(f"{key} {value}" for key, value in sorted(fact.items()) if value)
+            facts.append((name.replace("_", " "), text))
+    joined = {name: " and ".join(dict.fromkeys(texts)) for name, texts in grouped(facts).items()}
     return {**joined, "time": wall_clock(evidence)}
 
 
 def _pictures(folder: Path) -> dict[str, str]:
     """Pictures beside the rows as data addresses; of one in two forms, the first; 2 MB at most."""
     kinds = {".png": "image/png", ".gif": "image/gif", ".svg": "image/svg+xml"}
-    found: dict[str, Path] = {}
-    for path in (path for kind in kinds for path in sorted(folder.glob(f"*{kind}"))):
-        if path.stat().st_size < 2_000_000:
-            found.setdefault(path.stem, path)
-    pictures = {}
-    for path in found.values():
-        data = base64.b64encode(path.read_bytes()).decode("ascii")
-        pictures[path.name] = f"data:{kinds[path.suffix]};base64,{data}"
+    pictures: dict[str, str] = {}
+    for kind, written in kinds.items():
+        for path in sorted(folder.glob(f"*{kind}")):
+            shown = {Path(name).stem for name in pictures}
+            if path.stem not in shown and path.stat().st_size < 2_000_000:
+                data = base64.b64encode(path.read_bytes()).decode("ascii")
+                pictures[path.name] = f"data:{written};base64,{data}"
     return pictures

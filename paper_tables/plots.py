@@ -1,9 +1,10 @@
-"""Plots of rows as svg, by matplotlib without a display."""
+"""Plots of rows as svg, by matplotlib without a display; how every figure draws a planner."""
 
 import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
+from zlib import crc32
 
 import matplotlib
 import numpy as np
@@ -13,9 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import problem_key
-from paper_tables.measures import Value
-from paper_tables.planner_styles import line_style
+from paper_tables.measures import Value, grouped
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
@@ -36,9 +35,38 @@ STAGES = {  # of a run, by the column of their time
     "search": "t_plan_s",
     "shorten": "t_simplify_s",
 }
+COLOURS = {  # of planners
+    "birrt": "#70757d",
+    "ompl-projected": "#8c6d1f",
+    "atlas-rrt": "#3aa6a6",
+    "tb-rrt": "#7cae3c",
+    "mpnet": "#8a4fa3",
+    "mpnet-bridged": "#d987c0",
+    "cvq-mpt": "#e58a2f",
+    "opt-cvq-mpt": "#c8452d",
+    "cvq-wide": "#2e8b57",
+    "graph-cvq": "#b8336a",
+    "roadmap": "#1b3fa0",
+    "roadmap-cvq": "#4f9fd9",
+}
+OURS = "roadmap"  # drawn with a thick line
 WIDTH = 7.6  # [inches]
 LINE = 0.27  # [inches] of height a planner
 LEGEND_LINE = 0.18  # the same in a legend
+
+
+def line_style(name: str) -> dict[str, Any]:
+    """Arguments of matplotlib's `plot` for a planner, or for a variant of it: "birrt improved".
+
+    Variants have the planner's colour and dashes; a planner that is not listed has dots and a
+    colour by its name.
+    """
+    planner, *variant = name.split()
+    chosen = list(COLOURS.values())[crc32(planner.encode()) % len(COLOURS)]
+    colour, dash = COLOURS.get(planner, chosen), "--" if variant else "-"
+    if planner not in COLOURS:
+        dash = ":"
+    return {"color": colour, "linestyle": dash, "linewidth": 2.6 if planner == OURS else 1.4}
 
 
 def svg(figure: Figure) -> str:
@@ -116,10 +144,10 @@ def scatter(groups: Groups, baseline: str, value: Value, label: str) -> str:
     columns = min(4, len(shown))
     rows = math.ceil(len(shown) / columns)
     figure = Figure(figsize=(WIDTH, 0.4 + 2.0 * rows), layout="constrained")
-    reference = _by_problem(groups[baseline], value)
+    reference = _means(groups[baseline], value)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for axes, name in zip(panels, shown, strict=False):
-        own = _by_problem(groups[name], value)
+        own = _means(groups[name], value)
         both = sorted(own.keys() & reference.keys())
         x, y = [reference[key] for key in both], [own[key] for key in both]
         axes.loglog(x, y, ".", color=line_style(name)["color"], markersize=3.5, alpha=0.6)
@@ -135,13 +163,11 @@ def scatter(groups: Groups, baseline: str, value: Value, label: str) -> str:
     return svg(figure)
 
 
-def _by_problem(rows: Sequence[ResultRow], value: Value) -> dict[str, float]:
-    logs: dict[str, list[float]] = {}
-    for row in rows:
-        found = value(row) if row.solved else None
-        if found:
-            logs.setdefault(problem_key(row)[1], []).append(math.log(found))
-    return {problem: math.exp(math.fsum(values) / len(values)) for problem, values in logs.items()}
+def _means(rows: Sequence[ResultRow], value: Value) -> dict[str, float]:
+    """Geometric mean over the solved seeds of each problem."""
+    logs = [(row.problem, math.log(x)) for row in rows if row.solved and (x := value(row))]
+    means = {problem: math.fsum(of_it) / len(of_it) for problem, of_it in grouped(logs).items()}
+    return {problem: math.exp(mean) for problem, mean in means.items()}
 
 
 def _plain(axis: Axis) -> None:

@@ -1,15 +1,16 @@
-"""What the paper says of its planners, as statements that rows can contradict: claims.toml.
+"""What the paper says, from ``published``: its numbers, and statements that rows can contradict.
 
 Rows of the place task existed when the statements were written; the rules of `judging` know no
 suite or planner.
 """
 
+import csv
 import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from paper_tables.paper_numbers import PUBLISHED
-
+PUBLISHED = Path(__file__).resolve().parent / "published"
 CBIRRT, OPT, CVQ = "ompl-projected", "opt-cvq-mpt", "cvq-mpt"
 PREDICTED = "as predicted"
 SEARCHES = (CBIRRT, "atlas-rrt", "tb-rrt")
@@ -17,14 +18,34 @@ BASELINES = {"searches": SEARCHES, "named": (*SEARCHES, "mpnet"), "predicted": (
 
 
 @dataclass(frozen=True)
+class PublishedValue:
+    """One number of the paper; the fields are the columns of the files."""
+
+    table: str
+    environment: str
+    planner: str
+    paper_name: str
+    metric: str
+    value: str  # as printed there
+    unit: str
+    note: str
+
+
+def read_published(name: str, environment: str) -> tuple[PublishedValue, ...]:
+    """The paper's numbers of an environment in a file of ``published``."""
+    with (PUBLISHED / name).open(encoding="utf-8", newline="") as handle:
+        values = [PublishedValue(**record) for record in csv.DictReader(handle)]
+    return tuple(value for value in values if value.environment == environment)
+
+
+@dataclass(frozen=True)
 class Claim:
     """`planner` needs `stated` (a fraction; 0: any) less of `metric` than every baseline.
 
-    Without baselines: at least the fraction `stated` of its runs are what `metric` says (see
-    `judging.SHARES`).
+    Without baselines: at least the fraction `stated` of its runs are what `metric` says.
     """
 
-    metric: str  # of `measures.VALUES`
+    metric: str  # of `measures.VALUES`; or accuracy, failed, solved_in_time
     stated: float = 0.0
     baselines: tuple[str, ...] = ()
     planner: str = OPT

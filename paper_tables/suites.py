@@ -19,7 +19,7 @@ from paper_tables.factorial_table import PLANNERS as PRODUCTS
 from paper_tables.factorial_table import factorial_table
 from paper_tables.layouts import ARM_NOTES, group_table, peer_table, place_table
 from paper_tables.multi_sequence_table import task_table
-from paper_tables.paper_numbers import PublishedValue, read_published
+from paper_tables.statements import PublishedValue, read_published
 from paper_tables.table_engine import SuiteTable, rows_of_one_suite
 
 LEARNED = ("mpnet", "mpnet-bridged", "cvq-mpt", "opt-cvq-mpt", "cvq-wide")
@@ -186,31 +186,36 @@ def table_of(rows: Iterable[ResultRow]) -> SuiteTable:
     return suite.table(rows, suite.published)
 
 
-class RenderedFiles(NamedTuple):
-    """Files written beside the rows, and lines for the terminal."""
+class Rendered(NamedTuple):
+    """Tables of a results directory by the file's name, and lines for the terminal."""
 
-    paths: list[Path]
+    texts: dict[str, str]
     brief: list[str]
 
 
-def render_directory(directory: Path) -> RenderedFiles:
-    """Write ``table.md``, ``.tex`` and ``.csv`` beside ``runs.csv``, whose rows are of one suite.
+def rendered_tables(directory: Path) -> Rendered:
+    """``table.md``, ``.tex`` and ``.csv`` of rows of one suite.
 
-    InvalidInputError: no readable runs with provenance, or the directory cannot be written.
+    InvalidInputError: no readable runs with provenance.
     """
     rows = directory_rows(directory)
     record = ProvenanceFile(directory).read()
     made, head = table_of(rows), _head(record, len(rows))
-    suite = suite_of(made.suite)
+    title = suite_of(made.suite).title
     texts = {
-        "table.md": f"# {suite.title}\n\n{head}\n\n{made.markdown}",
+        "table.md": f"# {title}\n\n{head}\n\n{made.markdown}",
         "table.tex": f"% {head}\n{made.latex}",
         "table.csv": made.csv,
     }
-    for name, text in texts.items():
+    return Rendered(texts, [f"{title}: {made.size}, {_cutoffs(record)}", *made.brief])
+
+
+def render_directory(directory: Path) -> Rendered:
+    """Write `rendered_tables` beside ``runs.csv``."""
+    made = rendered_tables(directory)
+    for name, text in made.texts.items():
         write_text(directory / name, text)
-    title = f"{suite.title}: {made.size}, {_cutoffs(record)}"
-    return RenderedFiles([directory / name for name in texts], [title, *made.brief])
+    return made
 
 
 def directory_rows(directory: Path) -> list[ResultRow]:
@@ -250,7 +255,7 @@ def _head(record: Mapping[str, Any], n_runs: int) -> str:
             f"commit {_distinct(commits)}",
             *([f"weights {_distinct(models)}"] if models else []),
             f"machine {_distinct(machines)}",
-            f"date {_distinct(str(session.get('date_utc') or 'unknown') for session in made)}",
+            f"date {_distinct(str(s.get('date_utc') or 'unknown') for s in made)}",
             f"{n_runs} rows",
         ]
     )
@@ -261,10 +266,8 @@ def _cutoffs(record: Mapping[str, Any]) -> str:
     configuration = record["configuration"]
     seconds, iterations = configuration.get("cutoff_s"), configuration.get("iterations")
     limits = [f"cutoff {seconds:g} s"] if seconds else []
-    return (
-        ", ".join([*limits, f"{iterations} iterations"] if iterations else limits)
-        or "cutoff not recorded"
-    )
+    limits += [f"{iterations} iterations"] if iterations else []
+    return ", ".join(limits) or "cutoff not recorded"
 
 
 def _distinct(texts: Iterable[str]) -> str:

@@ -10,8 +10,8 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows, split_problem
 from cvqmpt_lab.results.statistics import Interval, jointly_solved
 from paper_tables import writers
-from paper_tables.measures import REFERENCE, Measure, Rows, SuiteRuns, split_by_work
-from paper_tables.paper_numbers import PublishedValue
+from paper_tables.measures import REFERENCE, Measure, Rows, SuiteRuns, grouped, split_by_work
+from paper_tables.statements import PublishedValue
 from paper_tables.writers import (
     Lines,
     Sections,
@@ -35,26 +35,15 @@ class Column:
     cell: Callable[[Interval], str] = estimate
 
 
-class Count(NamedTuple):
-    """Number of runs with a text in common, and its first example."""
-
-    what: str
-    example: str
-    runs: int
-
-
 @dataclass(frozen=True)
 class Entry:
     """Measures of one planner on all runs of a suite or on a group of them."""
 
     planner: str
+    rows: Rows
     columns: Mapping[str, Column]
     measured: Mapping[str, Interval]  # by name of the column
     published: Mapping[str, PublishedValue]  # the paper's numbers, by its metric
-    n_runs: int  # problems or whole tasks, each with every random seed
-    failures: tuple[Count, ...]
-    fallbacks: tuple[Count, ...]
-    n_fallen_back: int  # runs, tasks as a whole
     group: tuple[str, ...]  # cells that name the group
     suffix: str  # of its metrics in csv
 
@@ -67,6 +56,11 @@ class Entry:
     def title(self) -> str:
         """Name here and in the paper."""
         return f"{self.planner} ({self.paper_name})" if self.paper_name else self.planner
+
+    @property
+    def n_runs(self) -> int:
+        """Problems or whole tasks, each with every random seed."""
+        return _n_runs(self.rows)
 
     def cell(self, column: str) -> str:
         """Our number as its column shows it."""
@@ -111,11 +105,6 @@ class SuiteTable:
         return csv_text(lines)
 
 
-def counted(found: Sequence[Entry]) -> Sections:
-    """The sections of fallbacks and failures."""
-    return {what.capitalize(): count_lines(found, what) for what in ("fallbacks", "failures")}
-
-
 # ---------------------------------------------------------------- from rows to numbers
 
 
@@ -130,18 +119,14 @@ def rows_of_one_suite(rows: Iterable[ResultRow]) -> list[ResultRow]:
 
 def by_planner(rows: Rows, published: Iterable[PublishedValue]) -> dict[str, list[ResultRow]]:
     """Rows by planner, and by backend where several ran; the paper's first and in its order."""
-    backends: dict[str, set[str]] = {}
-    for row in rows:
-        backends.setdefault(row.planner, set()).add(row.backend)
-    paper = [
-        planner for planner in dict.fromkeys(v.planner for v in published) if planner in backends
-    ]
-    groups: dict[str, list[ResultRow]] = {}
-    for planner in (*paper, *sorted(backends.keys() - set(paper))):
-        for backend in sorted(backends[planner]):
-            name = f"{planner} [{backend}]" if len(backends[planner]) > 1 else planner
-            groups[name] = [row for row in rows if (row.planner, row.backend) == (planner, backend)]
-    return groups
+    groups = grouped([((row.planner, row.backend), row) for row in rows])
+    planners, paper = [planner for planner, _ in groups], [value.planner for value in published]
+    places = {planner: paper.index(planner) for planner in {*planners} & {*paper}}
+    named = {}
+    for planner, backend in sorted(groups, key=lambda key: (places.get(key[0], len(paper)), key)):
+        name = f"{planner} [{backend}]" if planners.count(planner) > 1 else planner
+        named[name] = groups[planner, backend]
+    return named
 
 
 def suite_runs(rows: Iterable[ResultRow], published: Iterable[PublishedValue] = ()) -> SuiteRuns:
@@ -164,19 +149,13 @@ def entry(
     suffix: str = "",
 ) -> Entry:
     """Measure a planner on some of its rows."""
-    failed = [row for row in rows if row.fail_reason not in (None, FailReason.NOT_REACHED)]
-    fallen_back = [row for row in rows if row.fallback]
+    owner = name.partition(" [")[0]  # without its backend
     return Entry(
         planner=name,
+        rows=rows,
         columns=columns,
         measured={column: definition.measure(rows, runs) for column, definition in columns.items()},
-        published={
-            value.metric: value for value in published if value.planner == name.partition(" [")[0]
-        },
-        n_runs=_n_runs(rows),
-        failures=_counts((_at(row, str(row.fail_reason)), row.detail or "–") for row in failed),
-        fallbacks=_counts((_at(row, ""), str(row.fallback)) for row in fallen_back),
-        n_fallen_back=_n_runs(fallen_back),
+        published={value.metric: value for value in published if value.planner == owner},
         group=group,
         suffix=suffix,
     )
@@ -193,28 +172,11 @@ def _n_runs(rows: Iterable[ResultRow]) -> int:
     return len({(row.item, row.seed) for row in rows})
 
 
-def _at(row: ResultRow, what: str) -> str:
-    """Reason of a failure, with the phase of a task before it."""
-    phase = split_problem(row.problem).phase if "/" in row.problem else ""
-    return ": ".join(filter(None, (phase, what)))
-
-
-def _counts(found: Iterable[tuple[str, str]]) -> tuple[Count, ...]:
-    """Counts of equal texts, the most frequent first, each with the first example."""
-    examples: dict[str, list[str]] = {}
-    for what, example in found:
-        examples.setdefault(what, []).append(example)
-    counts = [Count(what, same[0], len(same)) for what, same in sorted(examples.items())]
-    return tuple(sorted(counts, key=lambda count: -count.runs))
-
-
 def published_notes(runs: SuiteRuns, published: Iterable[PublishedValue]) -> list[str]:
     """Notes on the paper's numbers of planners that ran, with their metric and planners."""
     ran = {row.planner for row in runs.rows}
-    owners: dict[tuple[str, str], list[str]] = {}
-    for value in published:
-        if value.note and value.planner in ran:
-            owners.setdefault((value.metric, value.note), []).append(value.paper_name)
+    noted = [value for value in published if value.note and value.planner in ran]
+    owners = grouped([((value.metric, value.note), value.paper_name) for value in noted])
     return [f"{metric} ({', '.join(names)}): {note}" for (metric, note), names in owners.items()]
 
 
@@ -252,13 +214,38 @@ def group_lines(found: Sequence[Entry], head: Sequence[str], count: str = "probl
     return lines
 
 
-def count_lines(found: Iterable[Entry], what: str) -> Lines:
-    """Failures or fallbacks of all planners; what: "failures" or "fallbacks"."""
+def counted(found: Sequence[Entry]) -> Sections:
+    """The sections of fallbacks and failures."""
+    return {"Fallbacks": count_lines(found, fallback), "Failures": count_lines(found, failure)}
+
+
+def fallback(row: ResultRow) -> tuple[str, str] | None:
+    """Phase of a task and reason, of a run whose path did not come the usual way."""
+    return (_phase(row), row.fallback) if row.fallback else None
+
+
+def failure(row: ResultRow) -> tuple[str, str] | None:
+    """Phase of a task, reason and details of a failed run; phases not reached are none."""
+    if row.fail_reason in (None, FailReason.NOT_REACHED):
+        return None
+    what = ": ".join(filter(None, (_phase(row), row.fail_reason)))
+    return what, row.detail or "–"
+
+
+def _phase(row: ResultRow) -> str:
+    return split_problem(row.problem).phase if "/" in row.problem else ""
+
+
+def count_lines(
+    found: Iterable[Entry], told: Callable[[ResultRow], tuple[str, str] | None]
+) -> Lines:
+    """Runs of all planners by what is told of them, the most frequent first, with an example."""
     lines = [["planner", "what", "for example", "runs"]]
     for item in found:
-        for count in getattr(item, what):
-            runs = f"{count.runs} of {item.n_runs}"
-            lines.append([item.planner, count.what or "–", count.example, runs])
+        examples = grouped([pair for row in item.rows if (pair := told(row))])
+        for what, same in sorted(examples.items(), key=lambda x: (-len(x[1]), x[0])):
+            runs = f"{len(same)} of {item.n_runs}"
+            lines.append([item.planner, what or "–", same[0], runs])
     return lines
 
 
@@ -291,10 +278,9 @@ def brief_lines(found: Sequence[Entry], columns: Sequence[BriefColumn]) -> list[
 
 def fallback_lines(found: Iterable[Entry]) -> list[str]:
     """A line about fallbacks, if any."""
-    fallen_back = ", ".join(
-        f"{e.planner} {e.n_fallen_back} of {e.n_runs}" for e in found if e.n_fallen_back
-    )
-    return [f"by fallback: {fallen_back}"] if fallen_back else []
+    counts = [(item, _n_runs(row for row in item.rows if row.fallback)) for item in found]
+    told = [f"{item.planner} {count} of {item.n_runs}" for item, count in counts if count]
+    return [f"by fallback: {', '.join(told)}"] if told else []
 
 
 def brief_groups(lines: Lines, columns: Sequence[int]) -> list[str]:

@@ -4,7 +4,6 @@ One row is one run of one planner on one problem, or on one phase of a task, wit
 runs have rows too. Undefined values are None in Python and empty in csv, never 0 or -1.
 """
 
-import contextlib
 import csv
 import io
 import re
@@ -205,13 +204,15 @@ class _Column(NamedTuple):
 
     def read(self, text: str) -> Any:
         """The value of a cell; an error as of `checked`."""
-        with contextlib.suppress(ValueError):
+        try:
             if text == "" and self.optional:
                 return None
             if self.kind is bool:
                 return ("false", "true").index(text) == 1
             if self.kind in (int, float):
                 return self.checked(self.kind(text))
+        except ValueError:
+            pass
         return self.checked(text)
 
     def read_all(self, texts: Sequence[str], places: Sequence[str]) -> list[Any]:
@@ -300,7 +301,8 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
     for line, cells in lines:
         if len(cells) != columns:
             raise RunStoreError(f"{path}, line {line}: {len(cells)} fields, expected {columns}")
-    places = [f"{path}, line {line}" for line, _ in lines]
+    file = str(path)
+    places = [f"{file}, line {line}" for line, _ in lines]
     by_column = zip(*(cells for _, cells in lines), strict=True)
     values = [
         column.read_all(texts, places) for column, texts in zip(_COLUMNS, by_column, strict=False)

@@ -17,12 +17,13 @@ from paper_tables.measures import (
     REFERENCE,
     STATE_CHECK_COST,
     censored,
+    mean_ratio,
     own_time,
-    paired_ratio,
+    paired,
     problem_median,
     work,
 )
-from paper_tables.planner_styles import line_style
+from paper_tables.plots import line_style
 from paper_tables.table_engine import by_planner, rows_of_one_suite
 
 OURS = 1e-6  # [s] a free state of the kitchen, kinematics included (docs/performance.md)
@@ -47,10 +48,10 @@ def draw_cost(folder: Path, out: Path) -> list[Path]:
         times[name] = [problem_median(censored(rows, value)) for value in values]
         if name == REFERENCE:
             continue
-        ratios[name] = [paired_ratio(rows, reference, value) for value in values]
+        ratios[name] = [mean_ratio(paired(rows, reference, value)) for value in values]
         even = break_even(ratios[name])
         cells: dict[str, object] = {"planner": name, "break_even_us": even and 1e6 * even}
-        shown = paired_ratio(rows, reference, work), ratios[name][0], ratios[name][-1]
+        shown = mean_ratio(paired(rows, reference, work)), ratios[name][0], ratios[name][-1]
         for what, interval in zip(("work", "time_at_ours", "time_at_papers"), shown, strict=True):
             cells[what] = interval.estimate
             cells |= {f"{what}_low": interval.low, f"{what}_high": interval.high}

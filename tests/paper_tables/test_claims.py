@@ -57,13 +57,13 @@ def test_a_claim_holds_against_all_planners_that_the_paper_names(tmp_path, ompl,
     results = a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=ompl, **others)
     found = by_title(results)["twice as fast"]
     assert found.ruling is expected
-    assert "birrt" not in {verdict.effect.baseline for verdict in found.verdicts}
+    assert "birrt" not in {verdict.baseline for verdict in found.verdicts}
     decided = (
         {3.0: "ompl-projected", 1.0: "mpnet", None: "mpnet"}[mpnet]
         if ompl == 3.0
         else "ompl-projected"
     )
-    assert found.deciding.effect.baseline == decided
+    assert found.deciding.baseline == decided
 
 
 def test_claims_without_rows_say_so_and_what_cannot_be_compared_too(tmp_path):

@@ -8,20 +8,19 @@ from made_rows import a_failure, a_row
 from cvqmpt_lab.results.statistics import Interval, ratio_of_means_interval
 from paper_tables.judging import (
     NOTHING,
-    Effect,
     Ruling,
+    Verdict,
     cutoff_of,
-    effects_of,
     overall,
     percent,
     reduction,
-    rulings,
+    ruled,
     score_test,
     t_test,
+    verdicts_of,
 )
-from paper_tables.measures import Pair, pair_of, paired_values, work
-from paper_tables.paper_numbers import PublishedValue
-from paper_tables.statements import CLAIMS, Claim
+from paper_tables.measures import Pair, paired, work
+from paper_tables.statements import CLAIMS, Claim, PublishedValue
 
 HALF = Claim("time", 0.5, ("ompl-projected",))
 SPREAD = (0.9, 1.1, 1.0, 0.95, 1.05, 1.02, 0.98, 1.0, 0.93, 1.07)
@@ -30,14 +29,18 @@ SPREAD = (0.9, 1.1, 1.0, 0.95, 1.05, 1.02, 0.98, 1.0, 0.93, 1.07)
 def pairs(ratio, others=(1.0,) * 10):
     """Ten problems of equal weight with ratios around one number."""
     return [
-        Pair(str(k), ratio * s * other, other, ratio * s)
+        Pair(str(k), [(ratio * s * other, other)])
         for k, (s, other) in enumerate(zip(SPREAD, others, strict=True))
     ]
 
 
+def rulings(verdicts):
+    return [verdict.ruling for verdict in ruled(verdicts)]
+
+
 def with_p(p, above=True, claim=HALF):
     nothing = Interval(None, None, None, 0)
-    return Effect(claim, "x", None, nothing, nothing, p, above)
+    return Verdict(claim, "x", None, nothing, nothing, p, above)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +64,7 @@ def test_a_stated_half_is_tested_at_nine_tenths_of_itself(ratio, expected):
 def test_two_problems_are_too_few_and_so_is_a_wide_spread():
     few = reduction(HALF, "ompl-projected", pairs(0.1)[:2])
     assert few.p is None and rulings([few]) == [Ruling.TOO_FEW] and few.note == "2 problems"
-    wide = [Pair(str(k), ratio, 1.0, ratio) for k, ratio in enumerate((0.05, 3.0, 0.2, 1.5))]
+    wide = [Pair(str(k), [(ratio, 1.0)]) for k, ratio in enumerate((0.05, 3.0, 0.2, 1.5))]
     assert rulings([reduction(HALF, "ompl-projected", wide)]) == [Ruling.TOO_FEW]
 
 
@@ -69,10 +72,10 @@ def test_where_the_statistics_disagree_it_says_what_decides():
     """Nine problems take a third, one very long problem takes as long: so does the mean."""
     others = [1.0] * 9 + [1000.0]
     found = [
-        Pair(str(k), other * 0.3 * s, other, 0.3 * s)
+        Pair(str(k), [(other * 0.3 * s, other)])
         for k, (other, s) in enumerate(zip(others[:9], SPREAD, strict=False))
     ]
-    found.append(Pair("long", 1000.0, 1000.0, 1.0))
+    found.append(Pair("long", [(1000.0, 1000.0)]))
     effect = reduction(HALF, "ompl-projected", found)
     assert effect.paired.estimate > 0.5 and effect.means.estimate < 0.1
     assert effect.p == 1.0 and rulings([effect]) == [Ruling.TOO_FEW]
@@ -90,14 +93,15 @@ def test_holm_compares_sorted_p_with_growing_levels_and_stops_at_the_first_above
     assert rulings([with_p(0.03), with_p(0.04)]) == [Ruling.TOO_FEW] * 2
     assert rulings([with_p(0.05)]) == [Ruling.HOLDS], "the level itself is significant"
     other = Claim("vertices", 0.0, ("x",), incomparable="counted otherwise")
-    ruled = rulings([with_p(None, claim=other), with_p(0.04)])
-    assert ruled == [Ruling.INCOMPARABLE, Ruling.HOLDS]
+    found = rulings([reduction(other, "x", pairs(0.1)), with_p(0.04)])
+    assert found == [Ruling.INCOMPARABLE, Ruling.HOLDS]
 
 
 def test_a_claim_holds_where_all_hold_and_does_not_where_one_does_not():
     H, F, T, N = Ruling.HOLDS, Ruling.FAILS, Ruling.TOO_FEW, Ruling.INCOMPARABLE
     cases = {(H, H): H, (H, T): T, (H, F): F, (T, F): F, (N, N): N, (H, N): N, (): Ruling.NO_ROWS}
-    assert {said: overall(said) for said in cases} == cases
+    verdicts = {said: [with_p(None)._replace(ruling=ruling) for ruling in said] for said in cases}
+    assert {said: overall(found) for said, found in verdicts.items()} == cases
 
 
 def test_tests_against_values_by_hand():
@@ -112,7 +116,8 @@ def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
     assert ratio_of_means_interval([(1.0, 2.0)] * 5)[:3] == (0.5, 0.5, 0.5)
     assert ratio_of_means_interval([]).n == 0
     assert ratio_of_means_interval([(1.0, 4.0)])[:2] == (0.25, None)
-    assert pair_of("p", [(1.0, 1.0), (4.0, 1.0)]) == Pair("p", 2.5, 1.0, pytest.approx(2.0))
+    two_seeds = Pair("p", [(1.0, 1.0), (4.0, 1.0)])
+    assert (two_seeds.own, two_seeds.other, two_seeds.ratio) == (2.5, 1.0, pytest.approx(2.0))
     rows = {
         name: [
             a_row("p", name, seed=seed, n_projections=value, n_state_checks=0)
@@ -121,7 +126,7 @@ def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
         for name, values in {"a": (10, 30), "b": (5, 5)}.items()
     }
     failed = a_failure("q", "b", n_projections=1, n_state_checks=1)
-    (pair,) = paired_values(
+    (pair,) = paired(
         [*rows["a"], a_row("q", "a", n_projections=1, n_state_checks=1)], [*rows["b"], failed], work
     )
     assert (pair.own, pair.other) == (20.0, 5.0) and pair.ratio == pytest.approx(math.sqrt(12.0))
@@ -148,7 +153,7 @@ def test_a_baseline_without_rows_and_runs_that_one_alone_failed_are_told():
         for k in range(10)
         for seed in range(2)
     ]
-    known, missing = effects_of(Claim("time", 0.0, ("b", "c"), "a"), rows, ())
+    known, missing = verdicts_of(Claim("time", 0.0, ("b", "c"), "a"), rows, ())
     assert known.note == "left out of 20 runs: 3 that a alone failed and 2 that b alone failed"
     assert known.paired.n == 10 and missing.note == "0 problems"
     assert missing.p is None and rulings([missing]) == [Ruling.TOO_FEW]
@@ -164,7 +169,7 @@ def test_what_is_solved_in_time_is_more_than_the_papers_cbirrt_solves(solved, ex
     published = [
         PublishedValue("I", "place", "ompl-projected", "CBiRRT", "accuracy", "93.65", "%", "")
     ]
-    (effect,) = effects_of(Claim("solved_in_time", 0.9842), rows, published)
+    (effect,) = verdicts_of(Claim("solved_in_time", 0.9842), rows, published)
     assert rulings([effect]) == [expected]
 
 
@@ -174,7 +179,7 @@ def test_what_is_solved_in_time_is_more_than_the_papers_cbirrt_solves(solved, ex
 def test_an_at_least_test_of_a_share(solved, expected):
     """98.42 % is tested at 88.6 %: 100 of 100 is more, 60 less, 88 neither."""
     rows = [at("opt-cvq-mpt", k, 0.1 if k < solved else None) for k in range(100)]
-    (effect,) = effects_of(Claim("solved_in_time", 0.9842), rows, ())
+    (effect,) = verdicts_of(Claim("solved_in_time", 0.9842), rows, ())
     assert rulings([effect]) == [expected] and effect.baseline == NOTHING
     assert percent(effect, effect.paired).startswith(str(solved))
 
@@ -185,11 +190,11 @@ def test_statements_name_planners_that_ran_and_reductions_are_signed_changes():
         for k in range(8)
         for name, t in (("opt-cvq-mpt", 0.1), ("ompl-projected", 0.4))
     ]
-    found = effects_of(Claim("time", 0.5, ("ompl-projected", "mpnet")), rows, ())
+    found = verdicts_of(Claim("time", 0.5, ("ompl-projected", "mpnet")), rows, ())
     pairs_of = [(effect.baseline, effect.paired.n) for effect in found]
     assert pairs_of == [("ompl-projected", 8), ("mpnet", 0)]
     assert percent(found[0], found[0].paired) == "−75 [−75, −75]"
-    assert effects_of(Claim("time", 0.5, ("mpnet",), "cvq-mpt"), rows, ()) == []
+    assert verdicts_of(Claim("time", 0.5, ("mpnet",), "cvq-mpt"), rows, ()) == []
 
 
 def test_statements_are_few():

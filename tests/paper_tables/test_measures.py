@@ -5,7 +5,15 @@ import math
 import pytest
 from made_rows import a_failure, a_row
 
-from paper_tables.measures import censored, own_time, paired_ratio, paper_cost, split_by_work, work
+from paper_tables.measures import (
+    censored,
+    mean_ratio,
+    own_time,
+    paired,
+    paper_cost,
+    split_by_work,
+    work,
+)
 
 
 def run(planner, problem, checks=None, seed=0, solved=True, **values):
@@ -46,13 +54,13 @@ def test_ratios_are_geometric_means_over_problems_that_both_solved():
         run("x", 4),
     ]
     base = [run("b", i, 1) for i in (0, 1, 3, 4)] + [run("b", 2, 1, solved=False)]
-    ratio = paired_ratio(rows, base, work)
+    ratio = mean_ratio(paired(rows, base, work))
     assert ratio.estimate == pytest.approx(4.0) and ratio.n == 2  # sqrt(2 * 8)
     assert (ratio.low, ratio.high) == (pytest.approx(2.0), pytest.approx(8.0))
-    one = paired_ratio([row for row in rows if row.problem in ("1", "2")], base, work)
+    one = mean_ratio(paired([row for row in rows if row.problem in ("1", "2")], base, work))
     assert (one.estimate, one.n, one.low) == (pytest.approx(8.0), 1, None)
-    assert paired_ratio(rows, [], work).estimate is None
-    assert paired_ratio([run("x", 0, 0)], base, work).estimate is None  # no work: no ratio
+    assert mean_ratio(paired(rows, [], work)).estimate is None
+    assert mean_ratio(paired([run("x", 0, 0)], base, work)).estimate is None  # no work: no ratio
 
 
 def names(keys):

@@ -9,7 +9,7 @@ from made_rows import a_failure, a_row
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.statistics import wilson_interval
 from paper_tables.layouts import place_table
-from paper_tables.paper_numbers import read_published
+from paper_tables.statements import read_published
 from paper_tables.table_engine import suite_runs
 
 PAPER = read_published("place_task.csv", "Place Task")

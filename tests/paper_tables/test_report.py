@@ -11,7 +11,7 @@ from cli.main import main
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from paper_tables.pages import evidence_of, report_html
-from paper_tables.planner_styles import COLOURS, OURS, line_style
+from paper_tables.plots import COLOURS, OURS, line_style
 
 EVIL = "<script>alert(1)</script>$x$"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -26,9 +26,9 @@ def test_a_directory_is_rendered_beside_its_runs(tmp_path):
     machine = {"cpu_model": "Fast CPU", "cpu_count": 2}
     store(tmp_path, rows(), git_commit="a" * 40, weights={"mpnet": "f" * 64}, **machine)
     written = render_directory(tmp_path)
-    assert [path.name for path in written.paths] == ["table.md", "table.tex", "table.csv"]
-    texts = [path.read_bytes() for path in written.paths]
-    title, _, head, *_ = texts[0].decode().splitlines()
+    assert [*written.texts] == ["table.md", "table.tex", "table.csv"]
+    assert all((tmp_path / name).read_text() == text for name, text in written.texts.items())
+    title, _, head, *_ = written.texts["table.md"].splitlines()
     assert title == f"# {SUITES['place-task'].title}"
     assert written.brief[0] == f"{SUITES['place-task'].title}: 10 problems, cutoff 10 s"
     machine = "machine Fast CPU, 2 cores"
@@ -36,9 +36,9 @@ def test_a_directory_is_rendered_beside_its_runs(tmp_path):
         f"cutoff 10 s · commit {'a' * 12} · weights mpnet {'f' * 12} · {machine}"
     )
     assert head.endswith("20 rows")
-    assert [path.read_bytes() for path in render_directory(tmp_path).paths] == texts
+    assert render_directory(tmp_path) == written
     store(tmp_path, rows(count=11)[10:11], git_commit="b" * 40, git_dirty=True)
-    head = render_directory(tmp_path).paths[0].read_text().splitlines()[2]
+    head = render_directory(tmp_path).texts["table.md"].splitlines()[2]
     assert f"commit {'a' * 12} and {'b' * 12} WITH UNCOMMITTED CHANGES" in head
 
 
@@ -56,4 +56,4 @@ def test_directories_without_runs_say_what_to_do(tmp_path):
     write_rows(tmp_path / "runs.csv", rows())
     refused(r"no provenance\.json")
     (tmp_path / "provenance.json").write_text(json.dumps({"configuration": {}}))
-    assert "cutoff not recorded · commit unknown" in render_directory(tmp_path).paths[0].read_text()
+    assert "cutoff not recorded · commit unknown" in render_directory(tmp_path).texts["table.md"]

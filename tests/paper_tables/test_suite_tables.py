@@ -7,7 +7,7 @@ import pytest
 from made_rows import a_failure, a_row
 
 from paper_tables.multi_sequence_table import task_table
-from paper_tables.paper_numbers import read_published
+from paper_tables.statements import read_published
 
 PHASES = ["reach-handle", "open-door", "reach-can", "approach", "carry"]
 
