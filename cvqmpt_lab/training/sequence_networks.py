@@ -28,8 +28,8 @@ from cvqmpt_lab.vqmpt.config import (
 )
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
-from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, group_points
-from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer
+from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, Ends, group_points
+from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
 
 
 class TransformerStage(SequenceStage):

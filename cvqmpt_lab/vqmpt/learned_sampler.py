@@ -12,7 +12,6 @@ folder as `weights.resolve_model` takes it.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from cvqmpt_lab.search.planner_interface import (
     Stages,
     widened,
 )
-from cvqmpt_lab.search.result import PlanStatus, Timings
+from cvqmpt_lab.search.result import Timings
 from cvqmpt_lab.search.roadmap import Roadmap, linked_roadmap
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings
@@ -41,9 +40,12 @@ from cvqmpt_lab.vqmpt.codebook import (
 )
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts
-from cvqmpt_lab.vqmpt.published_predictor import Predictor
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
-from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
+from cvqmpt_lab.vqmpt.scene_predictor import (
+    PublishedPredictor,
+    SceneTransformerPredictor,
+    SequencePredictor,
+)
 from cvqmpt_lab.vqmpt.weights import (
     MPNET,
     TRANSFORMER,
@@ -57,28 +59,25 @@ from cvqmpt_lab.vqmpt.weights import (
 GOALS = 3  # that a network is asked about; the search gets them all
 
 
-class PredictedCodes(NamedTuple):
-    """Codes that a predictor found, and what that took."""
+@dataclass(frozen=True, eq=False)
+class CodeProposal(Proposal):
+    """A proposal that remembers the codes it is made of."""
 
-    codes: np.ndarray  # (c,) int64, those of all sequences
-    goals: np.ndarray  # (k, n) that were asked about [rad or m]
-    detail: str  # a few words for the result's row
-    encode_seconds: float = 0.0
-    predict_seconds: float = 0.0
-    vertices: int = 0  # nodes of searches made on the way
-    failure: PlanStatus | None = None  # why searching is pointless, or None
+    codes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))  # (c,)
+    goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # (k, n) [rad or m]
 
 
-CodePredictor = Callable[[Query, Observation], PredictedCodes]
+# proposes codes, and uniform samples until these are decoded
+CodePredictor = Callable[[Query, Observation], CodeProposal]
 
 
-def transformer_codes(
-    predictor: SceneTransformerPredictor, all_beams: bool, query: Query, observation: Observation
-) -> PredictedCodes:
-    """Codes of the sequences to the goals of least cost, by beam search (K = 3).
+def network_codes(
+    predictor: SequencePredictor, all_beams: bool, query: Query, observation: Observation
+) -> CodeProposal:
+    """Codes of the sequences to the cheapest goals, by beam search (K = 3).
 
     Args:
-        predictor: the scene transformer.
+        predictor: a sequence model.
         all_beams: take every hypothesis of the beam, not only the likeliest.
         query: start and goals.
         observation: the cloud.
@@ -87,36 +86,26 @@ def transformer_codes(
     began = query.deadline.seconds
     scene = predictor.encode(observation.cloud, observation.use_cache)
     encoded = query.deadline.seconds
-    # the cheapest goals of all, not the nearest: the way to a near one may be blocked
-    order = predictor.rank(scene, query.start, query.goals)
-    goals = query.goals[order[:GOALS]]
+    goals = predictor.by_cost(scene, query.start, query.goals)[:GOALS]
     beams = predictor.hypotheses(scene, query.start, goals, every=all_beams)
     most = None if all_beams else 1
     found = [sequence for beam in beams for sequence in beam[:most] if sequence.finished]
-    each_once = dict.fromkeys(code for sequence in found for code in sequence.codes)
-    codes = np.array(list(each_once), dtype=np.int64)
-    detail = f"{len(codes)} codes of {len(found)} sequences to {len(goals)} goals"
-    return PredictedCodes(codes, goals, detail, encoded - began, query.deadline.seconds - encoded)
-
-
-def published_codes(predictor: Predictor, query: Query, observation: Observation) -> PredictedCodes:
-    """Codes of the authors' network's sequences to the nearest goals; repeated codes count."""
-    assert observation.cloud is not None
-    goals = query.nearest_goals(GOALS)
-    found = predictor.predict(observation.cloud, query.start, goals, observation.use_cache)
-    lost = len(found.unfinished)
-    detail = f"{len(found.codes)} codes" + (
-        f", none to {lost} of {len(goals)} goals" if lost else ""
-    )
-    return PredictedCodes(found.codes, goals, detail, found.encode_seconds, found.predict_seconds)
+    listed = [code for sequence in found for code in sequence.codes]
+    if predictor.each_code_once:
+        listed = list(dict.fromkeys(listed))
+    detail = f"{len(listed)} codes of {len(found)} sequences to {len(goals)} goals"
+    timings = Timings(encode=encoded - began, predict=query.deadline.seconds - encoded)
+    codes = np.array(listed, dtype=np.int64)
+    return CodeProposal(query.uniform, timings, detail, codes=codes, goals=goals)
 
 
 def random_codes(
     codes: int, query: Query, observation: Observation, count: int = 12
-) -> PredictedCodes:
+) -> CodeProposal:
     """Random codes of the dictionary: ablation baseline; about as many as predictors give."""
     drawn = query.rng.choice(codes, min(count, codes), replace=False)
-    return PredictedCodes(drawn, query.nearest_goals(GOALS), f"{len(drawn)} codes at random")
+    detail, goals = f"{len(drawn)} codes at random", query.nearest_goals(GOALS)
+    return CodeProposal(query.uniform, detail=detail, codes=drawn, goals=goals)
 
 
 def oracle_codes(
@@ -124,7 +113,7 @@ def oracle_codes(
     query: Query,
     observation: Observation,
     spacing: float = 0.2,
-) -> PredictedCodes:
+) -> CodeProposal:
     """Codes of an unconstrained path of the same problem, planned first: an upper bound.
 
     Args:
@@ -135,22 +124,13 @@ def oracle_codes(
     """
     began = query.deadline.seconds
     path, plan = unconstrained_path(query)
+    found = CodeProposal(query.uniform, vertices=plan.vertices)
     if path is None:
-        none, detail = np.empty(0, dtype=np.int64), "no unconstrained path"
-        return PredictedCodes(
-            none, query.goals[:0], detail, vertices=plan.vertices, failure=plan.status
-        )
+        return replace(found, detail="no unconstrained path", failure=plan.status)
     codes = np.unique(codes_of(path.spaced(spacing)))
-    detail, seconds = f"{len(codes)} codes of an unconstrained path", query.deadline.seconds - began
-    return PredictedCodes(codes, path.states[-1:], detail, 0.0, seconds, plan.vertices)
-
-
-@dataclass(frozen=True, eq=False)
-class CodeProposal(Proposal):
-    """A proposal that remembers the codes it was made of."""
-
-    codes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))  # (c,)
-    goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # (k, n) [rad or m]
+    timings = Timings(predict=query.deadline.seconds - began)
+    detail = f"{len(codes)} codes of an unconstrained path"
+    return replace(found, timings=timings, detail=detail, codes=codes, goals=path.states[-1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,18 +182,10 @@ class LearnedSampler:
         If no code was predicted: uniform samples, and a note of this fallback.
         """
         found = self.predict(query, observation)
-        some = len(found.codes) > 0
-        decoded = self.gaussians(found.codes) if some else None
-        return CodeProposal(
-            self.mixture(query, found.goals, *decoded) if decoded else query.uniform,
-            Timings(encode=found.encode_seconds, predict=found.predict_seconds),
-            found.detail,
-            fallback="" if some else "no code sequence reached a goal",
-            vertices=found.vertices,
-            failure=found.failure,
-            codes=found.codes,
-            goals=found.goals,
-        )
+        if len(found.codes) == 0:
+            return replace(found, fallback="no code sequence reached a goal")
+        mixture = self.mixture(query, found.goals, *self.gaussians(found.codes))
+        return replace(found, distribution=mixture)
 
     def moved(self, optimizer: LatentOptimizer, query: Query, proposal: Proposal) -> Proposal:
         """Codes moved by z <- z - eta dE[F^T F]/dz (paper, Algorithm 2), then decoded.
@@ -294,13 +266,11 @@ def observer(points: int | None = None) -> Observer:
 
 
 @lru_cache(maxsize=4)
-def _scene_predictor(model: str, robot: Robot) -> SceneTransformerPredictor:
+def sequence_predictor(model: str, robot: Robot, published: bool) -> SequencePredictor:
+    """The scene transformer of a model, or its sequence model of the authors' architecture."""
+    if published:
+        return PublishedPredictor(model_of(model), robot)
     return SceneTransformerPredictor(load_vq_mpt(robot, model), robot)
-
-
-@lru_cache(maxsize=4)
-def _published_predictor(model: str, robot: Robot) -> Predictor:
-    return Predictor(model_of(model), robot)
 
 
 @lru_cache(maxsize=4)
@@ -323,17 +293,13 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
     codebook = codebook_of(model, robot)
     predict: CodePredictor
     observe: Callable[[Scene], np.ndarray] | None = None
-    match choice.predictor:
-        case "transformer":
-            all_beams = choice.sequences == "all-beams"
-            predict = partial(transformer_codes, _scene_predictor(model, robot), all_beams)
-        case "published":
-            predict = partial(published_codes, _published_predictor(model, robot))
-        case "random":
-            predict = partial(random_codes, len(codebook.vectors))
-        case _:  # oracle
-            predict = partial(oracle_codes, partial(codes_of, model_of(model), robot))
-    if choice.predictor in ("transformer", "published"):
+    if choice.predictor == "random":
+        predict = partial(random_codes, len(codebook.vectors))
+    elif choice.predictor == "oracle":
+        predict = partial(oracle_codes, partial(codes_of, model_of(model), robot))
+    else:
+        predictor = sequence_predictor(model, robot, choice.predictor == "published")
+        predict = partial(network_codes, predictor, choice.sequences == "all-beams")
         clouds: dict[str, Callable[[Scene], np.ndarray]] = {
             "own-cloud": observer(),
             # controls, which see another scene or nothing

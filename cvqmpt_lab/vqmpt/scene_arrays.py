@@ -1,10 +1,10 @@
 """Arrays of the scene transformer: its layers in numpy, groups of points, the roadmap as arcs.
 
-Groups, arcs and constants serve training (torch) and planning (numpy) alike. Layers are float32
-and do the same mathematics as those of `scene_transformer`.
+Groups, arcs and constants serve both training (torch) and planning (numpy). Layers are float32 and
+compute the same as those of `scene_transformer`.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,35 +44,34 @@ def group_points(cloud: np.ndarray, groups: int, size: int) -> tuple[np.ndarray,
     return centres, points[nearest] - centres[:, None]
 
 
-class Arcs(NamedTuple):
-    """A roadmap's undirected edges as arcs in both directions."""
+def arcs_of(count: int, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A roadmap's undirected edges as arcs in both directions, by the node that they leave.
 
-    first: np.ndarray  # (N + 1,) int32, where each node's arcs begin
-    neighbour: np.ndarray  # (2 E,) int32, where they lead
-    edge: np.ndarray  # (2 E,) int32
-    table: np.ndarray  # (N, w) int32, neighbours of each node, padded with the node itself
-    padding: np.ndarray  # (N, w) bool
-    slot: np.ndarray  # (2 E,) int64, of each arc in the flattened table
+    Args:
+        count: number of nodes N.
+        edges: (E, 2), none of which joins a node to itself.
 
-
-def arcs_of(count: int, edges: np.ndarray) -> Arcs:
-    """Arcs of edges (E, 2) between so many nodes."""
+    Returns:
+        Neighbours of each node (N, w) int32, padded with the node itself, and the edge to each
+        (N, w) int32, padded with 0.
+    """
     both = np.concatenate([edges, edges[:, ::-1]])
-    order = np.lexsort((both[:, 1], both[:, 0]))  # by node: a node's arcs lie together
-    row, there = both[order].T
-    first = np.searchsorted(row, np.arange(count + 1))
-    column, width = np.arange(len(row)) - first[row], np.diff(first).max(initial=1)
-    table = np.repeat(np.arange(count, dtype=np.int32)[:, None], width, axis=1)
-    padding = np.ones(table.shape, dtype=bool)
-    table[row, column], padding[row, column] = there, False
-    return Arcs(
-        first.astype(np.int32),
-        there.astype(np.int32),
-        (order % len(edges)).astype(np.int32),
-        table,
-        padding,
-        row * width + column,
-    )
+    order = np.lexsort((both[:, 1], both[:, 0]))
+    here, there = both[order].T
+    degree = np.bincount(here, minlength=count)
+    column = np.arange(len(here)) - np.repeat(degree.cumsum() - degree, degree)
+    neighbour = np.repeat(np.arange(count, dtype=np.int32)[:, None], degree.max(), axis=1)
+    edge = np.zeros_like(neighbour)
+    neighbour[here, column], edge[here, column] = there, order % len(edges)
+    return neighbour, edge
+
+
+class Ends(NamedTuple):
+    """Starts or goals (u) in a scene, or (s, u) in s scenes: arrays, or tensors in training."""
+
+    embedding: Any  # (u, d)
+    near: Any  # (u, l) int64, the codes near each
+    cost: Any  # (u, l), length - w log P(free) of the motion to each [rad]
 
 
 class Linear(NamedTuple):

@@ -26,7 +26,15 @@ from torch.nn import functional as F
 
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig
 from cvqmpt_lab.vqmpt.link_positions import LinkPositions
-from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, RISK, UNREACHED, WAVES, WORST, arcs_of
+from cvqmpt_lab.vqmpt.scene_arrays import (
+    LONGEST,
+    RISK,
+    UNREACHED,
+    WAVES,
+    WORST,
+    Ends,
+    arcs_of,
+)
 
 
 class Scenes(NamedTuple):
@@ -39,14 +47,6 @@ class Scenes(NamedTuple):
     parts: Tensor  # (s, N, e), what edges are judged by
     node_odds: Tensor  # (s, N), log odds of P(code free)
     edge_odds: Tensor  # (s, E), log odds of P(edge free)
-
-
-class Ends(NamedTuple):
-    """Starts or goals (s, u): their embeddings, and the codes near them."""
-
-    embedding: Tensor  # (s, u, d)
-    near: Tensor  # (s, u, l) int64
-    cost: Tensor  # (s, u, l), length - w log P(free) of the motion to each [rad]
 
 
 class Graph(NamedTuple):
@@ -226,14 +226,13 @@ class SceneTransformer(nn.Module):
     def graph(self) -> Graph:
         """Tables of the roadmap; made when they are first asked for."""
         arcs = arcs_of(len(self.nodes), self.edges.cpu().numpy())
-        neighbour, edge = arcs.table.astype(np.int64), np.zeros(arcs.table.shape, dtype=np.int64)
-        edge.reshape(-1)[arcs.slot] = arcs.edge
-        padding = np.where(arcs.padding, np.float32(np.inf), np.float32(0.0))
+        neighbour, edge = (torch.from_numpy(table).long().to(self.nodes.device) for table in arcs)
+        padded = neighbour == torch.arange(len(neighbour), device=neighbour.device)[:, None]
+        padding = torch.zeros(padded.shape, device=padded.device).masked_fill(padded, torch.inf)
         with torch.no_grad():
             features, positions = self.configurations(self.nodes[None])
             length = (self.nodes[self.edges[:, 0]] - self.nodes[self.edges[:, 1]]).norm(dim=1)
-        tables = [torch.from_numpy(t).to(self.nodes.device) for t in (neighbour, edge, padding)]
-        return Graph(positions[0], features[0], tables[0], tables[1], tables[2], length)
+        return Graph(positions[0], features[0], neighbour, edge, padding, length)
 
     @cached_property
     def _kinematics(self) -> LinkPositions:

@@ -13,7 +13,7 @@ from small_models import random_checkpoint
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
-from cvqmpt_lab.vqmpt.published_predictor import Predictor
+from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor
 from cvqmpt_lab.vqmpt.weights import (
     WEIGHTS,
     OtherRobotError,
@@ -59,9 +59,9 @@ def test_published_folders_are_converted_and_predict(
     )
     rng = np.random.default_rng(0)
     q = panda.random_configurations(rng, 2)
-    predictor = Predictor(load_vq_mpt(panda, words[-1]), panda)
-    prediction = predictor.predict(rng.uniform(-0.5, 0.5, (50, 3)), q[0], q[1:])
-    assert len(prediction.sequences[0].codes) > 0
+    predictor = PublishedPredictor(load_vq_mpt(panda, words[-1]), panda)
+    scene = predictor.encode(rng.uniform(-0.5, 0.5, (50, 3)))
+    assert len(predictor.hypotheses(scene, q[0], q[1:])[0][0].codes) > 0
     again = refused(capsys, "model", *words[1:])
     assert "is there and not empty; choose another --out" in again
 

@@ -11,8 +11,7 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.training.profiles import PROFILES
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
 from cvqmpt_lab.vqmpt.codebook import Codebook
-from cvqmpt_lab.vqmpt.published_predictor import Predictor
-from cvqmpt_lab.vqmpt.scene_predictor import SceneTransformerPredictor
+from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor, SceneTransformerPredictor
 from cvqmpt_lab.vqmpt.weights import load_vq_mpt, robot_signature
 
 ROBOTS = ["", "--robot tiago-no-hand --base 0,0,-0.6"]
@@ -32,12 +31,12 @@ def test_from_scenes_to_a_prediction(tmp_path, robot_options):
 
     robot = robot_from_source(json.loads((data / "dataset.json").read_text())["recipe"]["robot"])
     checkpoint = load_checkpoint(model / "model", robot_signature(robot))
-    predictor = Predictor(stored(checkpoint), robot)
+    predictor = PublishedPredictor(stored(checkpoint), robot)
     rng = np.random.default_rng(0)
     cloud = rng.uniform(-0.8, 0.8, (400, 3))
     start, goal = robot.random_configurations(rng, 2)
-    prediction = predictor.predict(cloud, start, goal[None])
-    assert len(prediction.sequences[0].codes) > 0
+    found = predictor.hypotheses(predictor.encode(cloud), start, goal[None])
+    assert len(found[0][0].codes) > 0
     codebook = Codebook(stored(checkpoint), robot)
     assert all(np.isfinite(part).all() for part in codebook.gaussians(codebook.vectors[:5]))
 
@@ -111,8 +110,8 @@ def test_a_scene_transformer_for_another_arm(tmp_path, request):
     )
     scene = predictor.encode(rng.uniform(-0.8, 0.8, (400, 3)))
     start, *goals = robot.random_configurations(rng, 4)
-    found = predictor.sequences(scene, start, np.array(goals))
-    assert all(one.finished and len(one.codes) > 0 for one in found)
+    found = predictor.hypotheses(scene, start, np.array(goals))
+    assert all(one[0].finished and len(one[0].codes) > 0 for one in found)
 
 
 def test_hints_for_another_arm_lead_to_a_transformer(tmp_path, capsys):

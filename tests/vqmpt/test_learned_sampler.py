@@ -16,7 +16,6 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.learned_sampler import (
     CodeProposal,
     LearnedSampler,
-    PredictedCodes,
     codebook_of,
     dictionary_roadmap,
 )
@@ -129,7 +128,7 @@ def test_updates_move_codes_towards_the_constraint(problem, proposed):
 
 def test_without_codes_samples_are_uniform_and_the_proposal_says_so(problem, query):
     stages = planner_named("cvq:random+algorithm-2").stages(problem)
-    none = PredictedCodes(np.empty(0, dtype=np.int64), query.goals[:0], "nothing")
+    none = CodeProposal(query.uniform)
     sampler = replace(stages.predict.__self__, predict=lambda query, observation: none)
     proposal = sampler.propose(query, Observation())
     assert isinstance(proposal, CodeProposal) and isinstance(proposal.distribution, Uniform)

@@ -1,4 +1,4 @@
-"""The scene transformer in numpy against torch, small random weights; refused clouds and goals."""
+"""Predictors with small random weights: the scene transformer in numpy against torch, batches."""
 
 import dataclasses
 
@@ -15,13 +15,14 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.vqmpt.checkpoint import stored
 from cvqmpt_lab.vqmpt.codebook import code_noise, dictionary_gaussians, drawn_nodes
 from cvqmpt_lab.vqmpt.config import ModelConfig, SceneTransformerConfig, SceneTransformerSizes
-from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, RISK, group_points
+from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, RISK, Ends, group_points
 from cvqmpt_lab.vqmpt.scene_predictor import (
+    PublishedPredictor,
     SceneTransformerPredictor,
     SequenceDecoder,
     compiled_groups,
 )
-from cvqmpt_lab.vqmpt.scene_transformer import Ends, SceneTransformer, roadmap_successors
+from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer, roadmap_successors
 
 SMALL = SceneTransformerSizes(
     width=32, layers=3, heads=2, groups=24, group_size=8, values=4, edge_width=16, links=6, stride=3
@@ -105,10 +106,11 @@ def test_embeddings_odds_and_costs_to_go_are_those_of_torch(
     checkpoint, predictor, by_torch, queries
 ):
     scene, network = predictor.encode(CLOUD), checkpoint.modules["transformer"]
-    for name in ("codes", "keys", "parts", "node_odds", "edge_odds"):
+    for name in ("keys", "parts"):
         np.testing.assert_allclose(
             getattr(scene, name), getattr(by_torch, name)[0], atol=1e-4, err_msg=name
         )
+    np.testing.assert_allclose(scene.arc_cost, network.arc_costs(by_torch)[0].detach(), atol=1e-4)
     start, goals = queries
     with torch.no_grad():
         first, ends = (network.ends(by_torch, tensor(q)) for q in (start[None], goals))
@@ -121,7 +123,7 @@ def test_embeddings_odds_and_costs_to_go_are_those_of_torch(
     expected = (first.cost[0] + V[0][:, first.near[0, 0]]).min(dim=1).values
     costs = predictor.goal_costs(scene, start, goals)
     np.testing.assert_allclose(costs, expected, atol=1e-4)
-    assert predictor.rank(scene, start, goals).tolist() == np.argsort(costs).tolist()
+    np.testing.assert_array_equal(predictor.by_cost(scene, start, goals), goals[np.argsort(costs)])
 
 
 def test_ways_after_every_prefix_are_as_likely_as_by_torch(
@@ -188,18 +190,38 @@ def likeliest_by_hand(decoder, beams):
 @pytest.mark.parametrize("beams", [1, 3, 6])
 def test_sequences_are_those_of_a_beam_search_by_hand(predictor, queries, beams):
     scene, (start, goals) = predictor.encode(CLOUD), queries
-    found = predictor.sequences(scene, start, goals, beams)
+    found = [one[0] for one in predictor.hypotheses(scene, start, goals, beams=beams)]
     decoders = [SequenceDecoder(predictor.network, scene, start, goal[None]) for goal in goals]
     codes, scores = zip(*(likeliest_by_hand(decoder, beams) for decoder in decoders), strict=True)
     assert [one.codes + (GOAL,) * one.finished for one in found] == list(codes)
     np.testing.assert_allclose([one.score for one in found], scores, atol=1e-4)
-    alone = [predictor.sequences(scene, start, goal[None], beams)[0].codes for goal in goals]
-    assert alone == [one.codes for one in found]
-    every = predictor.hypotheses(scene, start, goals, beams)
+    alone = [predictor.hypotheses(scene, start, goal[None], beams=beams)[0][0] for goal in goals]
+    assert [one.codes for one in alone] == [one.codes for one in found]
+    every = predictor.hypotheses(scene, start, goals, beams=beams, every=True)
     assert [one[0] for one in every] == found and {len(set(one)) for one in every} == {beams}
     for hypotheses in every:
         scores = [one.score for one in hypotheses]
         assert scores == sorted(scores, reverse=True) and all(one.finished for one in hypotheses)
+
+
+def test_the_authors_network_predicts_goals_in_one_batch_as_alone(panda):
+    predictor = PublishedPredictor(stored(random_checkpoint(panda)), panda)
+    rng = np.random.default_rng(3)
+    start, *goals = panda.random_configurations(rng, 7)
+    scene = predictor.encode(rng.uniform(-0.8, 0.8, (200, 3)))
+    found = predictor.hypotheses(scene, start, np.array(goals))
+    alone = [predictor.hypotheses(scene, start, goal[None])[0] for goal in goals]
+    assert [one[0].codes for one in alone] == [one[0].codes for one in found]
+    assert len({code for one in found for code in one[0].codes}) > 1
+    for cloud, message in ((CLOUD[:0], "0 points; give at least 2"), (1e3 * CLOUD, "millimetres")):
+        with pytest.raises(InvalidInputError, match=message):
+            predictor.encode(cloud)
+    never = PublishedPredictor(stored(random_checkpoint(panda, goal_bias=-1e6)), panda)
+    lost = never.hypotheses(never.encode(CLOUD), start, np.array(goals))
+    assert len(lost) == 6 and not any(one[0].finished for one in lost)
+    alone = random_checkpoint(panda, ModelConfig.compact(n_codes=64))
+    with pytest.raises(InvalidInputError, match="train published"):
+        PublishedPredictor(stored(alone), panda)
 
 
 def test_compiled_groups_are_those_of_training():
@@ -212,52 +234,20 @@ def test_compiled_groups_are_those_of_training():
         np.testing.assert_allclose(*reach, atol=1e-6)
 
 
-def test_few_many_and_far_points(predictor):
-    nothing, rng = predictor.encode(np.empty((0, 3))), np.random.default_rng(0)
-    assert np.isfinite(nothing.edge_odds).all()
-    one = predictor.encode(np.full((1, 3), 0.4))
-    assert not np.allclose(one.edge_odds, nothing.edge_odds)
-    many = predictor.encode(rng.uniform(-0.7, 0.7, (1_000_000, 3)))
-    assert np.isfinite(many.edge_odds).all()
-    with_far = predictor.encode(np.concatenate([CLOUD, [[0.0, 30.0, 0.0]]]))
-    np.testing.assert_array_equal(with_far.codes, predictor.encode(CLOUD).codes)
+def test_few_and_many_points(predictor):
+    nothing, one = predictor.encode(np.empty((0, 3))), predictor.encode(np.full((1, 3), 0.4))
+    many = predictor.encode(np.random.default_rng(0).uniform(-0.7, 0.7, (1_000_000, 3)))
+    assert all(np.isfinite(scene.arc_cost).all() for scene in (nothing, one, many))
+    assert not np.allclose(one.arc_cost, nothing.arc_cost)
     assert predictor.encode(CLOUD) is predictor.encode(CLOUD.copy())
     assert predictor.encode(CLOUD) is not predictor.encode(CLOUD, use_cache=False)
 
 
 def test_a_start_no_code_is_near_still_has_a_way(predictor, robot, queries):
-    scene, corner = predictor.encode(CLOUD), robot.upper
-    found = predictor.sequences(scene, corner, queries[1])
-    assert all(one.finished and len(one.codes) > 0 for one in found)
-
-
-@pytest.mark.parametrize(
-    ("cloud", "message"),
-    [
-        (np.where(np.arange(300)[:, None] == 7, np.nan, CLOUD), "1 points with NaN"),
-        (1000.0 * CLOUD, "give metres, not millimetres"),
-        (CLOUD + 20.0, r"none of the cloud's 300 points is within 1.6 m"),
-        (CLOUD[:, :2], r"shape \(300, 2\); it must be \(n, 3\)"),
-        ("cloud.ply", "point cloud must be numbers"),
-    ],
-)
-def test_bad_clouds_are_refused_in_one_line(predictor, cloud, message):
-    with pytest.raises(InvalidInputError, match=message) as caught:
-        predictor.encode(cloud)
-    assert "\n" not in str(caught.value)
-
-
-def test_bad_queries_are_refused(predictor, robot, queries):
-    scene, (start, goals) = predictor.encode(CLOUD), queries
-    for call in (predictor.sequences, predictor.rank):
-        with pytest.raises(InvalidInputError, match=r"goal 1: joint .* is 1 outside its limits"):
-            call(scene, start, np.array([start, robot.upper + 1.0]))
-        with pytest.raises(InvalidInputError, match=r"start: joint .* is not finite"):
-            call(scene, np.nan * start, goals)
-        with pytest.raises(InvalidInputError, match="at least one"):
-            call(scene, start, goals[:0])
+    found = predictor.hypotheses(predictor.encode(CLOUD), robot.upper, queries[1])
+    assert all(one[0].finished and len(one[0].codes) > 0 for one in found)
     with pytest.raises(InvalidInputError, match="7 beams; give 1 to 6"):
-        predictor.sequences(scene, start, goals, beams=7)
+        predictor.hypotheses(predictor.encode(CLOUD), robot.upper, queries[1], beams=7)
 
 
 def changed(model, **arrays):
