@@ -39,7 +39,7 @@ from cvqmpt_lab.vqmpt.codebook import (
     drawn_nodes,
 )
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
-from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetRollouts
+from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 from cvqmpt_lab.vqmpt.scene_predictor import (
     PublishedPredictor,
@@ -274,8 +274,9 @@ def sequence_predictor(model: str, robot: Robot, published: bool) -> SequencePre
 
 
 @lru_cache(maxsize=4)
-def _rollouts(model: str, bridged: bool) -> MPNetRollouts:
-    return MPNetRollouts(model_of(model, MPNET), bridged)
+def mpnet_network(model: str) -> MPNetNetwork:
+    """A trained MPNet."""
+    return MPNetNetwork(model_of(model, MPNET))
 
 
 def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stages:
@@ -319,5 +320,6 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:
     """MPNet's rollouts; bridged: unconnected ones are connected with bidirectional RRT."""
-    points = model_of(model, MPNET).config.n_points
-    return Stages(predict=_rollouts(model, bridged), observe=observer(points))
+    network = mpnet_network(model)
+    rollouts = MPNetRollouts(network, bridged)
+    return Stages(predict=rollouts, observe=observer(network.config.n_points))

@@ -19,32 +19,20 @@ states as input.
 import time
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import count, pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query
 from cvqmpt_lab.search.result import JointPath, PlanStatus, Timings
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
-from cvqmpt_lab.vqmpt.config import MPNetConfig, checked_cloud
+from cvqmpt_lab.vqmpt.config import MPNetConfig
+from cvqmpt_lab.vqmpt.scene_arrays import Layers
 from cvqmpt_lab.vqmpt.weights import StoredModel
-
-PART = "mpnet"
-
-
-@dataclass(frozen=True, kw_only=True)
-class RolloutSettings:
-    """Limits of rollouts."""
-
-    rollouts: int = 10  # tried before giving up
-    predictions: int = 10  # states of one rollout
-    attempts: int = 32  # proposals (they differ by dropout) per state before giving up
-    share: float = 0.1  # of the whole budget, that joining two neighbouring states may take
 
 
 class MPNetNetwork:
@@ -53,40 +41,30 @@ class MPNetNetwork:
     def __init__(self, model: StoredModel) -> None:
         """Copy the weights; raises InvalidInputError when they do not fit the configuration."""
         self.config: MPNetConfig = model.config
-        config = self.config
+        config, layers = self.config, Layers(model, "mpnet")
         encoder = (3 * config.n_points, *config.encoder_widths)
         hidden = (config.code_dim + 2 * config.joint_dim, *config.planner_widths)
-        last = 2 * len(config.encoder_widths)
+        # a linear layer, then PReLU with slope a: y if y > 0, else a y
         self._encoder = [
-            _Layer(model, f"encoder.{2 * i}", *widths, slope=f"encoder.{2 * i + 1}")
-            for i, widths in enumerate(pairwise(encoder))
+            (layers.linear(f"encoder.{k}", *widths), layers.array(f"encoder.{k + 1}.weight", 1))
+            for k, widths in zip(count(step=2), pairwise(encoder), strict=False)
         ]
-        self._encoder.append(_Layer(model, f"encoder.{last}", encoder[-1], config.code_dim))
-        self._hidden = [
-            _Layer(model, f"hidden.{i}.0", *widths, slope=f"hidden.{i}.1")
-            for i, widths in enumerate(pairwise(hidden))
-        ]
-        self._out = _Layer(model, "out", hidden[-1], config.joint_dim)
-        expected = 2 + sum(
-            2 if layer.slope is None else 3 for layer in (*self._encoder, *self._hidden)
+        self._code = layers.linear(
+            f"encoder.{2 * len(self._encoder)}", encoder[-1], config.code_dim
         )
-        if len(model.parts[PART]) != expected:
-            raise InvalidInputError(
-                f"{PART} does not fit its configuration: {len(model.parts[PART])} arrays, not "
-                f"{expected}"
-            )
-
-    def draw_points(self, cloud: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Shuffled points (n_points, 3) of a cloud (m, 3) [m]; errors as of `checked_cloud`."""
-        points = checked_cloud(cloud)
-        return points[rng.permutation(len(points))[np.arange(self.config.n_points) % len(points)]]
+        self._hidden = [
+            (layers.linear(f"hidden.{k}.0", *widths), layers.array(f"hidden.{k}.1.weight", 1))
+            for k, widths in enumerate(pairwise(hidden))
+        ]
+        self._out = layers.linear("out", hidden[-1], config.joint_dim)
 
     def encode(self, points: np.ndarray) -> np.ndarray:
         """Code (code_dim,) of points (n_points, 3) [m]."""
         x = np.ascontiguousarray(points, dtype=np.float32).ravel()
-        for layer in self._encoder:
-            x = layer(x)
-        return x
+        for linear, slope in self._encoder:
+            y = linear(x)
+            x = np.where(y > 0.0, y, slope * y)
+        return self._code(x)
 
     def propose(
         self,
@@ -109,32 +87,12 @@ class MPNetNetwork:
         x = np.concatenate((code, current, goal)).astype(np.float32)
         share = np.float32(self.config.dropout)
         last = len(self._hidden) - 1
-        for i, layer in enumerate(self._hidden):
-            x = layer(x)
+        for i, (linear, slope) in enumerate(self._hidden):
+            y = linear(x)
+            x = np.where(y > 0.0, y, slope * y)
             if rng is not None and share > 0.0 and i < last:
                 x = x * (rng.random(len(x), dtype=np.float32) >= share) / (np.float32(1.0) - share)
         return self._out(x)
-
-
-class _Layer:
-    """x -> W x + b, then PReLU where a slope a is named: y if y > 0, else a y."""
-
-    def __init__(
-        self, model: StoredModel, name: str, inputs: int, outputs: int, slope: str | None = None
-    ) -> None:
-        weight, bias = model.linear(PART, name, inputs, outputs)
-        self.weight, self.bias = (
-            np.ascontiguousarray(weight.T, dtype=np.float32),
-            bias.astype(np.float32),
-        )
-        self.slope = (
-            None if slope is None else model.array(PART, f"{slope}.weight", 1).astype(np.float32)
-        )
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        y = x @ self.weight
-        y += self.bias
-        return y if self.slope is None else np.where(y > 0.0, y, self.slope * y)
 
 
 class Rollout(NamedTuple):
@@ -146,17 +104,16 @@ class Rollout(NamedTuple):
     joint: JointPath | None  # direct motion between the states that meet, if there is one
 
 
+@dataclass(frozen=True, eq=False)
 class MPNetRollouts:
     """A trained MPNet that proposes whole paths; see the module."""
 
-    def __init__(
-        self,
-        model: StoredModel,
-        bridged: bool = False,
-        settings: RolloutSettings = RolloutSettings(),
-    ) -> None:
-        """Copy the weights; bridged: unconnected rollouts are connected by tree growth."""
-        self.network, self.bridged, self.settings = MPNetNetwork(model), bridged, settings
+    network: MPNetNetwork
+    bridged: bool = False  # unconnected rollouts are connected by tree growth
+    rollouts: int = 10  # tried before giving up
+    predictions: int = 10  # states of one rollout
+    attempts: int = 32  # proposals (they differ by dropout) per state before giving up
+    share: float = 0.1  # of the whole budget, that joining two neighbouring states may take
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Roll out until a path is found, the budget is spent or all rollouts have failed.
@@ -166,12 +123,15 @@ class MPNetRollouts:
         """
         assert observation.cloud is not None
         began = query.deadline.seconds
-        code = self.network.encode(self.network.draw_points(observation.cloud, query.rng))
+        # shuffled, and repeated where there are too few
+        order = query.rng.permutation(len(observation.cloud))
+        drawn = order[np.arange(self.network.config.n_points) % len(order)]
+        code = self.network.encode(observation.cloud[drawn])
         encode_seconds = query.deadline.seconds - began
-        run = _Run(self.network, self.bridged, self.settings, query, code, encode_seconds)
+        run = _Run(self, query, code)
         nearest = query.nearest_goals(len(query.goals) if self.bridged else 1)
         path, failure = None, PlanStatus.ITERATION_LIMIT
-        for turn in range(self.settings.rollouts):
+        for turn in range(self.rollouts):
             path = run.attempt(query.start, nearest[turn % len(nearest)])
             spent = query.deadline.spent()
             if path is not None or spent is not None:
@@ -179,7 +139,7 @@ class MPNetRollouts:
                 break
         return Proposal(
             replace(query.uniform, name="mpnet, uniform"),
-            Timings(encode=run.encode_seconds, predict=run.predict_seconds),
+            Timings(encode=encode_seconds, predict=run.predict_seconds),
             run.joined if path is not None else run.failed,
             vertices=run.vertices,
             path=path,
@@ -191,12 +151,9 @@ class MPNetRollouts:
 class _Run:
     """One call of `MPNetRollouts`: rollouts, and the paths through them."""
 
-    network: MPNetNetwork
-    bridged: bool
-    settings: RolloutSettings
+    planner: MPNetRollouts
     query: Query
-    code: np.ndarray
-    encode_seconds: float
+    code: np.ndarray  # of the cloud
     predict_seconds: float = 0.0
     vertices: int = 0
     joined: str = ""  # how the states of the last path were joined
@@ -205,9 +162,9 @@ class _Run:
     @property
     def failed(self) -> str:
         """How many rollouts failed, and why."""
-        count, tried = self.failures.total(), self.settings.rollouts
+        failed, tried = self.failures.total(), self.planner.rollouts
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.failures.items()))
-        return f"{'all ' if count == tried else ''}{count} of {tried} rollouts failed: {reasons}"
+        return f"{'all ' if failed == tried else ''}{failed} of {tried} rollouts failed: {reasons}"
 
     def attempt(self, start: np.ndarray, goal: np.ndarray) -> JointPath | None:
         """The path through one rollout, or None."""
@@ -224,24 +181,24 @@ class _Run:
         """Grow both sides in turn until they meet; on failure, the reason as text."""
         robot, space = self.query.space.robot, self.query.space
         sides: tuple[list[np.ndarray], list[np.ndarray]] = ([start], [goal])
-        told = [_normalised(robot, start), _normalised(robot, goal)]  # last states in [-1, 1]
+        latest = [_normalised(robot, start), _normalised(robot, goal)]
         met, joint = False, None
-        for turn in range(self.settings.predictions):
+        for turn in range(self.planner.predictions):
             side = turn % 2
-            found = self._next_state(told[side], told[1 - side])
+            found = self._next_state(latest[side], latest[1 - side])
             if found is None:
                 return "without a free state"
             state, proposed = found
             sides[side].append(state)
-            told[side] = _normalised(robot, state) if self.bridged else proposed
+            latest[side] = _normalised(robot, state) if self.planner.bridged else proposed
             self.vertices += 1
             ends = sides[0][-1], sides[1][-1]
-            if self.bridged or line_free(space, *ends):
+            if self.planner.bridged or line_free(space, *ends):
                 joint = direct_motion(space, *ends)
-                met = joint is not None or not self.bridged
+                met = joint is not None or not self.planner.bridged
             if met:
                 break
-        if not (met or self.bridged):
+        if not (met or self.planner.bridged):
             return "whose sides did not meet"
         return Rollout(np.array(sides[0] + sides[1][::-1]), len(sides[0]) - 1, met, joint)
 
@@ -259,14 +216,14 @@ class _Run:
             are used up.
         """
         robot = self.query.space.robot
-        for _ in range(self.settings.attempts):
+        for _ in range(self.planner.attempts):
             if self.query.deadline.spent():
                 return None
             self.query.deadline.count()
             began = time.perf_counter()
-            proposed = self.network.propose(current, towards, self.code, self.query.rng)
+            proposed = self.planner.network.propose(current, towards, self.code, self.query.rng)
             clipped = np.clip(proposed, -1.0, 1.0).astype(float)
-            q = _radians(robot, clipped)
+            q = robot.lower + 0.5 * (clipped + 1.0) * (robot.upper - robot.lower)
             self.predict_seconds += time.perf_counter() - began
             if self.query.space.project(q) and self.query.space.valid(q):
                 return q, clipped
@@ -294,7 +251,7 @@ class _Run:
         """A path from a to b (n,) by tree growth within its share of the budget."""
         if self.query.deadline.spent():
             return None
-        part = self.query.deadline.rest(self.settings.share)
+        part = self.query.deadline.rest(self.planner.share)
         result = BiRRT().search(
             self.query.space, a, b[None], self.query.uniform, part, self.query.rng
         )
@@ -313,8 +270,3 @@ def line_free(space: ConstrainedSpace, a: np.ndarray, b: np.ndarray, states: int
 def _normalised(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Configuration q (n,) [rad or m] in [-1, 1]."""
     return 2.0 * (q - robot.lower) / (robot.upper - robot.lower) - 1.0
-
-
-def _radians(robot: Robot, u: np.ndarray) -> np.ndarray:
-    """Configuration (n,) [rad or m] of u (n,) in [-1, 1]."""
-    return robot.lower + 0.5 * (u + 1.0) * (robot.upper - robot.lower)

@@ -50,14 +50,8 @@ class EncodedScene:
 class SceneNetwork:
     """The scene transformer's layers for one robot."""
 
-    def __init__(self, model: StoredModel, robot: Robot, heap_entries: int = 40) -> None:
-        """Take over the weights; InvalidInputError if they do not fit the robot or their sizes.
-
-        Args:
-            model: with a transformer.
-            robot: that it must be of.
-            heap_entries: of the queue of `shortest_paths`, a node.
-        """
+    def __init__(self, model: StoredModel, robot: Robot) -> None:
+        """Take over the weights; InvalidInputError if they do not fit the robot or their sizes."""
         model.require_part(PART)
         model.robot.require_same(robot_signature(robot))
         if model.config.transformer is None:
@@ -70,7 +64,7 @@ class SceneNetwork:
         self.neighbour, self._edge_of_arc = arcs_of(len(self.nodes), self.edges)
         ends = self.nodes[self.edges]
         self._length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-        entries = heap_entries * len(self.nodes)
+        entries = 40 * len(self.nodes)  # of the queue of `shortest_paths`
         self._heap = np.empty(entries), np.empty(entries, dtype=np.int32)
         d, e, heads, values = sizes.width, sizes.edge_width, sizes.heads, sizes.values
         points = len(self.config.body.points)

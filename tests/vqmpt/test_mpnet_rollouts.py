@@ -22,7 +22,7 @@ from cvqmpt_lab.vqmpt import mpnet_rollouts
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, stored
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet import MPNet
-from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts, RolloutSettings, line_free
+from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts, line_free
 from cvqmpt_lab.vqmpt.weights import RobotSignature, robot_signature
 
 CONFIG = MPNetConfig(
@@ -88,7 +88,7 @@ def mpnet_of(robot, network=None, observe=cloud_of, bridged=False, **settings):
     """A method whose rollouts are those of a network."""
     network = network or heading_network()
     checkpoint = Checkpoint(network.config, robot_signature(robot), {"mpnet": network})
-    rollouts = MPNetRollouts(stored(checkpoint), bridged, RolloutSettings(**settings))
+    rollouts = MPNetRollouts(MPNetNetwork(stored(checkpoint)), bridged, **settings)
     return Method.simple("mpnet", predict=rollouts, observe=observe)
 
 
@@ -125,17 +125,6 @@ def test_it_computes_what_the_torch_network_does():
         ends = (torch.tensor(q[None], dtype=torch.float32) for q in (current, goal))
         answer = network(*ends, expected, stochastic=False)
     np.testing.assert_allclose(inference.propose(current, goal, code), answer[0], atol=1e-6)
-
-
-def test_points_are_drawn_without_replacement_while_they_last():
-    inference = ready(random_network())
-    cloud = np.arange(60.0).reshape(20, 3) * 0.1
-    drawn = inference.draw_points(cloud, np.random.default_rng(0))
-    assert drawn.shape == (16, 3) and len(np.unique(drawn[:, 0])) == 16
-    assert len(np.unique(inference.draw_points(cloud[:5], np.random.default_rng(0))[:, 0])) == 5
-    for bad in (cloud[:1], cloud[0], 1000.0 * cloud, np.full((9, 3), np.nan)):
-        with pytest.raises(InvalidInputError, match="point cloud"):
-            inference.draw_points(bad, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("make", [heading_network, random_network])
@@ -255,8 +244,3 @@ def test_a_straight_line_is_checked_for_collision_alone(tuning):
     blocked = stuck_network(tuning).out.bias.detach().numpy()
     lower, upper = tuning.robot.lower, tuning.robot.upper
     assert not line_free(space, tuning.start, lower + 0.5 * (blocked + 1.0) * (upper - lower))
-
-
-def test_bad_input_is_named(tuning):
-    with pytest.raises(InvalidInputError, match="0 points"):
-        plan(tuning, mpnet_of(tuning.robot, random_network(), lambda scene: np.empty((0, 3))))
