@@ -73,7 +73,7 @@ def show_solution(
             what = f"picture of {', '.join(draw_task(solution, args.picture))}"
         lines.append(f"{what} written to {args.picture}")
     if suffix == FILM:
-        from cvqmpt_lab.show.film import film_solution
+        from cvqmpt_lab.show.picture import film_solution
 
         film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
         lines.append(f"film written to {args.save}")

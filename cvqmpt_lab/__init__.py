@@ -12,7 +12,7 @@ _HOME = {
     "ConvexMesh": "scene.shapes",
     "Cylinder": "scene.shapes",
     "draw": "show.picture",
-    "film_solution": "show.film",
+    "film_solution": "show.picture",
     "GaussianMixture": "search.planner_interface",
     "JointPath": "search.result",
     "load_robot": "robot.load",

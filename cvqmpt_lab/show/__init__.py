@@ -9,10 +9,12 @@ from typing import Any
 
 
 def load_ipython_extension(shell: Any) -> None:
-    """Register the pictures with a shell of IPython; `%load_ext cvqmpt_lab.show` calls it."""
-    from cvqmpt_lab.show.picture import register_pictures
+    """Let a shell of IPython show all that `draw` draws; `%load_ext cvqmpt_lab.show` calls it."""
+    from cvqmpt_lab.show.picture import DRAWN, html_of, png_of
 
-    register_pictures(shell)
+    for kind in DRAWN:
+        shell.display_formatter.formatters["image/png"].for_type(kind, png_of)
+        shell.display_formatter.formatters["text/html"].for_type(kind, html_of)
 
 
 if "IPython" in sys.modules:

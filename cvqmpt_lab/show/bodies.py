@@ -10,25 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.show.curves import Plot, plots_along, tilt_plots
+from cvqmpt_lab.show.curves import Plot, plots_along
+from cvqmpt_lab.show.marks import axes_marks, constraint_marks
 from cvqmpt_lab.show.meshes import (
     Colour,
     Mesh,
     beads,
-    cone,
     hull_mesh,
     joined,
-    rod,
     shape_mesh,
     travelled_along,
 )
@@ -93,6 +90,19 @@ class Seen:
     plots: Sequence[Plot] = ()
     lines: Sequence[str] = ()  # of text
 
+    @property
+    def floor(self) -> list[Body]:
+        """A square whose top has the ground's height."""
+        if self.ground is None:
+            return []
+        mesh, T = shape_mesh(Box((5.0, 5.0, 0.02))), pose((0.0, 0.0, self.ground - 0.01))
+        return [Body("floor", "scene", "floor", mesh, colour_of("floor"), T[None])]
+
+    def bodies(self, *names: str) -> list[Body]:
+        """Scene, floor, what moves, and the bodies of `layers`."""
+        over = [body for layer in self.layers(*names).values() for body in layer]
+        return [*self.scene, *self.floor, *self.moving, *over]
+
     def layers(self, *names: str) -> dict[str, list[Body]]:
         """The bodies of `over` by their layer, of layers whose first word is among the names."""
         found: dict[str, list[Body]] = {}
@@ -107,18 +117,6 @@ def colour_of(name: str, other: Colour = (0.87, 0.77, 0.62)) -> Colour:
     words = re.split("[^a-z]+", name.lower())
     fits = (kind for kind in KIND_COLOURS if any(word.startswith(kind) for word in words))
     return KIND_COLOURS.get(next(fits, ""), other)
-
-
-def poses_along(robot: Robot, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """T_world_link (m, n + 1, 4, 4), [:, 0] the world, and T_world_hand (m, 4, 4) at q (m, n)."""
-    rotations, translations = link_poses(
-        robot.kinematics, np.ascontiguousarray(states, dtype=float)
-    )
-    T_world_link = np.zeros((*translations.shape[:2], 4, 4))
-    T_world_link[..., :3, :3], T_world_link[..., :3, 3] = rotations, translations
-    T_world_link[..., 3, 3] = 1.0
-    link, T_link_hand = robot.end_effector_link
-    return T_world_link, T_world_link[:, link] @ T_link_hand
 
 
 def scene_bodies(scene: Scene, hidden: Sequence[str] = HIDDEN) -> list[Body]:
@@ -147,14 +145,6 @@ def ground_height(scene: Scene) -> float | None:
     return max(tops, default=None)
 
 
-def floor_body(height: float, side: float = 5.0) -> Body:
-    """A square of a floor whose top has a height [m]."""
-    T = pose((0.0, 0.0, height - 0.01))[None]
-    return Body(
-        "floor", "scene", "floor", shape_mesh(Box((side, side, 0.02))), colour_of("floor"), T
-    )
-
-
 def robot_bodies(
     problem: PlanningProblem,
     states: np.ndarray,
@@ -164,53 +154,62 @@ def robot_bodies(
     opacity: float = 1.0,
 ) -> list[Body]:
     """The robot's hulls and what it carries at states (m, n)."""
-    T_world_link, T_world_hand = poses_along(problem.robot, states)
+    states = np.ascontiguousarray(states, dtype=float)
+    rotations, translations = link_poses(problem.robot.kinematics, states)
+    T_world_link = np.tile(np.eye(4), (*translations.shape[:2], 1, 1))
+    T_world_link[..., :3, :3], T_world_link[..., :3, 3] = rotations, translations
     found = []
     for part in problem.robot.links:
         poses = T_world_link[:, part.link] @ part.T_link_geometry
         mesh = hull_mesh(part.vertices)
         found.append(Body(group, layer, part.name, mesh, colour, poses, opacity))
     for item in problem.attachments:
-        poses = T_world_hand @ item.T_hand_object
+        poses = problem.robot.poses(states) @ item.T_hand_object
         name = item.name.replace("_", " ") if group in ("robot", "start") else group
         found.append(Body(name, layer, item.name, shape_mesh(item.shape), LOAD, poses, opacity))
     return found
 
 
-def with_load(problem: PlanningProblem, carried: Sequence[Attachment]) -> PlanningProblem:
-    """The problem with `carried` in the hand if it has no load itself."""
-    return problem if problem.attachments else replace(problem, attachments=tuple(carried))
-
-
 def seen_of_problem(
     problem: PlanningProblem,
     path: JointPath | None,
+    carried: Sequence[Attachment] = (),
     most_states: int | None = None,
     ghosts: int = 4,
     goals: int = 1,
     hidden: Sequence[str] = HIDDEN,
+    plots: bool = False,
+    verdict: str = "",
+    lines: Sequence[str] = (),
 ) -> Seen:
     """What is shown of a problem, with or without a path.
 
     Args:
-        problem: with the load in the hand.
+        problem: what is shown.
         path: that is shown.
-        most_states: of it; a longer one is sampled evenly. None: its own states.
+        carried: load in the hand if the problem does not model it.
+        most_states: of the path; a longer one is sampled evenly. None: its own states.
         ghosts: number of poses shown between start and goal.
         goals: number of goals shown at most if there is no path.
         hidden: objects of the scene that are not shown.
+        plots: whether a path has plots.
+        verdict: said in the title.
+        lines: of text.
     """
+    loaded = replace(problem, attachments=problem.attachments or tuple(carried))
     states = problem.start[None] if path is None else path.states
     if path is not None and most_states is not None and len(states) > most_states:
         states = path.spaced(path.length / (most_states - 1))
     travelled = travelled_along(states)
     return Seen(
-        problem.name,
+        f"{problem.name}: {problem.robot.name}, {verdict}",
         scene_bodies(problem.scene, hidden),
         ground_height(problem.scene),
-        robot_bodies(problem, states),
-        list(_over(problem, None if path is None else states, ghosts, goals)),
+        robot_bodies(loaded, states),
+        list(_over(loaded, None if path is None else states, ghosts, goals)),
         [f"state {k} of {len(states) - 1}, {way:.2f} rad" for k, way in enumerate(travelled)],
+        plots=plots_along(problem, states) if plots and path is not None else (),
+        lines=lines,
     )
 
 
@@ -219,7 +218,7 @@ def _over(
 ) -> Iterator[Body]:
     """Start, goals, ghosts, the hand's trace, constraint and axes; path: its states (m, n)."""
     states = problem.start[None] if path is None else path
-    T_world_hand = poses_along(problem.robot, states)[1]
+    T_world_hand = problem.robot.poses(states)
     yield from robot_bodies(problem, problem.start[None], ROBOT, "start", "start", 0.35)
     opacity = 0.5 if path is None else 0.55
     for k, goal in enumerate(problem.goals[:goals] if path is None else states[-1:]):
@@ -234,119 +233,34 @@ def _over(
     for k, mark in enumerate(constraint_marks(problem, states)):
         layer = f"constraint/{k}"
         yield Body("constraint", layer, "mark", mark, CONSTRAINT, opacity=0.3, behind=0.12)
-    for at, T in zip(("start", "end"), T_world_hand[[0, -1]], strict=True):
-        for colour, mesh in zip(AXES, _axes(problem.robot.reach, T), strict=True):
-            yield Body("axes", "axes", at, mesh, colour, behind=0.5)
-    T_hand_world = np.linalg.inv(T_world_hand[0])
-    for name, colour, mesh in zip(
-        "xyz", AXES, _axes(problem.robot.reach, T_world_hand[0]), strict=True
-    ):
-        mesh = mesh.placed(T_hand_world, colour)
+    for name, colour, mesh in zip("xyz", AXES, axes_marks(problem.robot.reach), strict=True):
         yield Body("axes of the hand", "hand", name, mesh, colour, T_world_hand)
+        for T in T_world_hand[[0, -1]]:
+            yield Body("axes", "axes", name, mesh, colour, T[None], behind=0.5)
 
 
 def seen_of_solution(
-    solution: Solution,
+    solution: Solution | TaskSolution,
     carried: Sequence[Attachment] = (),
     most_states: int | None = None,
     plots: bool = False,
     goals: int = 1,
     hidden: Sequence[str] = HIDDEN,
 ) -> Seen:
-    """What is shown of a solution; `carried`: load in the hand if the problem does not model it."""
-    path = solution.simplified.path if solution.simplified else None
-    problem = with_load(solution.problem, carried)
-    seen = seen_of_problem(problem, path, most_states, goals=goals, hidden=hidden)
-    verdict = "solved and certified" if solution.solved else "not solved"
-    return titled(
-        seen, solution.problem, verdict, repr(solution).splitlines(), path if plots else None
+    """What is shown of a solution, or of a task; see `seen_of_problem`."""
+    if isinstance(solution, TaskSolution):
+        return seen_of_task(solution, hidden=hidden)
+    return seen_of_problem(
+        solution.problem,
+        solution.simplified.path if solution.simplified else None,
+        carried,
+        most_states,
+        goals=goals,
+        hidden=hidden,
+        plots=plots,
+        verdict="solved and certified" if solution.solved else "not solved",
+        lines=repr(solution).splitlines(),
     )
-
-
-def titled(
-    seen: Seen,
-    problem: PlanningProblem,
-    verdict: str,
-    lines: Sequence[str],
-    path: JointPath | None,
-) -> Seen:
-    """The same with a title, lines of text, and plots along a path unless it is None."""
-    plots: list[Plot] = []
-    if path is not None:
-        states = path.states
-        if len(seen.labels) != len(states):
-            states = path.spaced(path.length / (len(seen.labels) - 1))
-        plots = [*tilt_plots(problem, states), *plots_along(problem, states)]
-    title = f"{problem.name}: {problem.robot.name}, {verdict}"
-    return replace(seen, title=title, lines=lines, plots=plots)
-
-
-def constraint_marks(
-    problem: PlanningProblem,
-    states: np.ndarray,
-    margin: float = 0.1,
-    length: float = 0.13,
-    sheet: float = 0.002,
-    radius: float = 0.003,
-    widest: float = 1.4,
-) -> Iterator[Mesh]:
-    """Planes, lines, arcs and cones of a problem's regions around a path.
-
-    A plane or line shows where the origin of e in w may be. A cone, at both ends of the path,
-    shows where an axis with free rotation about itself may point. An arc shows the path of a region
-    that is attached to a door, over the door's range.
-
-    Args:
-        problem: with the regions.
-        states: of the path (m, n), m >= 1.
-        margin: by which planes and lines go on beyond the path [robot's reach].
-        length: of cones [robot's reach].
-        sheet: thickness of planes [m].
-        radius: of lines [m].
-        widest: half angle at which a cone is no longer drawn [rad].
-    """
-    reach = problem.robot.reach
-    T_world_hand = poses_along(problem.robot, states)[1]
-    for region in problem.constraint:
-        if isinstance(region, TaskSpaceRegionChain):
-            yield from _arc(problem.robot, region, states[0])
-            continue
-        T_world_w = T_world_hand @ np.linalg.inv(region.Tw_e)  # w, displaced
-        rows = set(region.bounded_rows.tolist())
-        fixed, free = ([k for k in range(3) if (k in rows) == bound] for bound in (True, False))
-        if len(free) in (1, 2):
-            R, t = region.T0_w[:3, :3], region.T0_w[:3, 3]
-            at = T_world_w[:, :3, 3] @ R - R.T @ t
-            low, high = at.min(axis=0) - margin * reach, at.max(axis=0) + margin * reach
-            low[fixed], high[fixed] = region.Bw[fixed].clip(-reach, reach).T
-            x, y, z = np.maximum(high - low, sheet if len(free) == 2 else 2.0 * radius).tolist()
-            T = region.T0_w.copy()
-            T[:3, 3] += R @ (0.5 * (low + high))
-            yield shape_mesh(Box((x, y, z))).placed(T, CONSTRAINT)
-        turning = [k for k in range(3) if k + 3 not in rows]
-        tilt = float(np.abs(region.Bw[[k for k in rows if k > 2]]).max(initial=0.0))
-        if len(turning) == 1 and tilt < widest:
-            for T in T_world_w[[0, -1]]:
-                yield cone(T[:3, 3], length * reach * region.T0_w[:3, turning[0]], tilt)
-                yield rod(T[:3, 3], T[:3, 3] + length * reach * T[:3, turning[0]], radius)
-
-
-def _arc(
-    robot: Robot, region: TaskSpaceRegionChain, q: np.ndarray, count: int = 40
-) -> Iterator[Mesh]:
-    """Path of the region's frame while the joints that move it, not the hand, sweep their range."""
-    row, _ = region.reference_link(robot)
-    moved = np.flatnonzero(robot.kinematics.moves[:, row])
-    if len(moved):
-        states = np.repeat(q[None], count, axis=0)
-        states[:, moved] = np.linspace(robot.lower[moved], robot.upper[moved], count)
-        yield beads((region.reference_poses(robot, states) @ region.Tw_e)[:, :3, 3])
-
-
-def _axes(reach: float, T: np.ndarray, length: float = 0.08, radius: float = 0.004) -> list[Mesh]:
-    """Rods along x, y, z of a frame (4, 4); length and radius are shares of the robot's reach."""
-    ends = (T[:3, 3] + length * reach * T[:3, k] for k in range(3))
-    return [rod(T[:3, 3], end, radius * reach) for end in ends]
 
 
 class Frame(NamedTuple):
@@ -407,7 +321,7 @@ def seen_of_task(
         moments = [moments[k] for k in np.linspace(0, len(moments) - 1, most).astype(int)]
     scene = solution.task.scene
     poses: dict[str, list[np.ndarray]] = {name: [] for name in scene.names}
-    arm: dict[str, list[Body]] = {}
+    arms = []
     for moment in moments:
         world, held = moment.world, moment.world.held
         placed = {item.name: item.T_world_object for item in world.scene}
@@ -416,11 +330,10 @@ def seen_of_task(
         for name, found in poses.items():
             found.append(placed[name])
         problem = replace(shown(world), attachments=())
-        for body in robot_bodies(problem, world.q[None]):
-            arm.setdefault(body.name, []).append(body)
+        arms.append(robot_bodies(problem, world.q[None]))
     moving = [
         replace(pieces[0], poses=np.concatenate([piece.poses for piece in pieces]))
-        for pieces in arm.values()
+        for pieces in zip(*arms, strict=True)
     ]
     moved = {
         name: np.array(Ts) for name, Ts in poses.items() if any((Ts[0] != T).any() for T in Ts)
@@ -443,11 +356,6 @@ def seen_of_task(
     )
 
 
-def meshes_of(bodies: Iterable[Body], state: int = 0) -> list[Mesh]:
-    """Their triangles in the world at a state."""
-    return [body.at(state) for body in bodies]
-
-
 def whole(bodies: Iterable[Body], state: int = 0) -> Mesh:
     """One mesh of several bodies at a state."""
-    return joined(meshes_of(bodies, state))
+    return joined(body.at(state) for body in bodies)

@@ -32,7 +32,7 @@ class Mesh:
     colours: np.ndarray  # (f, 3), each channel in [0, 1]
     piece: np.ndarray  # (f,), number of the piece that a triangle belongs to; pieces have outlines
 
-    def placed(self, T: np.ndarray, colour: Colour) -> "Mesh":
+    def placed(self, T: np.ndarray, colour: Colour = (1.0, 1.0, 1.0)) -> "Mesh":
         """The same triangles moved by T (4, 4), in one colour."""
         turn = T[:3, :3].T
         return Mesh(
@@ -45,7 +45,8 @@ class Mesh:
 
 def joined(meshes: Iterable[Mesh]) -> Mesh:
     """One mesh of several, each a piece of its own."""
-    meshes = list(meshes)
+    nothing = Mesh(*np.zeros((2, 0, 3, 3)), np.zeros((0, 3)), np.zeros(0, dtype=int))
+    meshes = [*meshes, nothing]
     corners, normals, colours = (
         np.concatenate([getattr(mesh, name) for mesh in meshes])
         for name in ("corners", "normals", "colours")
@@ -117,7 +118,7 @@ def rod(start: np.ndarray, end: np.ndarray, radius: float) -> Mesh:
     x = unit(np.cross(z, np.eye(3)[np.argmin(np.abs(z))]))
     T = np.eye(4)
     T[:3] = np.stack([x, np.cross(unit(z), x), unit(z), 0.5 * (start + end)], axis=1)
-    return shape_mesh(Cylinder(radius, float(np.linalg.norm(z)))).placed(T, (1.0, 1.0, 1.0))
+    return shape_mesh(Cylinder(radius, float(np.linalg.norm(z)))).placed(T)
 
 
 def cone(apex: np.ndarray, axis: np.ndarray, angle: float) -> Mesh:

@@ -1,4 +1,4 @@
-"""Still pictures of a robot, a scene, a problem, a solution or a task, as PNG.
+"""Still pictures of a robot, a scene, a problem, a solution or a task, as PNG; films as gif.
 
 The solid part (scene, robot at the start) has outlines and shadows; ghosts of the robot along the
 path and at the goal, the hand's trace, the constraint and the hand's axes are blended over it. A
@@ -7,10 +7,9 @@ legend or caption stands below.
 
 import io
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -29,13 +28,13 @@ from cvqmpt_lab.show.bodies import (
     Seen,
     frames,
     ground_height,
-    meshes_of,
     robot_bodies,
     scene_bodies,
     seen_of_problem,
+    seen_of_solution,
+    seen_of_task,
     shown,
     whole,
-    with_load,
 )
 from cvqmpt_lab.show.meshes import Colour, Mesh, joined
 from cvqmpt_lab.show.raster import Layer, Stage, Viewpoint, clear_viewpoint, framed
@@ -47,6 +46,7 @@ Label = tuple[str, Colour | None]  # a text, and the colour of its swatch, if it
 DRAWN = (Robot, Scene, PlanningProblem, Solution, Task, TaskSolution)
 
 
+@one_thread()  # BLAS threads wait for each other on small products
 def draw(
     what: object, path: Path | str | None = None, size: tuple[int, int] = (900, 600)
 ) -> Image.Image:
@@ -61,9 +61,17 @@ def draw(
     """
     match what:
         case Robot():
-            image = _robot_image(what, size)
+            # its joints as near to 0 as their limits let them
+            rest = np.clip(0.0, what.lower, what.upper)
+            alone = PlanningProblem(what.name, what, Scene("nothing", ()), rest, rest[None])
+            robot = whole(robot_bodies(alone, rest[None]))
+            image = still_image(alone, rest, size, clear_viewpoint([robot], whole(()), size))
         case Scene():
-            image = _scene_image(what, size)
+            scene = whole(scene_bodies(what))
+            if not len(scene.corners):
+                raise InvalidInputError(f"scene {what.name!r} has no object to draw")
+            viewpoint = framed(scene.corners.reshape(-1, 3), size)
+            image = Stage(whole(()), ground_height(what), viewpoint, size).image(scene)
         case PlanningProblem():
             image = problem_image(what, None, size)
         case Solution():
@@ -97,13 +105,6 @@ def html_of(what: object) -> str:
     return f"<pre>{escape(repr(what))}</pre>{picture}"
 
 
-def register_pictures(shell: Any) -> None:
-    """Let an IPython shell show all that `draw` draws: its text above its picture."""
-    for kind in DRAWN:
-        shell.display_formatter.formatters["image/png"].for_type(kind, png_of)
-        shell.display_formatter.formatters["text/html"].for_type(kind, html_of)
-
-
 def draw_solution(
     solution: Solution,
     path: Path,
@@ -123,19 +124,22 @@ def draw_solution(
         ghosts: number of poses shown between start and goal.
         carried: the load in the hand if the problem does not model it.
     """
-    problem = with_load(solution.problem, carried)
     planned = None if solution.simplified is None else solution.simplified.path
-    write_png(Path(path), problem_image(problem, planned, size, ghosts))
+    write_png(Path(path), problem_image(solution.problem, planned, size, ghosts, carried))
 
 
-@one_thread()  # BLAS threads wait for each other on small products
+@one_thread()
 def problem_image(
-    problem: PlanningProblem, path: JointPath | None, size: tuple[int, int], ghosts: int = 4
+    problem: PlanningProblem,
+    path: JointPath | None,
+    size: tuple[int, int],
+    ghosts: int = 4,
+    carried: Sequence[Attachment] = (),
 ) -> np.ndarray:
     """What `draw_solution` writes, (height, width, 3), 8 bit."""
     if min(size) < 1:
         raise InvalidInputError(f"picture size {size} must be at least 1 x 1 pixels")
-    seen = seen_of_problem(problem, path, ghosts=ghosts)
+    seen = seen_of_problem(problem, path, carried, ghosts=ghosts)
     start, *over = seen.layers("start", "goals", "way", "path", "constraint", "axes").values()
     named = (body for bodies in (start, *over) for body in bodies if body.group != "axes")
     legend = strip(legend_of(named, () if path is not None else ("no path found",)), size[0])
@@ -144,22 +148,19 @@ def problem_image(
         legend = legend[:0]
     size = (size[0], size[1] - len(legend))
     moving = list(seen.layers("goals", "way", "path").values())
-    parts = [whole(start), *(whole(bodies) for bodies in moving[:1] + moving[-1:])]
+    parts = [whole(bodies) for bodies in (start, *moving[:1], *moving[-1:])]
     stage = clear_stage(seen, parts, size)
-    return np.concatenate([stage.image(meshes_of(start), layers_on(stage, over)), legend])
+    return np.concatenate([stage.image(parts[0], layers_on(stage, over)), legend])
 
 
 def layers_on(stage: Stage, layers: Sequence[Sequence[Body]]) -> list[Layer]:
     """Translucent bodies as they are seen from the stage's viewpoint."""
-    found = []
-    for bodies in layers:
-        found.append(stage.layer(whole(bodies), bodies[0].opacity, bodies[0].behind))
-    return found
+    return [stage.layer(whole(bodies), bodies[0].opacity, bodies[0].behind) for bodies in layers]
 
 
 def clear_stage(seen: Seen, parts: Sequence[Mesh], size: tuple[int, int]) -> Stage:
     """The scene, from a viewpoint that shows most of the parts of a motion."""
-    still = meshes_of(seen.scene)
+    still = whole(seen.scene)
     return Stage(still, seen.ground, clear_viewpoint(parts, still, size), size)
 
 
@@ -174,9 +175,9 @@ def still_image(
 
     `Viewpoint.screen` gives the pixel of a point.
     """
-    scene = meshes_of(scene_bodies(problem.scene, hidden))
+    scene = whole(scene_bodies(problem.scene, hidden))
     stage = Stage(scene, ground_height(problem.scene), viewpoint, size)
-    return stage.image(meshes_of(robot_bodies(problem, q[None])))
+    return stage.image(whole(robot_bodies(problem, q[None])))
 
 
 def draw_world(problem: PlanningProblem, path: Path, size: tuple[int, int] = (1200, 800)) -> None:
@@ -184,25 +185,6 @@ def draw_world(problem: PlanningProblem, path: Path, size: tuple[int, int] = (12
     bodies = [*robot_bodies(problem, problem.start[None]), *scene_bodies(problem.scene, ())]
     viewpoint = framed(whole(bodies).corners.reshape(-1, 3), size)
     write_png(Path(path), still_image(problem, problem.start, size, viewpoint, hidden=()))
-
-
-@one_thread()
-def _robot_image(robot: Robot, size: tuple[int, int]) -> np.ndarray:
-    """A robot's collision pieces, its joints as near to 0 as their limits let them."""
-    rest = np.clip(0.0, robot.lower, robot.upper)
-    alone = PlanningProblem(robot.name, robot, Scene("nothing", ()), rest, rest[None])
-    viewpoint = clear_viewpoint([whole(robot_bodies(alone, rest[None]))], [], size)
-    return still_image(alone, rest, size, viewpoint)
-
-
-@one_thread()
-def _scene_image(scene: Scene, size: tuple[int, int]) -> np.ndarray:
-    """A scene without a robot."""
-    bodies = scene_bodies(scene)
-    if not bodies:
-        raise InvalidInputError(f"scene {scene.name!r} has no object to draw")
-    viewpoint = framed(whole(bodies).corners.reshape(-1, 3), size)
-    return Stage((), ground_height(scene), viewpoint, size).image(meshes_of(bodies))
 
 
 def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 450)) -> list[str]:
@@ -230,7 +212,7 @@ def task_image(
     worlds |= {moment.phase: moment.world for moment in frames(solution)}
     chosen = {name: shown(world) for name, world in worlds.items() if name in planned}
     arms = [whole(robot_bodies(problem, problem.start[None])) for problem in chosen.values()]
-    scene = meshes_of(scene_bodies(list(chosen.values())[-1].scene))
+    scene = whole(scene_bodies(list(chosen.values())[-1].scene))
     viewpoint = clear_viewpoint([joined(arms)], scene, size)
     panels = []
     for k, (name, problem) in enumerate(chosen.items(), start=1):
@@ -286,3 +268,78 @@ def write_png(path: Path, image: np.ndarray) -> None:
     """Write 8-bit colours (rows, columns, 3)."""
     with replacing(path) as temporary:
         Image.fromarray(image).save(temporary, format="PNG", optimize=True)
+
+
+@one_thread()
+def film_solution(
+    solution: Solution | TaskSolution,
+    path: Path,
+    size: tuple[int, int] = (600, 400),
+    carried: Sequence[Attachment] = (),
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    pictures: int | None = None,
+) -> None:
+    """Write a film of the robot on its path (without a path, of the start), or of a task.
+
+    Args:
+        solution: what is shown.
+        path: of the gif.
+        size: width and height, without the legend or the name of the phase below [pixels].
+        carried: load in the hand if the problem does not model it.
+        progress: called with the numbers of pictures drawn and of all.
+        pictures: of the film, about; default: 49 of a path, 110 at most of a task.
+    """
+    if isinstance(solution, TaskSolution):
+        seen = seen_of_task(solution, pictures or 110)
+        arm = [body for body in seen.moving if body.group == "robot"]
+        captions = {name: strip([(name, None)], size[0], 24) for name in set(seen.labels)}
+    else:
+        seen = seen_of_solution(solution, carried, pictures or 49)
+        arm = list(seen.moving)
+        shown = seen.layers("goals", "path").values()
+        bodies = [*arm, *(layer[0] for layer in shown)]
+        captions = dict.fromkeys(seen.labels, strip(legend_of(bodies), size[0], 42))
+    count = len(seen.labels)
+    # the viewpoint is chosen for some eight of its states
+    views = [whole(arm, k) for k in range(0, count, max(1, count // 8))]
+    stage = clear_stage(seen, [joined(views)], size)
+    layers = layers_on(stage, list(seen.layers("goals", "path").values()))
+    images = []
+    for k, label in enumerate(seen.labels):
+        image = stage.image(whole(seen.moving, k), layers)
+        images.append(np.concatenate([image, captions[label]]))
+        progress(len(images), count)
+    save_film(images, path)
+
+
+def save_film(
+    frames: Sequence[np.ndarray],
+    path: Path,
+    rate: int = 14,
+    rest: int = 10,
+    colours: int = 128,
+    chosen: int = 6,
+) -> None:
+    """Write pictures one after another as a gif.
+
+    Args:
+        frames: (height, width, 3) each, 8 bit.
+        path: of the file.
+        rate: of pictures [1/s].
+        rest: pictures for which the last one is shown.
+        colours: number of colours of the gif.
+        chosen: about how many pictures the colours are chosen from.
+    """
+    if path.suffix != ".gif":
+        raise UnknownChoiceError(f"kind of film {path.name}: suffix", path.suffix, (".gif",))
+    frames = [*frames, *[frames[-1]] * rest]
+    some = frames[:: max(1, len(frames) // chosen)]
+    palette = Image.fromarray(np.concatenate(some)).quantize(colours)
+    first, *others = (
+        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in frames
+    )
+    with replacing(path) as temporary:
+        first.save(
+            temporary, "GIF", save_all=True, append_images=others, duration=1000 // rate, loop=0
+        )

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.show.meshes import Colour, Mesh, joined, unit
+from cvqmpt_lab.jit import entry
+from cvqmpt_lab.show.meshes import Colour, Mesh, unit
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,6 @@ class Viewpoint:
     target: tuple[float, float, float] = (0.4, -0.1, 0.5)  # in the middle of the picture [m]
     height_angle: float = 0.64  # angle of view from the bottom to the top of the picture [rad]
     near: float = 0.05  # triangles closer to the eye than this are left out [m]
-    sun_left: float = 0.14  # angle of the sun to the left of the eye, seen from the target [rad]
-    sun_elevation: float = 0.722  # angle of the sun above the ground [rad]
 
     @property
     def axes(self) -> np.ndarray:
@@ -31,13 +29,11 @@ class Viewpoint:
 
     @property
     def sun(self) -> np.ndarray:
-        """Direction (3,) towards the sun, which is behind the viewer."""
+        """Direction (3,) towards the sun: behind the viewer, 0.14 rad to the left of the eye."""
         away = np.subtract(self.eye, self.target)
-        azimuth = np.arctan2(away[1], away[0]) - self.sun_left
-        across = np.cos(self.sun_elevation)
-        return np.array(
-            [across * np.cos(azimuth), across * np.sin(azimuth), np.sin(self.sun_elevation)]
-        )
+        azimuth, elevation = np.arctan2(away[1], away[0]) - 0.14, 0.722
+        across = np.cos(elevation)
+        return np.array([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)])
 
     def screen(self, points: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
         """Points (..., 3) [m] as (column, row [pixels], depth [m]) of a picture."""
@@ -60,116 +56,91 @@ class Viewpoint:
         return sky + steep * normals[:, 2], sun * np.maximum(normals @ self.sun, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """The pixels in which a mesh is seen."""
+class View(NamedTuple):
+    """A surface as it is seen: k pixels of a picture."""
 
-    rows: np.ndarray  # (k,)
-    columns: np.ndarray  # (k,)
-    face: np.ndarray  # (k,), the triangle seen
+    row: np.ndarray  # (k,)
+    column: np.ndarray  # (k,)
     depth: np.ndarray  # (k,) [m] along the picture's axis
+    points: np.ndarray  # (k, 3) [m]
     normals: np.ndarray  # (k, 3), length 1
+    colours: np.ndarray  # (k, 3)
+    piece: np.ndarray  # (k,), see `Mesh`
+
+    @property
+    def at(self) -> tuple[np.ndarray, np.ndarray]:
+        """Indices of its pixels in a picture."""
+        return self.row, self.column
+
+    def nearer_than(self, depth: np.ndarray) -> "View":
+        """The pixels that are nearer than a depth (rows, columns) [m]."""
+        nearer = self.depth < depth[self.at]
+        return View(*(part[nearer] for part in self))
 
 
-def rasterise(
-    mesh: Mesh,
-    viewpoint: Viewpoint,
-    shape: tuple[int, int],
-    small: Sequence[int] = (0, 4, 8, 16, 32),
-    at_once: int = 1_000_000,
-) -> View:
-    """The pixels of a picture in which a mesh is seen; the nearest triangle counts.
-
-    Args:
-        mesh: what is seen.
-        viewpoint: from where.
-        shape: rows and columns of the picture.
-        small: sides of squares [pixels] in which small triangles are drawn many at a time.
-        at_once: pixels of such squares.
-    """
+def rasterise(mesh: Mesh, viewpoint: Viewpoint, shape: tuple[int, int]) -> View:
+    """The pixels of a picture (rows, columns) in which a mesh is seen."""
     screen = viewpoint.screen(mesh.corners, shape)
     nearness = 1.0 / np.maximum(screen[..., 2], viewpoint.near)  # linear on the screen
-    weights, area = _corner_weights(screen[..., :2])
+    # barycentric coordinates of a pixel: weights[:, k] @ (x, y, 1)
+    (x1, x2), (y1, y2) = (
+        [np.roll(screen[..., axis], -s, axis=1) for s in (1, 2)] for axis in (0, 1)
+    )
+    weights = np.stack([y1 - y2, x2 - x1, x1 * y2 - x2 * y1], axis=-1)
+    area = weights[..., 2].sum(axis=1)
+    weights /= np.where(np.abs(area) > 1e-9, area, np.inf)[:, None, None]
     planes = (nearness[..., None] * weights).sum(axis=1)
     low = np.maximum(np.ceil(screen[..., :2].min(axis=1)), 0).astype(int)
     high = np.minimum(np.floor(screen[..., :2].max(axis=1)) + 1, shape[::-1]).astype(int)
     drawn = (area < 0.0) & (low < high).all(axis=1) & (screen[..., 2] > viewpoint.near).all(axis=1)
     face, nearest = np.full(shape, -1), np.zeros(shape)
-    edges, width = np.concatenate([planes[:, None], weights], axis=1), (high - low).max(axis=1)
-    for least, most in pairwise(small):
-        faces = np.flatnonzero(drawn & (least < width) & (width <= most))
-        for part in np.array_split(faces, 1 + len(faces) * most**2 // at_once):
-            _fill_small(face, nearest, part, edges[part], low[part], high[part], most)
-    row, column = np.arange(shape[0])[:, None], np.arange(shape[1])
-    for f in np.flatnonzero(drawn & (width > small[-1])):
-        block = slice(low[f, 1], high[f, 1]), slice(low[f, 0], high[f, 0])
-        y, x = row[block[0]], column[block[1]]
-        here = planes[f, 0] * x + planes[f, 1] * y + planes[f, 2]
-        inside = (here > nearest[block]) | ((here == nearest[block]) & (f < face[block]))
-        for a, b, c in weights[f]:
-            inside &= a * x + b * y + c >= 0.0
-        nearest[block][inside] = here[inside]
-        face[block][inside] = f
-    rows, columns = np.nonzero(face >= 0)
-    seen = face[rows, columns]
-    pixel = np.stack([columns, rows, np.ones(len(rows))], axis=1)
+    _fill(face, nearest, np.flatnonzero(drawn), planes, weights, low, high)
+    row, column = np.nonzero(face >= 0)
+    seen = face[row, column]
+    pixel = np.stack([column, row, np.ones(len(seen))], axis=1)
     normals = np.zeros_like(pixel)
     for k in range(3):
         normals += (weights[seen, k] * pixel).sum(axis=1, keepdims=True) * mesh.normals[seen, k]
-    return View(rows, columns, seen, 1.0 / nearest[rows, columns], unit(normals))
+    depth = 1.0 / nearest[row, column]
+    points = viewpoint.eye + depth[:, None] * viewpoint.rays(row, column, shape)
+    colours, piece = mesh.colours[seen], mesh.piece[seen]
+    return View(row, column, depth, points, unit(normals), colours, piece)
 
 
-def _fill_small(
-    face: np.ndarray,
-    nearest: np.ndarray,
-    faces: np.ndarray,
-    edges: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    side: int,
-) -> None:
-    """Draw many small triangles at once, like `rasterise`; of equally near ones the first counts.
+@entry
+def _fill(
+    face: Annotated[np.ndarray, "int64 rows columns"],
+    nearest: Annotated[np.ndarray, "rows columns"],
+    drawn: Annotated[np.ndarray, "int64 d"],
+    planes: Annotated[np.ndarray, "f 3"],
+    weights: Annotated[np.ndarray, "f 3 3"],
+    low: Annotated[np.ndarray, "int64 f 2"],
+    high: Annotated[np.ndarray, "int64 f 2"],
+):
+    """Write the nearest triangle of each pixel; of equally near ones the first stays.
 
-    face, nearest: (rows, columns), changed.
-    faces: their numbers (k,).
-    edges: (k, 4, 3), nearness and corner weights of a pixel (x, y, 1).
-    low, high: (k, 2), first pixel of each and the one after its last, at most side away.
+    face, nearest: number and nearness [1/m] of the triangle seen, changed.
+    drawn: numbers of the triangles that are drawn.
+    planes, weights: nearness and corner weights of a pixel (x, y, 1) on each triangle.
+    low, high: first pixel (x, y) of each and the one after its last.
     """
-    x, y = low[:, 0, None, None] + np.arange(side), low[:, 1, None, None] + np.arange(side)[:, None]
-    a, b, c = (edges[..., k, None, None] for k in range(3))
-    seen = (x < high[:, 0, None, None]) & (y < high[:, 1, None, None])
-    for k in range(1, edges.shape[1]):
-        seen &= a[:, k] * x + b[:, k] * y + c[:, k] >= 0.0
-    here = (a[:, 0] * x + b[:, 0] * y + c[:, 0])[seen]
-    pixel, f = (y * face.shape[1] + x)[seen], faces[np.nonzero(seen)[0]]
-    flat_face, flat_nearest = face.reshape(-1), nearest.reshape(-1)
-    before = flat_nearest[pixel]
-    np.maximum.at(flat_nearest, pixel, here)
-    wins = (here == flat_nearest[pixel]) & ((here > before) | (f < flat_face[pixel]))
-    flat_face[pixel[wins][::-1]] = f[wins][::-1]  # of what is assigned twice the last stays
-
-
-def _corner_weights(screen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric coordinates of triangles (f, 3, 2), [:, k] @ (x, y, 1), and signed areas (f,)."""
-    (x1, x2), (y1, y2) = (
-        [np.roll(screen[..., axis], -s, axis=1) for s in (1, 2)] for axis in (0, 1)
-    )
-    rows = np.stack([y1 - y2, x2 - x1, x1 * y2 - x2 * y1], axis=-1)
-    area = rows[..., 2].sum(axis=1)
-    return rows / np.where(np.abs(area) > 1e-9, area, np.inf)[:, None, None], area
+    for f in drawn:
+        for y in range(low[f, 1], high[f, 1]):
+            for x in range(low[f, 0], high[f, 0]):
+                here = planes[f, 0] * x + planes[f, 1] * y + planes[f, 2]
+                seen = here > nearest[y, x]
+                for k in range(3):
+                    weight = weights[f, k, 0] * x + weights[f, k, 1] * y + weights[f, k, 2]
+                    seen = seen and weight >= 0.0
+                if seen:
+                    face[y, x], nearest[y, x] = f, here
 
 
 class Shadow:
     """The shadow of a mesh, as a shadow map."""
 
     def __init__(
-        self,
-        mesh: Mesh,
-        sun: np.ndarray,
-        side: int,
-        distance: float = 40.0,
-        most_reach: float = 2.6,
-        bias: float = 0.025,
+        self, mesh: Mesh, sun: np.ndarray, side: int, distance: float = 40.0, bias: float = 0.025
     ) -> None:
         """Draw the map.
 
@@ -178,72 +149,42 @@ class Shadow:
             sun: direction (3,) towards it.
             side: of the map [pixels].
             distance: of the viewpoint whose picture is the map [m].
-            most_reach: around the mesh's middle; what lies farther casts no shadow [m].
             bias: a surface shadows only what lies this far behind it [m].
         """
-        low, high = mesh.corners.min(axis=(0, 1)), mesh.corners.max(axis=(0, 1))
+        corners = mesh.corners if len(mesh.corners) else np.zeros((1, 3, 3))
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
         self._middle = middle = 0.5 * (low + high)
-        self._reach = min(most_reach, 0.5 * float(np.linalg.norm(high - low)))
+        # what lies farther from the middle than 2.6 m casts no shadow
+        self._reach = float(np.clip(0.5 * np.linalg.norm(high - low), 1e-3, 2.6))
         angle = 2.0 * float(np.arctan(self._reach / distance))
         self._from_sun = Viewpoint(tuple(middle + distance * sun), tuple(middle), angle)
-        self._shape = (side, side)
-        view = rasterise(mesh, self._from_sun, self._shape)
-        self._blocked = np.full(self._shape, np.inf)
-        self._blocked[view.rows, view.columns] = view.depth + bias
-
-    def may_reach(self, across: np.ndarray) -> np.ndarray:
-        """Which points may be in the shadow; across: (k, 2) [m] across the sunlight."""
-        middle = self._from_sun.axes[:2] @ self._middle
-        return (np.abs(across - middle) < 1.2 * self._reach).all(axis=1)
+        view = rasterise(mesh, self._from_sun, (side, side))
+        self._blocked = np.full((side, side), np.inf)
+        self._blocked[view.at] = view.depth + bias
 
     def lit(self, points: np.ndarray) -> np.ndarray:
         """Share (k,) of the sunlight that reaches points (k, 3) [m]."""
-        column, row, depth = np.moveaxis(self._from_sun.screen(points, self._shape), -1, 0)
-        total = np.zeros(len(points))
+        shape, share = self._blocked.shape, np.ones(len(points))
+        across = np.abs((points - self._middle) @ self._from_sun.axes[:2].T)
+        near = np.flatnonzero((across < 1.2 * self._reach).all(axis=1))
+        column, row, depth = self._from_sun.screen(points[near], shape).T
+        total = np.zeros(len(near))
         for i, j in np.ndindex(3, 3):
             at = tuple(
-                np.clip((a + b - 0.5).astype(int), 0, self._shape[0] - 1)
+                np.clip((a + b - 0.5).astype(int), 0, shape[0] - 1)
                 for a, b in ((row, i), (column, j))
             )
             total += depth < self._blocked[at]
-        return total / 9.0
+        share[near] = total / 9.0
+        return share
 
 
 class Layer(NamedTuple):
-    """A translucent mesh as it is seen."""
+    """A translucent surface, with its lit colours."""
 
     view: View
-    colours: np.ndarray  # (k, 3), lit, of the view's pixels
     opacity: float
     behind: float  # opacity where something solid is in front of it
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """An image with depth."""
-
-    image: np.ndarray  # (rows, columns, 3), each channel in [0, 1]
-    depth: np.ndarray  # (rows, columns) [m], inf where nothing solid is
-    ghosts: list[np.ndarray] = field(default_factory=list)  # depth of each translucent layer
-
-    def blend(self, layer: Layer, coincide: float = 0.01) -> None:
-        """Blend a layer over the picture; if translucent, not within `coincide` [m] of bodies."""
-        view = layer.view
-        at = view.rows, view.columns
-        in_front = view.depth < self.depth[at] - 1e-3
-        share = np.where(in_front, layer.opacity, layer.behind)[:, None]
-        if layer.opacity < 1.0:
-            for depth in (self.depth, *self.ghosts):
-                share[np.abs(view.depth - depth[at]) < coincide] = 0.0
-            self.ghosts.append(np.full(self.depth.shape, np.inf, np.float32))
-            self.ghosts[-1][at] = view.depth
-        self.image[at] += share * (layer.colours - self.image[at])
-
-    def eight_bit(self, samples: int) -> np.ndarray:
-        """Colours (height, width, 3), 8 bit, the mean of samples x samples pixels each."""
-        rows, columns = (side // samples for side in self.image.shape[:2])
-        blocks = self.image.reshape(rows, samples, columns, samples, 3)
-        return (255.0 * np.clip(blocks.mean(axis=(1, 3)), 0.0, 1.0) + 0.5).astype(np.uint8)
 
 
 class Stage:
@@ -251,122 +192,112 @@ class Stage:
 
     def __init__(
         self,
-        still: Sequence[Mesh],
+        still: Mesh,
         ground: float | None,
         viewpoint: Viewpoint,
         size: tuple[int, int],
-        ground_colour: Colour = (0.88, 0.87, 0.85),
         samples: int = 2,
-        most_side: int = 1536,
     ) -> None:
         """Draw the scene.
 
         Args:
-            still: meshes of the scene.
+            still: the scene.
             ground: height of a floor [m], or None.
             viewpoint: from where it is seen.
             size: width and height of pictures [pixels].
-            ground_colour: of the floor.
             samples: a pixel of a picture is the mean of samples x samples.
-            most_side: of a shadow map [pixels].
         """
-        self.viewpoint, self.samples = viewpoint, samples
-        self.shape = shape = (samples * size[1], samples * size[0])
-        self._side = min(most_side, 2 * max(shape))
-        self._shadow: Shadow | None = None
-        self._colours = np.ones((*shape, 3), np.float32)
-        self._points = np.zeros((*shape, 3), np.float32)
-        self._sky, self._sun = np.ones(shape, np.float32), np.zeros(shape, np.float32)
-        self._white = np.zeros(shape, np.float32)
+        self.viewpoint, self._samples = viewpoint, samples
+        self._shape = shape = (samples * size[1], samples * size[0])
+        self._side = min(1536, 2 * max(shape))
+        self._shadow = Shadow(still, viewpoint.sun, self._side)
         self._depth, self._piece = np.full(shape, np.inf), np.full(shape, -1)
-        if still:
-            mesh = joined(still)
-            self._shadow = Shadow(mesh, viewpoint.sun, self._side)
-            view = rasterise(mesh, viewpoint, shape)
-            at = view.rows, view.columns
-            self._depth[at], self._piece[at] = view.depth, mesh.piece[view.face]
-            self._lay(at, view.depth, mesh.colours[view.face], view.normals)
+        self._points = np.zeros((*shape, 3), np.float32)
+        # colours where the sun does not shine, and what the sun adds
+        self._shade = np.ones((*shape, 3), np.float32)
+        self._sunny = np.zeros((*shape, 3), np.float32)
+        view = rasterise(still, viewpoint, shape)
+        self._depth[view.at], self._piece[view.at] = view.depth, view.piece
+        self._lay(view)
         if ground is not None:
-            self._lay_ground(ground, ground_colour)
-        self._sunny = np.nonzero(self._sun)
-        # two directions across the sunlight
-        sun_axes = Viewpoint(tuple(viewpoint.sun), (0.0, 0.0, 0.0)).axes[:2]
-        self._across = self._points[self._sunny] @ sun_axes.T.astype(np.float32)
+            self._lay_ground(ground)
 
     def layer(self, mesh: Mesh, opacity: float, behind: float = 0.0) -> Layer:
         """A translucent mesh as it is seen from the stage's viewpoint."""
-        view = rasterise(mesh, self.viewpoint, self.shape)
-        sky, sunlight = self.viewpoint.light(view.normals)
-        return Layer(view, mesh.colours[view.face] * (sky + sunlight)[:, None], opacity, behind)
+        view = rasterise(mesh, self.viewpoint, self._shape)
+        return Layer(view._replace(colours=sum(self._lit(view))), opacity, behind)
 
-    def image(self, moving: Sequence[Mesh], layers: Sequence[Layer] = ()) -> np.ndarray:
-        """Colours (height, width, 3), 8 bit, of scene, moving meshes and layers over both."""
-        picture = self.picture(moving)
-        for layer in layers:
-            picture.blend(layer)
-        return picture.eight_bit(self.samples)
+    def image(
+        self, moving: Mesh, layers: Sequence[Layer] = (), outline: float = 0.55
+    ) -> np.ndarray:
+        """Colours (height, width, 3), 8 bit, of scene, moving mesh and layers over both.
 
-    def picture(self, moving: Sequence[Mesh], outline: float = 0.55) -> Picture:
-        """The scene with the meshes that move; outline: what is left of the light there."""
-        mesh = joined(moving)
-        shadow = Shadow(mesh, self.viewpoint.sun, self._side // 2)
-        sun, piece, depth = self._sun.copy(), self._piece.copy(), self._depth.copy()
-        near = shadow.may_reach(self._across)
-        below = self._sunny[0][near], self._sunny[1][near]
-        sun[below] *= shadow.lit(self._points[below])
-        image = self._colours * (self._sky + sun)[..., None] + self._white[..., None]
-        view = rasterise(mesh, self.viewpoint, self.shape)
-        nearer = view.depth < depth[view.rows, view.columns]
-        at = view.rows[nearer], view.columns[nearer]
-        depth[at] = view.depth[nearer]
-        piece[at] = mesh.piece[view.face[nearer]] + 1 + self._piece.max()
-        rays = self.viewpoint.rays(at[0], at[1], self.shape)
-        points = self.viewpoint.eye + depth[at][:, None] * rays
-        lit = np.minimum(self._lit(points), shadow.lit(points))
-        sky, sunlight = self.viewpoint.light(view.normals[nearer])
-        image[at] = mesh.colours[view.face[nearer]] * (sky + lit * sunlight)[:, None]
+        outline: what is left of the light at outlines of pieces.
+        """
+        shadow = Shadow(moving, self.viewpoint.sun, self._side // 2)
+        share = shadow.lit(self._points.reshape(-1, 3)).astype(np.float32)
+        image = self._shade + self._sunny * share.reshape(*self._shape, 1)
+        depth, piece = self._depth.copy(), self._piece.copy()
+        view = rasterise(moving, self.viewpoint, self._shape).nearer_than(depth)
+        image[view.at] = sum(self._lit(view, self._shadow, shadow))
+        depth[view.at], piece[view.at] = view.depth, view.piece + 1 + self._piece.max()
         edge = np.zeros(piece.shape, dtype=bool)  # pieces that begin right or below
         edge[:, 1:] |= piece[:, 1:] != piece[:, :-1]
         edge[1:] |= piece[1:] != piece[:-1]
         image[edge] *= outline
-        return Picture(image, depth)
+        depths = [depth]  # of what is solid and of translucent layers
+        for layer in layers:
+            _blend(image, depths, layer)
+        rows, columns = (side // self._samples for side in self._shape)
+        blocks = image.reshape(rows, self._samples, columns, self._samples, 3)
+        return (255.0 * np.clip(blocks.mean(axis=(1, 3)), 0.0, 1.0) + 0.5).astype(np.uint8)
 
-    def _lit(self, points: np.ndarray) -> np.ndarray:
-        """Share (k,) of the sunlight that the scene lets through to points (k, 3)."""
-        return np.ones(len(points)) if self._shadow is None else self._shadow.lit(points)
+    def _lit(self, view: View, *shadows: Shadow) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (k, 3) of a surface where the sun does not shine, and what the sun adds."""
+        sky, sun = self.viewpoint.light(view.normals)
+        sun = np.min([sun, *(sun * shadow.lit(view.points) for shadow in shadows)], axis=0)
+        return sky[:, None] * view.colours, sun[:, None] * view.colours
 
-    def _lay(
-        self,
-        at: tuple[np.ndarray, ...],
-        depth: np.ndarray,
-        colours: np.ndarray,
-        normals: np.ndarray,
-    ) -> None:
-        """Put a surface of given colours (k, 3) and normals (k, 3) at pixels (rows, columns)."""
-        points = self.viewpoint.eye + depth[:, None] * self.viewpoint.rays(at[0], at[1], self.shape)
-        sky, sunlight = self.viewpoint.light(normals)
-        self._points[at], self._colours[at] = points, colours
-        self._sky[at], self._sun[at] = sky, sunlight * self._lit(points)
+    def _lay(self, view: View) -> None:
+        """Put a still surface at its pixels."""
+        self._points[view.at] = view.points
+        self._shade[view.at], self._sunny[view.at] = self._lit(view, self._shadow)
 
-    def _lay_ground(self, height: float, colour: Colour) -> None:
+    def _lay_ground(self, height: float, colour: Colour = (0.88, 0.87, 0.85)) -> None:
         """Put the plane z = height [m] at empty pixels; it fades into white with distance."""
-        rows, columns = np.nonzero(self._piece < 0)
-        rays = self.viewpoint.rays(rows, columns, self.shape)
+        row, column = np.nonzero(self._piece < 0)
+        rays = self.viewpoint.rays(row, column, self._shape)
         depth = (height - self.viewpoint.eye[2]) / np.where(rays[:, 2] == 0.0, np.inf, rays[:, 2])
         points = self.viewpoint.eye + depth[:, None] * rays
         away = np.linalg.norm(points - self.viewpoint.target, axis=1)
         share = np.clip(1.6 - 0.4 * away, 0.0, 1.0) * (depth > 0.0)
-        seen = share > 0.0
-        at, share = (rows[seen], columns[seen]), share[seen]
-        upwards = np.tile([0.0, 0.0, 1.0], (len(share), 1))
-        self._lay(at, depth[seen], np.tile(colour, (len(share), 1)), upwards)
-        self._colours[at] *= share[:, None]
-        self._white[at] = 1.0 - share
+        upwards, colours = np.tile([0.0, 0.0, 1.0], (len(row), 1)), np.outer(share, colour)
+        self._lay(View(row, column, depth, points, upwards, colours, row))
+        self._shade[row, column] += (1.0 - share)[:, None]
+
+
+def _blend(
+    image: np.ndarray, depths: list[np.ndarray], layer: Layer, coincide: float = 0.01
+) -> None:
+    """Blend a layer over an image; if translucent, not within `coincide` [m] of others.
+
+    image: (rows, columns, 3), changed.
+    depths: (rows, columns) [m] of what is solid and of earlier layers; that of the layer is added.
+    """
+    view, at = layer.view, layer.view.at
+    in_front = view.depth < depths[0][at] - 1e-3
+    share = np.where(in_front, layer.opacity, layer.behind)
+    if layer.opacity < 1.0:
+        for depth in depths:
+            share[np.abs(view.depth - depth[at]) < coincide] = 0.0
+        depths.append(np.full(image.shape[:2], np.inf, np.float32))
+        depths[-1][at] = view.depth
+    image[at] += share[:, None] * (view.colours - image[at])
 
 
 def clear_viewpoint(
     parts: Sequence[Mesh],
-    scene: Sequence[Mesh],
+    scene: Mesh,
     size: tuple[int, int],
     azimuths: Sequence[float] = (-132, -165, -95, 160, 125, -60, 90, -25, 55, 15),
     enough: float = 0.8,
@@ -384,13 +315,19 @@ def clear_viewpoint(
         gain: share that another direction must show more to be taken instead.
         rows: of the small pictures in which directions are compared [pixels].
     """
-    scene = [joined(scene)] if scene else []
     shape = (rows, round(rows * size[0] / size[1]))
     points = np.concatenate([part.corners.reshape(-1, 3) for part in parts])
     best, best_share = framed(points, size), -1.0
     for azimuth in azimuths:
         viewpoint = framed(points, size, azimuth)
-        share = _share_seen(parts, scene, viewpoint, shape)
+        # shares of the parts that are not behind the scene or an earlier part
+        depth, shares = np.full(shape, np.inf), []
+        for mesh in (scene, *parts):
+            view = rasterise(mesh, viewpoint, shape)
+            nearer = view.nearer_than(depth)
+            depth[nearer.at] = nearer.depth
+            shares.append(len(nearer.depth) / len(view.depth) if len(view.depth) else 1.0)
+        share = float(np.mean(shares[1:]))
         if share > best_share + gain:
             best, best_share = viewpoint, share
         if share > enough:
@@ -421,16 +358,3 @@ def framed(
     across = np.maximum(np.abs(down) / tall, np.abs(right) * size[1] / (tall * size[0]))
     distance = np.max(across - ahead)
     return Viewpoint(tuple(target + context * distance * towards_eye), tuple(target))
-
-
-def _share_seen(
-    parts: Sequence[Mesh], scene: Sequence[Mesh], viewpoint: Viewpoint, shape: tuple[int, int]
-) -> float:
-    """Mean over the parts of the share that is not behind the scene or an earlier part."""
-    depth, shares = np.full(shape, np.inf), []
-    for mesh in (*scene, *parts):
-        view = rasterise(mesh, viewpoint, shape)
-        nearer = view.depth < depth[view.rows, view.columns]
-        depth[view.rows[nearer], view.columns[nearer]] = view.depth[nearer]
-        shares.append(float(nearer.mean()) if len(nearer) else 1.0)
-    return float(np.mean(shares[len(scene) :]))

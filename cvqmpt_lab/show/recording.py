@@ -9,6 +9,7 @@ Entities: `world/scene`, `world/robot` and, of a task, `world/moving` (doors, ca
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -17,20 +18,8 @@ import rerun.blueprint as rrb
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
-from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment
-from cvqmpt_lab.search.result import Tree
-from cvqmpt_lab.show.bodies import (
-    GHOST,
-    GOAL,
-    Body,
-    Seen,
-    floor_body,
-    poses_along,
-    seen_of_solution,
-    seen_of_task,
-)
-from cvqmpt_lab.show.curves import Plot
+from cvqmpt_lab.show.bodies import GHOST, GOAL, Body, Seen, seen_of_solution
 from cvqmpt_lab.show.meshes import Colour
 from cvqmpt_lab.show.raster import Viewpoint
 from cvqmpt_lab.show.viewer import check_viewer, open_viewer
@@ -58,10 +47,7 @@ def log_solution(
     if view:
         check_viewer()
     path = Path(tempfile.mkdtemp(prefix="cvqmpt-")) / "run.rrd" if save is None else Path(save)
-    if isinstance(solution, TaskSolution):
-        seen = seen_of_task(solution, hidden=())
-    else:
-        seen = seen_of_solution(solution, carried, plots=True, goals=3, hidden=())
+    seen = seen_of_solution(solution, carried, plots=True, goals=3, hidden=())
     recording = rr.RecordingStream("cvqmpt_lab")
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
@@ -96,15 +82,20 @@ def _blueprint(seen: Seen) -> rrb.Blueprint:
         still = ["world/scene/**", "world/start/**", "world/goals/**", "trees/**"]
         name = "trees (timeline vertices)"
         views.append(rrb.Spatial3DView(origin="/", contents=still, name=name, eye_controls=eye))
-    plots = [
-        rrb.TimeSeriesView(
-            origin=f"plots/{plot.name}",
-            name=plot.title,
-            axis_y=rrb.ScalarAxis(range=plot.range),
-            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+    plots = []
+    for plot in seen.plots:
+        low, high = plot.extremes
+        height = max(high - low, 1e-3)
+        # room for the legend above the curves
+        room = low - 0.05 * height, high + 0.45 * height
+        plots.append(
+            rrb.TimeSeriesView(
+                origin=f"plots/{plot.name}",
+                name=plot.title,
+                axis_y=rrb.ScalarAxis(range=room),
+                plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+            )
         )
-        for plot in seen.plots
-    ]
     left = rrb.Tabs(*views, active_tab=0)
     return rrb.Blueprint(
         rrb.Horizontal(left, rrb.Vertical(*plots), column_shares=[2, 1]) if plots else left,
@@ -120,9 +111,7 @@ def _log_seen(recording: rr.RecordingStream, seen: Seen) -> None:
     else:
         time = rr.TimeColumn("task_time", duration=seen.times)
     recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    layers = seen.layers("start", "goals", "path", "constraint", "hand").values()
-    floors = [] if seen.ground is None else [floor_body(seen.ground)]
-    for body in (*seen.scene, *floors, *seen.moving, *(item for some in layers for item in some)):
+    for body in seen.bodies("start", "goals", "path", "constraint", "hand"):
         _log_body(recording, body, time)
     for k, name in enumerate(seen.labels):
         if seen.times is not None and (k == 0 or name != seen.labels[k - 1]):
@@ -130,7 +119,13 @@ def _log_seen(recording: rr.RecordingStream, seen: Seen) -> None:
             recording.log("phase", rr.TextLog(name))
     recording.reset_time()
     for plot in seen.plots:
-        _log_plot(recording, plot, time)
+        for name, values in plot.lines.items():
+            entity = f"plots/{plot.name}/{name.replace(' ', '_')}"
+            look: dict[str, Any] = {"widths": plot.width}
+            if name in plot.bounds:
+                look = {"widths": 1.0, "colors": [204, 51, 51, 255]}
+            recording.log(entity, rr.SeriesLines(names=name, **look), static=True)
+            recording.send_columns(entity, [time], rr.Scalars.columns(scalars=values))
 
 
 def _log_body(recording: rr.RecordingStream, body: Body, time: rr.TimeColumn) -> None:
@@ -151,49 +146,24 @@ def _log_body(recording: rr.RecordingStream, body: Body, time: rr.TimeColumn) ->
         recording.log(entity, still, static=True)
 
 
-def _log_plot(recording: rr.RecordingStream, plot: Plot, time: rr.TimeColumn) -> None:
-    for name, curve in plot.curves.items():
-        entity = f"plots/{plot.name}/{name.replace(' ', '_')}"
-        colour = None if curve.colour is None else _rgba(curve.colour)
-        line = rr.SeriesLines(names=name, colors=colour, widths=curve.width)
-        recording.log(entity, line, static=True)
-        recording.send_columns(entity, [time], rr.Scalars.columns(scalars=curve.values))
-
-
-def _log_search(
-    recording: rr.RecordingStream, solution: Solution, raw: Colour = (0.55, 0.55, 0.58)
-) -> None:
-    """The hand's path before shortening, and the trees."""
+def _log_search(recording: rr.RecordingStream, solution: Solution, steps: int = 60) -> None:
+    """The hand's path before shortening, and the trees in steps as they grow."""
     robot = solution.problem.robot
     for k, tree in enumerate(solution.plan.trees):
-        _log_tree(recording, robot, f"trees/{k}", tree, _rgba((GHOST, GOAL)[k % 2]))
+        hand, colour = robot.poses(tree.nodes)[:, :3, 3], _rgba((GHOST, GOAL)[k % 2])
+        for step, added in enumerate(np.array_split(np.arange(len(hand)), min(steps, len(hand)))):
+            child = added[tree.parent[added] >= 0]
+            edges = np.stack([hand[child], hand[tree.parent[child]]], axis=1)
+            recording.set_time("vertices", sequence=int(added[-1]) + 1)
+            nodes = rr.Points3D(hand[added], radii=0.003, colors=colour)
+            recording.log(f"trees/{k}/nodes/{step}", nodes)
+            lines = rr.LineStrips3D(edges, radii=0.0008, colors=colour)
+            recording.log(f"trees/{k}/edges/{step}", lines)
     recording.reset_time()
     if solution.plan.path is not None:
-        hand = poses_along(robot, solution.plan.path.states)[1][:, :3, 3]
-        line = rr.LineStrips3D([hand], radii=0.002, colors=_rgba(raw))
+        hand = robot.poses(solution.plan.path.states)[:, :3, 3]
+        line = rr.LineStrips3D([hand], radii=0.002, colors=_rgba((0.55, 0.55, 0.58)))
         recording.log("world/path/raw", line, static=True)
-
-
-def _log_tree(
-    recording: rr.RecordingStream,
-    robot: Robot,
-    entity: str,
-    tree: Tree,
-    colour: list[int],
-    steps: int = 60,
-) -> None:
-    """Hand positions of a tree's nodes and the edges between them, in steps as it grows."""
-    if len(tree.nodes) == 0:
-        return
-    hand = poses_along(robot, tree.nodes)[1][:, :3, 3]
-    for step, added in enumerate(np.array_split(np.arange(len(hand)), min(steps, len(hand)))):
-        child = added[tree.parent[added] >= 0]
-        edges = np.stack([hand[child], hand[tree.parent[child]]], axis=1)
-        recording.set_time("vertices", sequence=int(added[-1]) + 1)
-        nodes = rr.Points3D(hand[added], radii=0.003, colors=colour)
-        recording.log(f"{entity}/nodes/{step}", nodes)
-        lines = rr.LineStrips3D(edges, radii=0.0008, colors=colour)
-        recording.log(f"{entity}/edges/{step}", lines)
 
 
 def _rgba(colour: Colour, opacity: float = 1.0) -> list[int]:

@@ -19,20 +19,9 @@ from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.show.bodies import (
-    Body,
-    Seen,
-    floor_body,
-    meshes_of,
-    seen_of_problem,
-    seen_of_solution,
-    seen_of_task,
-    titled,
-    whole,
-    with_load,
-)
-from cvqmpt_lab.show.curves import BOUND_COLOUR, Plot
-from cvqmpt_lab.show.meshes import Colour, Mesh
+from cvqmpt_lab.show.bodies import Body, Seen, seen_of_problem, seen_of_solution, whole
+from cvqmpt_lab.show.curves import Plot
+from cvqmpt_lab.show.meshes import Mesh
 from cvqmpt_lab.show.raster import clear_viewpoint
 from cvqmpt_lab.tasks.solve import TaskSolution
 
@@ -53,11 +42,7 @@ def save_page(
 
     Returns: messages for the reader.
     """
-    if isinstance(solution, TaskSolution):
-        seen = seen_of_task(solution)
-    else:
-        seen = seen_of_solution(solution, carried, MOST_STATES, plots=True)
-    html, note = _html(seen)
+    html, note = _html(seen_of_solution(solution, carried, MOST_STATES, plots=True))
     write_text(Path(path), html)
     return note
 
@@ -66,21 +51,24 @@ def path_html(
     problem: PlanningProblem, states: np.ndarray, verdict: str, carried: Sequence[Attachment] = ()
 ) -> str:
     """The same page for a valid path of states (m, n) [rad or m], with a verdict in words."""
-    path = JointPath(states)
-    seen = seen_of_problem(with_load(problem, carried), path, MOST_STATES)
-    return _html(titled(seen, problem, verdict, repr(problem).splitlines(), path))[0]
+    seen = seen_of_problem(
+        problem,
+        JointPath(states),
+        carried,
+        MOST_STATES,
+        plots=True,
+        verdict=verdict,
+        lines=repr(problem).splitlines(),
+    )
+    return _html(seen)[0]
 
 
 def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> tuple[str, list[str]]:
     """Text of a page with a first view of `size` [pixels], and a message on reduced triangles."""
     ends = (0,) if seen.times is not None else (0, len(seen.labels) - 1)
     robot = [body for body in seen.moving if body.layer == "robot"]
-    scene = meshes_of(seen.scene)
-    viewpoint = clear_viewpoint([whole(robot, k) for k in ends], scene, size)
-    floors = [] if seen.ground is None else [floor_body(seen.ground)]
-    over = seen.layers("goals", "path", "constraint", "hand").values()
-    bodies = [*seen.scene, *floors, *seen.moving, *(body for layer in over for body in layer)]
-    bodies, note = _reduced(bodies)
+    viewpoint = clear_viewpoint([whole(robot, k) for k in ends], whole(seen.scene), size)
+    bodies, note = _reduced(seen.bodies("goals", "path", "constraint", "hand"))
     offset = np.subtract(viewpoint.eye, viewpoint.target)
     distance = float(np.linalg.norm(offset))
     labels = list(seen.labels)
@@ -131,21 +119,19 @@ def _plot(
 ) -> dict[str, Any]:  # fmt: skip
     low, high = plot.extremes
     room = 0.08 * max(high - low, 1e-3)
-    curves = [
-        {
-            "name": name,
-            "values": [float(f"{x:.6g}") if math.isfinite(x) else None for x in curve.values],
-            "colour": _css(curve.colour) if curve.colour else palette[k % len(palette)],
-            "width": curve.width,
-            "bound": curve.colour == BOUND_COLOUR,
-        }
-        for k, (name, curve) in enumerate(plot.curves.items())
-    ]
+    curves = []
+    for k, (name, values) in enumerate(plot.lines.items()):
+        bound = name in plot.bounds
+        curves.append(
+            {
+                "name": name,
+                "values": [float(f"{x:.6g}") if math.isfinite(x) else None for x in values],
+                "colour": "#cc3333" if bound else palette[k % len(palette)],
+                "width": 1.0 if bound else plot.width,
+                "bound": bound,
+            }
+        )
     return {"title": plot.title, "curves": curves, "low": low - room, "high": high + room}
-
-
-def _css(colour: Colour) -> str:
-    return "#" + "".join(f"{round(255 * part):02x}" for part in colour)
 
 
 def _reduced(
@@ -197,6 +183,4 @@ def clustered(mesh: Mesh, cell: float) -> Mesh:
 
 def _numbered(rows: np.ndarray) -> np.ndarray:
     """Keys (m,) of integer rows (m, 3), equal for equal rows; sorting them is ten times faster."""
-    rows = rows - rows.min(axis=0)
-    x, y, z = rows.T
-    return (x * (rows[:, 1].max() + 1) + y) * (rows[:, 2].max() + 1) + z
+    return np.ravel_multi_index((rows - rows.min(axis=0)).T, np.ptp(rows, axis=0) + 1)

@@ -19,7 +19,6 @@ from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.show.bodies import poses_along
 from cvqmpt_lab.show.picture import still_image
 from cvqmpt_lab.show.raster import Viewpoint
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, resolve_model, weights_digest
@@ -181,7 +180,7 @@ class HandPoses(NamedTuple):
     @classmethod
     def of(cls, robot: Robot, q: np.ndarray) -> "HandPoses":
         """Hands of a robot at configurations q (s, n)."""
-        T_world_hand = poses_along(robot, q)[1]
+        T_world_hand = robot.poses(q)
         up = T_world_hand[:, :3, 0]
         tilt = np.arctan2(np.linalg.norm(up[:, :2], axis=1), up[:, 2])
         return cls(q, T_world_hand[:, :3, 3], up, tilt)
@@ -212,7 +211,7 @@ def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
     """
     problem, every, count = update.problem, range(len(update.before.means)), len(update.codes)
     goal_states = update.before.means[count:]  # the first choice first
-    hands = poses_along(problem.robot, np.vstack([problem.start, goal_states]))[1]
+    hands = problem.robot.poses(np.vstack([problem.start, goal_states]))
     start, *goals = hands[:, :3, 3]
     figure = Figure(figsize=(14.4, 7.6), layout="constrained")
     (scene, *pictures), (histogram, *planes) = figure.subplots(2, 3, height_ratios=(1.25, 1.0))

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.show.film import film_solution, save_film
+from cvqmpt_lab.show.picture import film_solution, save_film
 
 FRAMES = [np.full((21, 31, 3), shade, np.uint8) for shade in (0, 90, 250)]
 

@@ -14,17 +14,16 @@ from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.show.bodies import (
-    constraint_marks,
     frames,
     ground_height,
-    meshes_of,
     robot_bodies,
     scene_bodies,
     seen_of_task,
+    whole,
 )
-from cvqmpt_lab.show.film import film_solution
-from cvqmpt_lab.show.meshes import hull_mesh, joined
-from cvqmpt_lab.show.picture import draw_solution, draw_task, strip
+from cvqmpt_lab.show.marks import constraint_marks
+from cvqmpt_lab.show.meshes import hull_mesh
+from cvqmpt_lab.show.picture import draw_solution, draw_task, film_solution, strip
 from cvqmpt_lab.show.raster import Stage, Viewpoint
 from cvqmpt_lab.show.recording import log_solution
 
@@ -53,10 +52,10 @@ def test_fine_hulls_are_drawn_by_few_corners_close_to_the_whole():
 
 
 def test_a_ghost_that_stands_where_the_robot_stands_is_not_seen(problem):
-    still = meshes_of(scene_bodies(problem.scene))
+    still = whole(scene_bodies(problem.scene))
     stage = Stage(still, ground_height(problem.scene), Viewpoint(), (60, 40))
-    robot = meshes_of(robot_bodies(problem, problem.start[None]))
-    ghost = stage.layer(joined(robot), 0.5)
+    robot = whole(robot_bodies(problem, problem.start[None]))
+    ghost = stage.layer(robot, 0.5)
     assert np.array_equal(stage.image(robot, [ghost]), stage.image(robot))
 
 

@@ -16,7 +16,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show import viewer
-from cvqmpt_lab.show.curves import bound_plots, clearance_plot
+from cvqmpt_lab.show.curves import plots_along
 from cvqmpt_lab.show.picture import draw_solution
 from cvqmpt_lab.show.recording import log_solution
 from cvqmpt_lab.show.viewer import open_viewer
@@ -125,16 +125,17 @@ def test_a_viewer_that_gives_up_is_an_error(stand_in, tmp_path):
 
 def test_plots_say_what_the_certificate_says(problem, solution):
     states = problem.robot.random_configurations(np.random.default_rng(0), 5)
+    plots = {plot.title: plot for plot in plots_along(problem, states)}
     outside = np.zeros(len(states))
-    for axis, plot in zip("yz", bound_plots(problem, states), strict=True):
-        curves = (f"rotation about {axis}", "lower bound", "upper bound")
-        tilt, low, high = (plot.curves[name].values for name in curves)
+    for axis in "yz":
+        plot = plots[f"rotation about {axis} against its bounds [rad]"]
+        tilt, low, high = plot.lines.values()
         outside = np.maximum(outside, np.maximum(low - tilt, tilt - high))
     for q, excess in zip(states, outside, strict=True):
         found = certify(problem, JointPath(np.stack([q, q])), clearance=False)
         assert excess == pytest.approx(found.max_violation_rad, abs=1e-9)
     states = solution.simplified.path.states[::20]
-    drawn = clearance_plot(solution.problem, states).curves["clearance"].values
-    for q, clearance in zip(states, drawn, strict=True):
+    *_, clearance, _ = plots_along(solution.problem, states)
+    for q, drawn in zip(states, clearance.curves["clearance"], strict=True):
         expected = certify(solution.problem, JointPath(np.stack([q, q]))).min_clearance_m
-        assert clearance == pytest.approx(1e3 * expected)
+        assert drawn == pytest.approx(1e3 * expected)
