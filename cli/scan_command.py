@@ -11,7 +11,7 @@ from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.files import json_text, write_text
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.cloud_files import WRITERS, write_cloud
+from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
 from cvqmpt_lab.sensing.scan import Arm, refuse_touching
 from cvqmpt_lab.show.picture import draw_world
 
@@ -23,8 +23,8 @@ def run(args: argparse.Namespace) -> int:
     for path in filter(None, (*args.out, args.picture)):
         writable_file(path)
     for path in args.out:
-        if path.suffix not in (SCENE, *WRITERS):
-            raise UnknownChoiceError(f"--out {path}: suffix", path.suffix, (SCENE, *WRITERS))
+        if path.suffix not in (SCENE, *HEADERS):
+            raise UnknownChoiceError(f"--out {path}: suffix", path.suffix, (SCENE, *HEADERS))
     robot = chosen_robot(args)
     arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
     made = scan_of(args, args.files, arm)

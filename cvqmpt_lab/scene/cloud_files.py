@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import lzf
 import numpy as np
@@ -48,10 +49,8 @@ def read_cloud(path: Path | str, scale: float = 1.0) -> Cloud:
     point, or is evidently not in metres.
     """
     path = Path(path)
-    reader = READERS[kind_of(path, READERS, "cloud")]
-    data = file_bytes(path, "cloud")
-    with parsing(path, "cloud"), np.errstate(over="ignore", invalid="ignore"):
-        points = scale * reader(data).astype(np.float64)
+    with np.errstate(over="ignore"):
+        points = scale * read_by_suffix(READERS, path, "cloud").astype(np.float64)
     # one axis after the other: 5 times as fast as by rows
     finite = np.logical_and.reduce([np.isfinite(axis) for axis in points.T])
     if not finite.any():
@@ -64,22 +63,46 @@ def read_cloud(path: Path | str, scale: float = 1.0) -> Cloud:
 
 def write_cloud(path: Path | str, points: FloatArray) -> None:
     """Write points (m, 3) [m] in single precision, whole or not at all;
-    the suffix says how (see `WRITERS`).
+    the suffix says how (see `HEADERS`).
     """
-    path = Path(path)
-    write = WRITERS[kind_of(path, WRITERS, "cloud")]
-    write_bytes(path, write(np.ascontiguousarray(points, dtype="<f4")))
+    path, points = Path(path), np.ascontiguousarray(points, dtype="<f4")
+    header = HEADERS[kind_of(path, HEADERS, "cloud")].format(count=len(points)).encode()
+    stream = io.BytesIO()
+    if header:
+        stream.write(header + points.tobytes())
+    else:
+        np.save(stream, points)
+    write_bytes(path, stream.getvalue())
 
 
-def file_bytes(path: Path, what: str, most: int = 2**31) -> bytes:
-    """The content of a regular file; nothing else, and no more than `most` bytes."""
+def read_by_suffix(
+    readers: Mapping[str, Callable[..., Any]],
+    path: Path,
+    what: str,
+    *more: Any,
+    most: int = 2**31,
+) -> Any:
+    """What the reader of a file's suffix makes of its bytes.
+
+    Args:
+        readers: by suffix, in small letters.
+        path: of a regular file.
+        what: the file is, for errors.
+        more: arguments of the reader after the bytes.
+        most: size of the file [bytes].
+
+    Raises InvalidInputError or UnknownChoiceError, in one line that names the file.
+    """
+    reader = readers[kind_of(path, readers, what)]
     if path.exists() and not path.is_file():
         raise InvalidInputError(f"cannot read {what} {path}: it is no regular file")
     if path.exists() and path.stat().st_size > most:
         raise InvalidInputError(
             f"cannot read {what} {path}: more than {most} bytes; make it smaller"
         )
-    return read_bytes(path, what)
+    data = read_bytes(path, what)
+    with parsing(path, what), np.errstate(over="ignore", invalid="ignore"):
+        return reader(data, *more)
 
 
 def kind_of(path: Path, kinds: Collection[str], what: str) -> str:
@@ -164,7 +187,8 @@ def _read_npy(data: bytes) -> np.ndarray:
     array = read_array(data)
     if array.dtype.names is not None:
         names = array.dtype.names
-        return np.stack([array[names[k]].reshape(-1) for k in _axes_among(names)], axis=1)
+        columns = [array[names[k]].reshape(-1) for k in _axes_among(names)]
+        return np.stack(columns, axis=1).astype(np.float64)
     if array.dtype.kind not in "fiu" or array.ndim < 2 or array.shape[-1] < 3:
         raise InvalidInputError(
             f"it has shape {array.shape} of {array.dtype}; give numbers of shape (m, 3)"
@@ -291,30 +315,6 @@ def _numbers(text: str, chosen: Sequence[int]) -> np.ndarray:
     return found.reshape(-1, len(chosen))
 
 
-def _write_pcd(points: np.ndarray) -> bytes:
-    count = len(points)
-    header = (
-        "# .PCD v0.7 - Point Cloud Data file format\n"
-        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
-        f"WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n"
-    )
-    return header.encode() + points.tobytes()
-
-
-def _write_ply(points: np.ndarray) -> bytes:
-    axes = "".join(f"property float {axis}\n" for axis in "xyz")
-    header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
-    )
-    return header.encode() + points.tobytes()
-
-
-def _write_npy(points: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    np.save(stream, points)
-    return stream.getvalue()
-
-
 READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {  # of points (m, 3), by the file's suffix
     ".npy": _read_npy,
     ".pcd": _read_pcd,
@@ -323,5 +323,12 @@ READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {  # of points (m, 3), by
     ".txt": _read_lines,
     ".csv": _read_lines,
 }
-Writer = Callable[[np.ndarray], bytes]
-WRITERS: Mapping[str, Writer] = {".pcd": _write_pcd, ".ply": _write_ply, ".npy": _write_npy}
+HEADERS = {
+    ".pcd": "# .PCD v0.7 - Point Cloud Data file format\n"
+    "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+    "WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n",
+    ".ply": "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
+    "property float x\nproperty float y\nproperty float z\nend_header\n",
+    ".npy": "",  # numpy writes its own
+}
+"""Headers of written clouds, by the file's suffix; the points follow."""

@@ -1,6 +1,7 @@
 """Meshes from files: STL, OBJ, DAE, as convex pieces that hold all of the surface."""
 
 import io
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +9,11 @@ import trimesh
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.urdf import collada_unit
-from cvqmpt_lab.scene.cloud_files import check_lengths, file_bytes, kind_of, parsing
+from cvqmpt_lab.scene.cloud_files import check_lengths, parsing, read_by_suffix
 from cvqmpt_lab.scene.convex import convex_pieces
 from cvqmpt_lab.values import FloatArray
 
 MOST_TRIANGLES = 200_000
-KINDS = (".stl", ".obj", ".dae")  # of files of meshes, by their suffix
 
 
 def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
@@ -38,20 +38,25 @@ def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
 
 def read_triangles(path: Path) -> FloatArray:
     """The corners (f, 3, 3) of a file's triangles, in its own unit."""
-    suffix = kind_of(path, KINDS, "mesh")
-    data = file_bytes(path, "mesh")
-    if suffix == ".obj":
+    return read_by_suffix(READERS, path, "mesh")
+
+
+def _triangles(kind: str, data: bytes) -> FloatArray:
+    if kind == "obj":
         data = data.decode("utf-8", errors="replace").encode()  # may have another encoding
-    with parsing(path, "mesh"):
-        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=suffix[1:], process=False)
-        faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
-        if len(faces) == 0:
-            raise InvalidInputError("it has no triangle: cut short?")
-        if len(faces) > MOST_TRIANGLES:
-            raise InvalidInputError(
-                f"it has {len(faces)} triangles; {MOST_TRIANGLES} at most: simplify it"
-            )
-        corners = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)[faces]
-        if not np.isfinite(corners).all():
-            raise InvalidInputError("a corner of a triangle is not finite")
-        return collada_unit(data) * corners if suffix == ".dae" else corners
+    mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False)
+    faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    if len(faces) == 0:
+        raise InvalidInputError("it has no triangle: cut short?")
+    if len(faces) > MOST_TRIANGLES:
+        raise InvalidInputError(
+            f"it has {len(faces)} triangles; {MOST_TRIANGLES} at most: simplify it"
+        )
+    corners = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)[faces]
+    if not np.isfinite(corners).all():
+        raise InvalidInputError("a corner of a triangle is not finite")
+    return collada_unit(data) * corners if kind == "dae" else corners
+
+
+READERS = {f".{kind}": partial(_triangles, kind) for kind in ("stl", "obj", "dae")}
+"""Of meshes, by the file's suffix."""

@@ -7,6 +7,7 @@ would be another one.
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, at, located
 from cvqmpt_lab.files import yaml_value
 from cvqmpt_lab.poses import Placement
 from cvqmpt_lab.robot.source import SCHEME, in_package
-from cvqmpt_lab.scene.cloud_files import file_bytes, kind_of, parsing
+from cvqmpt_lab.scene.cloud_files import read_by_suffix
 from cvqmpt_lab.scene.convex import convex_pieces
 from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, read_mesh
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -36,25 +37,23 @@ class Placed(NamedTuple):
     T: FloatArray  # (4, 4)
 
 
-def read_moveit_scene(path: Path | str, largest: int = 2**24) -> tuple[Scene, str]:
+def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
     """The scene of a file, and the frame of its poses, "" if the file does not say.
 
     An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file
-    and the object. largest: [bytes] of the file.
+    and the object.
     """
-    path = Path(path)
-    parse = PARSERS[kind_of(path, PARSERS, "MoveIt scene")]
-    data = file_bytes(path, "MoveIt scene")
-    with parsing(path, "MoveIt scene"):
-        if len(data) > largest:
-            raise InvalidInputError(f"it has {len(data)} bytes; {largest} at most")
-        name, frame, found = parse(data.decode("utf-8"), path)
-        pieces, met = Counter(placed.of for placed in found), Counter[str]()
-        objects = []
-        for of, shape, T in found:
-            objects.append(SceneObject(of if pieces[of] == 1 else f"{of}/{met[of]}", shape, T))
-            met[of] += 1
-        return Scene(name or path.stem, tuple(objects)), frame
+    return read_by_suffix(PARSERS, Path(path), "MoveIt scene", Path(path), most=2**24)
+
+
+def _scene(parse: Callable, data: bytes, path: Path) -> tuple[Scene, str]:
+    name, frame, found = parse(data.decode("utf-8"), path)
+    pieces, met = Counter(placed.of for placed in found), Counter[str]()
+    objects = []
+    for of, shape, T in found:
+        objects.append(SceneObject(of if pieces[of] == 1 else f"{of}/{met[of]}", shape, T))
+        met[of] += 1
+    return Scene(name or path.stem, tuple(objects)), frame
 
 
 def _solid(kind: str, sizes: Sequence[float]) -> Shape:
@@ -308,8 +307,8 @@ def _field(value: Any, name: str) -> Any:
     return value.get(name) if isinstance(value, Mapping) else None
 
 
-PARSERS: Mapping[str, Callable[[str, Path], tuple[str, str, list[Placed]]]] = {
-    ".scene": _from_text,
-    ".yaml": _from_yaml,
-    ".yml": _from_yaml,
+PARSERS = {
+    ".scene": partial(_scene, _from_text),
+    ".yaml": partial(_scene, _from_yaml),
+    ".yml": partial(_scene, _from_yaml),
 }

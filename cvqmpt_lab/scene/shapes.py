@@ -70,7 +70,7 @@ class MapFile(Checked):
 
 @dataclass(frozen=True, eq=False)
 class MeshFile(Checked):
-    """A mesh of a file, see `mesh_files.KINDS`, as one ConvexMesh or several."""
+    """A mesh of a file, see `mesh_files.READERS`, as one ConvexMesh or several."""
 
     path: Name  # of the file, from the folder of the one that names it
     scale: Length = 1.0  # [m] of one unit of the file

@@ -1,7 +1,6 @@
 """Intrinsics and extrinsics of depth cameras from small json or yaml files."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError, located, mapping
 from cvqmpt_lab.files import json_value, yaml_value
 from cvqmpt_lab.poses import MATRIX, Placement, Pose
-from cvqmpt_lab.scene.cloud_files import file_bytes, kind_of, parsing
+from cvqmpt_lab.scene.cloud_files import read_by_suffix
 from cvqmpt_lab.sensing.camera import Intrinsics
 from cvqmpt_lab.values import Array, FloatArray
 
@@ -78,11 +77,12 @@ def _rigid(data: Any) -> Any:
     if isinstance(data, Mapping):
         if "translation" not in data:
             return data
+        # ROS writes vectors as {x, y, z} and quaternions as {x, y, z, w}
         named = {"xyz": data["translation"], "quaternion": data.get("rotation")}
-        ordered = {
-            key: _in_order(value, "xyzw"[: 3 + (key != "xyz")]) for key, value in named.items()
-        }
-        return from_plain(Placement, ordered, "T_world_camera").matrix
+        for key, axes in (("xyz", "xyz"), ("quaternion", "xyzw")):
+            if isinstance(named[key], Mapping):
+                named[key] = [named[key].get(axis) for axis in axes]
+        return from_plain(Placement, named, "T_world_camera").matrix
     T = np.array(MATRIX.read(data, "T_world_camera"))
     R = T[:3, :3]
     # three digits may have been written down
@@ -99,22 +99,13 @@ def _listed(value: Any) -> Any:
     return value.get("data") if isinstance(value, Mapping) else value
 
 
-def _in_order(value: Any, axes: str) -> Any:
-    """ROS writes vectors as {x, y, z} and quaternions as {x, y, z, w}."""
-    return [value.get(axis) for axis in axes] if isinstance(value, Mapping) else value
-
-
 def _read_settings(path: Path | str, what: str) -> Any:
     """Plain dicts, lists and numbers of a json or yaml file; `what` names it in errors."""
-    path = Path(path)
-    parse = PARSERS[kind_of(path, PARSERS, what)]
-    data = file_bytes(path, what, most=2**16)
-    with parsing(path, what):
-        return parse(data.decode("utf-8"))
+    return read_by_suffix(PARSERS, Path(path), what, most=2**16)
 
 
-PARSERS: Mapping[str, Callable[[str], Any]] = {
-    ".json": partial(json_value, what="it"),
-    ".yaml": yaml_value,
-    ".yml": yaml_value,
+PARSERS: Mapping[str, Callable[[bytes], Any]] = {
+    ".json": lambda data: json_value(data.decode("utf-8"), "it"),
+    ".yaml": lambda data: yaml_value(data.decode("utf-8")),
+    ".yml": lambda data: yaml_value(data.decode("utf-8")),
 }

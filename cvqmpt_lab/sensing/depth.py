@@ -14,10 +14,8 @@ from cvqmpt_lab.files import write_bytes, write_text
 from cvqmpt_lab.scene.cloud_files import (
     Cloud,
     check_lengths,
-    file_bytes,
-    kind_of,
-    parsing,
     read_array,
+    read_by_suffix,
     read_cloud,
 )
 from cvqmpt_lab.sensing.camera import Intrinsics
@@ -64,12 +62,9 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
 
     scale: [m] of one unit; by default millimetres of a PNG, metres of an NPY of floats.
     """
-    path = Path(path)
-    reader = DEPTH_READERS[kind_of(path, DEPTH_READERS, "depth image")]
-    data = file_bytes(path, "depth image")
-    with parsing(path, "depth image"), np.errstate(over="ignore", invalid="ignore"):
-        image = reader(data, lens)
-        unit = (MILLIMETRES if image.dtype.kind == "u" else 1.0) if scale is None else scale
+    image = read_by_suffix(DEPTH_READERS, Path(path), "depth image", lens)
+    unit = (MILLIMETRES if image.dtype.kind == "u" else 1.0) if scale is None else scale
+    with np.errstate(over="ignore", invalid="ignore"):
         depth = unit * image.astype(np.float64)
     depth[~(np.isfinite(depth) & (depth > 0.0))] = np.nan
     return depth

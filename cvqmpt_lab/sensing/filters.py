@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.kinematics import link_poses
-from cvqmpt_lab.robot.robot import LinkGeometry, Robot
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.values import FloatArray
 
 
@@ -39,15 +38,6 @@ class BallCrop:
         return np.square(points - self.centre).sum(axis=1) <= self.radius**2
 
 
-class _Piece(NamedTuple):
-    """A convex piece of a robot, as half spaces of its link's frame."""
-
-    link: int  # pose row that carries it
-    middle: FloatArray  # (3,) of a ball around it [m]
-    radius: float  # of that ball [m]
-    faces: FloatArray  # (f, 4), outward normals n and offsets d; inside: all n x + d <= 0
-
-
 def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -> np.ndarray:
     """Mask (m,) of points (m, 3) [m, world] on, in or near the robot at q (n,).
 
@@ -58,12 +48,13 @@ def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -
         robot.kinematics, np.ascontiguousarray(q, dtype=float)[None]
     )
     near = np.zeros(len(points), dtype=bool)
-    for piece in _pieces(robot):
-        turn = rotations[piece.link]
-        away = points - (turn @ piece.middle + translations[piece.link])
-        close = np.flatnonzero(np.einsum("ij,ij->i", away, away) <= (piece.radius + margin) ** 2)
-        local = away[close] @ turn + piece.middle
-        near[close[(local @ piece.faces[:, :3].T + piece.faces[:, 3] <= margin).all(axis=1)]] = True
+    for part, faces in zip(robot.links, _faces(robot), strict=True):
+        turn, (middle, radius) = rotations[part.link], part.ball
+        away = points - (turn @ middle + translations[part.link])
+        close = np.flatnonzero(np.einsum("ij,ij->i", away, away) <= (radius + margin) ** 2)
+        local = away[close] @ turn + middle
+        # inside a piece n x + d <= 0 for all its planes
+        near[close[(local @ faces[:, :3].T + faces[:, 3] <= margin).all(axis=1)]] = True
     return near
 
 
@@ -76,14 +67,11 @@ def outliers(points: FloatArray, radius: float, neighbours: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def _pieces(robot: Robot) -> tuple[_Piece, ...]:
-    return tuple(_piece(part) for part in robot.links)
-
-
-def _piece(part: LinkGeometry) -> _Piece:
+def _faces(robot: Robot) -> list[FloatArray]:
+    """Planes (f, 4) of each convex piece in its link's frame: normals n, offsets d outwards [m]."""
     from scipy.spatial import ConvexHull
 
-    return _Piece(part.link, *part.ball, ConvexHull(part.vertices_in_link).equations)
+    return [ConvexHull(part.vertices_in_link).equations for part in robot.links]
 
 
 def voxel_means(points: FloatArray, voxel: float) -> FloatArray:

@@ -15,7 +15,6 @@ Fields without a source say "assumed".
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,26 +23,26 @@ from cvqmpt_lab.sensing.render import NOTHING, Solid, View, incidence
 WEAKEST = 0.15 / 5.46**2  # [1/m^2] the light of the specified range's end
 
 
-class Materials(NamedTuple):
-    """Optical properties of k solids."""
-
-    reflectivity: np.ndarray  # (k,), in (0, 1], of infrared light, diffuse
-    gloss: np.ndarray  # (k,), share of the light that is reflected as by a mirror
+Materials = tuple[np.ndarray, np.ndarray]
+"""Reflectivity (k,) of k solids, in (0, 1], of infrared light, diffuse; and their gloss (k,), the
+share of the light that is reflected as by a mirror."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class MaterialShares:
-    """Shares of solids of each kind; assumed."""
+def drawn_materials(
+    count: int, rng: np.random.Generator, dark: float = 0.1, shiny: float = 0.1
+) -> Materials:
+    """Materials of `count` solids.
 
-    dark: float = 0.1  # of 3 to 10 % reflectivity; other surfaces have 30 to 90 %
-    shiny: float = 0.1  # that mirror 60 to 90 % of the light
-
-    def drawn(self, count: int, rng: np.random.Generator) -> Materials:
-        """Materials of `count` solids."""
-        kind, shade, shine = rng.random((3, count))
-        reflectivity = np.where(kind < self.dark, 0.03 + 0.07 * shade, 0.3 + 0.6 * shade)
-        shiny = (kind >= self.dark) & (kind < self.dark + self.shiny)
-        return Materials(reflectivity, np.where(shiny, 0.6 + 0.3 * shine, 0.0))
+    Args:
+        count: of solids.
+        rng: of the draws.
+        dark: share of 3 to 10 % reflectivity, assumed; other surfaces have 30 to 90 %.
+        shiny: share that mirrors 60 to 90 % of the light, assumed.
+    """
+    kind, shade, shine = rng.random((3, count))
+    reflectivity = np.where(kind < dark, 0.03 + 0.07 * shade, 0.3 + 0.6 * shade)
+    mirrors = (kind >= dark) & (kind < dark + shiny)
+    return reflectivity, np.where(mirrors, 0.6 + 0.3 * shine, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +72,11 @@ def measured(
     rng: np.random.Generator,
 ) -> View:
     """The view as a camera would measure it: other depths, inf where there is none."""
-    rows, columns = _shifted_pixels(view.depth.shape, noise.lateral, rng)
+    # the pixel that each pixel reads: itself or a neighbour
+    shape = view.depth.shape
+    rows, columns = np.indices(shape)
+    down, right = np.rint(noise.lateral * rng.standard_normal((2, *shape))).astype(int)
+    rows, columns = np.clip(rows + down, 0, shape[0] - 1), np.clip(columns + right, 0, shape[1] - 1)
     depth, solid = view.depth[rows, columns], view.solid[rows, columns]
     found = solid != NOTHING
     reflectivity, gloss = (np.append(values, 0.0)[solid] for values in materials)  # 0: nothing
@@ -83,7 +86,11 @@ def measured(
     valid = found & (
         light * np.exp(noise.flicker * rng.standard_normal(light.shape)) > noise.weakest
     )
-    z = _with_errors(np.where(found, depth, 1.0), light, noise, rng)
+    # errors of the whole image and of each pixel
+    offset, scale = rng.standard_normal(2) * (noise.offset, noise.scale)
+    spread = noise.floor + noise.per_light / np.maximum(light, WEAKEST)
+    z = np.where(found, depth, 1.0)
+    z = z * (1.0 + scale) + offset + spread * rng.standard_normal(shape)
     z += noise.multipath * gloss * rng.exponential(size=z.shape)
     near, far, edge = _edges(view, noise.edge)
     fate, between = rng.random((2, *z.shape))
@@ -95,24 +102,6 @@ def measured(
         z = noise.quantum * np.rint(z / noise.quantum)
     valid &= (z >= view.camera.intrinsics.near) & (z <= view.camera.intrinsics.far)
     return replace(view, depth=np.where(valid, z, np.inf), solid=np.where(valid, solid, NOTHING))
-
-
-def _shifted_pixels(
-    shape: tuple[int, ...], lateral: float, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column (height, width) of the pixel that each pixel reads: itself or a neighbour."""
-    rows, columns = np.indices(shape)
-    down, right = np.rint(lateral * rng.standard_normal((2, *shape))).astype(int)
-    return np.clip(rows + down, 0, shape[0] - 1), np.clip(columns + right, 0, shape[1] - 1)
-
-
-def _with_errors(
-    depth: np.ndarray, light: np.ndarray, noise: DepthNoise, rng: np.random.Generator
-) -> np.ndarray:
-    """Depths (height, width) [m] with errors of the whole image and of each pixel."""
-    offset, scale = rng.standard_normal(2) * (noise.offset, noise.scale)
-    spread = noise.floor + noise.per_light / np.maximum(light, WEAKEST)
-    return depth * (1.0 + scale) + offset + spread * rng.standard_normal(depth.shape)
 
 
 def _edges(view: View, least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

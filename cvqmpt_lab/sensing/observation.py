@@ -1,7 +1,6 @@
 """The point cloud of a scene that a learned planner gets as input."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,7 +11,7 @@ from cvqmpt_lab.caches import LruCache, cached_arrays, sources_digest
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.scene.cells import seen_points
-from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud, thinned, visible_points
 
@@ -56,11 +55,20 @@ class Observer:
         if clouds:
             rest = scene.without(*(item.name for item in clouds))
             seen = visible_points(rest, self.settings, np.random.default_rng(self.seed))
-            return self.of_points(np.concatenate([_world_points(clouds), seen]))
+            world = [
+                seen_points(item.shape) @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3]
+                for item in clouds
+                if isinstance(item.shape, Measured)
+            ]
+            return self.of_points(np.concatenate([*world, seen]))
         rng = np.random.default_rng(self.seed)
-        made_of = self._made_of(scene)
+        cameras = [
+            (each.intrinsics, each.T_world_camera.tolist()) for each in self.settings.cameras
+        ]
+        settings = replace(self.settings, cameras=())
+        made_of = f"{_sources()} {cameras} {settings} {self.seed} {json.dumps(to_plain(scene))}"
         arrays = cached_arrays(
-            "clouds", made_of, lambda: {"cloud": camera_cloud(scene, self.settings, rng)}
+            "clouds", made_of.encode(), lambda: {"cloud": camera_cloud(scene, self.settings, rng)}
         )
         cloud = arrays["cloud"]
         # networks need two points: under the base
@@ -69,29 +77,9 @@ class Observer:
         cloud.setflags(write=False)
         return cloud
 
-    def _made_of(self, scene: Scene) -> bytes:
-        cameras = [
-            (each.intrinsics, each.T_world_camera.tolist()) for each in self.settings.cameras
-        ]
-        settings = replace(self.settings, cameras=())
-        return (
-            f"{_sources()} {cameras} {settings} {self.seed} {json.dumps(to_plain(scene))}".encode()
-        )
-
 
 @cache
 def _sources() -> str:
-    """What clouds are rendered by."""
+    """Digest of what clouds are rendered by."""
     library = Path(__file__).parents[1]
     return f"{sources_digest(library / 'sensing', library / 'scene')} {np.__version__}"
-
-
-def _world_points(clouds: Sequence[SceneObject]) -> np.ndarray:
-    """Points (p, 3) [m, world] of clouds and maps; of maps only the outermost cells."""
-    parts = []
-    for item in clouds:
-        assert isinstance(item.shape, Measured)
-        parts.append(
-            seen_points(item.shape) @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3]
-        )
-    return np.concatenate(parts)

@@ -6,125 +6,80 @@ the floor and still see the kitchen.
 """
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from cvqmpt_lab.sensing.camera import Camera
 
 NOTHING = -1  # in the place of a solid's index
-AHEAD = 1e-3  # [m] least depth of corners that are projected to the image
+
+
+Interval = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class Solid(ABC):
+class Solid:
     """A convex body; points, rays and normals are in its own frame."""
 
     T_world_solid: np.ndarray  # (4, 4) or (3, 4), its pose [m]
-
-    @property
-    @abstractmethod
-    def corners(self) -> np.ndarray:
-        """Points (n, 3) [m] whose convex hull holds the solid."""
-
-    @abstractmethod
-    def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where rays (..., 3) from eye (3,) enter and leave [rays]; NaN or empty if they miss."""
-
-    @abstractmethod
-    def normals(self, points: np.ndarray) -> np.ndarray:
-        """Outward unit normals (m, 3) at points (m, 3) [m] of its surface."""
+    corners: np.ndarray  # (n, 3), points whose convex hull holds it [m]
+    # where rays (..., 3) from an eye (3,) enter and leave it [rays]; NaN or empty if they miss
+    interval: Callable[[np.ndarray, np.ndarray], Interval]
+    normals: Callable[[np.ndarray], np.ndarray]  # outward, of length 1, at points (m, 3) [m] on it
 
 
-@dataclass(frozen=True, eq=False)
-class Cuboid(Solid):
-    """A box centred on its frame, edges along the axes."""
+def cuboid(T: np.ndarray, half: np.ndarray) -> Solid:
+    """A box at a pose, centred on its frame; half (3,) of each edge [m]."""
 
-    half: np.ndarray  # (3,) half of each edge [m]
-
-    @property
-    def corners(self) -> np.ndarray:
-        """The eight corners."""
-        return _box_corners(self.half)
-
-    def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Interval between its three pairs of planes."""
-        return _between_planes(eye, rays, self.half)
-
-    def normals(self, points: np.ndarray) -> np.ndarray:
-        """Along the axis on which a point is farthest out."""
-        along = np.argmax(np.abs(points) - self.half, axis=1)
+    def normals(points: np.ndarray) -> np.ndarray:
+        # along the axis on which a point is farthest out
+        along = np.argmax(np.abs(points) - half, axis=1)
         rows = np.arange(len(points))
         found = np.zeros_like(points)
         found[rows, along] = np.sign(points[rows, along])
         return found
 
-
-@dataclass(frozen=True, eq=False)
-class Ball(Solid):
-    """A ball centred on its frame."""
-
-    radius: float  # [m]
-
-    @property
-    def corners(self) -> np.ndarray:
-        """Corners of the cube around it."""
-        return _box_corners(np.full(3, self.radius))
-
-    def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Interval within its radius."""
-        return _within_radius(eye, rays, self.radius)
-
-    def normals(self, points: np.ndarray) -> np.ndarray:
-        """Directions away from the centre."""
-        return _unit(points)
+    return Solid(T, _box_corners(half), partial(_between_planes, half), normals)
 
 
-@dataclass(frozen=True, eq=False)
-class SolidCylinder(Solid):
-    """A cylinder centred on its frame, axis along z."""
+def ball(T: np.ndarray, radius: float) -> Solid:
+    """A ball [m] at a pose."""
+    return Solid(T, _box_corners(np.full(3, radius)), partial(_within_radius, radius), _unit)
 
-    radius: float  # [m]
-    half: float  # half of its height [m]
 
-    @property
-    def corners(self) -> np.ndarray:
-        """Corners of the box around it."""
-        return _box_corners(np.array([self.radius, self.radius, self.half]))
+def cylinder(T: np.ndarray, radius: float, half: float) -> Solid:
+    """A cylinder at a pose, centred on its frame, axis along z; half of its height [m]."""
 
-    def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Interval within its radius and between its ends."""
-        side = _within_radius(eye[:2], rays[..., :2], self.radius)
-        ends = _between_planes(eye[2:], rays[..., 2:], np.array([self.half]))
+    def interval(eye: np.ndarray, rays: np.ndarray) -> Interval:
+        side = _within_radius(radius, eye[:2], rays[..., :2])
+        ends = _between_planes(np.array([half]), eye[2:], rays[..., 2:])
         return np.maximum(side[0], ends[0]), np.minimum(side[1], ends[1])
 
-    def normals(self, points: np.ndarray) -> np.ndarray:
-        """Along the axis on its ends, away from the axis on its side."""
-        on_end = (
-            np.abs(points[:, 2]) - self.half > np.linalg.norm(points[:, :2], axis=1) - self.radius
-        )
+    def normals(points: np.ndarray) -> np.ndarray:
+        # along the axis on the ends, away from the axis on the side
+        on_end = np.abs(points[:, 2]) - half > np.linalg.norm(points[:, :2], axis=1) - radius
         return _unit(points * np.where(on_end[:, None], (0.0, 0.0, 1.0), (1.0, 1.0, 0.0)))
 
+    return Solid(T, _box_corners(np.array([radius, radius, half])), interval, normals)
 
-@dataclass(frozen=True, eq=False)
-class Polytope(Solid):
-    """The points x with n x + d <= 0 for the unit normal n and offset d of every plane."""
 
-    planes: np.ndarray  # (f, 4), n and d of each [m]
-    vertices: np.ndarray  # (n, 3) [m]
+def polytope(T: np.ndarray, planes: np.ndarray, vertices: np.ndarray) -> Solid:
+    """The points x with n x + d <= 0 for the unit normal n and offset d of every plane.
 
-    @property
-    def corners(self) -> np.ndarray:
-        """Its vertices."""
-        return self.vertices
+    Args:
+        T: (4, 4), its pose [m].
+        planes: (f, 4), n and d of each [m].
+        vertices: (n, 3) [m].
+    """
 
-    def interval(self, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Interval behind all planes; one by one, since all together would fill the memory."""
+    def interval(eye: np.ndarray, rays: np.ndarray) -> Interval:
+        # one plane after the other, since all together would fill the memory
         enter, leave = np.full(rays.shape[:-1], -np.inf), np.full(rays.shape[:-1], np.inf)
-        heights = self.planes[:, :3] @ eye + self.planes[:, 3]
-        for normal, height in zip(self.planes[:, :3], heights, strict=True):
+        heights = planes[:, :3] @ eye + planes[:, 3]
+        for normal, height in zip(planes[:, :3], heights, strict=True):
             towards = rays @ normal
             cut = -height / towards
             np.maximum(enter, cut, out=enter, where=towards < 0.0)
@@ -133,10 +88,11 @@ class Polytope(Solid):
                 leave[towards == 0.0] = -np.inf
         return enter, leave
 
-    def normals(self, points: np.ndarray) -> np.ndarray:
-        """Normal of the plane that a point is nearest to."""
-        nearest = np.argmax(points @ self.planes[:, :3].T + self.planes[:, 3], axis=1)
-        return self.planes[nearest, :3]
+    def normals(points: np.ndarray) -> np.ndarray:
+        # of the plane that a point is nearest to
+        return planes[np.argmax(points @ planes[:, :3].T + planes[:, 3], axis=1), :3]
+
+    return Solid(T, vertices, interval, normals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +150,8 @@ def _window(item: Solid, camera: Camera) -> tuple[slice, slice] | None:
     x, y, z = camera.T_world_camera[:3, :3].T @ (corners - camera.eye).T
     if z.max() < lens.near or z.min() > lens.far:
         return None
-    if z.min() < AHEAD:
+    # corners beside or behind the camera have no place in the image
+    if z.min() < 1e-3:
         return slice(0, lens.height), slice(0, lens.width)
     rows = _pixels(lens.cy + lens.fy * y / z, lens.height)
     columns = _pixels(lens.cx + lens.fx * x / z, lens.width)
@@ -215,9 +172,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def _between_planes(
-    eye: np.ndarray, rays: np.ndarray, half: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _between_planes(half: np.ndarray, eye: np.ndarray, rays: np.ndarray) -> Interval:
     """Interval of each ray (..., d) in which every coordinate lies between -half and half (d,)."""
     enter, leave = np.full(rays.shape[:-1], -np.inf), np.full(rays.shape[:-1], np.inf)
     for low, high, along in zip(-half - eye, half - eye, np.moveaxis(rays, -1, 0), strict=True):
@@ -227,9 +182,7 @@ def _between_planes(
     return enter, leave
 
 
-def _within_radius(
-    eye: np.ndarray, rays: np.ndarray, radius: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _within_radius(radius: float, eye: np.ndarray, rays: np.ndarray) -> Interval:
     """Interval of each ray (..., d) that lies less than `radius` from the origin."""
     a, b = np.einsum("...i,...i->...", rays, rays), rays @ eye
     c = eye @ eye - radius * radius

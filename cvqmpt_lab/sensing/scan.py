@@ -105,8 +105,15 @@ def scan(
     InvalidInputError: nothing is left, there is no supporting plane, or several captures are to be
     levelled.
     """
-    levelled = _level(captures, settings, rng) if settings.level else None
-    if levelled is not None:
+    levelled = None
+    if settings.level:
+        if len(captures) != 1:
+            raise InvalidInputError(
+                f"{len(captures)} captures cannot be levelled by a table; give the pose of each "
+                "camera"
+            )
+        seen = supporting_plane(captures[0].points, CAMERA_UP, CAMERA_TILT, rng)
+        levelled = Levelled(level_pose(captures[0].points, seen, settings.front), seen)
         captures = [replace(captures[0], T_world_camera=levelled.T_world_camera)]
     points = np.concatenate([capture.in_world for capture in captures])
     steps = []
@@ -140,17 +147,6 @@ def refuse_touching(scene: Scene, arm: Arm) -> None:
             f"the arm stands inside the scan: {pair} meet; remove more around it (a larger robot "
             "margin), or say where it really was"
         )
-
-
-def _level(captures: Sequence[Cloud], settings: ScanSettings, rng: np.random.Generator) -> Levelled:
-    """Level the only capture by the table that it shows."""
-    if len(captures) != 1:
-        raise InvalidInputError(
-            f"{len(captures)} captures cannot be levelled by a table; give the pose of each camera"
-        )
-    points = captures[0].points
-    plane = supporting_plane(points, CAMERA_UP, CAMERA_TILT, rng)
-    return Levelled(level_pose(points, plane, settings.front), plane)
 
 
 def _filters(

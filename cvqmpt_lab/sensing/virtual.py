@@ -12,8 +12,8 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 from cvqmpt_lab.sensing.camera import Camera, Intrinsics, cameras_on_sphere
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
-from cvqmpt_lab.sensing.noise import DepthNoise, MaterialShares, measured
-from cvqmpt_lab.sensing.render import Ball, Cuboid, Polytope, Solid, SolidCylinder, View, view_of
+from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
+from cvqmpt_lab.sensing.render import Solid, View, ball, cuboid, cylinder, polytope, view_of
 from cvqmpt_lab.values import FloatArray
 
 PUBLISHED_CAMERAS = cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0))
@@ -29,7 +29,6 @@ class CameraSettings:
     voxel: float | None = 0.025  # [m] cell in which points are averaged; None: no averaging
     noise: float = 0.0  # [m] standard deviation added to every coordinate of the cloud
     errors: DepthNoise | None = None  # of every camera; None: it measures perfectly
-    materials: MaterialShares = field(default_factory=MaterialShares)  # of objects, for errors
     points: int | None = None  # size of the cloud, random, repeated if too few; None: all
 
     def __post_init__(self) -> None:
@@ -86,7 +85,7 @@ def views_of(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -
     views = [view_of(solids, camera) for camera in settings.cameras]
     if settings.errors is None:
         return views
-    materials = settings.materials.drawn(len(solids), rng)
+    materials = drawn_materials(len(solids), rng)
     return [measured(view, solids, materials, settings.errors, rng) for view in views]
 
 
@@ -99,16 +98,16 @@ def _solid(item: SceneObject) -> Solid:
     T = item.T_world_object
     match item.shape:
         case Box(size):
-            return Cuboid(T, np.multiply(0.5, size))
+            return cuboid(T, np.multiply(0.5, size))
         case Sphere(radius):
-            return Ball(T, radius)
+            return ball(T, radius)
         case Cylinder(radius, height):
-            return SolidCylinder(T, radius, 0.5 * height)
+            return cylinder(T, radius, 0.5 * height)
         case ConvexMesh(vertices):
             from scipy.spatial import ConvexHull  # a third of a second to import
 
             planes = ConvexHull(vertices).equations.round(12)  # triangles may share planes
-            return Polytope(T, np.unique(planes, axis=0), vertices)
+            return polytope(T, np.unique(planes, axis=0), vertices)
     raise InvalidInputError(
         f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points "
         "as the cloud"
@@ -123,12 +122,8 @@ def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
     objects = []
     for piece in robot.links:
         T_world_link = np.eye(4)
-        T_world_link[:3, :3], T_world_link[:3, 3] = (
-            rotations[0, piece.link],
-            translations[0, piece.link],
-        )
-        shape = ConvexMesh(piece.vertices)
-        objects.append(
-            SceneObject(f"robot/{piece.name}", shape, T_world_link @ piece.T_link_geometry)
-        )
+        T_world_link[:3, :3] = rotations[0, piece.link]
+        T_world_link[:3, 3] = translations[0, piece.link]
+        T = T_world_link @ piece.T_link_geometry
+        objects.append(SceneObject(f"robot/{piece.name}", ConvexMesh(piece.vertices), T))
     return tuple(objects)

@@ -6,16 +6,16 @@ from typing import Literal
 import numpy as np
 
 from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
-from cvqmpt_lab.sensing.noise import DepthNoise, MaterialShares, measured
-from cvqmpt_lab.sensing.render import Ball, Cuboid, Solid, SolidCylinder, view_of
+from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
+from cvqmpt_lab.sensing.render import ball, cuboid, cylinder, view_of
 from cvqmpt_lab.training.dataset import Shapes
 from cvqmpt_lab.vqmpt.config import require_sizes
 
 BOX, CYLINDER, SPHERE = 0, 1, 2
 SOLIDS = (  # by the kind of a shape
-    lambda T, size: Cuboid(T, 0.5 * size),
-    lambda T, size: SolidCylinder(T, size[0], 0.5 * size[2]),
-    lambda T, size: Ball(T, size[0]),
+    lambda T, size: cuboid(T, 0.5 * size),
+    lambda T, size: cylinder(T, size[0], 0.5 * size[2]),
+    lambda T, size: ball(T, size[0]),
 )
 # The evaluation camera's range, a sixteenth of its pixels: still more than a cloud's points.
 SMALL = Intrinsics.from_fov(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
@@ -117,8 +117,8 @@ def measured_points(
         (k, 3) float32 [m].
     """
     described = zip(shapes.kind, shapes.size.astype(float), shapes.pose.astype(float), strict=True)
-    solids: list[Solid] = [SOLIDS[kind](T, size) for kind, size, T in described]
-    materials = MaterialShares().drawn(len(solids), rng)
+    solids = [SOLIDS[kind](T, size) for kind, size, T in described]
+    materials = drawn_materials(len(solids), rng)
     views = [view_of(solids, Camera(SMALL, look_at(place, target))) for place in places]
     points = np.concatenate(
         [measured(v, solids, materials, DepthNoise(), rng).points for v in views]

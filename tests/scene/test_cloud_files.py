@@ -7,7 +7,7 @@ import pytest
 from cloud_files import GOOD, POINTS, npy, pcd, ply, xyz
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.scene.cloud_files import WRITERS, read_cloud, write_cloud
+from cvqmpt_lab.scene.cloud_files import HEADERS, read_cloud, write_cloud
 
 
 @pytest.mark.parametrize("name", GOOD)
@@ -125,7 +125,7 @@ def test_what_is_no_cloud_file_is_refused(tmp_path):
         write_cloud(tmp_path / "cloud.obj", POINTS)
 
 
-@pytest.mark.parametrize("suffix", WRITERS)
+@pytest.mark.parametrize("suffix", HEADERS)
 def test_what_was_written_is_read(suffix, tmp_path):
     write_cloud(tmp_path / f"cloud{suffix}", POINTS)
     np.testing.assert_array_equal(read_cloud(tmp_path / f"cloud{suffix}").points, POINTS)

@@ -9,7 +9,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
-from cvqmpt_lab.sensing.noise import DepthNoise, Materials, measured
+from cvqmpt_lab.sensing.noise import DepthNoise, measured
 from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.sensing.virtual import solids_of
 
@@ -26,7 +26,7 @@ def plate(distance, turn=0.0, size=9.0):
 
 
 def of_one(reflectivity, gloss=0.0):
-    return Materials(np.array([reflectivity]), np.array([gloss]))
+    return np.array([reflectivity]), np.array([gloss])
 
 
 def seen(solids, material, noise=AXIAL, seed=0):
@@ -70,7 +70,7 @@ def test_what_sends_little_light_back_has_no_depth(solids, material, share):
 
 def test_flying_pixels_lie_between_the_surfaces_and_only_at_edges():
     front, back = plate(1.0, size=0.3)[0], plate(2.0)[0]
-    solids, material = [front, back], Materials(np.full(2, 0.8), np.zeros(2))
+    solids, material = [front, back], (np.full(2, 0.8), np.zeros(2))
     view = view_of(solids, CAMERA)
     found = measured(view, solids, material, DepthNoise(quantum=0.0), np.random.default_rng(0))
     between = (found.depth > 1.1) & (found.depth < 1.9)

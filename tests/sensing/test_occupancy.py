@@ -112,7 +112,7 @@ def test_what_is_free_in_a_map_is_certified_in_it_and_in_the_truth(panda, truth)
     left, right = (np.array([s * 0.9, 0.5, 0.0, -1.9, 0.0, 2.3, 0.8]) for s in (1.0, -1.0))
     seen = Scene("map", (SceneObject("map", scanned, np.eye(4)),))
     problem = PlanningProblem("over the wall", panda, seen, left, right[None])
-    solution = solve(problem, "birrt", Budget(seconds=5.0), seed=0)
+    solution = solve(problem, "birrt", Budget(iterations=20_000), seed=0)
     assert solution.solved
     path = solution.simplified.path
     assert certify(replace(problem, scene=truth), path).valid
