@@ -17,16 +17,9 @@ import torch
 from torch import Tensor, nn
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, located
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
-from cvqmpt_lab.vqmpt.config import (
-    DictionaryConfig,
-    ModelConfig,
-    PointCloudConfig,
-    SequenceConfig,
-    SetAbstractionConfig,
-    TransformerConfig,
-)
+from cvqmpt_lab.vqmpt.config import ModelConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
@@ -219,26 +212,23 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
         raise InvalidInputError(
             f"{ar_dir / 'ar_params.json'}: num_keys {sequence['num_keys']} has no codes"
         )
-    with located(f"{dictionary_dir} and {ar_dir}"):
-        return ModelConfig(
-            kind="published",
-            joint_dim=stage1["c_space_dim"],
-            dictionary=DictionaryConfig(
-                transformer=_sizes(stage1),
-                n_position=stage1["n_position"],
-                n_codes=sequence["num_keys"] - 2,
-                # a constant of the published scripts, in none of the json files
-                code_dim=8,
-            ),
-            point_cloud=PointCloudConfig(
-                sa2=SetAbstractionConfig(radius=0.4, widths=(256, stage1["d_model"])),
-            ),
-            sequence=SequenceConfig(context=_sizes(context), transformer=_sizes(sequence)),
-        )
-
-
-def _sizes(fields: Mapping[str, Any]) -> TransformerConfig:
-    return TransformerConfig(**{name: fields[name] for name in SIZES})
+    sizes1, sizes2, sizes3 = (
+        {name: fields[name] for name in SIZES} for fields in (stage1, context, sequence)
+    )
+    config = {
+        "kind": "published",
+        "joint_dim": stage1["c_space_dim"],
+        "dictionary": {
+            "transformer": sizes1,
+            "n_position": stage1["n_position"],
+            "n_codes": sequence["num_keys"] - 2,
+            # a constant of the published scripts, in none of the json files
+            "code_dim": 8,
+        },
+        "point_cloud": {"sa2": {"radius": 0.4, "widths": [256, stage1["d_model"]]}},
+        "sequence": {"context": sizes2, "transformer": sizes3},
+    }
+    return from_plain(ModelConfig, config, f"{dictionary_dir} and {ar_dir}: ")
 
 
 def _fields(path: Path, names: tuple[str, ...]) -> dict[str, Any]:

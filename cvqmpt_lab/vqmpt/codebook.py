@@ -186,18 +186,8 @@ def _feature_chain(model: StoredModel, robot: Robot, tolerance: float = 1e-4) ->
             f"model metadata, kinematics: {len(chain.rotation)} joints and {chain.feature_dim} "
             f"features; the model has {robot.dof} and {model.config.feature_dim}"
         )
-    kinematics = robot.kinematics
-    if not np.array_equal(kinematics.parent, np.arange(robot.dof)):
-        raise InvalidInputError(
-            f"link features are those of a chain, which robot {robot.name!r} is not"
-        )
-    if chain.sliders != tuple(np.flatnonzero(kinematics.prismatic).tolist()):
-        raise InvalidInputError(
-            f"the model's link features were made with sliders {list(chain.sliders)}, not those "
-            f"of {robot.name!r}"
-        )
     for name in ("rotation", "translation"):
-        difference = np.abs(getattr(chain, name) - getattr(kinematics, name))
+        difference = np.abs(getattr(chain, name) - getattr(robot.kinematics, name))
         difference = difference.reshape(robot.dof, -1).max(axis=1)
         if difference.max() > tolerance:
             joint = int(difference.argmax())
@@ -242,10 +232,19 @@ def code_vectors(model: StoredModel) -> np.ndarray:
     return vectors.astype(np.float32)
 
 
-def dictionary_gaussians(model: StoredModel, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+def dictionary_gaussians(
+    model: StoredModel, robot: Robot | RobotSignature
+) -> tuple[np.ndarray, np.ndarray]:
     """Means (codes, n) [rad] and covariances (codes, n, n) [rad^2] of all codes, in float64."""
-    codebook = Codebook(model, robot, np.float64)
-    return codebook.gaussians(codebook.vectors)
+    lower, span = np.asarray(robot.lower), np.subtract(robot.upper, robot.lower)
+    gaussians = CodeDecoder(model, np.float64).decode(code_vectors(model))
+    return lower + gaussians.mean * span, gaussians.covariance * np.outer(span, span)
+
+
+def dictionary_nodes(model: StoredModel, robot: Robot | RobotSignature) -> np.ndarray:
+    """A configuration (codes, n) [rad] for each code, the nodes of the dictionary's roadmap."""
+    means, covariances = dictionary_gaussians(model, robot)
+    return drawn_nodes(means, covariances, robot, code_noise(*means.shape))
 
 
 def codes_of(model: StoredModel, robot: Robot, configurations: np.ndarray) -> np.ndarray:
@@ -295,12 +294,7 @@ def require_own_dictionary(model: StoredModel, tolerance: float = 1e-3) -> None:
     Raises:
         InvalidInputError: the transformer was trained on another dictionary.
     """
-    robot = model.robot
-    gaussians = CodeDecoder(model, np.float64).decode(code_vectors(model))
-    span = np.subtract(robot.upper, robot.lower)
-    means, covariances = robot.lower + gaussians.mean * span, gaussians.covariance
-    covariances = covariances * np.outer(span, span)
-    nodes = drawn_nodes(means, covariances, robot, code_noise(*means.shape))
+    nodes = dictionary_nodes(model, model.robot)
     trained = model.array(TRANSFORMER, "nodes", *nodes.shape)
     if not np.allclose(nodes, trained, atol=tolerance, rtol=0.0):
         raise InvalidInputError(

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, shown
-from cvqmpt_lab.values import Array, FloatArray
+from cvqmpt_lab.values import Array, Condition, FloatArray, Length
 
 EPSILON = 1e-6  # of the layer norms of attention and feed-forward blocks, and of the dictionary
 
@@ -23,29 +23,24 @@ def require_sizes(largest: int = 1 << 16, **sizes: int | tuple[int, ...] | None)
                 raise InvalidInputError(f"{name} is {shown(size)}; give 1 to {largest}")
 
 
-def require_probability(name: str, value: float) -> None:
-    """Raise InvalidInputError for a share of units to drop that is not in [0, 1)."""
-    if not 0.0 <= value < 1.0:
-        raise InvalidInputError(f"{name} is {value}; give 0 or more, and less than 1")
+Size = Annotated[int, Condition(int, lambda n: 1 <= n <= 1 << 16, f"1 to {1 << 16}")]
+Layers = Annotated[int, Condition(int, lambda n: 1 <= n <= 64, "1 to 64")]
+Dropout = Annotated[
+    float, Condition(float, lambda share: 0.0 <= share < 1.0, "0 or more, and less than 1")
+]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TransformerConfig:
     """Sizes of a stack of attention layers."""
 
-    n_layers: int = 3
-    n_heads: int = 3
-    d_k: int = 512  # width of queries and keys, per head
-    d_v: int = 256  # width of values, per head
-    d_model: int = 512
-    d_inner: int = 1024  # width between the two layers of a feed-forward block
-    dropout: float = 0.1
-
-    def __post_init__(self) -> None:
-        names = ("n_heads", "d_k", "d_v", "d_model", "d_inner")
-        require_sizes(**{name: getattr(self, name) for name in names})
-        require_sizes(64, n_layers=self.n_layers)
-        require_probability("dropout", self.dropout)
+    n_layers: Layers = 3
+    n_heads: Size = 3
+    d_k: Size = 512  # width of queries and keys, per head
+    d_v: Size = 256  # width of values, per head
+    d_model: Size = 512
+    d_inner: Size = 1024  # width between the two layers of a feed-forward block
+    dropout: Dropout = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,35 +53,26 @@ class DictionaryConfig:
     ``mlp`` uses only `d_model` and `d_inner` of `transformer`.
     """
     transformer: TransformerConfig = field(default_factory=TransformerConfig)
-    n_position: int = 1000  # longest trajectory of the transformer's position table [waypoints]
-    n_codes: int = 2048
-    code_dim: int = 8
-    decoder_dropout: float = 0.5
+    n_position: Size = 1000  # longest trajectory of the transformer's position table [waypoints]
+    n_codes: Size = 2048
+    code_dim: Size = 8
+    decoder_dropout: Dropout = 0.5
     commitment: float = 0.25  # beta of the quantization loss
     data_initialised: bool = False
     """Start and restart codes from data (`Quantizer.restart_codes`); else only by gradient."""
-
-    def __post_init__(self) -> None:
-        require_sizes(n_position=self.n_position, n_codes=self.n_codes, code_dim=self.code_dim)
-        require_probability("decoder_dropout", self.decoder_dropout)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetAbstractionConfig:
     """One PointNet++ level: centres, their neighbourhoods and the perceptron over each."""
 
-    ratio: float = 0.75  # share of the points that become centres
-    radius: float  # of the ball around a centre [m]
-    max_neighbours: int = 64  # points used of each ball
-    widths: tuple[int, int]  # outputs of the perceptron's two layers
-
-    def __post_init__(self) -> None:
-        require_sizes(max_neighbours=self.max_neighbours, widths=self.widths)
-        if not 0.0 < self.radius < math.inf or not 0.0 < self.ratio <= 1.0:
-            raise InvalidInputError(
-                f"set abstraction: radius {self.radius} m and ratio {self.ratio}; give a positive "
-                "radius and a ratio of at most 1"
-            )
+    # share of the points that become centres
+    ratio: Annotated[
+        float, Condition(float, lambda share: 0.0 < share <= 1.0, "more than 0, at most 1")
+    ] = 0.75
+    radius: Length  # of the ball around a centre [m]
+    max_neighbours: Size = 64  # points used of each ball
+    widths: tuple[Size, Size]  # outputs of the perceptron's two layers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,10 +89,7 @@ class SequenceConfig:
 
     context: TransformerConfig = field(default_factory=TransformerConfig)  # of start and goal
     transformer: TransformerConfig = field(default_factory=TransformerConfig)  # autoregressive
-    max_length: int = 50  # tokens predicted at most, the goal token included
-
-    def __post_init__(self) -> None:
-        require_sizes(max_length=self.max_length)
+    max_length: Size = 50  # tokens predicted at most, the goal token included
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +97,7 @@ class ModelConfig:
     """A VQ-MPT model: the published architecture, or the smaller dictionary alone ("compact")."""
 
     kind: Literal["published", "compact"] = "published"
-    joint_dim: int = 7
+    joint_dim: Size = 7
     feature_dim: int = 0  # features beside the joints, such as link positions [m] (compact only)
     dictionary: DictionaryConfig = field(default_factory=DictionaryConfig)
     # of the sequence model
@@ -124,7 +107,6 @@ class ModelConfig:
     transformer: "SceneTransformerConfig | None" = None  # the scene transformer's, if there is one
 
     def __post_init__(self) -> None:
-        require_sizes(joint_dim=self.joint_dim, feature_dim=self.feature_dim or None)
         if (self.point_cloud is None) != (self.sequence is None):
             raise InvalidInputError("give both point_cloud and sequence, or set both to null")
         dictionary = self.dictionary
@@ -194,17 +176,14 @@ class ModelConfig:
 class MPNetConfig:
     """Sizes of MPNet; defaults are those of the published 7-joint model."""
 
-    joint_dim: int = 7
-    n_points: int = 4120  # of a cloud, drawn at random from what there is
-    encoder_widths: tuple[int, ...] = (786, 512, 256)  # hidden layers of the cloud encoder
-    code_dim: int = 60  # of an encoded cloud
-    planner_widths: tuple[int, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)  # of the planner
-    dropout: float = 0.5  # after every hidden layer of the planner but the last
+    joint_dim: Size = 7
+    n_points: Size = 4120  # of a cloud, drawn at random from what there is
+    encoder_widths: tuple[Size, ...] = (786, 512, 256)  # hidden layers of the cloud encoder
+    code_dim: Size = 60  # of an encoded cloud
+    planner_widths: tuple[Size, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)  # of the planner
+    dropout: Dropout = 0.5  # after every hidden layer of the planner but the last
 
     def __post_init__(self) -> None:
-        names = ("joint_dim", "n_points", "code_dim", "encoder_widths", "planner_widths")
-        require_sizes(**{name: getattr(self, name) for name in names})
-        require_probability("dropout", self.dropout)
         if not self.encoder_widths or not self.planner_widths:
             raise InvalidInputError("encoder_widths and planner_widths need a layer each")
 
@@ -238,18 +217,6 @@ def require_point_cloud(points: Any, largest_extent: float = 50.0) -> None:
             f"point cloud reaches {largest:g} m; at most {largest_extent:g} m: give metres, not "
             "millimetres"
         )
-
-
-def checked_cloud(cloud: np.ndarray) -> np.ndarray:
-    """A cloud (m, 3) [m, robot base frame] as float32; errors as of `require_point_cloud`."""
-    try:
-        points = np.asarray(cloud, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidInputError(f"point cloud must be numbers: {error}") from error
-    if points.ndim != 2:
-        raise InvalidInputError(f"point cloud of shape {points.shape}; it must be (n, 3) [m]")
-    require_point_cloud(points)
-    return np.ascontiguousarray(points, dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,19 +266,17 @@ class SerialChain:
 class SceneTransformerSizes:
     """Sizes of `SceneTransformer`; defaults are those of the weights that ship."""
 
-    width: int = 128
-    layers: int = 3  # of the causal transformer
-    heads: int = 4
-    groups: int = 128  # scene tokens
-    group_size: int = 32  # points that each is made of
-    values: int = 8  # that a body point reads from the tokens
-    edge_width: int = 64
-    links: int = 20  # codes near a start or goal that it is linked to
-    stride: int = 4  # every so many-th code is a landmark that sequences attend to
+    width: Size = 128
+    layers: Layers = 3  # of the causal transformer
+    heads: Size = 4
+    groups: Size = 128  # scene tokens
+    group_size: Size = 32  # points that each is made of
+    values: Size = 8  # that a body point reads from the tokens
+    edge_width: Size = 64
+    links: Size = 20  # codes near a start or goal that it is linked to
+    stride: Size = 4  # every so many-th code is a landmark that sequences attend to
 
     def __post_init__(self) -> None:
-        require_sizes(**{name: getattr(self, name) for name in self.__annotations__})
-        require_sizes(64, layers=self.layers)
         if self.width % 8 or self.width % self.heads:
             raise InvalidInputError(
                 f"width {self.width} must be divisible by 8 and by heads, {self.heads}"
@@ -325,12 +290,11 @@ class SceneTransformerConfig:
     lower: tuple[float, ...]  # (n,) joint limits [rad or m]
     upper: tuple[float, ...]  # (n,)
     body: SerialChain  # kinematics, and the body points that look at the scene
-    n_nodes: int  # codes of the dictionary, a node of the roadmap each
-    n_edges: int
+    n_nodes: Size  # codes of the dictionary, a node of the roadmap each
+    n_edges: Size
     sizes: SceneTransformerSizes = field(default_factory=SceneTransformerSizes)
 
     def __post_init__(self) -> None:
-        require_sizes(n_nodes=self.n_nodes, n_edges=self.n_edges)
         if self.sizes.links > self.n_nodes:
             raise InvalidInputError(
                 f"links is {self.sizes.links}; give at most n_nodes, {self.n_nodes}"

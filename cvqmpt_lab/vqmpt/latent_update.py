@@ -15,47 +15,31 @@ until a step is shorter than delta. (The published code leaves out R and the par
 
 import time
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 
+from cvqmpt_lab.codec import Checked
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.values import Condition
 from cvqmpt_lab.vqmpt.codebook import Codebook, CodeGaussians
 
-Method = Literal["adam", "gradient"]
+Count = Annotated[int, Condition(int, lambda n: n >= 1, "1 or more")]
 
 
-@dataclass(frozen=True, kw_only=True)
-class LatentSettings:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LatentSettings(Checked):
     """Settings of Algorithm 2; eta, delta and N are not in the paper but from tuning problems."""
 
-    method: Method = "adam"  # or plain gradient descent, as the paper prints it
-    eta: float = 0.05  # step size; of Adam roughly how far each entry of z moves in a step
-    steps: int = 5  # at most
-    samples: int = 16  # N, draws per code
-    delta: float = 1e-3  # a code stops after a step shorter than this
-    check_samples: int = 32  # draws per code on which a moved code must be better to be kept
-    mean_decay: float = 0.9  # of Adam
-    square_decay: float = 0.999
-    tiny: float = 1e-12
-
-    def __post_init__(self) -> None:
-        if self.method not in get_args(Method):
-            raise UnknownChoiceError(
-                "method of the latent optimizer", self.method, get_args(Method)
-            )
-        for name in ("steps", "samples", "check_samples"):
-            if getattr(self, name) < 1:
-                raise InvalidInputError(
-                    f"{name} of the latent optimizer is {getattr(self, name)}; give 1 or more"
-                )
-        if not 0.0 < self.eta < np.inf:
-            raise InvalidInputError(f"eta of the latent optimizer is {self.eta}; give more than 0")
-        if not 0.0 <= self.delta < np.inf:
-            raise InvalidInputError(
-                f"delta of the latent optimizer is {self.delta}; give 0 or more"
-            )
+    # plain gradient descent is what the paper prints
+    method: Literal["adam", "gradient"] = "adam"
+    # step size; of Adam roughly how far each entry of z moves in a step
+    eta: Annotated[float, Condition(float, lambda x: x > 0.0, "more than 0")] = 0.05
+    steps: Count = 5  # at most
+    samples: Count = 16  # N, draws per code
+    # a code stops after a step shorter than this
+    delta: Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")] = 1e-3
+    check_samples: Count = 32  # draws per code on which a moved code must be better to be kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,14 +102,14 @@ class LatentOptimizer:
             if settings.method == "adam":
                 # Along z the sphere has no slope: left in, that part would only shorten the steps.
                 gradient -= z[moving] * (gradient * z[moving]).sum(axis=1, keepdims=True)
-                a, b = settings.mean_decay, settings.square_decay
+                a, b = 0.9, 0.999  # decay of the means of the gradient and of its square
                 mean[moving] = a * mean[moving] + (1.0 - a) * gradient
                 square[moving] = b * square[moving] + (1.0 - b) * gradient**2
                 root = np.sqrt(square[moving] / (1.0 - b**step))
-                change = settings.eta * mean[moving] / (1.0 - a**step) / (root + settings.tiny)
+                change = settings.eta * mean[moving] / (1.0 - a**step) / (root + 1e-12)
             onto = z[moving] - change
             length = np.linalg.norm(onto, axis=1, keepdims=True)
-            usable = np.isfinite(length) & (length > settings.tiny)
+            usable = np.isfinite(length) & (length > 1e-12)
             onto = np.where(usable, onto / np.where(usable, length, 1.0), z[moving])
             far = np.linalg.norm(onto - z[moving], axis=1) >= settings.delta
             z[moving] = onto

@@ -35,7 +35,7 @@ from cvqmpt_lab.vqmpt.codebook import (
     Codebook,
     code_noise,
     codes_of,
-    dictionary_gaussians,
+    dictionary_nodes,
     drawn_nodes,
 )
 from cvqmpt_lab.vqmpt.latent_update import LatentOptimizer, LatentSettings
@@ -54,6 +54,7 @@ from cvqmpt_lab.vqmpt.weights import (
     load_vq_mpt,
     read_model,
     resolve_model,
+    robot_signature,
 )
 
 GOALS = 3  # that a network is asked about; the search gets them all
@@ -249,8 +250,9 @@ def codebook_of(model: str, robot: Robot) -> Codebook:
 @lru_cache(maxsize=8)
 def dictionary_roadmap(model: str, robot: Robot) -> Roadmap:
     """A roadmap whose nodes are one configuration drawn from each code's Gaussian."""
-    means, covariances = dictionary_gaussians(model_of(model), robot)
-    return Roadmap.of(drawn_nodes(means, covariances, robot, code_noise(len(means), robot.dof)))
+    stored = model_of(model)
+    stored.robot.require_same(robot_signature(robot))
+    return Roadmap.of(dictionary_nodes(stored, robot))
 
 
 @lru_cache(maxsize=8)

@@ -13,7 +13,7 @@ from cvqmpt_lab.labels.generation import serial_chain
 from cvqmpt_lab.labels.roadmap_labels import body_points
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.vqmpt.checkpoint import stored
-from cvqmpt_lab.vqmpt.codebook import code_noise, dictionary_gaussians, drawn_nodes
+from cvqmpt_lab.vqmpt.codebook import dictionary_nodes
 from cvqmpt_lab.vqmpt.config import ModelConfig, SceneTransformerConfig, SceneTransformerSizes
 from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, RISK, Ends, group_points
 from cvqmpt_lab.vqmpt.scene_predictor import (
@@ -47,8 +47,7 @@ def checkpoint(robot):
         config, dictionary=dataclasses.replace(config.dictionary, transformer=SIZES)
     )
     words = random_checkpoint(robot, config, metadata={})
-    means, covariances = dictionary_gaussians(stored(words), robot)
-    nodes = drawn_nodes(means, covariances, robot, code_noise(*means.shape)).astype(np.float32)
+    nodes = dictionary_nodes(stored(words), robot).astype(np.float32)
     order = np.argsort(((nodes[:, None] - nodes) ** 2).sum(-1), axis=1)[:, 1:5]
     pairs = np.stack([np.arange(64).repeat(4), order.ravel()], axis=1)
     edges = np.unique(np.sort(pairs, axis=1), axis=0)

@@ -94,7 +94,7 @@ def test_damage_is_named(folder):
         (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=2), "layer_stack.1.*is "
                                                                                "missing"),
         (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=0), "n_layers is 0; "
-                                                                               "give 1 to 64"),
+                                                                               "it must be 1"),
         (lambda d: d["model"]["dictionary"].update(encoder="mlp"), "and [0-9]+ more"),
         (lambda d: d.update(format="2"), "format is '2'"),
         (lambda d: d.pop("metadata"), "metadata is None"),
