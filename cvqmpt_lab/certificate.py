@@ -19,7 +19,6 @@ SPACING = 0.11  # [rad] between states at which the constraint is evaluated firs
 TOLERANCE = 5e-4  # [m, rad] constraint violation allowed, between states too
 LARGEST_STEP = 0.11  # [rad] between neighbouring states of the path itself
 END_TOLERANCE = 1e-6  # [rad] at start and goal
-CLEARANCE_STATES = 8  # with the least room in the proof, at which distances are measured
 FAR = 100.0  # [rad or m] beyond limits, or of length beyond LARGEST_STEP a step: no proof is tried
 
 
@@ -63,7 +62,7 @@ class Certificate:
     faults: tuple[Fault, ...]
     max_violation_rad: float  # largest rotation outside the constraint's bounds [rad]
     max_violation_m: float  # largest translation outside them [m]
-    # smallest distance at up to CLEARANCE_STATES states [m]; nan when not asked for
+    # smallest distance at the states with the least room [m]; nan when not asked for
     min_clearance_m: float
     states_checked: int  # configurations at which distances were compared
     min_clearance_pair: str = ""  # the two pieces it is between
@@ -114,7 +113,7 @@ def certify(
     )
     proof = prove_free(checker, path.states)
     faults = [*_end_faults(problem, path), *_motion_faults(problem, path)]
-    if violation.largest > TOLERANCE:
+    if violation.at is not None and violation.largest > TOLERANCE:
         seen = max(violation.radians, violation.metres) > TOLERANCE
         kind = FaultKind.MANIFOLD if seen else FaultKind.NOT_PROVEN
         text = f"off the manifold by {violation.radians:.2g} rad, {violation.metres:.2g} m"
@@ -133,28 +132,25 @@ def certify(
         moved, (gap, pair) = checker.moved(q, hull), checker.nearest(q)
         text = (
             f"not proven free over {length:.1g} rad, {1e3 * moved:.1g} mm to each side of the "
-            "middle"
+            f"middle, where {pair} are {1e3 * gap:.2g} mm apart"
         )
-        text += f", where {pair} are {1e3 * gap:.2g} mm apart"
         faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))
-    closest = _closest(checker, proof) if clearance else None
+    near, where = _closest(checker, proof) if clearance else (Nearest(np.nan, None), path.states[0])
     return Certificate(
         faults=tuple(faults),
         max_violation_rad=violation.radians,
         max_violation_m=violation.metres,
-        min_clearance_m=np.nan if closest is None else closest[0].distance,
+        min_clearance_m=near.distance,
         states_checked=proof.looks,
-        min_clearance_pair=str(closest[0].pair) if closest and closest[0].pair else "",
-        min_clearance_at=_place(path.states, closest[1]) if closest and closest[0].pair else None,
+        min_clearance_pair=str(near.pair or ""),
+        min_clearance_at=_place(path.states, where) if near.pair else None,
         unproven_rad=proof.unproven.length if proof.unproven else 0.0,
         unproven_m=moved,
     )
 
 
-def _place(states: np.ndarray, q: np.ndarray | None) -> float | None:
+def _place(states: np.ndarray, q: np.ndarray) -> float:
     """Where on a path (m, n) a configuration (n,) lies, as `Fault.at`."""
-    if q is None:
-        return None
     steps = np.diff(states, axis=0)
     squared = np.maximum(np.einsum("kj,kj->k", steps, steps), np.finfo(float).tiny)
     share = np.clip(np.einsum("kj,kj->k", q - states[:-1], steps) / squared, 0.0, 1.0)
@@ -162,9 +158,11 @@ def _place(states: np.ndarray, q: np.ndarray | None) -> float | None:
     return float(off.argmin() + share[off.argmin()])
 
 
-def _closest(checker: CollisionChecker, proof: MotionProof) -> tuple[Nearest, np.ndarray]:
-    """Smallest distance, and its state (n,), of those with the smallest proven margin."""
-    places = proof.tightest[:CLEARANCE_STATES] if proof.colliding is None else [proof.colliding]
+def _closest(
+    checker: CollisionChecker, proof: MotionProof, most: int = 8
+) -> tuple[Nearest, np.ndarray]:
+    """The smallest distance at up to `most` states with the least room, and its state (n,)."""
+    places = proof.tightest[:most] if proof.colliding is None else [proof.colliding]
     return min(((checker.nearest(q), q) for q in places), key=lambda found: found[0].distance)
 
 
@@ -189,17 +187,15 @@ def _end_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:
     if np.abs(path.states[0] - problem.start).max() > END_TOLERANCE:
         faults.append(Fault(FaultKind.START, "does not begin at the start", 0.0))
     end = path.states[-1]
-    at_goal = (
-        len(problem.goals) > 0 and np.abs(problem.goals - end).max(axis=1).min() <= END_TOLERANCE
-    )
+    at_goal = np.abs(problem.goals - end).max(axis=1).min(initial=np.inf) <= END_TOLERANCE
     if not at_goal and problem.goal_region is not None:
         there = largest_violation(
             problem.robot, (problem.goal_region,), end[None], SPACING, TOLERANCE
         )
         at_goal = there.largest <= TOLERANCE
-    if at_goal:
-        return faults
-    return [*faults, Fault(FaultKind.GOAL, "does not end at a goal", len(path.states) - 1.0)]
+    if not at_goal:
+        faults.append(Fault(FaultKind.GOAL, "does not end at a goal", len(path.states) - 1.0))
+    return faults
 
 
 def _motion_faults(problem: PlanningProblem, path: JointPath) -> list[Fault]:

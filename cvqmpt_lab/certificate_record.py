@@ -26,8 +26,6 @@ from cvqmpt_lab.robot.robot import LeftOut
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.trajectory.trajectory import Motion
 
-DIGESTS = {"problem_sha256": "another problem", "motion_sha256": "another motion"}
-
 
 def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str, Any]:
     """Json of a certificate with its tolerances, comparisons and digests; null for no number."""
@@ -72,7 +70,7 @@ def differences(now: dict[str, Any], path: Path) -> dict[str, list[Any]]:
     InvalidInputError: the file holds no record, or one of another problem or motion.
     """
     earlier = read_json_object(path, "certificate")
-    for name, what in DIGESTS.items():
+    for name, what in (("problem_sha256", "another problem"), ("motion_sha256", "another motion")):
         if name not in earlier:
             raise InvalidInputError(
                 f"certificate {path} has no {name}: give what `cvqmpt certify --json` printed"
@@ -171,8 +169,10 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
     links = robot.collision_model.geometryObjects
     pieces = [len(list(solids(item.name, item.shape, item.T_hand_object))) for item in carried]
     reach = reach_with(robot, carried) + problem.clearance
-    alone = {item.name: Scene("one", (item,)) for item in problem.scene.obstacles}
-    obstacles = {name: len(list(obstacles_within(scene, reach))) for name, scene in alone.items()}
+    obstacles = {
+        item.name: len(list(obstacles_within(Scene("one", (item,)), reach)))
+        for item in problem.scene.obstacles
+    }
     pairs = carried_pairs(robot, carried)
     left_out = [pair._asdict() for pair in robot.left_out_pairs]
     left_out += [

@@ -27,15 +27,9 @@ if TYPE_CHECKING:
     from cvqmpt_lab.trajectory.timing import TimingSettings
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
-SAME = 1e-9  # [rad or m] between quintic and cubic, below which one of them is judged
 # Share by which limits may be exceeded: the cubics of `time_path` do so by up to 4 %.
 OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
-# [rad] between states of a path that are taken for one: OMPL repeats some, which cannot be timed
-REPEATED = 1e-8
 SHARES = np.linspace(0.0, 1.0, 33)  # of a piece, where its rates are computed
-BETWEEN = 1.02  # times the largest acceleration there is more than that in between
-MOST_PIECES = 100_000
-HARDEST = 1e3  # times its acceleration limit, beyond which units must be wrong
 
 
 class DryRun(NamedTuple):
@@ -62,7 +56,8 @@ def certified_motion(
     from cvqmpt_lab.trajectory.timing import time_path  # half a second to import
 
     steps = np.linalg.norm(np.diff(path.states, axis=0), axis=1)
-    states = path.states[np.append(True, steps > REPEATED)]
+    # OMPL repeats some states, which cannot be timed
+    states = path.states[np.append(True, steps > 1e-8)]
     if len(states) < 2:
         raise InvalidInputError("the path does not move: there is nothing to time")
     states[-1] = path.states[-1]
@@ -166,7 +161,8 @@ def _curves(motion: Motion) -> dict[str, PPoly]:
             "cubic": PPoly(cubic, times),
             "quintic": PPoly(cubic + 0.5 * np.array(factors), times),
         }
-        if (h**2 / 32.0 * np.maximum(np.abs(d0), np.abs(d1)) <= SAME).all():
+        # closer than a nanometre or nanoradian, one of them is judged
+        if (h**2 / 32.0 * np.maximum(np.abs(d0), np.abs(d1)) <= 1e-9).all():
             del curves["quintic"]
         return curves
 
@@ -179,10 +175,16 @@ def _rates(curve: PPoly, order: int) -> np.ndarray:
         )
 
 
-def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
-    """Times (m,) between which each joint is within FLAT of straight: |q''| dt^2 / 8 <= FLAT."""
-    most = BETWEEN * np.abs(_rates(curve, 2)).max(axis=0)
-    if not (most <= HARDEST * limits.acceleration).all():
+def _moments(
+    curve: PPoly, limits: JointLimits, hardest: float = 1e3, most_pieces: int = 100_000
+) -> np.ndarray:
+    """Times (m,) between which each joint is within FLAT of straight: |q''| dt^2 / 8 <= FLAT.
+
+    hardest: times its acceleration limit, beyond which units must be wrong.
+    """
+    # between SHARES accelerations are at most 2 % larger
+    most = 1.02 * np.abs(_rates(curve, 2)).max(axis=0)
+    if not (most <= hardest * limits.acceleration).all():
         worst, joint = np.unravel_index(int(np.argmax(most / limits.acceleration)), most.shape)
         raise InvalidInputError(
             f"from point {worst} on {limits.joint_names[joint]} accelerates by "
@@ -191,10 +193,10 @@ def _moments(curve: PPoly, limits: JointLimits) -> np.ndarray:
         )
     spans = np.diff(curve.x)
     pieces = np.maximum(np.ceil(spans * np.sqrt(most.max(axis=1) / (8.0 * FLAT))), 1.0)
-    if pieces.sum() > MOST_PIECES:
+    if pieces.sum() > most_pieces:
         raise InvalidInputError(
             f"a motion of {spans.sum():.3g} s that would be followed in {pieces.sum():.3g} "
-            f"straight pieces; at most {MOST_PIECES} are: certify it in parts; are times in "
+            f"straight pieces; at most {most_pieces} are: certify it in parts; are times in "
             "seconds?"
         )
     counted = zip(curve.x, spans, pieces.astype(int), strict=False)
@@ -227,19 +229,16 @@ def _limit_faults(
             yield Fault(kind, f"{reached}, its {kind} limit is {limit[joint]:.4g}", state)
 
 
-def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> list[Fault]:
+def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> Iterator[Fault]:
     """Joints that do not rest where the motion begins or ends."""
     rates = _rates(curve, 1)
-    velocities = np.stack([rates[0, 0], rates[-1, -1]])
-    faults = []
-    for what, end, at in (("begins", 0, 0.0), ("ends", -1, len(times) - 1.0)):
-        share = np.abs(velocities[end]) / limits.velocity
+    last = len(times) - 1.0
+    for what, velocity, at in (("begins", rates[0, 0], 0.0), ("ends", rates[-1, -1], last)):
+        share = np.abs(velocity) / limits.velocity
         joint = int(share.argmax())
         if share[joint] > OVERSHOOT[FaultKind.VELOCITY]:
-            name, speed = limits.joint_names[joint], abs(velocities[end, joint])
-            text = f"{name} moves at {speed:.4g} rad/s where the motion {what}"
-            faults.append(Fault(FaultKind.VELOCITY, text, at))
-    return faults
+            moves = f"{limits.joint_names[joint]} moves at {abs(velocity[joint]):.4g} rad/s"
+            yield Fault(FaultKind.VELOCITY, f"{moves} where the motion {what}", at)
 
 
 def _start_fault(

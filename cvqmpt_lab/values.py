@@ -19,8 +19,6 @@ LARGEST = 1e6  # [m] of a length or a coordinate: more is a misplaced unit, whos
 
 def scalar(kind: type, value: Any, where: str) -> Any:
     """A number, text or boolean."""
-    if kind is float and type(value) is float and math.isfinite(value):
-        return value + 0.0  # turns -0.0 into 0.0: one form per value
     abstract = {float: Real, int: Integral}.get(kind, kind)
     if isinstance(value, abstract) and isinstance(value, bool) == (kind is bool):
         with contextlib.suppress(OverflowError):
@@ -28,7 +26,7 @@ def scalar(kind: type, value: Any, where: str) -> Any:
             if kind is int and made < 0:
                 raise InvalidInputError(f"{where} is {shown(value)}; it cannot be negative")
             if kind is not float or math.isfinite(made):
-                return made + 0.0 if kind is float else made
+                return made + 0.0 if kind is float else made  # -0.0 becomes 0.0
     must = "a finite float" if kind is float else kind.__name__
     raise InvalidInputError(f"{where} is {shown(value)}; it must be {must}")
 
