@@ -87,17 +87,7 @@ def _gaps(low, high, first, edge, gaps):
 
 
 @kernel
-def _lower(best2, x, yz):
-    """best2[i, j] = min(best2[i, j], x[i] + yz[j]) of squared distances."""
-    for cx in range(COARSE):
-        gap2 = x[cx]
-        for c in range(COARSE * COARSE):
-            there = gap2 + yz[c]
-            best2[cx, c] = there if there < best2[cx, c] else best2[cx, c]
-
-
-@kernel
-def _lower_inflated(best, x, yz, inflation):
+def _lower(best, x, yz, inflation):
     """best[i, j] = min(best[i, j], sqrt(x[i] + yz[j]) - inflation) of distances [m]."""
     for cx in range(COARSE):
         gap2 = x[cx]
@@ -121,10 +111,7 @@ def _add_straight(bounds, i, grid, matters, work):
         for cy in range(COARSE):
             for cz in range(COARSE):
                 work.yz[COARSE * cy + cz] = y[cy] + z[cz]
-        if inflation == 0.0:
-            _lower(work.best2, x, work.yz)
-        else:
-            _lower_inflated(work.best, x, work.yz, inflation)
+        _lower(work.best, x, work.yz, inflation)
     limit2 = (REACH + inflation) * (REACH + inflation)
     for lx in range(SIDE):
         across = min(x[2 * lx], x[2 * lx + 1])
@@ -167,23 +154,13 @@ def _add_turned(bounds, i, grid, work):
 
 
 @kernel
-def _farthest(best2, best):
-    """The largest distance of a block's cells so far [m]."""
-    most = 0.0
-    for cx in range(COARSE):
-        for c in range(COARSE * COARSE):
-            most = max(most, min(best2[cx, c], best[cx, c] * abs(best[cx, c])))
-    return np.sqrt(most)
-
-
-@kernel
-def _store(grid, bx, by, bz, best2, best):
+def _store(grid, bx, by, bz, best):
     """Round a block's distances down to bytes."""
     for cx in range(COARSE):
         for cy in range(COARSE):
             for cz in range(COARSE):
                 c = COARSE * cy + cz
-                nearest = min(np.sqrt(best2[cx, c]), best[cx, c])
+                nearest = best[cx, c]
                 stored = np.uint8(255 if nearest >= RANGE else max(nearest - _ROUNDING, 0.0) / STEP)
                 grid.distance[COARSE * bx + cx, COARSE * by + cy, COARSE * bz + cz] = stored
 
@@ -195,8 +172,7 @@ class Work(NamedTuple):
     # Squared distances of a box from cells along each axis [m^2]
     gaps: Annotated[np.ndarray, "3 8"]
     yz: Annotated[np.ndarray, "64"]  # Sums of those along y and z
-    best2: Annotated[np.ndarray, "8 64"]  # Squared distances of the cells [m^2], and ...
-    best: Annotated[np.ndarray, "8 64"]  # ... distances [m]; the smaller counts
+    best: Annotated[np.ndarray, "8 64"]  # Distances of the cells [m]
     # Upper bound on the distances of each list block's cells [m]
     upper: Annotated[np.ndarray, "64"]
     counts: Annotated[np.ndarray, "int64 64"]  # How many obstacles each list holds
@@ -208,7 +184,7 @@ class Work(NamedTuple):
 @kernel
 def _add_all(bounds, grid, kept, near, n, work):
     """Lower the distances of a block to those from n obstacles, and list these."""
-    work.best2[:], work.best[:], work.upper[:], work.counts[:] = np.inf, RANGE, RANGE, 0
+    work.best[:], work.upper[:], work.counts[:] = RANGE, RANGE, 0
     farthest = RANGE
     for k in range(n):
         i = kept[k]
@@ -217,7 +193,10 @@ def _add_all(bounds, grid, kept, near, n, work):
         else:
             _add_turned(bounds, i, grid, work)
         if k % BETWEEN == BETWEEN - 1:
-            farthest = _farthest(work.best2, work.best)
+            farthest = 0.0
+            for distances in work.best:
+                for distance in distances:
+                    farthest = max(farthest, distance)
 
 
 @entry
@@ -243,7 +222,7 @@ def fill_blocks(
         if n == 0:
             continue
         _add_all(bounds, grid, kept, near, n, work)
-        _store(grid, bx, by, bz, work.best2, work.best)
+        _store(grid, bx, by, bz, work.best)
         listed = 0
         # work.counts.sum() would import scipy.linalg wherever this is loaded
         for s in range(LISTS):
@@ -336,13 +315,11 @@ def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
 
 def _work_arrays(most: int) -> Work:
     """Arrays for `fill_blocks`, where at most so many obstacles are near one block."""
-    cells = (COARSE, COARSE**2)
     return Work(
         corner=np.empty(3),
         gaps=np.empty((3, COARSE)),
         yz=np.empty(COARSE**2),
-        best2=np.empty(cells),
-        best=np.empty(cells),
+        best=np.empty((COARSE, COARSE**2)),
         upper=np.empty(LISTS),
         counts=np.empty(LISTS, dtype=np.int64),
         listed=np.empty((LISTS, most), dtype=np.int32),

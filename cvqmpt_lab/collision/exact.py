@@ -69,9 +69,6 @@ class CollisionChecker:
         clearance: kept from obstacles in addition [m].
     """
 
-    # up to so many of the robot's own pairs are all measured; of more, those whose balls are close
-    few_pairs = 100
-
     def __init__(
         self,
         robot: Robot,
@@ -160,12 +157,6 @@ class CollisionChecker:
     def _apart(self, q: np.ndarray, gaps: np.ndarray) -> bool:
         """Whether the robot's own pairs are further apart at q (n,) than gaps (p,) [m]."""
         geometry, results = self._geometry, self._own_results
-        if len(gaps) <= self.few_pairs:
-            nearest = pin.computeDistances(self._model, self._data, geometry, results, q)
-            found = results.distanceResults
-            if found[nearest].min_distance > gaps.max():
-                return True
-            return bool((np.array([result.min_distance for result in found]) > gaps).all())
         pin.updateGeometryPlacements(self._model, self._data, geometry, results, q)
         (first, second), (joints, balls) = self._own_pairs, self._balls
         R = np.array([T.rotation for T in self._data.oMi])

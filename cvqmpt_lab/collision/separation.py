@@ -95,21 +95,13 @@ def _beyond_face(a, b, c, opposite):
 @kernel
 def _nearest_on_tetrahedron(a, b, c, d):
     """Nearest point on tetrahedron abcd, where d is the newest corner; n = 4 when it encloses."""
-    found = (4, a, b, c, _ORIGIN)
-    best = 1e300
-    if _beyond_face(d, a, b, c):
-        face = _nearest_on_triangle(d, a, b)
-        found, best = face, dot(face[4], face[4])
-    if _beyond_face(d, b, c, a):
-        face = _nearest_on_triangle(d, b, c)
-        distance2 = dot(face[4], face[4])
-        if distance2 < best:
-            found, best = face, distance2
-    if _beyond_face(d, c, a, b):
-        face = _nearest_on_triangle(d, c, a)
-        distance2 = dot(face[4], face[4])
-        if distance2 < best:
-            found, best = face, distance2
+    found, best = (4, a, b, c, _ORIGIN), np.inf
+    for p, q, opposite in ((a, b, c), (b, c, a), (c, a, b)):
+        if _beyond_face(d, p, q, opposite):
+            face = _nearest_on_triangle(d, p, q)
+            distance2 = dot(face[4], face[4])
+            if distance2 < best:
+                found, best = face, distance2
     return found
 
 
@@ -260,6 +252,31 @@ def compose(r, t, pose):
 
 
 @kernel(inline="machine")
+def _core_gap(a, i, kind, size, x, y, z, pose, axis, above, below, tolerance):
+    """`_gjk` of the core of shape i of a, posed in its owner's frame, and of another core."""
+    start, count = a.vertex_start[i], a.vertex_count[i]
+    pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
+    return _gjk(
+        a.kind[i],
+        (a.size[i, 0], a.size[i, 1], a.size[i, 2]),
+        a.vertices[0, start : start + count],
+        a.vertices[1, start : start + count],
+        a.vertices[2, start : start + count],
+        pose_a,
+        kind,
+        size,
+        x,
+        y,
+        z,
+        pose,
+        axis,
+        above,
+        below,
+        tolerance,
+    )
+
+
+@kernel(inline="machine")
 def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
     """The widest empty slab found between shape i of a and shape j of b [m].
 
@@ -278,22 +295,16 @@ def separating_gap(a, i, b, j, pose, axis, above, below, tolerance):
         tolerance: stop when the gap is so close to the distance [m].
     """
     inflation = a.radius[i] + b.radius[j]
-    sa, na, sb, nb = a.vertex_start[i], a.vertex_count[i], b.vertex_start[j], b.vertex_count[j]
-    va, vb = a.vertices, b.vertices
+    start, count = b.vertex_start[j], b.vertex_count[j]
     pose_b = pose if b.kind[j] == HULL else compose(b.rotation[j], b.translation[j], pose)
-    pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
-    gap = _gjk(
-        a.kind[i],
-        (a.size[i, 0], a.size[i, 1], a.size[i, 2]),
-        va[0, sa : sa + na],
-        va[1, sa : sa + na],
-        va[2, sa : sa + na],
-        pose_a,
+    gap = _core_gap(
+        a,
+        i,
         b.kind[j],
         (b.size[j, 0], b.size[j, 1], b.size[j, 2]),
-        vb[0, sb : sb + nb],
-        vb[1, sb : sb + nb],
-        vb[2, sb : sb + nb],
+        b.vertices[0, start : start + count],
+        b.vertices[1, start : start + count],
+        b.vertices[2, start : start + count],
         pose_b,
         axis,
         above + inflation,
@@ -322,32 +333,9 @@ def box_separated(a, i, half, radius, pose, axis, margin):
     half, radius: half edges (3 floats) and inflation of the box [m]; of a ball the edges are zero.
     pose: of the box in the frame of a's owner (12-tuple).
     """
-    inflation = a.radius[i] + radius
-    start, count = a.vertex_start[i], a.vertex_count[i]
-    x, y, z = (
-        a.vertices[0, start : start + count],
-        a.vertices[1, start : start + count],
-        a.vertices[2, start : start + count],
+    none = a.vertices[0, :0]
+    limit = margin + (a.radius[i] + radius)
+    return (
+        _core_gap(a, i, np.int64(BOX), half, none, none, none, pose, axis, limit, limit, 1e-9)
+        > limit
     )
-    size = (a.size[i, 0], a.size[i, 1], a.size[i, 2])
-    pose_a = IDENTITY if a.kind[i] == HULL else compose(a.rotation[i], a.translation[i], IDENTITY)
-    limit = margin + inflation
-    gap = _gjk(
-        a.kind[i],
-        size,
-        x,
-        y,
-        z,
-        pose_a,
-        np.int64(BOX),
-        half,
-        x,
-        y,
-        z,
-        pose,
-        axis,
-        limit,
-        limit,
-        1e-9,
-    )
-    return gap > limit
