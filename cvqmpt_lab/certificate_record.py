@@ -39,13 +39,18 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
         }
         for fault in certificate.faults
     ]
+    moved, own = hashlib.sha256(), motion.of_joints(problem.robot.joint_names)
+    for values in (own.positions, own.times, own.velocities, own.accelerations):
+        if values is not None:
+            numbers = np.ascontiguousarray(values, dtype="<f8").tobytes()
+            moved.update(f"{values.shape}".encode() + numbers)
     # the problem's json leaves out fields with their default value
     asked = json.dumps(problem.to_dict(), sort_keys=True) + problem.robot.kinematics_digest
     return {
         "version": version("cvqmpt-lab"),
         "problem": problem.name,
         "problem_sha256": hashlib.sha256(asked.encode()).hexdigest(),
-        "motion_sha256": _motion_digest(motion.of_joints(problem.robot.joint_names)),
+        "motion_sha256": moved.hexdigest(),
         "valid": certificate.valid,
         "verdict": str(certificate.verdict),
         "faults": faults,
@@ -114,13 +119,26 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
     curve = ""
     if found.apart:
         curve = f"; straight pieces within {1e3 * found.apart:.2g} mm of the curve"
+    it, used = contents["compared"], contents["tolerances"]
+    near = it["obstacles"] - len(it["out_of_reach"])
+    reasons = Counter(pair["reason"] for pair in it["left_out"])
+    left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
     return [
         *lines,
         f"constraint  at most {certificate.max_violation_rad:.2g} rad, "
         f"{certificate.max_violation_m:.2g} m outside; {TOLERANCE:g} is allowed",
         f"clearance   {distance}",
         f"resolution  {proven}, by {certificate.states_checked} looks{curve}",
-        *_compared_lines(contents),
+        f"compared    {it['moving_pieces']} moving and {it['carried_pieces']} carried pieces: "
+        f"{it['own_pairs']} pairs with each other, all with the {it['obstacle_pieces']} pieces of "
+        f"{near} obstacles in reach, of {it['obstacles']}",
+        f"left out    {it['standing_pieces']} standing pieces against obstacles; of pairs of "
+        f"links: {left or 'none'}",
+        f"tolerances  constraint {used['constraint']:g} rad or m, step {used['step_rad']:g} rad, "
+        f"ends {used['ends_rad']:g} rad, margin {1e3 * used['margin_m']:.2g} mm, clearance from "
+        f"obstacles {1e3 * used['clearance_m']:g} mm",
+        f"record      version {contents['version']}, problem {contents['problem_sha256'][:12]}, "
+        f"motion {contents['motion_sha256'][:12]}",
     ]
 
 
@@ -141,26 +159,6 @@ def _time(found: DryRun, at: float) -> float | None:
     if found.times is None:
         return None
     return float(np.interp(at, np.arange(len(found.times)), found.times))
-
-
-def _compared_lines(contents: dict[str, Any]) -> list[str]:
-    """A record's lines about what was compared."""
-    it, used = contents["compared"], contents["tolerances"]
-    near = it["obstacles"] - len(it["out_of_reach"])
-    reasons = Counter(pair["reason"] for pair in it["left_out"])
-    left = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-    return [
-        f"compared    {it['moving_pieces']} moving and {it['carried_pieces']} carried pieces: "
-        f"{it['own_pairs']} pairs with each other, all with the {it['obstacle_pieces']} pieces of "
-        f"{near} obstacles in reach, of {it['obstacles']}",
-        f"left out    {it['standing_pieces']} standing pieces against obstacles; of pairs of "
-        f"links: {left or 'none'}",
-        f"tolerances  constraint {used['constraint']:g} rad or m, step {used['step_rad']:g} rad, "
-        f"ends {used['ends_rad']:g} rad, margin {1e3 * used['margin_m']:.2g} mm, clearance from "
-        f"obstacles {1e3 * used['clearance_m']:g} mm",
-        f"record      version {contents['version']}, problem {contents['problem_sha256'][:12]}, "
-        f"motion {contents['motion_sha256'][:12]}",
-    ]
 
 
 def _compared(problem: PlanningProblem) -> dict[str, Any]:
@@ -191,16 +189,6 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
         "own_pairs": len(robot.collision_model.collisionPairs) + sum(pieces[k] for _, k in pairs),
         "left_out": left_out,
     }
-
-
-def _motion_digest(motion: Motion) -> str:
-    digest = hashlib.sha256()
-    for values in (motion.positions, motion.times, motion.velocities, motion.accelerations):
-        if values is not None:
-            digest.update(
-                f"{values.shape}".encode() + np.ascontiguousarray(values, dtype="<f8").tobytes()
-            )
-    return digest.hexdigest()
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:

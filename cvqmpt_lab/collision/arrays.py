@@ -3,7 +3,9 @@
 A robot's are kept in the user's cache: cutting its hulls into pieces takes a quarter of a second.
 """
 
+from collections.abc import Callable, Mapping
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -120,19 +122,21 @@ def scene_arrays(
     return scene_geometry(specs, clouds, reach, cell)
 
 
+# kind, size and vertices of `ShapeSpec`
+SOLIDS: Mapping[type, Callable[[Any], tuple[int, tuple[float, ...], np.ndarray | None]]] = {
+    Box: lambda box: (BOX, box.size, None),
+    Cylinder: lambda it: (CYLINDER, (it.radius, it.radius, it.height), None),
+    Sphere: lambda ball: (SPHERE, (ball.radius,), None),
+    ConvexMesh: lambda mesh: (HULL, (), mesh.vertices),
+}
+
+
 def shape_specs(shape: Shape, T: np.ndarray) -> list[ShapeSpec]:
     """A shape at pose T (4, 4) [m] as convex shapes; a cloud as the exact checker's boxes."""
     none = np.empty((0, 3))
-    match shape:
-        case Box():
-            return [ShapeSpec(BOX, shape.size, none, T)]
-        case Cylinder():
-            size = (shape.radius, shape.radius, shape.height)
-            return [ShapeSpec(CYLINDER, size, none, T)]
-        case Sphere():
-            return [ShapeSpec(SPHERE, (shape.radius,), none, T)]
-        case ConvexMesh():
-            return [ShapeSpec(HULL, (), shape.vertices, T)]
+    if not isinstance(shape, Measured):
+        kind, size, vertices = SOLIDS[type(shape)](shape)
+        return [ShapeSpec(kind, size, none if vertices is None else vertices, T)]
     low, high, radius = blocks_of(shape, T)
     poses = np.tile(T, (len(low), 1, 1))
     poses[:, :3, 3] += 0.5 * (low + high) @ T[:3, :3].T

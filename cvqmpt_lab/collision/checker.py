@@ -24,6 +24,14 @@ def _placed(r, t, link, sphere, k):
     )
 
 
+@kernel(inline="source")
+def ball_clearance(grid, rotation, translation, robot, link, node):
+    """Clearance [m] of a robot's ball, posed with its link, in a grid; infinite outside."""
+    x, y, z = _placed(rotation, translation, link, robot.sphere, node)
+    ix, iy, iz, inside = cell_of(grid, x, y, z)
+    return known_distance(grid, ix, iy, iz) - robot.sphere[node, 3] if inside else np.inf
+
+
 @kernel(inline="machine")
 def _moved(pose, x, y, z):
     """R p + t of a point p = (x, y, z), for the pose (R, t) as a 12-tuple."""

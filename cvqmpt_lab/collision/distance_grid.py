@@ -19,11 +19,8 @@ STEP = RANGE / 255.0  # [m] of a stored byte
 COARSE = 8  # cells along the edge of a block
 SIDE = 4  # list blocks along the edge of one of these
 LISTS = SIDE**3  # in all
-BETWEEN = 16  # obstacles after which the largest distance of a block is computed again
-CAPACITY = 1024  # items of lists, to begin with
 REACH = 0.13  # [m] largest ball whose neighbours are listed
 CENTRE, HALF, INFLATION, COLUMNS = 9, 12, 15, 16  # of an obstacle's bounds; rotation comes first
-_ROUNDING = 1e-9  # [m] more than the rounding of a computed distance
 _HALF_DIAGONAL = 1.7320509  # of a cube of half edge 1, rounded up
 
 
@@ -161,7 +158,8 @@ def _store(grid, bx, by, bz, best):
             for cz in range(COARSE):
                 c = COARSE * cy + cz
                 nearest = best[cx, c]
-                stored = np.uint8(255 if nearest >= RANGE else max(nearest - _ROUNDING, 0.0) / STEP)
+                # a nanometre is more than the rounding of a computed distance
+                stored = np.uint8(255 if nearest >= RANGE else max(nearest - 1e-9, 0.0) / STEP)
                 grid.distance[COARSE * bx + cx, COARSE * by + cy, COARSE * bz + cz] = stored
 
 
@@ -192,7 +190,7 @@ def _add_all(bounds, grid, kept, near, n, work):
             _add_straight(bounds, i, grid, near[k] < farthest, work)
         else:
             _add_turned(bounds, i, grid, work)
-        if k % BETWEEN == BETWEEN - 1:
+        if k % 16 == 15:  # now and then: it costs as much as an obstacle
             farthest = 0.0
             for distances in work.best:
                 for distance in distances:
@@ -302,20 +300,10 @@ def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
         np.full(tuple(COARSE * blocks), 255, dtype=np.uint8),
         np.zeros(pairs, dtype=np.int64),
         np.zeros(pairs, dtype=np.int32),
-        np.empty(CAPACITY, dtype=np.int32),
+        np.empty(1024, dtype=np.int32),  # grows below
     )
-    block, used, work = 0, 0, _work_arrays(most)
-    while block < len(starts) - 1:
-        block, used = fill_blocks(bounds, grid, starts, block_items, work, block, used)
-        if block < len(starts) - 1:
-            more = np.empty(max(len(grid.items), work.listed.size), dtype=np.int32)
-            grid = grid._replace(items=np.concatenate([grid.items, more]))
-    return grid._replace(items=grid.items[:used].copy())
-
-
-def _work_arrays(most: int) -> Work:
-    """Arrays for `fill_blocks`, where at most so many obstacles are near one block."""
-    return Work(
+    block, used = 0, 0
+    work = Work(
         corner=np.empty(3),
         gaps=np.empty((3, COARSE)),
         yz=np.empty(COARSE**2),
@@ -326,6 +314,12 @@ def _work_arrays(most: int) -> Work:
         near=np.empty(most),
         kept=np.empty(most, dtype=np.int32),
     )
+    while block < len(starts) - 1:
+        block, used = fill_blocks(bounds, grid, starts, block_items, work, block, used)
+        if block < len(starts) - 1:
+            more = np.empty(max(len(grid.items), work.listed.size), dtype=np.int32)
+            grid = grid._replace(items=np.concatenate([grid.items, more]))
+    return grid._replace(items=grid.items[:used].copy())
 
 
 @kernel(inline="machine")
@@ -347,17 +341,3 @@ def cell_of(grid, x, y, z):
 def known_distance(grid, ix, iy, iz):
     """The lower bound stored in a cell [m]."""
     return grid.distance[ix, iy, iz] * STEP
-
-
-@kernel(inline="source")
-def ball_clearance(grid, rotation, translation, robot, link, node):
-    """Clearance [m] of a robot's ball, posed with its link, in a grid; infinite outside."""
-    x, y, z = robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2]
-    r, t = rotation[link], translation[link]
-    ix, iy, iz, inside = cell_of(
-        grid,
-        r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + t[0],
-        r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + t[1],
-        r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + t[2],
-    )
-    return known_distance(grid, ix, iy, iz) - robot.sphere[node, 3] if inside else np.inf

@@ -5,12 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import ROWS, TOLERANCE, UNITS, TaskSpaceRegion
 from cvqmpt_lab.poses import rotation_matrices, rotation_vectors
 from cvqmpt_lab.robot.robot import Robot
-
-ROWS = (*(f"position {axis}" for axis in "xyz"), *(f"rotation about {axis}" for axis in "xyz"))
-UNITS = ("m",) * 3 + ("rad",) * 3
 
 
 @dataclass(frozen=True)

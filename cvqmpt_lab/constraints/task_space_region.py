@@ -23,7 +23,8 @@ MAX_ITERATIONS = 50  # Newton steps, OMPL's default
 FREE = np.inf
 # hand x = world z
 UPRIGHT_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-ROWS = ("x [m]", "y [m]", "z [m]", "turn about x [rad]", "turn about y [rad]", "turn about z [rad]")
+ROWS = (*(f"position {axis}" for axis in "xyz"), *(f"rotation about {axis}" for axis in "xyz"))
+UNITS = ("m",) * 3 + ("rad",) * 3
 ROWS_TEXT = (
     "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [rad]; null = free"
 )
@@ -47,11 +48,11 @@ class BoundsForm:
         Bw = numbers(value, where, ROWS_TEXT)
         if Bw.shape != (6, 2):
             raise InvalidInputError(f"{where} has shape {Bw.shape}; it must be {ROWS_TEXT}")
-        for k, (lower, upper) in enumerate(Bw):
+        for k, (lower, upper) in enumerate(Bw.tolist()):
             if not (lower <= upper and lower < FREE and upper > -FREE):
                 raise InvalidInputError(
-                    f"{where}[{k}], {ROWS[k]}, is {shown([float(lower), float(upper)])}; lower <= "
-                    f"upper is needed in {ROWS_TEXT}"
+                    f"{where}[{k}], {ROWS[k]} [{UNITS[k]}], is {shown([lower, upper])}; "
+                    f"lower <= upper is needed in {ROWS_TEXT}"
                 )
         turns = np.abs(Bw[3:], where=np.isfinite(Bw[3:]), out=np.zeros((3, 2)))
         if (most := turns.max()) > TURN:

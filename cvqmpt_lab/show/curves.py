@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cvqmpt_lab.constraints.report import ROWS, UNITS, displacements
+from cvqmpt_lab.constraints.report import displacements
+from cvqmpt_lab.constraints.task_space_region import ROWS, UNITS
 from cvqmpt_lab.poses import rotation_matrices
 from cvqmpt_lab.problem import PlanningProblem
 
