@@ -78,11 +78,7 @@ def test_a_collision_between_the_states_is_found(problem, states):
     T[:3, 3] += 0.05 * T[:3, 2]
     thin = replace(problem, scene=problem.scene.with_objects(replace(ball, T_world_object=T)))
     checker = thin.collision_checker()
-    assert (
-        checker.in_collision(0.5 * (a + b))
-        and not checker.in_collision(a)
-        and not checker.in_collision(b)
-    )
+    assert [checker.in_collision(q) for q in (a, 0.5 * (a + b), b)] == [False, True, False]
     assert any("ball" in reason for reason in reasons(thin, np.array([a, b])))
 
 

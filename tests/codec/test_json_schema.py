@@ -24,11 +24,8 @@ KINDS = {"problem": (PlanningProblem, RobotSource), "task": (Task, *PHASES.value
 BOTH = (Scene, SceneObject, Articulation, Attachment, Placement)
 BOTH += (TaskSpaceRegion, TaskSpaceRegionChain)
 APART = {"schema", "$schema", "_comment", "type", "kind", "articulated"}  # of all, and tags
-BALL = {
-    "name": "b",
-    "shape": {"type": "sphere", "radius": 0.1},
-    "T_world_object": {"xyz": [2, 0, 0]},
-}
+SPHERE = {"type": "sphere", "radius": 0.1}
+BALL = {"name": "b", "shape": SPHERE, "T_world_object": {"xyz": [2, 0, 0]}}
 START = {"pose": {"at": {"xyz": [0.4, 0.0, 0.6], "rpy": [3.0, 0.0, 0.0]}, "yaw": 3.15}}
 
 
@@ -90,19 +87,8 @@ def test_what_the_code_writes_and_wrote_is_valid(name, request):
         {"start": ["0.1"]},
         {"schema": "cvqmpt-problem/2"},
         {"scene": {"name": "room"}},
-        {
-            "scene": {
-                "name": "r",
-                "objects": [{"name": "b", "shape": {"type": "cone"}, "T_world_object": {}}],
-            }
-        },
-        {
-            "goal_region": {
-                "T0_w": {"xyz": [0, 0, 0]},
-                "Tw_e": {"xyz": [0, 0, 0]},
-                "Bw": [[0, 0]] * 5,
-            }
-        },
+        {"scene": {"name": "r", "objects": [BALL | {"shape": {"type": "cone"}}]}},
+        {"goal_region": {"T0_w": {}, "Tw_e": {}, "Bw": [[0, 0]] * 5}},
     ],
     ids=str,
 )

@@ -10,11 +10,8 @@ from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.problem import PlanningProblem
 
 READY = [0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8]
-BALL = {
-    "name": "b",
-    "shape": {"type": "sphere", "radius": 0.1},
-    "T_world_object": {"xyz": [2, 0, 0]},
-}
+SPHERE = {"type": "sphere", "radius": 0.1}
+BALL = {"name": "b", "shape": SPHERE, "T_world_object": {"xyz": [2, 0, 0]}}
 REGION = {"T0_w": {"xyz": [0.4, 0, 0.5]}, "Tw_e": {}, "Bw": [[-1, 1]] * 6}
 GOOD = {
     "schema": "cvqmpt-problem/1",
@@ -55,17 +52,13 @@ NONE = type(None)  # take the field out
         ("start", {"panda_jiont1": 0.0}, "'panda_jiont1'; valid choices: panda_joint1"),
         ("start_region", REGION, "give 'start' or 'start_region', one of the two"),
         ("goals", [], "give 'goals' (configurations) or a 'goal_region'"),
-        (
-            "goals",
-            [READY, [1]],
-            "goals is [[0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8], [1]]; it must be",
-        ),
+        ("goals", [READY, [1]], "goals is [[0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8], [1]]; it must"),
         ("goal_region", REGION | {"base": "panda_hand"}, "'goal_region' hangs on 'panda_hand'"),
         ("clearance", 5, "clearance is 5.0; it must be a distance from 0 to 0.2 [m]"),
         ("constraint", {"uprigth": 0.1}, "constraint.uprigth is unknown; did you mean 'upright'?"),
         ("constraint", {"upright": 10}, "constraint.upright.tilt is 10.0; it must be from 0 to"),
         ("constraint", [{"upright": 0.1}] * 33, "a constraint of 33 regions; at most 32"),
-        ("constraint", REGION | {"Bw": [[1, -1]] * 6}, "constraint.Bw[0], x [m], is [1.0, -1.0]"),
+        ("constraint", REGION | {"Bw": [[1, -1]] * 6}, "constraint.Bw[0], position x [m], is [1.0"),
         ("constraint", REGION | {"base": "panda_hadn"}, "did you mean 'panda_hand'?"),
     ],
     ids=str,

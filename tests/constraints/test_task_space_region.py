@@ -211,46 +211,29 @@ ROWS = "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [ra
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ([[0, 1]] * 5, f"region.Bw has shape (5, 2); it must be {ROWS}"),
-        ([[0, 1, 2]] * 6, f"region.Bw has shape (6, 3); it must be {ROWS}"),
-        ([["a", 1]] * 6, f"region.Bw is {[['a', 1]] * 6}; it must be {ROWS}"),
-        (5, f"region.Bw has shape (); it must be {ROWS}"),
+        ([[0, 1]] * 5, f" has shape (5, 2); it must be {ROWS}"),
+        ([["a", 1]] * 6, f" is {[['a', 1]] * 6}; it must be {ROWS}"),
+        (5, f" has shape (); it must be {ROWS}"),
         (
             [[np.nan, 1]] * 6,
-            f"region.Bw[0], x [m], is [nan, 1.0]; lower <= upper is needed in {ROWS}",
+            f"[0], position x [m], is [nan, 1.0]; lower <= upper is needed in {ROWS}",
         ),
-        (
-            [[0, 1]] * 3 + [[0.2, 0.1]] * 3,
-            "region.Bw[3], turn about x [rad], is [0.2, 0.1]; lower <= upper",
-        ),
-        (
-            [[0, 1]] * 2 + [[np.inf, np.inf]] * 4,
-            "region.Bw[2], z [m], is [inf, inf]; lower <= upper",
-        ),
-        (
-            [[-np.inf, -np.inf]] + [[0, 1]] * 5,
-            "region.Bw[0], x [m], is [-inf, -inf]; lower <= upper",
-        ),
+        ([[0, 1]] * 3 + [[0.2, 0.1]] * 3, "[3], rotation about x [rad], is [0.2, 0.1]; lower <="),
+        ([[0, 1]] * 2 + [[np.inf] * 2] * 4, "[2], position z [m], is [inf, inf]; lower <= upper"),
+        ([[-np.inf] * 2] + [[0, 1]] * 5, "[0], position x [m], is [-inf, -inf]; lower <= upper"),
     ],
+    ids=str,
 )
 def test_malformed_bounds_are_named_with_the_order_and_units_of_their_rows(value, message):
     with pytest.raises(InvalidInputError) as caught:
         from_plain(Region, to_plain(upright()) | {"Bw": value}, "region")
-    assert str(caught.value).startswith(message)
+    assert str(caught.value).startswith(f"region.Bw{message}")
 
 
 @pytest.mark.parametrize("field", ["T0_w", "Tw_e", "Bw"])
-def test_missing_fields_and_frames_that_are_not_rigid_are_named(field):
+def test_missing_fields_are_named_and_fields_are_read_only(field):
     data = to_plain(upright())
     with pytest.raises(InvalidInputError, match=f"region.{field} is missing"):
         from_plain(Region, {key: value for key, value in data.items() if key != field}, "region")
-    if field != "Bw":
-        with pytest.raises(
-            InvalidInputError, match=f"region.{field} is no rigid pose: .* mirrored"
-        ):
-            from_plain(Region, data | {field: np.diag([1.0, 1.0, -1.0, 1.0])}, "region")
-
-
-def test_regions_are_read_only():
     with pytest.raises(ValueError, match="read-only"):
-        upright().Bw[0, 0] = 1.0
+        getattr(upright(), field)[0, 0] = 1.0

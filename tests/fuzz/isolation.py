@@ -16,17 +16,9 @@ from cvqmpt_lab.errors import LONGEST_LINE, CvqmptError
 
 MEMORY = 2**30  # [bytes] more than the process had at first
 HANG = 20.0  # [s] of wall time after which a file is given up
-FORBIDDEN = (
-    "subprocess.Popen",
-    "os.system",
-    "os.exec",
-    "os.posix_spawn",
-    "socket.connect",
-    "socket.bind",
-)
-CHANGING = tuple(
-    f"os.{call}" for call in ("remove", "rename", "rmdir", "mkdir", "link", "symlink", "chmod")
-)
+FORBIDDEN = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn")
+FORBIDDEN += ("socket.connect", "socket.bind")
+CHANGING = ("remove", "rename", "rmdir", "mkdir", "link", "symlink", "chmod")
 
 # of the process that reads:
 reader, folder = None, Path()
@@ -91,7 +83,7 @@ def answer(content):
 
 def note(event, arguments):
     """Record an event that no file may cause."""
-    changes = event in CHANGING or (event == "open" and writes(arguments[2]))
+    changes = event.removeprefix("os.") in CHANGING or (event == "open" and writes(arguments[2]))
     if event.startswith(FORBIDDEN) or (changes and not inside(arguments[0])):
         beyond.append(f"{event} {str(arguments)[:100]}")
 

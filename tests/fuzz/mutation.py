@@ -3,126 +3,88 @@
 import copy
 import json
 import xml.etree.ElementTree as ElementTree
+from functools import partial
 
 from hypothesis import strategies as st
 
 LIES = (b"999999999999", b"-1", b"0", b"1e300", b"nan", b"4294967295", b"1e-300", b"''", b"null")
 PIECES = tuple(b"[|{|]|: |\n- |&a |*a|!!set |\t|#|'|---\n|\xff|\0".split(b"|"))
-NASTY = (
-    *(None, True, False, [], {}, "", " ", "nan", "x" * 5000, "a\nb\x1b[31m", "\x00", "\ud800"),
-    *"../../etc/passwd /etc/passwd /dev/zero ~ =1+1 $(id) file:///etc/passwd 1e3".split(),  # noqa: SIM905
-    *(0, -1, 1, 2, 255, 2**31, 2**63, 2**64, 10**400, -(10**18)),
-    *(0.0, -0.0, 5e-324, 1e-300, 1e-9, 2e-4, 0.5, 1.0000001, 7.0, 100.0, 1e4, 1e9, 1e300, 1.7e308),
-    *(
-        [[]],
-        [None],
-        [0.0] * 3,
-        [float("nan")] * 6,
-        [[1.0, -1.0]] * 6,
-        [0.0] * 2000,
-        [[0.0] * 3] * 400,
-    ),
-    *({"type": "box"}, {"type": []}, {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, {"_comment": {}}),
+TEXTS = "../../etc/passwd /etc/passwd /dev/zero file:///etc/passwd package://x/y.stl"
+NUMBERS = "0 -1 nan inf 1e308 5e-324 1e-9 100"
+KINDS = "x base tool é revolute prismatic continuous fixed floating planar"
+LONG = "x" * 5000
+WORDS = (*f"{TEXTS} {NUMBERS} {KINDS}".split(), "", "0 0 0", "1 0 0", "0 0 1e300", "1 2", LONG)
+VALUES = (
+    *(None, True, False, [], {}, "", " ", LONG, "a\nb\x1b[31m", "\x00", "\ud800", "~", "$(id)"),
+    *(*TEXTS.split(), *map(float, NUMBERS.split()), -0.0, 2e-4, 1.0000001, 1e4, 1e9, 1.7e308),
+    *(1, 2, 255, 2**31, 2**63, 2**64, 10**400, -(10**18), [[]], [None], [0.0] * 3, [0.0] * 2000),
+    *([float("nan")] * 6, [[1.0, -1.0]] * 6, [[0.0] * 3] * 400, {"type": "box"}, {"type": []}),
+    *({"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, {"_comment": {}}),
 )
-SCALES = tuple(sign * 10.0**power for power in range(-12, 13) for sign in (1.0, -1.0))
-WORDS = (
-    *[
-        "0",
-        "-1",
-        "nan",
-        "inf",
-        "1e308",
-        "5e-324",
-        "1e-9",
-        "100",
-        "x",
-        "base",
-        "tool",
-        "é",
-        "revolute",
-        "prismatic",
-        "continuous",
-        "fixed",
-        "floating",
-        "planar",
-    ],
-    *"../../etc/passwd /etc/passwd file:///etc/passwd package://x/y.stl".split(),  # noqa: SIM905
-    *("", "0 0 0", "1 0 0", "0 0 1e300", "1 2", "a b", "x" * 5000),
-)
+BOMB = b"".join(b'<!ENTITY %c "%s">' % (98 + k, b"&%c;" % (99 + k) * 10) for k in range(8))
 ENTITIES = tuple(
     b'<?xml version="1.0"?><!DOCTYPE r [%s]>' % entities
     for entities in (
         b'<!ENTITY a SYSTEM "file:///etc/passwd">',
         b'<!ENTITY a "&a;">',  # means itself
-        b'<!ENTITY a "&b;">'  # ten to the eighth letters
-        + b"".join(b'<!ENTITY %c "%s">' % (98 + k, b"&%c;" % (99 + k) * 10) for k in range(8))
-        + b'<!ENTITY j "xxxxxxxxxx">',
+        b'<!ENTITY a "&b;">' + BOMB + b'<!ENTITY j "xxxxxxxxxx">',  # ten to the eighth letters
     )
 )
-
-json_values = st.one_of(
-    st.sampled_from(NASTY), st.sampled_from(NASTY), st.floats(), st.integers(), st.text()
+SCALES = st.builds(
+    lambda sign, power: sign * 10.0**power, st.sampled_from((1, -1)), st.integers(-12, 12)
 )
+json_values = st.sampled_from(VALUES) | st.sampled_from(VALUES) | st.floats() | st.text()
 
 
-def rarely(draw, one_in):
-    return draw(st.integers(1, one_in)) == one_in
+def rarely(usual, rare, one_in):
+    """A strategy that draws from another one now and then."""
+    return st.integers(1, one_in).flatmap(lambda k: rare if k == one_in else usual)
 
 
-@st.composite
-def damaged(draw, content):
-    """Bytes with parts changed, cut, doubled, a number replaced, or another format inserted."""
+def damaged(content):
+    """Bytes with up to five stretches cut, doubled, changed; numbers replaced; or cut short."""
+    digits = [k for k, byte in enumerate(content[:600]) if 48 <= byte <= 57] or [0]
+    places = st.integers(0, len(content))
+    pieces = st.builds(bytes.__mul__, st.sampled_from(PIECES), st.sampled_from((1, 1, 1, 300)))
+    stretch = st.tuples(places, st.integers(0, 40), st.none() | pieces | st.binary(max_size=40))
+    number = st.tuples(st.sampled_from(digits), st.just(1), st.sampled_from(LIES))
+    changes = st.lists(stretch | number, min_size=1, max_size=5)
+    return changes.map(partial(spliced, content)) | places.map(lambda end: content[:end])
+
+
+def spliced(content, changes):
+    """Bytes with stretches (begin, length, new) replaced; doubled where new is None."""
     data = bytearray(content)
-    for _ in range(draw(st.sampled_from((1, 1, 1, 2, 5)))):
-        at, length = draw(st.integers(0, len(data))), draw(st.integers(1, 40))
-        change = draw(st.sampled_from(("cut", "double", "end", "change", "number", "piece", "bit")))
-        if change == "cut":
-            del data[at : at + length]
-        elif change == "double":
-            data[at:at] = data[at : at + length]
-        elif change == "end":
-            del data[at:]
-        elif change == "change":
-            data[at : at + length] = draw(st.binary(min_size=length, max_size=length))
-        elif change == "number":
-            if digits := [k for k, byte in enumerate(data[:600]) if 48 <= byte <= 57]:
-                k = draw(st.sampled_from(digits))
-                data[k : k + 1] = draw(st.sampled_from(LIES))
-        elif change == "piece":
-            data[at:at] = draw(st.sampled_from(PIECES)) * draw(st.sampled_from((1, 1, 1, 300)))
-        elif data:
-            data[at % len(data)] ^= 1 << draw(st.integers(0, 7))
+    for at, length, new in changes:
+        data[at : at + length] = 2 * data[at : at + length] if new is None else new
     return bytes(data)
 
 
 @st.composite
 def hostile_json(draw, content):
-    """Json with parts replaced, scaled, removed, repeated or swapped; sometimes damaged bytes."""
+    """Json with parts replaced, scaled, removed, repeated or exchanged; sometimes damaged bytes."""
     tree = json.loads(content)
     for _ in range(draw(st.integers(1, 3))):
         if not tree:
             break
-        holder, key = draw(places(tree))
+        (holder, key), (other, name) = draw(places(tree)), draw(places(tree))
         change = draw(st.sampled_from((*["replace"] * 3, "scale", "remove", "repeat", "exchange")))
         if change == "remove":
             del holder[key]
         elif change == "scale" and isinstance(holder[key], float):
-            holder[key] *= draw(st.sampled_from(SCALES))
+            holder[key] *= draw(SCALES)
         elif change == "repeat" and isinstance(holder, list):
             holder.extend(copy.deepcopy([holder[key]] * draw(st.sampled_from((1, 2, 50)))))
         elif change == "repeat":
             holder[key + "_"] = copy.deepcopy(holder[key])
-        elif change == "exchange":
-            other, name = draw(places(tree))
-            holder[key] = copy.deepcopy(other[name])
         else:
-            holder[key] = copy.deepcopy(draw(json_values))
+            new = other[name] if change == "exchange" else draw(json_values)
+            holder[key] = copy.deepcopy(new)
     text = json.dumps(tree)
-    if rarely(draw, 20):
-        text = text.replace("{", '{"name": 1, "name": 2, ', 1)
-    if rarely(draw, 50):
-        text = text.replace("[", "[" * 100_000, 1)
-    return draw(damaged(text.encode())) if rarely(draw, 10) else text.encode()
+    twice, deep = ('{"name": 1, "name": 2, ', "{"), ("[" * 100_000, "[")
+    new, old = draw(rarely(st.just(("", "")), st.sampled_from((twice, deep)), 30))
+    raw = text.replace(old, new, 1).encode()
+    return draw(rarely(st.just(raw), damaged(raw), 10))
 
 
 @st.composite
@@ -153,6 +115,6 @@ def hostile_xml(draw, content):
         elif len(element):
             element.remove(element[draw(st.integers(0, len(element) - 1))])
     raw = ElementTree.tostring(root)
-    if rarely(draw, 20):
-        raw = draw(st.sampled_from(ENTITIES)) + raw.replace(b'name="', b'name="&a;', 1)
-    return draw(damaged(raw)) if rarely(draw, 10) else raw
+    meant = raw.replace(b'name="', b'name="&a;', 1)
+    raw = draw(rarely(st.just(raw), st.sampled_from(ENTITIES).map(lambda head: head + meant), 20))
+    return draw(rarely(st.just(raw), damaged(raw), 10))

@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ import scipy.stats  # noqa: F401  # tables import it late, which would count as 
 import torch
 import trimesh
 from cloud_files import GOOD, npy
-from fuzz.mutation import damaged, hostile_json, hostile_xml
+from fuzz.mutation import damaged, hostile_json, hostile_xml, rarely
 from hypothesis import strategies as st
 from made_rows import a_row
 from PIL import Image
@@ -68,19 +69,10 @@ class Reader(NamedTuple):
 def problem():
     """A problem with every kind of shape, something carried, and regions of both forms."""
     cloud = PointCloud(np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3)), 0.01)
-    shapes = (
-        Box((0.1, 0.2, 0.3)),
-        Cylinder(0.1, 0.2),
-        Sphere(0.1),
-        ConvexMesh(0.1 * np.eye(4, 3)),
-        cloud,
-    )
-    objects = tuple(
-        SceneObject(f"s{k}", shape, pose((2.0, k, 0.5))) for k, shape in enumerate(shapes)
-    )
-    plain = json.loads((DATA / "problem-1.json").read_text()) | {
-        "scene": to_plain(Scene("room", objects))
-    }
+    solid = Box((0.1, 0.2, 0.3)), Cylinder(0.1, 0.2), Sphere(0.1), ConvexMesh(0.1 * np.eye(4, 3))
+    placed = ((f"s{k}", it, pose((2.0, k, 0.5))) for k, it in enumerate((*solid, cloud)))
+    scene = Scene("room", tuple(SceneObject(*each) for each in placed))
+    plain = json.loads((DATA / "problem-1.json").read_text()) | {"scene": to_plain(scene)}
     plain["constraint"].insert(0, {"upright": 0.1})
     return json.dumps(plain).encode()
 
@@ -153,12 +145,8 @@ def capture(path):
 
 def intrinsics(path):
     found = read_intrinsics(path)
-    assert (
-        0 <= found.cx < found.width
-        and 0 <= found.cy < found.height
-        and found.fx > 0.0
-        and found.fy > 0.0
-    )
+    assert 0 <= found.cx < found.width and 0 <= found.cy < found.height
+    assert found.fx > 0.0 and found.fy > 0.0
 
 
 def extrinsics(path):
@@ -179,12 +167,8 @@ POSE = {
 
 
 def rows():
-    made = [
-        a_row(str(k), name, t_total_s=0.1, vertices=7)
-        for k in range(3)
-        for name in ("birrt", "cvq-mpt")
-    ]
-    return csv_text(made).encode()
+    runs = product(range(3), ("birrt", "cvq-mpt"))
+    return csv_text([a_row(str(k), name, t_total_s=0.1, vertices=7) for k, name in runs]).encode()
 
 
 @cache
@@ -235,9 +219,8 @@ class Runs:
 def checkpoint():
     """As torch writes it."""
     state = {f"layer.{k}": torch.arange(12.0).reshape(3, 4) for k in range(4)}
-    return saved(
-        "a.pkl", partial(torch.save, {"encoder_state": state, "epoch": 3, "optimizer": {"lr": 0.1}})
-    )
+    kept = {"encoder_state": state, "epoch": 3, "optimizer": {"lr": 0.1}}
+    return saved("a.pkl", partial(torch.save, kept))
 
 
 def damaged_or_running(content):
@@ -248,10 +231,8 @@ def damaged_or_running(content):
         Runs(open, "/tmp/owned", "w"),
         Runs(bytearray, 2**40),
     )
-    running = st.sampled_from(
-        [pickle.dumps({"state": call}, protocol=p) for call in calls for p in (2, 4)]
-    )
-    return st.one_of(*[damaged(content)] * 9, running)
+    running = [pickle.dumps({"state": call}, protocol) for call, protocol in product(calls, (2, 4))]
+    return rarely(damaged(content), st.sampled_from(running), 10)
 
 
 @cache
@@ -271,12 +252,9 @@ def training_data(path):
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_bytes(content)
     if path.suffix == ".npz":
-        stated, found = (
-            hashlib.sha256(data).hexdigest() for data in (dataset()[SHARD], path.read_bytes())
-        )
-        (folder / "shards.csv").write_bytes(
-            dataset()["shards.csv"].replace(stated.encode(), found.encode())
-        )
+        shards = dataset()[SHARD], path.read_bytes()
+        stated, found = (hashlib.sha256(data).hexdigest().encode() for data in shards)
+        (folder / "shards.csv").write_bytes(dataset()["shards.csv"].replace(stated, found))
     open_dataset(folder)
 
 
