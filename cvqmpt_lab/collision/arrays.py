@@ -83,7 +83,7 @@ def robot_swing(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> np.nd
     """Bounds (n,) on |dx/dq_j| of any point x of the robot [m/rad of hinges, 1 of sliders]."""
     kinematics, pieces = robot.kinematics, robot_arrays(robot, attachments)
     extent = np.zeros(robot.dof + 1)  # of what hangs on each pose row, from its origin
-    for row, first in zip(pieces.body_link, pieces.body_start, strict=True):
+    for row, first in zip(pieces.body_link, pieces.body_start[:-1], strict=True):
         ball = pieces.sphere[first]
         extent[row] = max(extent[row], np.linalg.norm(ball[:3]) + ball[3])
     slides = np.maximum(np.abs(kinematics.lower), np.abs(kinematics.upper)) * kinematics.prismatic

@@ -149,7 +149,7 @@ def _touches_item(r, t, robot, scene, link, node, where, margin):
 def _touches_obstacle(r, t, robot, scene, body, margin):
     """Whether an obstacle is within margin of a body, or the body's pose is not finite."""
     link = robot.body_link[body]
-    node, end = robot.body_start[body], robot.body_end[body]
+    node, end = robot.body_start[body], robot.body_start[body + 1]
     while node < end:
         x, y, z = _placed(r, t, link, robot.sphere, node)
         ix, iy, iz, inside = cell_of(scene.grid, x, y, z)
@@ -172,7 +172,7 @@ def _touches_body(robot, piece, x, y, z, radius, other, pose, margin):
 
     pose: of the other body's link in the frame of the piece's link.
     """
-    node, end = robot.body_start[other], robot.body_end[other]
+    node, end = robot.body_start[other], robot.body_start[other + 1]
     while node < end:
         p = _moved(pose, robot.sphere[node, 0], robot.sphere[node, 1], robot.sphere[node, 2])
         axis = (x - p[0], y - p[1], z - p[2])
@@ -192,7 +192,7 @@ def _touches_body(robot, piece, x, y, z, radius, other, pose, margin):
 def _bodies_touch(r, t, robot, a, b, xa, ya, za, margin):
     """Whether two bodies come within margin; xa, ya, za: centre of a's largest ball."""
     la, lb = robot.body_link[a], robot.body_link[b]
-    node, end, root = robot.body_start[a], robot.body_end[a], robot.body_start[b]
+    node, end, root = robot.body_start[a], robot.body_start[a + 1], robot.body_start[b]
     xb, yb, zb = _placed(r, t, lb, robot.sphere, root)
     limit = robot.sphere[node, 3] + robot.sphere[root, 3] + margin
     if (xa - xb) * (xa - xb) + (ya - yb) * (ya - yb) + (za - zb) * (za - zb) > limit * limit:

@@ -237,42 +237,6 @@ def fill_blocks(
     return block_start.shape[0] - 1, used
 
 
-@entry
-def assign(
-    bounds: Annotated[np.ndarray, "count 16"],
-    origin: Annotated[np.ndarray, "3"],
-    edge: float,
-    blocks: Annotated[np.ndarray, "int64 3"],
-    span: Annotated[np.ndarray, "int64 2 3"],
-    starts: Annotated[np.ndarray, "int64 all"],
-    items: Annotated[np.ndarray, "int32 listed"],
-    fill: bool,
-):
-    """Count, or with `fill` write, the obstacles within RANGE of each block; span: work array."""
-    low, high = span[0], span[1]
-    for i in range(bounds.shape[0]):
-        for a in range(3):
-            extent = RANGE + bounds[i, 15]
-            for k in range(3):
-                extent += abs(bounds[i, 3 * a + k]) * bounds[i, 12 + k]
-            low[a] = int(
-                min(max(np.floor((bounds[i, 9 + a] - extent - origin[a]) / edge), 0.0), blocks[a])
-            )
-            high[a] = int(
-                min(
-                    max(np.floor((bounds[i, 9 + a] + extent - origin[a]) / edge) + 1.0, 0.0),
-                    blocks[a],
-                )
-            )
-        for bx in range(low[0], high[0]):
-            for by in range(low[1], high[1]):
-                for bz in range(low[2], high[2]):
-                    block = (bx * blocks[1] + by) * blocks[2] + bz
-                    if fill:
-                        items[starts[block]] = i
-                    starts[block] += 1
-
-
 def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
     """The grid over a cube about the world's origin.
 
@@ -286,12 +250,21 @@ def distance_grid(bounds: np.ndarray, half: float, cell: float) -> DistanceGrid:
     """
     edge, origin = COARSE * cell, np.full(3, -half)
     blocks = np.maximum(np.ceil((np.full(3, half) - origin) / edge - 1e-9).astype(np.int64), 1)
-    starts = np.zeros(int(blocks.prod()) + 1, dtype=np.int64)
-    span = np.empty((2, 3), dtype=np.int64)
-    assign(bounds, origin, edge, blocks, span, starts[1:], np.empty(0, dtype=np.int32), False)
-    starts = np.cumsum(starts)
-    block_items = np.empty(starts[-1], dtype=np.int32)
-    assign(bounds, origin, edge, blocks, span, starts[:-1].copy(), block_items, True)
+    # obstacles within RANGE of each block, in their order: block_items from block_start on
+    centre, extent = bounds[:, CENTRE:HALF], np.tile(RANGE + bounds[:, INFLATION:], 3)
+    for k in range(3):
+        extent += np.abs(bounds[:, k:CENTRE:3]) * bounds[:, HALF + k, None]
+    low = np.clip(np.floor((centre - extent - origin) / edge), 0.0, blocks).astype(np.int64)
+    high = np.clip(np.floor((centre + extent - origin) / edge) + 1.0, 0.0, blocks).astype(np.int64)
+    counts = (high - low).prod(axis=1)
+    item = np.repeat(np.arange(len(bounds)), counts)
+    place = np.arange(len(item)) - np.repeat(np.cumsum(counts) - counts, counts)
+    _, across_y, across_z = (high - low)[item].T
+    turns = place // across_z
+    index = low[item].T + (turns // across_y, turns % across_y, place % across_z)
+    block_of = np.ravel_multi_index(tuple(index), tuple(blocks))
+    block_items = item[np.argsort(block_of, kind="stable")].astype(np.int32)
+    starts = np.append(0, np.cumsum(np.bincount(block_of, minlength=int(blocks.prod()))))
     pairs, most = tuple(COARSE // 2 * blocks), int(np.diff(starts).max())
     grid = DistanceGrid(
         origin,

@@ -115,8 +115,7 @@ class RobotGeometry(NamedTuple):
     skip: Annotated[np.ndarray, "int64 balls"]  # See `SphereTrees`
     leaf: Annotated[np.ndarray, "int64 balls"]  # Piece in each ball, or -1
     body_link: Annotated[np.ndarray, "int64 bodies"]  # Pose row of each body
-    body_start: Annotated[np.ndarray, "int64 bodies"]  # First ball of each body
-    body_end: Annotated[np.ndarray, "int64 bodies"]  # After its last ball
+    body_start: Annotated[np.ndarray, "int64 starts"]  # First ball of each body; then their number
     order: Annotated[np.ndarray, "int64 checked"]  # Bodies to check against obstacles, tip first
     pairs: Annotated[np.ndarray, "int64 pairs 2"]  # Bodies to check against each other
     largest: float  # Radius of the largest ball at a leaf [m]
@@ -157,8 +156,7 @@ def robot_geometry(
         skip=trees.skip,
         leaf=trees.leaf,
         body_link=rows,
-        body_start=trees.start[:-1],
-        body_end=trees.start[1:],
+        body_start=trees.start,
         order=np.array(order, dtype=np.int64),
         pairs=np.array(body_pairs, dtype=np.int64).reshape(-1, 2),
         largest=float(trees.sphere[trees.leaf >= 0, 3].max(initial=0.0)),

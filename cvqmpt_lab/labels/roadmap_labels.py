@@ -189,7 +189,7 @@ def body_points(robot: Robot, count: int = 16) -> tuple[np.ndarray, np.ndarray]:
         The joint that moves each (k,), and where the point is in its frame (k, 3) [m].
     """
     geometry = robot_arrays(robot)
-    rows = np.repeat(geometry.body_link, geometry.body_end - geometry.body_start)
+    rows = np.repeat(geometry.body_link, np.diff(geometry.body_start))
     used = (geometry.leaf >= 0) & (rows > 0)
     rows, offsets = rows[used], geometry.sphere[used, :3]
     states = robot.random_configurations(np.random.default_rng(0), 64)

@@ -39,7 +39,7 @@ def smallest_clearance(space, grid, lowest):
     r, t, robot = space.scratch.link_rotation, space.scratch.link_translation, space.robot
     for k in range(robot.order.shape[0]):
         body = robot.order[k]
-        link, node, end = robot.body_link[body], robot.body_start[body], robot.body_end[body]
+        link, node, end = robot.body_link[body], robot.body_start[body], robot.body_start[body + 1]
         while node < end:
             clearance = ball_clearance(grid, r, t, robot, link, node)
             if clearance >= lowest:  # of this ball, so of all balls in it
