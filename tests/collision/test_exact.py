@@ -33,10 +33,6 @@ def brick(xyz, size=0.1, **options):
     return SceneObject("brick", Box((size,) * 3), pose(xyz), **options)
 
 
-def ball(xyz, radius):
-    return SceneObject("ball", Sphere(radius), pose(xyz))
-
-
 def ahead_of_hand(robot, distance):
     """World point on the hand's approach axis."""
     T = robot.pose(HOME)
@@ -64,7 +60,7 @@ def by_pairs(checker, q):
 
 @pytest.mark.parametrize("method", [CollisionChecker.in_collision, by_pairs])
 def test_margin_is_a_distance(panda, method):
-    scene = scene_with(ball(ahead_of_hand(panda, 0.2), 0.04))
+    scene = scene_with(SceneObject("ball", Sphere(0.04), pose(ahead_of_hand(panda, 0.2))))
     clearance = CollisionChecker(panda, scene).clearance(HOME)
     for extra in (-1e-3, -1e-4, 1e-4):
         checker = CollisionChecker(panda, scene, margin=clearance + extra)
@@ -112,10 +108,8 @@ def test_the_carried_can_collides_with_the_arm(panda):
     empty, carrying = (CollisionChecker(panda, NOTHING, a) for a in ((), (carried_can(),)))
     touched = [q for q in states if carrying.in_collision(q) and not empty.in_collision(q)]
     assert touched
-    partners = {n for q in touched for n in vars(carrying.colliding_pair(q)).values()} - {
-        "carried_can"
-    }
-    assert partners and not any("hand" in n or "finger" in n or "link7" in n for n in partners)
+    pairs = " ".join(str(carrying.colliding_pair(q)) for q in touched)
+    assert not any(part in pairs for part in ("hand", "finger", "link7"))
 
 
 @pytest.mark.parametrize("which", ["arm", "arm and door"])
@@ -132,9 +126,8 @@ def test_what_is_carried_is_compared_with_every_link_but_the_hand(panda, which, 
     problem = PlanningProblem("test", robot, NOTHING, states[0], states[:1], attachments=(bar,))
     space = ConstrainedSpace(problem)
     data, found = robot.model.createData(), pin.GeometryData(robot.collision_model)
-    others = [
-        (n, g) for n, g in enumerate(robot.collision_model.geometryObjects) if g.parentJoint != 7
-    ]
+    pieces = enumerate(robot.collision_model.geometryObjects)
+    others = [(n, piece) for n, piece in pieces if piece.parentJoint != 7]
     before = 0
     for q in states[~empty.in_collision_batch(states)]:
         pin.updateGeometryPlacements(robot.model, data, robot.collision_model, found, q)
@@ -174,10 +167,9 @@ def test_what_is_never_paired(panda):
     assert not CollisionChecker(panda, visible).in_collision(HOME)
     far = CollisionChecker(panda, scene_with(brick((10.0, 0.0, 0.0))))
     assert far.clearance(HOME) == CollisionChecker(panda, NOTHING).clearance(HOME)
+    pole = Attachment("pole", Box((0.1,) * 3), pose((50.0, 0.0, 0.0)))
     with pytest.raises(InvalidInputError, match=r"'pole' reaches 50\.1 m, more than 20"):
-        CollisionChecker(
-            panda, NOTHING, (Attachment("pole", Box((0.1,) * 3), pose((50.0, 0.0, 0.0))),)
-        )
+        CollisionChecker(panda, NOTHING, (pole,))
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.03])
@@ -228,17 +220,15 @@ def test_clouds_out_of_reach_are_no_obstacle_and_no_crash(panda, count):
     """For clouds in reach see properties/test_obstacles_inside."""
     points = np.random.default_rng(6).uniform(49.9, 50.1, (count, 3))
     scene = scene_with(SceneObject("cloud", PointCloud(points, 0.005), np.eye(4)))
-    assert CollisionChecker(panda, scene).clearance(HOME) == CollisionChecker(
-        panda, NOTHING
-    ).clearance(HOME)
+    alone = CollisionChecker(panda, NOTHING).clearance(HOME)
+    assert CollisionChecker(panda, scene).clearance(HOME) == alone
     assert ConstrainedSpace(PlanningProblem("cloud", panda, scene, HOME, HOME[None])).valid(HOME)
 
 
 def test_ten_thousand_obstacles_are_ready_in_two_seconds(panda):
     places = np.random.default_rng(8).uniform(-0.8, 0.8, (10_000, 3)) + (0.0, 0.0, 1.6)
-    scene = scene_with(
-        *(SceneObject(f"box{i}", Box((0.005,) * 3), pose(p)) for i, p in enumerate(places))
-    )
+    boxes = (SceneObject(f"box{i}", Box((0.005,) * 3), pose(p)) for i, p in enumerate(places))
+    scene = scene_with(*boxes)
     began = time.process_time()
     checker = CollisionChecker(panda, scene)
     checker.in_collision(HOME)

@@ -38,10 +38,8 @@ def test_proofs_and_samples_agree(panda, open_kitchen, seed):
         hits = checker.in_collision_batch(sampled(motion, 0.005)).any()
         assert not (hits and proof.colliding is None)
         if proof.colliding is None:
-            assert (
-                proof.unproven is None
-                and not checker.in_collision_batch(sampled(motion, 0.001)).any()
-            )
+            assert proof.unproven is None
+            assert not checker.in_collision_batch(sampled(motion, 0.001)).any()
         else:
             assert checker.in_collision(proof.colliding)
         verdicts.append(proof.colliding is None)
@@ -54,19 +52,16 @@ def test_a_cloud_is_proven_like_any_obstacle(panda):
     scene = Scene("cloud", (SceneObject("cloud", PointCloud(points, 0.002), np.eye(4)),))
     checker = CollisionChecker(panda, scene)
     assert not checker.in_collision(HOME) and prove_free(checker, down).colliding is not None
-    aside = np.array([HOME, HOME + 0.5 * np.eye(7)[0]])
-    assert (
-        prove_free(checker, aside).colliding is None and prove_free(checker, aside).unproven is None
-    )
+    aside = prove_free(checker, np.array([HOME, HOME + 0.5 * np.eye(7)[0]]))
+    assert aside.colliding is None and aside.unproven is None
 
 
 @pytest.mark.parametrize("gap", [0.0, 1e-18, 1e-16])
 def test_states_that_are_repeated_or_hardly_apart_change_nothing(panda, open_kitchen, gap):
     """OMPL's paths hold such states; late in a path a tiny step does not change its distance."""
     motion = HOME + np.linspace(0.0, 0.3, 20)[:, None] * np.eye(7)[5]
-    repeated = (
-        np.repeat(motion, 3, axis=0) + gap * np.tile([[0.0], [1.0], [2.0]], (20, 1)) * np.eye(7)[0]
-    )
+    apart = gap * np.tile([[0.0], [1.0], [2.0]], (20, 1)) * np.eye(7)[0]
+    repeated = np.repeat(motion, 3, axis=0) + apart
     checker = CollisionChecker(panda, open_kitchen)
     plain, again = prove_free(checker, motion), prove_free(checker, repeated)
     assert plain.colliding is None and again.colliding is None

@@ -19,6 +19,7 @@ from cvqmpt_lab.collision.separation import (
     distance,
     separating_gap,
 )
+from cvqmpt_lab.robot.hulls import coal_distance, convex_hull
 
 cell_of, known_distance = map(from_python, (cell_of, known_distance))
 distance, separating_gap = map(from_python, (distance, separating_gap))
@@ -47,10 +48,7 @@ def random_spec(rng, kind, spread=0.25, longest=0.2):
 def coal_object(spec, T_world_owner=None):
     T = spec.T_owner_shape if T_world_owner is None else T_world_owner @ spec.T_owner_shape
     if spec.kind == HULL:
-        points = coal.StdVec_Vec3s()
-        for point in spec.vertices:
-            points.append(point)
-        shape = coal.Convex.convexHull(points, True, "Qt")
+        shape = convex_hull(spec.vertices)
     else:
         shape = {
             BOX: lambda s: coal.Box(*s),
@@ -58,10 +56,6 @@ def coal_object(spec, T_world_owner=None):
             SPHERE: lambda s: coal.Sphere(s[0]),
         }[spec.kind](spec.size)
     return shape, coal.Transform3s(T[:3, :3], T[:3, 3])
-
-
-def coal_distance(a, b):
-    return coal.distance(a[0], a[1], b[0], b[1], coal.DistanceRequest(), coal.DistanceResult())
 
 
 @pytest.mark.parametrize("kind_a", [HULL, BOX, CYLINDER, SPHERE])
@@ -80,7 +74,7 @@ def test_pairs_agree_with_coal(kind_a, kind_b):
                 shift = gap * (1.0 - rng.uniform(-1e-3, 1e-3) / apart)
                 b = b._replace(T_owner_shape=pose(t=shift) @ b.T_owner_shape)
                 objects = objects[0], coal_object(b)
-        exact = coal_distance(*objects)
+        exact = coal_distance(*objects[0], *objects[1])
         packed = pack_shapes([a, b])
         axis = tuple(a.T_owner_shape[:3, 3] - b.T_owner_shape[:3, 3])
         gap = separating_gap(packed, 0, packed, 1, IDENTITY, axis, MARGIN, MARGIN, 1e-9)
@@ -135,18 +129,18 @@ def test_balls_and_pieces_cover_the_shape(kind):
 @pytest.mark.parametrize(
     "points",
     [
-        [[0, 0, 0]],
-        [[0, 0, 0], [1, 0, 0], [0.4, 0, 0]],
-        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]],
-        [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]],
+        np.zeros((1, 3)),
+        np.array([[0.0, 0, 0], [1, 0, 0], [0.4, 0, 0]]),
+        np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]),
+        np.zeros((4, 3)),
     ],
     ids=["point", "segment", "square", "coincident"],
 )
 def test_flat_shapes_are_cut_too(points):
-    parts = cut_into_pieces(np.array(points, dtype=float))
-    assert sum(map(len, parts)) < 2000
-    assert np.allclose(np.concatenate(parts).min(axis=0), np.min(points, axis=0))
-    assert np.allclose(np.concatenate(parts).max(axis=0), np.max(points, axis=0))
+    corners = np.concatenate(cut_into_pieces(points))
+    assert len(corners) < 2000
+    for end in (np.min, np.max):
+        np.testing.assert_allclose(end(corners, axis=0), end(points, axis=0), atol=1e-12)
 
 
 def test_grid_never_overestimates_and_is_not_idle():
@@ -159,7 +153,7 @@ def test_grid_never_overestimates_and_is_not_idle():
         ix, iy, iz, inside = cell_of(scene.grid, *point)
         assert inside
         probe = coal.Sphere(1e-9), coal.Transform3s(np.eye(3), point)
-        exact = max(min(coal_distance(probe, other) for other in objects), 0.0)
+        exact = max(min(coal_distance(*probe, *other) for other in objects), 0.0)
         known = known_distance(scene.grid, ix, iy, iz)
         assert known <= exact + 2e-6
         slack.append(min(exact, RANGE) - known)

@@ -7,7 +7,7 @@ import pytest
 
 from cvqmpt_lab.constraints.between_states import evenly_spaced, largest_violation
 from cvqmpt_lab.constraints.report import displacements
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion, upright
+from cvqmpt_lab.constraints.task_space_region import RegionConstraint, symmetric_region, upright
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 
@@ -28,9 +28,7 @@ def test_the_bound_holds_and_is_close(panda, slider_arm, kind, tolerance):
         states = robot.random_configurations(rng, 1) + np.cumsum(steps, axis=0)
         region = upright()
         if kind != "upright":
-            region = TaskSpaceRegion(
-                robot.pose(states[0]), np.eye(4), np.array([(-0.02, 0.02)] * 6)
-            )
+            region = symmetric_region(robot.pose(states[0]), np.eye(4), [0.02] * 6)
         found = largest_violation(robot, (region,), states, 0.04, tolerance)
         truth = dense(robot, region, states)
         assert truth <= found.largest + 1e-9

@@ -30,8 +30,7 @@ def test_a_bound_on_one_side_names_the_state_closest_to_it(panda):
 
 
 def test_displacements_are_seen_from_the_frame_of_the_region(panda):
-    region = TaskSpaceRegion(
-        panda.pose(np.zeros(7)) @ pose((0.1, 0.0, 0.0)), np.eye(4), np.zeros((6, 2))
-    )
+    beside = panda.pose(np.zeros(7)) @ pose((0.1, 0.0, 0.0))
+    region = TaskSpaceRegion(beside, np.eye(4), np.zeros((6, 2)))
     found = displacements(panda, region, np.zeros((1, 7)))[0]
     np.testing.assert_allclose(found, [-0.1, 0, 0, 0, 0, 0], atol=1e-12)
