@@ -78,10 +78,10 @@ class Checked:
         self._check()
 
     def _check(self) -> None:
-        """Refuse fields that do not fit each other; each alone is right."""
+        """Refuse fields that contradict each other; each alone has been checked."""
 
     def changed(self, **fields: Any) -> Self:
-        """A copy with other fields, which are known to be right: nothing is checked."""
+        """A copy with other fields, which are not checked."""
         return _made(type(self), {**_fields(self), **fields})
 
     def __eq__(self, other: object) -> bool:

@@ -2,8 +2,8 @@
 
 A stretch of a motion is free when the distance by coal at its middle exceeds how far any link can
 move inside the stretch. A stretch that is not proven is cut in two, down to `finest`; one still not
-proven is reported, although its middle is free. Nothing depends on which of several pairs coal
-finds first: that is chance.
+proven is reported, although its middle is free. The result does not depend on the arbitrary order
+in which coal reports several colliding pairs.
 """
 
 from collections import deque

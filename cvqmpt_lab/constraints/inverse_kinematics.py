@@ -107,7 +107,7 @@ def sample_region(
 ) -> GoalSample:
     """Up to count collision-free configurations with the end effector in a region, one per pose.
 
-    within: regions kept at the same time; that of a held handle puts its door at the hand.
+    within: regions kept at the same time; the region of a held handle moves its door to the hand.
     near: configuration (n,) that Newton's method starts around, `NEAR` away, instead of anywhere.
     """
     found: list[np.ndarray] = []
