@@ -63,7 +63,7 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
 
     found = cached_arrays("robot_geometry", b"".join(made_of), arrays)
     pieces = ConvexShapes(*(found.pop(name) for name in ConvexShapes._fields))
-    return RobotGeometry(**found | {"pieces": pieces, "largest": float(found["largest"])})
+    return RobotGeometry(pieces=pieces, largest=float(found.pop("largest")), **found)
 
 
 def _require_few_pieces(name: str, spec: ShapeSpec, most: int = 2000) -> None:

@@ -169,7 +169,7 @@ class Clusters(NamedTuple):
     """Boxes around neighbouring primitives, along the axes of their cloud's frame."""
 
     bounds: np.ndarray  # (n, 16) as of `distance_grid`, inflated like the primitives
-    count: np.ndarray  # (n,) int64 rows of `primitives`; none for a cluster of one primitive
+    listed: np.ndarray  # (n,) int64 rows of `primitives`; none for a cluster of one primitive
     # (k, 6) centres, from the cluster's in the cloud's axes, and half edges [m]
     primitives: np.ndarray
 

@@ -218,9 +218,9 @@ def scene_geometry(
     )
     joined = [np.concatenate(pair) for pair in zip(solid[:-1], parts, strict=True)]
     bounds = np.concatenate([_bounds(specs, solid), boxes])
-    counts = [np.zeros(len(specs) + 1, dtype=np.int64), *(it.count for it in clusters)]
+    counts = [np.zeros(len(specs) + 1, dtype=np.int64), *(it.listed for it in clusters)]
     return SceneGeometry(
-        shapes=ConvexShapes(*joined, solid.vertices),
+        shapes=ConvexShapes._make([*joined, solid.vertices]),
         bounds=bounds,
         primitive_start=np.cumsum(np.concatenate(counts)),
         primitives=np.concatenate([np.empty((0, 6)), *(it.primitives for it in clusters)]),
