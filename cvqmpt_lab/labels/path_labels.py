@@ -21,7 +21,7 @@ from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset
-from cvqmpt_lab.training.shards import DESCRIPTION_FILE, FULL_SCALE, packed_shard
+from cvqmpt_lab.training.shards import DESCRIPTION_FILE, packed, packed_shard
 
 SPACING = 0.13  # [rad] between stored waypoints
 SHAPES = {
@@ -67,7 +67,8 @@ def _path_arrays(robot: Robot, scenes: Sequence[list[_Label]]) -> dict[str, np.n
     counts = [len(scene) for scene in scenes]
     before = np.repeat(np.cumsum(counts) - counts, counts).astype(int)
     twin_of = np.array([label.twin_of for label in labels], np.int32)
-    waypoints = [packed(robot, label.path.spaced(SPACING)) for label in labels]
+    paths = [label.path.spaced(SPACING) for label in labels]
+    waypoints = [packed(path, robot.lower, robot.upper) for path in paths]
     straight = [np.linalg.norm(label.path.states[-1] - label.path.states[0]) for label in labels]
     return {
         "path_scene": np.repeat(np.arange(len(scenes)), counts).astype(np.int32),
@@ -191,12 +192,6 @@ def near_obstacles(
     return near
 
 
-def packed(robot: Robot, configurations: np.ndarray) -> np.ndarray:
-    """Joints as 16-bit shares of their range: 65535 (q - lower) / (upper - lower), rounded."""
-    u = (configurations - robot.lower) / (robot.upper - robot.lower)
-    return np.rint(np.clip(u, 0.0, 1.0) * FULL_SCALE).astype(np.uint16)
-
-
 def dataset_card(folder: Path) -> str:
     """What a dataset holds, and how far two labels of one problem lie apart."""
     dataset = open_dataset(folder)
@@ -221,36 +216,29 @@ def dataset_card(folder: Path) -> str:
 
 def _card_row(dataset: PathDataset, name: str, families: Sequence[int]) -> str:
     """Counts and means of the scenes of some families."""
-    scenes, paths = dataset.scenes, dataset.paths
-    chosen = np.isin(scenes.family, families)
-    own = chosen[paths.scene]
-    first, twins = (
-        np.flatnonzero(own & (paths.twin_of < 0)),
-        np.flatnonzero(own & (paths.twin_of >= 0)),
-    )
-    share = f"{100 * paths.trivial[first].mean():.0f} %" if len(first) else "-"
-    means = [
-        f"{array[first].mean():.2f}" if len(first) else "-"
-        for array in (paths.length, paths.straight)
-    ]
-    ratio = _ratio(dataset, twins)
+    arrays = dataset.arrays
+    chosen, twin = np.isin(arrays["family"], families), arrays["twin_of"] >= 0
+    own = chosen[arrays["path_scene"]]
+    first, twins = np.flatnonzero(own & ~twin), np.flatnonzero(own & twin)
+    share, *means = "-", "-", "-"
+    if len(first):
+        share = f"{100 * arrays['trivial'][first].mean():.0f} %"
+        means = [f"{arrays[name][first].mean():.2f}" for name in ("length", "straight")]
     return (
         f"| {name} | {chosen.sum()} | {len(first)} | {share} | {' | '.join(means)} | {len(twins)} "
-        f"| {ratio} |"
+        f"| {_ratio(dataset, twins)} |"
     )
 
 
 def _ratio(dataset: PathDataset, twins: np.ndarray) -> str:
     """Waypoint distance of twins to first labels / that of first labels to straight lines."""
-    if len(twins) == 0:
-        return "-"
     span = np.array(dataset.robot.upper) - np.array(dataset.robot.lower)
     apart = off_line = 0.0
     marks = np.linspace(0.0, 1.0, 32)
     for twin in twins.tolist():
         one, other = (
-            _resampled(dataset.paths.joints(p) * span, marks)
-            for p in (twin, dataset.paths.twin_of[twin])
+            _resampled(dataset.path(row) * span, marks)
+            for row in (twin, dataset.arrays["twin_of"][twin])
         )
         line = other[0] + marks[:, None] * (other[-1] - other[0])
         apart += float(np.linalg.norm(one - other, axis=1).mean())

@@ -15,7 +15,6 @@ from cvqmpt_lab.labels.generation import SceneRecipe, Shard
 from cvqmpt_lab.labels.path_labels import (
     free_configurations,
     near_obstacles,
-    packed,
     scene_shapes,
     unconstrained_space,
 )
@@ -33,6 +32,7 @@ from cvqmpt_lab.training.shards import (
     ROADMAP_FILE,
     RoadmapGraph,
     joined,
+    packed,
     packed_shard,
 )
 from cvqmpt_lab.vqmpt.learned_sampler import dictionary_roadmap
@@ -295,11 +295,11 @@ def roadmap_labels(
         "node_free": np.packbits(node_free)[None],
         "edge_free": np.packbits(edge_free)[None],
         "link_start": np.array([len(linked_ends)]),
-        "link_end": packed(robot, linked_ends),
+        "link_end": packed(linked_ends, robot.lower, robot.upper),
         "link_code": near.astype(np.uint16),
         "link_free": link_free.reshape(near.shape),
         "path_scene": np.array([len(codes)]),
-        "ends": packed(robot, np.stack([starts[s], goals[g]], axis=1)),
+        "ends": packed(np.stack([starts[s], goals[g]], axis=1), robot.lower, robot.upper),
         "code_start": np.array([len(path) for path in codes], np.int64),
         "codes": np.concatenate([np.empty(0, np.int64), *codes]).astype(np.uint16),
         "straight": np.linalg.norm(goals[g] - starts[s], axis=1).astype(np.float32),

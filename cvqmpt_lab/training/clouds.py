@@ -11,14 +11,11 @@ from cvqmpt_lab.sensing.render import ball, cuboid, cylinder, view_of
 from cvqmpt_lab.training.dataset import Shapes
 from cvqmpt_lab.vqmpt.config import require_sizes
 
-BOX, CYLINDER, SPHERE = 0, 1, 2
 SOLIDS = (  # by the kind of a shape
     lambda T, size: cuboid(T, 0.5 * size),
     lambda T, size: cylinder(T, size[0], 0.5 * size[2]),
     lambda T, size: ball(T, size[0]),
 )
-# The evaluation camera's range, a sixteenth of its pixels: still more than a cloud's points.
-SMALL = Intrinsics.from_fov(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +27,14 @@ class CropSettings:
     radius: float = 1.2  # of the ball [m]
     lower: tuple[float, float, float] = (-0.88, -0.88, -0.4)  # of the published box [m]
     upper: tuple[float, float, float] = (0.88, 0.88, 1.2)  # of the published box [m]
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """Whether each point (p, 3) [m] is in it, bool."""
+        if self.kind == "box":
+            lower, upper = np.array((self.lower, self.upper), dtype=np.float32)
+            return np.all((points >= lower) & (points <= upper), axis=1)
+        offset = points - np.array(self.centre, dtype=np.float32)
+        return np.einsum("pi,pi->p", offset, offset) <= self.radius**2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +65,12 @@ def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generat
     Few points are repeated; in an empty scene they lie below the robot, at the crop's lower end.
     """
     by_cameras = settings.measured > 0.0 and rng.random() < settings.measured
-    points = (_measured if by_cameras else _drawn)(shapes, settings, rng)
+    if by_cameras:
+        places, target = _camera_positions(settings, rng), np.array(settings.crop.centre)
+        points = measured_points(shapes, places, target, rng)
+        points = points[settings.crop.holds(points)][: settings.points]
+    else:
+        points = _drawn(shapes, settings, rng)
     if len(points) == 0:
         (x, y, z), crop = settings.crop.centre, settings.crop
         lowest = (x, y, z - crop.radius) if crop.kind == "ball" else (0.0, 0.0, crop.lower[2])
@@ -78,8 +88,9 @@ def _drawn(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) ->
     """Points (k, 3) drawn on surfaces: settings.points, or as many as can be found."""
     found = [np.empty((0, 3), dtype=np.float32)]
     missing = settings.points
-    if len(shapes):
-        weights = _areas(shapes) * np.exp(settings.density * rng.standard_normal(len(shapes)))
+    if len(shapes.kind):
+        density = np.exp(settings.density * rng.standard_normal(len(shapes.kind)))
+        weights = _areas(shapes) * density
         hides = rng.random() < settings.occlusion
         # drawn in any case
         places = _camera_positions(settings, rng)
@@ -93,13 +104,6 @@ def _drawn(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) ->
                 break
             chance = max(0.05, len(seen) / draw)
     return np.concatenate(found)
-
-
-def _measured(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """At most as many points (k, 3) as are wanted, measured by depth cameras."""
-    centre = np.array(settings.crop.centre)
-    points = measured_points(shapes, _camera_positions(settings, rng), centre, rng)
-    return points[_inside_crop(points, settings.crop)][: settings.points]
 
 
 def measured_points(
@@ -118,8 +122,10 @@ def measured_points(
     """
     described = zip(shapes.kind, shapes.size.astype(float), shapes.pose.astype(float), strict=True)
     solids = [SOLIDS[kind](T, size) for kind, size, T in described]
+    # the evaluation camera's range, a sixteenth of its pixels: still more than a cloud's points
+    small = Intrinsics.from_fov(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
     materials = drawn_materials(len(solids), rng)
-    views = [view_of(solids, Camera(SMALL, look_at(place, target))) for place in places]
+    views = [view_of(solids, Camera(small, look_at(place, target))) for place in places]
     points = np.concatenate(
         [measured(v, solids, materials, DepthNoise(), rng).points for v in views]
     )
@@ -128,11 +134,11 @@ def measured_points(
 
 def _areas(shapes: Shapes) -> np.ndarray:
     """Surface area of each shape (m,) [m^2]."""
-    kind, (x, y, z) = shapes.kind, shapes.size.T.astype(np.float64)
+    x, y, z = shapes.size.T.astype(np.float64)
     box = 2.0 * (x * y + y * z + z * x)
     cylinder = 2.0 * np.pi * x * (x + z)
     sphere = 4.0 * np.pi * x * x
-    return np.where(kind == BOX, box, np.where(kind == CYLINDER, cylinder, sphere))
+    return np.choose(shapes.kind, (box, cylinder, sphere))
 
 
 def _camera_positions(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
@@ -154,12 +160,12 @@ def _visible_points(
     """The visible ones of `draw` surface points, (k, 3) float32."""
     cumulated = np.cumsum(weights)
     shape = np.searchsorted(cumulated, rng.random(draw) * cumulated[-1], side="right")
-    shape = np.minimum(shape, len(shapes) - 1)
+    shape = np.minimum(shape, len(shapes.kind) - 1)
     local, normal = _surface(shapes.kind.take(shape), shapes.size.take(shape, axis=0), rng)
     of_point = shapes.pose.reshape(-1, 12).take(shape, axis=0).reshape(-1, 3, 4)
     rotation = of_point[:, :, :3]
     points = np.einsum("pij,pj->pi", rotation, local) + of_point[:, :, 3]
-    kept = np.flatnonzero(_inside_crop(points, crop))
+    kept = np.flatnonzero(crop.holds(points))
     points, shape = points[kept], shape[kept]
     if cameras is not None:
         normals = np.einsum("pij,pj->pi", rotation[kept], normal[kept])
@@ -174,8 +180,8 @@ def _surface(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Uniform points on surfaces of shapes (p,), in their frames, and outward normals, float32."""
     local, normal = np.zeros((2, len(kind), 3), dtype=np.float32)
-    for place, sampler in ((BOX, _on_boxes), (CYLINDER, _on_cylinders), (SPHERE, _on_spheres)):
-        rows = np.flatnonzero(kind == place)
+    for number, sampler in enumerate((_on_boxes, _on_cylinders, _on_spheres)):
+        rows = np.flatnonzero(kind == number)
         if len(rows):
             local[rows], normal[rows] = sampler(size[rows], rng)
     return local, normal
@@ -218,47 +224,22 @@ def _on_spheres(size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray,
     return normal * size[:, :1], normal
 
 
-def _inside_crop(points: np.ndarray, crop: CropSettings) -> np.ndarray:
-    if crop.kind == "box":
-        lower, upper = (
-            np.array(crop.lower, dtype=np.float32),
-            np.array(crop.upper, dtype=np.float32),
-        )
-        return np.all((points >= lower) & (points <= upper), axis=1)
-    offset = points - np.array(crop.centre, dtype=np.float32)
-    return np.einsum("pi,pi->p", offset, offset) <= crop.radius**2
-
-
 def _inside_others(
     points: np.ndarray, own: np.ndarray, shapes: Shapes, margin: float = 1e-4
 ) -> np.ndarray:
     """Whether each point (p, 3) of shape `own` (p,) lies deeper than `margin` in another shape."""
-    kind, size, pose = shapes.kind, shapes.size, shapes.pose
-    rotation = pose[:, :, :3]
+    rotation = shapes.pose[:, :, :3]
     # local = R^T (x - t), all shapes at once
-    origin = np.einsum("mij,mi->mj", rotation, pose[:, :, 3])
-    axes = np.ascontiguousarray(points.T)
-    inside = np.empty((len(kind), len(points)), dtype=bool)
-    for place in (BOX, CYLINDER, SPHERE):
-        rows = np.flatnonzero(kind == place)
-        if len(rows) == 0:
-            continue
-        inverse = np.ascontiguousarray(rotation[rows].transpose(0, 2, 1)).reshape(-1, 3)
-        local = (inverse @ axes).reshape(len(rows), 3, -1)
-        local -= origin[rows, :, None]
-        half = 0.5 * size[rows, :, None] - np.float32(margin)
-        if place == BOX:
-            np.abs(local, out=local)
-            within = local < half
-            inside[rows] = within[:, 0] & within[:, 1] & within[:, 2]
-            continue
-        np.multiply(local[:, :2], local[:, :2], out=local[:, :2])
-        radius = np.maximum(size[rows, :1] - np.float32(margin), 0.0) ** 2
-        squares = local[:, 0] + local[:, 1]
-        if place == SPHERE:
-            squares += local[:, 2] * local[:, 2]
-        inside[rows] = squares < radius
-        if place == CYLINDER:
-            inside[rows] &= np.abs(local[:, 2]) < half[:, 2]
+    origin = np.einsum("mij,mi->mj", rotation, shapes.pose[:, :, 3])
+    inverse = np.ascontiguousarray(rotation.transpose(0, 2, 1)).reshape(-1, 3)
+    local = (inverse @ np.ascontiguousarray(points.T)).reshape(len(rotation), 3, -1)
+    local -= origin[:, :, None]
+    half = 0.5 * shapes.size[:, :, None] - np.float32(margin)
+    within = np.abs(local) < half
+    squares = local * local
+    disc = squares[:, 0] + squares[:, 1]
+    radius = np.maximum(shapes.size[:, :1] - np.float32(margin), 0.0) ** 2
+    box, cylinder = within.all(axis=1), (disc < radius) & within[:, 2]
+    inside = np.choose(shapes.kind[:, None], (box, cylinder, disc + squares[:, 2] < radius))
     inside[own, np.arange(len(points))] = False
     return np.any(inside, axis=0)

@@ -1,13 +1,15 @@
 """Datasets in memory: scenes as shapes, with paths as waypoints or as labels on a roadmap.
 
 Joints u are normalised to [0, 1] between the limits. Scenes whose seed is divisible by 20 validate,
-the others train; twins, second labels of a path, do neither. `shards` describes the folder on disk.
+the others train; twins, second labels of a path, do neither. `shards` describes the folder on disk
+and the arrays.
 """
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -35,8 +37,7 @@ VALIDATION_EVERY = 20  # scenes whose seed is divisible by it validate
 SplitName = Literal["train", "validation"]
 
 
-@dataclass(frozen=True, eq=False)
-class Shapes:
+class Shapes(NamedTuple):
     """Boxes, cylinders and spheres, m of them."""
 
     kind: np.ndarray  # (m,) uint8: 0 box, 1 cylinder, 2 sphere
@@ -44,116 +45,43 @@ class Shapes:
     size: np.ndarray
     pose: np.ndarray  # (m, 3, 4) float32: T_world_shape [m]
 
-    def __len__(self) -> int:
-        return len(self.kind)
-
-
-@dataclass(frozen=True, eq=False)
-class Scenes:
-    """All s scenes, m shapes in all."""
-
-    family: np.ndarray  # (s,) uint8: index into the dataset's families
-    seed: np.ndarray  # (s,) int64
-    shape_start: np.ndarray  # (s + 1,) int64: ranges into the shapes
-    shape: Shapes  # of all scenes
-
-    def __len__(self) -> int:
-        return len(self.seed)
-
-    @property
-    def validate(self) -> np.ndarray:
-        """Whether each scene (s,) is for validation, bool."""
-        return self.seed % VALIDATION_EVERY == 0
-
-    def shapes(self, scene: int) -> Shapes:
-        """Shapes of one scene."""
-        rows = slice(int(self.shape_start[scene]), int(self.shape_start[scene + 1]))
-        return Shapes(self.shape.kind[rows], self.shape.size[rows], self.shape.pose[rows])
-
-
-@dataclass(frozen=True, eq=False)
-class Paths:
-    """All p paths, w waypoints in all."""
-
-    scene: np.ndarray  # (p,) int64: row of the scene
-    start: np.ndarray  # (p + 1,) int64: ranges into the waypoints
-    waypoints: np.ndarray  # (w, n) uint16: u times FULL_SCALE
-    trivial: np.ndarray  # (p,) bool: the straight line is free
-    twin_of: np.ndarray  # (p,) int64: row of the path of which this is a second label, or -1
-    length: np.ndarray  # (p,) float32 [rad]
-    straight: np.ndarray  # (p,) float32: length of the straight line [rad]
-
-    def __len__(self) -> int:
-        return len(self.scene)
-
-    def joints(self, path: int) -> np.ndarray:
-        """Normalised joints u (t, n) float32 of one path."""
-        return unpacked(self.waypoints[self.start[path] : self.start[path + 1]])
-
-    def counts(self, paths: np.ndarray) -> np.ndarray:
-        """Waypoints (b,) of each path."""
-        return self.start[paths + 1] - self.start[paths]
-
-    def padded(self, paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Waypoints of paths (b,); shorter paths are padded with their last waypoint.
-
-        Returns:
-            Normalised joints (b, t, n) float32, and the counts (b,) of each path's own waypoints.
-        """
-        counts = self.counts(paths)
-        place = np.minimum(np.arange(counts.max()), counts[:, None] - 1)
-        return unpacked(self.waypoints[self.start[paths][:, None] + place]), counts
-
-
-def unpacked(joints: np.ndarray) -> np.ndarray:
-    """Normalised joints u = stored / 65535, float32 of uint16."""
-    return joints.astype(np.float32) / np.float32(FULL_SCALE)
-
-
-def with_few_trivial(
-    paths: Paths, rows: np.ndarray, share: float, rng: np.random.Generator
-) -> np.ndarray:
-    """Rows (k,) in order, at most this share of them trivial paths; all if all are trivial."""
-    trivial = paths.trivial[rows]
-    others = int((~trivial).sum())
-    most = int(share / (1.0 - share) * others) if share < 1.0 else len(rows)
-    if others == 0 or trivial.sum() <= most:
-        return rows
-    kept = ~trivial
-    kept[rng.choice(np.flatnonzero(trivial), most, replace=False)] = True
-    return rows[kept]
-
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """Fields that all datasets have."""
+    """A dataset of s scenes and p paths: its description, and the joined arrays of its shards."""
 
     folder: Path
     robot: RobotSignature
     families: tuple[str, ...]
     chain: SerialChain | None  # kinematics for link positions; None when the description has none
     sha256: str  # of the description and the index, which holds those of the shards
-    scenes: Scenes
-    path_scene: np.ndarray  # (p,) int64: row of each path's scene
+    arrays: Mapping[str, np.ndarray]  # by the names of `shards.PATH_ARRAYS` or `LABEL_ARRAYS`
+
+    @property
+    def validates(self) -> np.ndarray:
+        """Whether each scene (s,) is for validation, bool."""
+        return self.arrays["scene_seed"] % VALIDATION_EVERY == 0
+
+    def shapes(self, scene: int) -> Shapes:
+        """Shapes of one scene."""
+        rows = slice(*self.arrays["shape_start"][scene : scene + 2])
+        return Shapes(*(self.arrays[f"shape_{name}"][rows] for name in Shapes._fields))
 
     def split(self, name: SplitName) -> np.ndarray:
         """Rows of the paths for training or validation."""
         if name not in get_args(SplitName):
             raise UnknownChoiceError("split", name, get_args(SplitName))
-        validates = self.scenes.validate[self.path_scene]
-        return np.flatnonzero(validates == (name == "validation"))
+        return np.flatnonzero(self.validates[self.arrays["path_scene"]] == (name == "validation"))
 
 
 @dataclass(frozen=True, eq=False)
 class PathDataset(TrainingData):
     """A dataset of paths."""
 
-    paths: Paths
-
     def split(self, name: SplitName) -> np.ndarray:
         """Rows of the paths for training or validation, without twins."""
         rows = super().split(name)
-        return rows[self.paths.twin_of[rows] < 0]
+        return rows[self.arrays["twin_of"][rows] < 0]
 
     def require_splits(self) -> None:
         """Raise InvalidInputError without a path to train on or one to validate with."""
@@ -164,6 +92,38 @@ class PathDataset(TrainingData):
                     f"{VALIDATION_EVERY} validate); generate more scenes"
                 )
 
+    def joints(self, waypoints: np.ndarray | slice) -> np.ndarray:
+        """Normalised joints u (..., n) float32 of rows of the waypoints."""
+        return self.arrays["waypoints"][waypoints].astype(np.float32) / np.float32(FULL_SCALE)
+
+    def path(self, row: int) -> np.ndarray:
+        """Normalised joints u (t, n) float32 of one path."""
+        return self.joints(slice(*self.arrays["path_start"][row : row + 2]))
+
+    def padded(self, paths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Waypoints of paths (b,); shorter paths are padded with their last waypoint.
+
+        Returns:
+            Normalised joints (b, t, n) float32, and the counts (b,) of each path's own waypoints.
+        """
+        start = self.arrays["path_start"][paths]
+        counts = self.arrays["path_start"][paths + 1] - start
+        place = np.minimum(np.arange(counts.max()), counts[:, None] - 1)
+        return self.joints(start[:, None] + place), counts
+
+    def with_few_trivial(
+        self, rows: np.ndarray, share: float, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Rows (k,) in order, at most this share of them trivial paths; all if all are trivial."""
+        trivial = self.arrays["trivial"][rows]
+        others = int((~trivial).sum())
+        most = int(share / (1.0 - share) * others) if share < 1.0 else len(rows)
+        if others == 0 or trivial.sum() <= most:
+            return rows
+        kept = ~trivial
+        kept[rng.choice(np.flatnonzero(trivial), most, replace=False)] = True
+        return rows[kept]
+
     def thinned(self, spacing: float | None) -> "PathDataset":
         """The dataset with fewer waypoints: both ends of each path, and one every `spacing` [rad].
 
@@ -173,65 +133,77 @@ class PathDataset(TrainingData):
             return self
         if not spacing > 0.0:
             raise InvalidInputError(f"spacing of waypoints is {spacing} rad; it must be positive")
-        paths = self.paths
+        waypoints, start = self.arrays["waypoints"], self.arrays["path_start"]
         scale = (np.array(self.robot.upper) - np.array(self.robot.lower)) / FULL_SCALE
-        steps = np.zeros(len(paths.waypoints))
+        steps = np.zeros(len(waypoints))
         block = 1 << 18
         # in blocks: the whole in floats would not fit everywhere
         for first in range(1, len(steps), block):
-            last = min(first + block, len(steps))
-            joints = paths.waypoints[first - 1 : last] * scale
-            steps[first:last] = np.linalg.norm(np.diff(joints, axis=0), axis=1)
-        steps[paths.start[:-1]] = 0.0
-        counts = np.diff(paths.start)
-        total = np.concatenate(([0.0], np.cumsum(steps)))[1:]
-        along = total - total[paths.start[:-1]].repeat(counts)
-        length = along[paths.start[1:] - 1]
-        parts = np.maximum(1.0, np.ceil(length / spacing - 1e-6))
-        place = np.floor(along * (parts / np.maximum(length, 1e-9)).repeat(counts) + 1e-6)
-        kept = np.ones(len(steps), dtype=bool)
-        kept[1:] = place[1:] != place[:-1]
-        kept[paths.start[:-1]] = True
-        kept[paths.start[1:] - 1] = True
-        start = np.concatenate(([0], np.add.reduceat(kept, paths.start[:-1]).cumsum()))
-        return replace(self, paths=replace(paths, start=start, waypoints=paths.waypoints[kept]))
+            joints = waypoints[first - 1 : first + block] * scale
+            steps[first : first + block] = np.linalg.norm(np.diff(joints, axis=0), axis=1)
+        first, last, counts = start[:-1], start[1:] - 1, np.diff(start)
+        steps[first] = 0.0
+        total = np.cumsum(steps)
+        along = total - total[first].repeat(counts)
+        parts = np.maximum(1.0, np.ceil(along[last] / spacing - 1e-6))
+        place = np.floor(along * (parts / np.maximum(along[last], 1e-9)).repeat(counts) + 1e-6)
+        kept = np.diff(place, prepend=-1.0) != 0.0
+        kept[first] = kept[last] = True
+        start = np.concatenate(([0], np.add.reduceat(kept, first).cumsum()))
+        thin = {"path_start": start, "waypoints": waypoints[kept]}
+        return replace(self, arrays={**self.arrays, **thin})
 
 
-@dataclass(frozen=True, eq=False)
-class RoadmapLabels:
-    """Which of the N nodes and E edges of a roadmap are free in each of s scenes.
+class BaseTurn:
+    """Rotations of robot and scene about the base, within the limits of joint 1 if `active`."""
 
-    Links are the straight motions from e configurations to the nodes nearest to each.
-    """
+    def __init__(self, dataset: PathDataset, wanted: bool) -> None:
+        self.active = wanted and dataset.chain is not None and dataset.chain.turns_about_base
+        self._range = np.float64(dataset.robot.upper[0] - dataset.robot.lower[0])
+        first, starts = dataset.arrays["waypoints"][:, 0], dataset.arrays["path_start"][:-1]
+        # (p,) of the first joint along each path
+        self.least = np.minimum.reduceat(first, starts) / FULL_SCALE
+        self.most = np.maximum.reduceat(first, starts) / FULL_SCALE
 
-    graph: RoadmapGraph
-    node_bits: np.ndarray  # (s, N/8) uint8: packed bits, 1 where the node is free
-    edge_bits: np.ndarray  # (s, E/8) uint8, likewise
-    link_start: np.ndarray  # (s + 1,) int64: ranges into the ends of links
-    link_end: np.ndarray  # (e, n) uint16: configurations, u times FULL_SCALE
-    link_code: np.ndarray  # (e, LINKS) uint16: the nodes near each
-    link_free: np.ndarray  # (e, LINKS) bool
+    def draw(self, paths: np.ndarray, rng: np.random.Generator) -> float:
+        """One angle [rad] that keeps joint 1 of all these paths within its limits."""
+        # two draws, as in the trainings of the shipped weights
+        place = rng.random(2)[0]
+        least, most = self.least[paths].min(), self.most[paths].max()
+        return float((-least + place * (1.0 - most + least)) * self._range) if self.active else 0.0
 
-    def free(self, scenes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which nodes (k, N) and edges (k, E) are free in scenes (k,), bool."""
-        nodes = np.unpackbits(self.node_bits[scenes], axis=1, count=len(self.graph.nodes))
-        edges = np.unpackbits(self.edge_bits[scenes], axis=1, count=len(self.graph.edges))
-        return nodes.astype(bool), edges.astype(bool)
+    def draw_each(self, paths: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Shifts (b,) of the normalised first joint that keep each path within its limits."""
+        place = rng.random(len(paths))
+        # u_1 + shift is uniform over what leaves the whole path within the limits
+        shift = -self.least[paths] + place * (1.0 - self.most[paths] + self.least[paths])
+        return (shift if self.active else np.zeros(len(paths))).astype(np.float32)
+
+    def shift(self, angles: np.ndarray) -> np.ndarray:
+        """What turns [rad] add to the normalised first joint: angle / (upper_1 - lower_1)."""
+        return (angles / self._range).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class SequenceDataset(TrainingData):
-    """A dataset of code sequences h_1 ... h_l from starts to goals."""
+    """A dataset of code sequences h_1 ... h_l from starts to goals.
 
-    ends: np.ndarray  # (p, 2, n) uint16: start and goal, u times FULL_SCALE
-    code_start: np.ndarray  # (p + 1,) int64: ranges into the codes
-    codes: np.ndarray  # (c,) of all paths
-    roadmap: RoadmapLabels | None  # None where sequences are those of encoded paths
+    With a roadmap its arrays also say which of the nodes, edges and links are free in each scene;
+    links are the straight motions from configurations to the nodes nearest to each.
+    """
+
+    graph: RoadmapGraph | None  # None where sequences are those of encoded paths
 
     def configurations(self, joints: np.ndarray) -> np.ndarray:
         """Configurations q = lower + u (upper - lower) (..., n) float32 of stored joints."""
         lower, upper = np.array(self.robot.lower), np.array(self.robot.upper)
         return (lower + joints / FULL_SCALE * (upper - lower)).astype(np.float32)
+
+    def free(self, name: Literal["node", "edge"], scenes: np.ndarray) -> np.ndarray:
+        """Which nodes (k, N) or edges (k, E) of the roadmap are free in scenes (k,), bool."""
+        count = len(getattr(self.graph, f"{name}s"))
+        bits = self.arrays[f"{name}_free"][scenes]
+        return np.unpackbits(bits, axis=1, count=count).astype(bool)
 
 
 def open_dataset(folder: Path) -> PathDataset:
@@ -242,23 +214,12 @@ def open_dataset(folder: Path) -> PathDataset:
     header = _header(folder)
     if holds_labels(folder):
         graph, labels = read_labels(folder)
-        robot = header["robot"]
-        limits = np.array(robot.lower), np.array(robot.upper)
+        limits = np.array(header["robot"].lower), np.array(header["robot"].upper)
         shards = [paths_of_labels(shard, graph.nodes, *limits) for shard in labels]
     else:
         sizes = {"families": len(header["families"]), "n": len(header["robot"].lower)}
         shards = read_shards(folder, PATH_ARRAYS, sizes)
-    arrays = joined(shards, PATH_ARRAYS)
-    paths = Paths(
-        scene=arrays["path_scene"],
-        start=arrays["path_start"],
-        waypoints=arrays["waypoints"],
-        trivial=arrays["trivial"],
-        twin_of=arrays["twin_of"],
-        length=arrays["length"],
-        straight=arrays["straight"],
-    )
-    return PathDataset(**header, scenes=_scenes(arrays), path_scene=paths.scene, paths=paths)
+    return PathDataset(**header, arrays=joined(shards, PATH_ARRAYS))
 
 
 def open_labels(folder: Path) -> SequenceDataset:
@@ -276,23 +237,12 @@ def open_labels(folder: Path) -> SequenceDataset:
     arrays = joined(shards, LABEL_ARRAYS)
     count = np.diff(arrays["code_start"])
     found = np.isfinite(arrays["cost"]) & (count > 0)
-    return SequenceDataset(
-        **header,
-        scenes=_scenes(arrays),
-        path_scene=arrays["path_scene"][found],
-        ends=arrays["ends"][found],
-        code_start=np.concatenate([[0], np.cumsum(count[found])]),
-        codes=arrays["codes"][np.repeat(found, count)],
-        roadmap=RoadmapLabels(
-            graph,
-            arrays["node_free"],
-            arrays["edge_free"],
-            arrays["link_start"],
-            arrays["link_end"],
-            arrays["link_code"],
-            arrays["link_free"],
-        ),
-    )
+    for name, column in LABEL_ARRAYS.items():
+        if column.rows == "path" and not column.ranges:
+            arrays[name] = arrays[name][found]
+    arrays["code_start"] = np.concatenate([[0], np.cumsum(count[found])])
+    arrays["codes"] = arrays["codes"][np.repeat(found, count)]
+    return SequenceDataset(**header, arrays=arrays, graph=graph)
 
 
 def holds_labels(folder: Path) -> bool:
@@ -329,20 +279,11 @@ def _header(folder: Path) -> dict[str, Any]:
     families = from_plain(tuple[str, ...], description.get("families"), f"{path}: families")
     if not families:
         raise InvalidInputError(f"{path}: families is empty; it must name one at least")
-    chain = None
-    if description.get("kinematics") is not None:
-        chain = from_plain(SerialChain, description["kinematics"], f"{path}: kinematics")
-        if len(chain.rotation) != len(robot.lower):
-            raise InvalidInputError(
-                f"{path}: kinematics has {len(chain.rotation)} joints, lower {len(robot.lower)}"
-            )
+    chain = from_plain(SerialChain | None, description.get("kinematics"), f"{path}: kinematics")
+    if chain is not None and len(chain.rotation) != len(robot.lower):
+        raise InvalidInputError(
+            f"{path}: kinematics has {len(chain.rotation)} joints, lower {len(robot.lower)}"
+        )
     files = read_bytes(path) + read_bytes(folder / INDEX_FILE)
-    digest = hashlib.sha256(files).hexdigest()
-    header = {"folder": folder, "robot": robot, "families": families}
-    return header | {"chain": chain, "sha256": digest}
-
-
-def _scenes(arrays: dict[str, np.ndarray]) -> Scenes:
-    size, pose = arrays["shape_size"].astype(np.float32), arrays["shape_pose"].astype(np.float32)
-    shapes = Shapes(arrays["shape_kind"], size, pose)
-    return Scenes(arrays["family"], arrays["scene_seed"], arrays["shape_start"], shapes)
+    header = {"folder": folder, "robot": robot, "families": families, "chain": chain}
+    return header | {"sha256": hashlib.sha256(files).hexdigest()}

@@ -15,16 +15,14 @@ Padding never counts.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
-from torch.utils.data import Dataset
+from torch import Tensor
 
-from cvqmpt_lab.training.batches import BaseTurn, batch_seed
-from cvqmpt_lab.training.dataset import PathDataset, unpacked, with_few_trivial
-from cvqmpt_lab.training.stage import OptimizerSettings, Stage
+from cvqmpt_lab.training.dataset import BaseTurn, PathDataset
+from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import ModelConfig, require_sizes
 from cvqmpt_lab.vqmpt.dictionary import Dictionary, DictionaryOutput
@@ -56,22 +54,14 @@ class Stage1Settings:
         require_sizes(batch=self.batch, row=self.row, batches_per_epoch=self.batches_per_epoch)
 
 
-class Stage1Loss(NamedTuple):
-    """Parts of the loss, scalars."""
-
-    total: Tensor  # what is minimised
-    reconstruction: Tensor  # negative log-likelihood and weighted negative entropy
-    quantization: Tensor
-
-
 def stage1_loss(
     output: DictionaryOutput,
     u: Tensor,
     visible: Tensor,
     commitment: float,
     entropy_weight: float = 0.1,
-) -> Stage1Loss:
-    """Loss of the module's docstring.
+) -> dict[str, Tensor]:
+    """Loss of the module's docstring, and its parts reconstruction and quantization: scalars.
 
     Args:
         output: the dictionary's, of waypoints u.
@@ -87,68 +77,11 @@ def stage1_loss(
     to_code = (z_q.detach() - z).square().sum(-1)
     to_latent = (z_q - z.detach()).square().sum(-1)
     quantization = (commitment * to_code + to_latent)[visible].mean()
-    return Stage1Loss(reconstruction + quantization, reconstruction, quantization)
-
-
-class _Waypoints(Dataset):
-    """Batches of unrelated waypoints, (batch, row, n)."""
-
-    def __init__(
-        self, stage: "DictionaryStage", epoch: int, paths: np.ndarray, rng: np.random.Generator
-    ) -> None:
-        self._stage, self._epoch = stage, epoch
-        counts = stage.dataset.paths.counts(paths)
-        inside = np.arange(counts.sum()) - np.repeat(counts.cumsum() - counts, counts)
-        waypoints = np.repeat(stage.dataset.paths.start[paths], counts) + inside
-        order = rng.permutation(len(waypoints))
-        self._waypoint, self._path = waypoints[order], np.repeat(paths, counts)[order]
-        self._size = stage.settings.batch * stage.settings.row
-
-    def __len__(self) -> int:
-        whole = max(1, len(self._waypoint) // self._size)
-        return min(whole, self._stage.settings.batches_per_epoch or whole)
-
-    def __getitem__(self, batch: int) -> dict[str, np.ndarray]:
-        stage = self._stage
-        rng = np.random.default_rng(batch_seed(stage.seed, self._epoch, batch))
-        places = np.arange(batch * self._size, (batch + 1) * self._size) % len(self._waypoint)
-        u = unpacked(stage.dataset.paths.waypoints[self._waypoint[places]])
-        u[:, 0] += stage.turn.draw_each(self._path[places], rng).astype(np.float32)
-        shape = (stage.settings.batch, stage.settings.row)
-        return {"u": u.reshape(*shape, -1), "visible": np.ones(shape, dtype=bool)}
-
-
-class _Trajectories(Dataset):
-    """Batches of whole paths, padded, (batch, t, n)."""
-
-    def __init__(
-        self, stage: "DictionaryStage", epoch: int, paths: np.ndarray, rng: np.random.Generator
-    ) -> None:
-        self._stage, self._epoch = stage, epoch
-        self._paths = rng.permutation(paths)
-
-    def __len__(self) -> int:
-        whole = -(-len(self._paths) // self._stage.settings.batch)
-        return min(whole, self._stage.settings.batches_per_epoch or whole)
-
-    def __getitem__(self, batch: int) -> dict[str, np.ndarray]:
-        stage, size = self._stage, self._stage.settings.batch
-        rng = np.random.default_rng(batch_seed(stage.seed, self._epoch, batch))
-        paths = self._paths[batch * size : (batch + 1) * size]
-        u, counts = stage.dataset.paths.padded(paths)
-        u[:, :, 0] += stage.turn.draw_each(paths, rng)[:, None].astype(np.float32)
-        return {"u": u, "visible": np.arange(u.shape[1]) < counts[:, None]}
-
-
-class _Trainee(nn.Module):
-    """The dictionary, and the number of uses of each code since the last restart."""
-
-    uses: Tensor
-
-    def __init__(self, config: ModelConfig) -> None:
-        super().__init__()
-        self.dictionary = Dictionary(config)
-        self.register_buffer("uses", torch.zeros(config.dictionary.n_codes, dtype=torch.int64))
+    return {
+        "loss": reconstruction + quantization,
+        "reconstruction": reconstruction,
+        "quantization": quantization,
+    }
 
 
 class DictionaryStage(Stage):
@@ -157,8 +90,8 @@ class DictionaryStage(Stage):
     selection = "validation_reconstruction"
     # codes are restarted by what one process has seen
     many_processes = False
-    module: _Trainee
     dataset: PathDataset
+    uses: Tensor  # of each code since the last restart
 
     def __init__(
         self,
@@ -172,9 +105,11 @@ class DictionaryStage(Stage):
         super().__init__(settings.optimizer, seed, device)
         dataset.require_splits()
         self.dataset = dataset.thinned(settings.spacing)
-        self.turn = BaseTurn(self.dataset, settings.turn_base)
+        self._turn = BaseTurn(self.dataset, settings.turn_base)
         self.config, self.settings = config, settings
-        self.module = _Trainee(config).to(device)
+        self.dictionary = Dictionary(config)
+        self.register_buffer("uses", torch.zeros(config.dictionary.n_codes, dtype=torch.int64))
+        self.to(device)
         robot, chain = self.dataset.robot, self.dataset.chain if config.feature_dim else None
         self._links = LinkPositions(robot.lower, robot.upper, chain, device)
         self._latents = torch.empty(0)
@@ -183,52 +118,72 @@ class DictionaryStage(Stage):
         """Initialise the codes with encoded waypoints z = f(q)."""
         if not self.config.dictionary.data_initialised:
             return
-        batches, latents = self.batches(0), []
-        wanted = 2 * self.config.dictionary.n_codes
+        codes, latents = self.config.dictionary.n_codes, []
         with torch.no_grad():
-            for index in range(len(batches)):
-                batch = self.tensors(batches[index])
-                z = self.module.dictionary.encoder(self._links.configurations(batch["u"]))
+            for arrays in self.batches(0):
+                batch = self.tensors(arrays)
+                z = self.dictionary.encoder(self._links.configurations(batch["u"]))
                 latents.append(z[batch["visible"]])
-                if sum(len(part) for part in latents) >= wanted:
+                if sum(map(len, latents)) >= 2 * codes:
                     break
-        every = torch.ones(self.config.dictionary.n_codes, dtype=torch.bool, device=self.device)
-        self.module.dictionary.quantizer.restart_codes(every, torch.cat(latents))
+        every = torch.ones(codes, dtype=torch.bool, device=self.device)
+        self.dictionary.quantizer.restart_codes(every, torch.cat(latents))
 
-    def batches(self, epoch: int) -> "_Waypoints | _Trajectories":
-        """Batches of an epoch."""
-        rng = np.random.default_rng((self.seed, epoch))
+    def batches(self, epoch: int) -> Batches:
+        """Batches (batch, t, n) of whole paths, padded, or (batch, row, n) of single waypoints."""
+        rng, settings = np.random.default_rng((self.seed, epoch)), self.settings
         rows = self.dataset.split("train")
-        rows = with_few_trivial(self.dataset.paths, rows, self.settings.trivial_share, rng)
-        kind = _Waypoints if self.config.dictionary.encoder == "mlp" else _Trajectories
-        return kind(self, epoch, rows, rng)
+        rows = self.dataset.with_few_trivial(rows, settings.trivial_share, rng)
+        most = settings.batches_per_epoch
+        if self.config.dictionary.encoder == "mlp":
+            start = self.dataset.arrays["path_start"]
+            of_paths = [np.arange(start[row], start[row + 1]) for row in rows]
+            order = rng.permutation(np.concatenate(of_paths))
+            size = settings.batch * settings.row
+            # the last waypoints are left out, or all repeated up to one batch
+            batches = np.resize(order, (max(1, len(order) // size), size))
+            return Batches(batches[:most], self._waypoints, self.seed, epoch)
+        order = rng.permutation(rows)
+        parts = np.split(order, range(settings.batch, len(order), settings.batch))
+        return Batches(parts[:most], self._trajectories, self.seed, epoch)
 
-    def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+    def _waypoints(self, rows: np.ndarray, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        paths = np.searchsorted(self.dataset.arrays["path_start"], rows, side="right") - 1
+        u = self.dataset.joints(rows)
+        u[:, 0] += self._turn.draw_each(paths, rng)
+        shape = (self.settings.batch, self.settings.row)
+        return {"u": u.reshape(*shape, -1), "visible": np.ones(shape, dtype=bool)}
+
+    def _trajectories(self, paths: np.ndarray, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        batch = self._padded(paths)
+        batch["u"][:, :, 0] += self._turn.draw_each(paths, rng)[:, None]
+        return batch
+
+    def _padded(self, paths: np.ndarray) -> dict[str, np.ndarray]:
+        u, counts = self.dataset.padded(paths)
+        return {"u": u, "visible": np.arange(u.shape[1]) < counts[:, None]}
+
+    def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Mean loss of a batch and its parts, see the module."""
         u, visible = batch["u"], batch["visible"]
-        output = self.module.dictionary(self._links.configurations(u))
-        beta = self.config.dictionary.commitment
-        loss = stage1_loss(output, u, visible, beta, self.settings.entropy_weight)
+        output = self.dictionary(self._links.configurations(u))
         with torch.no_grad():
             used = output.quantized.codes[visible]
-            self.module.uses += torch.bincount(used, minlength=len(self.module.uses))
+            self.uses += torch.bincount(used, minlength=len(self.uses))
             self._latents = output.quantized.latent[visible].detach()
-        return {
-            "loss": loss.total,
-            "reconstruction": loss.reconstruction,
-            "quantization": loss.quantization,
-        }
+        beta = self.config.dictionary.commitment
+        return stage1_loss(output, u, visible, beta, self.settings.entropy_weight)
 
     def after_step(self, epoch: int, step: int, optimizer: torch.optim.Optimizer) -> None:
         """Move codes that are hardly used to latents of the last batch."""
         settings = self.settings
         if not self.config.dictionary.data_initialised or step % max(settings.restart_every, 1):
             return
-        uses = self.module.uses
+        uses = self.uses
         if epoch < settings.restart_epochs:
             dead = uses < settings.restart_below * uses.float().mean()
-            self.module.dictionary.quantizer.restart_codes(dead, self._latents)
-            state = optimizer.state.get(self.module.dictionary.quantizer.embedding.weight, {})
+            self.dictionary.quantizer.restart_codes(dead, self._latents)
+            state = optimizer.state.get(self.dictionary.quantizer.embedding.weight, {})
             for name in ("exp_avg", "exp_avg_sq"):
                 if name in state:
                     state[name][dead] = 0.0
@@ -242,10 +197,9 @@ class DictionaryStage(Stage):
         used = torch.zeros(self.config.dictionary.n_codes, dtype=torch.int64)
         waypoints = 0
         for first in range(0, len(rows), 64):
-            array, counts = self.dataset.paths.padded(rows[first : first + 64])
-            u = torch.from_numpy(array).to(self.device)
-            visible = (torch.arange(u.shape[1]) < torch.from_numpy(counts)[:, None]).to(self.device)
-            output = self.module.dictionary(self._links.configurations(u))
+            batch = self.tensors(self._padded(rows[first : first + 64]))
+            u, visible = batch["u"], batch["visible"]
+            output = self.dictionary(self._links.configurations(u))
             codes = output.quantized.codes
             sums["nll"] -= float(output.gaussians.log_prob(u)[visible].double().sum())
             sums["negative_entropy"] -= float(output.gaussians.entropy()[visible].double().sum())
@@ -253,7 +207,7 @@ class DictionaryStage(Stage):
             sums["std"] += float(std[visible.cpu()].mean(-1).double().sum())
             sums["changes"] += float(((codes[:, 1:] != codes[:, :-1]) & visible[:, 1:]).sum())
             used += torch.bincount(codes[visible].cpu(), minlength=len(used))
-            waypoints += int(counts.sum())
+            waypoints += int(visible.sum())
         reconstruction = sums["nll"] + self.settings.entropy_weight * sums["negative_entropy"]
         return {
             "reconstruction": reconstruction / waypoints,
@@ -265,6 +219,6 @@ class DictionaryStage(Stage):
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary in its present state."""
-        self.module.dictionary.quantizer.normalise_codes()
-        modules = {"dictionary": self.module.dictionary}
+        self.dictionary.quantizer.normalise_codes()
+        modules = {"dictionary": self.dictionary}
         return Checkpoint(self.config, self.dataset.robot, modules, metadata)

@@ -1,22 +1,43 @@
 """MPNet: learn to propose the next waypoint q_(t+1) from q_t, the goal and the encoded cloud z.
 
 The loss is the mean over all steps, both ways, and joints of |g(q_t, q_goal, z) - q_(t+1)|^2. All
-examples of a batch count, unlike in the published code.
+examples of a batch count, unlike in the published code. A batch has as many paths of each scene.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from cvqmpt_lab.training.batches import BaseTurn, SceneBatches, SceneBatchSettings, other_scenes
-from cvqmpt_lab.training.dataset import PathDataset
-from cvqmpt_lab.training.stage import Means, OptimizerSettings, Stage
+from cvqmpt_lab.training.clouds import CloudSettings, sample_cloud
+from cvqmpt_lab.training.dataset import BaseTurn, PathDataset
+from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage, means
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
-from cvqmpt_lab.vqmpt.config import MPNetConfig
+from cvqmpt_lab.vqmpt.config import MPNetConfig, require_sizes
 from cvqmpt_lab.vqmpt.mpnet import MPNet
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneBatchSettings:
+    """Amounts and augmentation of a batch of paths."""
+
+    scenes: int = 16
+    paths_per_scene: int = 4  # a scene with fewer paths repeats one with weight 0
+    batches_per_epoch: int | None = None  # at most; None for all paths
+    spacing: float | None = None  # of waypoints along a path [rad]; None to take all
+    trivial_share: float = 0.15  # of paths whose straight line is free, at most
+    turn_base: bool = False  # turn scene and paths alike about the base
+    cloud: CloudSettings = field(default_factory=CloudSettings)
+    validation_paths: int = 512  # at most
+
+    def __post_init__(self) -> None:
+        names = ("scenes", "paths_per_scene", "batches_per_epoch")
+        require_sizes(**{name: getattr(self, name) for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +50,14 @@ class MPNetSettings:
 
 
 class MPNetStage(Stage):
-    """Training of an `MPNet`."""
+    """Training of an `MPNet`.
+
+    Arrays of a batch: scene (s,), cloud (s, points, 3) [m], u (s p, t, n), counts (s p,) of
+    waypoints and weight (s p,) bool, False for paths that fill a scene up.
+    """
 
     selection = "validation_squared_error"
+    dataset: PathDataset
 
     def __init__(
         self,
@@ -44,34 +70,107 @@ class MPNetStage(Stage):
         """Prepare to train on a dataset; raises InvalidInputError where that is impossible."""
         super().__init__(settings.optimizer, seed, device)
         dataset.require_splits()
-        self.dataset: PathDataset = dataset.thinned(settings.batches.spacing)
-        self._settings = settings.batches
-        self._turn = BaseTurn(self.dataset, settings.batches.turn_base)
-        self._validation = SceneBatches.for_validation(self.dataset, settings.batches, seed)
-        self.module = self.network = MPNet(config).to(device)
+        self.dataset, self.settings = dataset.thinned(settings.batches.spacing), settings.batches
+        self._turn = BaseTurn(self.dataset, self.settings.turn_base)
+        self.network = MPNet(config).to(device)
 
-    def batches(self, epoch: int) -> SceneBatches:
-        """Batches of an epoch."""
-        return SceneBatches.of_epoch(self.dataset, self._settings, self._turn, self.seed, epoch)
+    def batches(self, epoch: int) -> Batches:
+        """Every training path once, in a new order for each epoch."""
+        rng, turn = np.random.default_rng((self.seed, epoch)), self._turn
+        rows = self.dataset.split("train")
+        rows = self.dataset.with_few_trivial(rows, self.settings.trivial_share, rng)
+        key = None
+        if turn.active:
+            # paths on the same side of the robot can be turned further together
+            key = turn.least + turn.most + rng.uniform(0.0, 0.4, len(turn.least))
+        groups = self._grouped(rows, rng, key)
+        count = max(1, len(groups) // self.settings.scenes)
+        batches = np.array_split(groups[: count * self.settings.scenes], count)
+        make = partial(self._batch, augmented=True)
+        return Batches(batches[: self.settings.batches_per_epoch], make, self.seed, epoch)
 
-    def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+    def validation_batches(self) -> Batches:
+        """Equal held-out paths and clouds each time; scenes of a batch differ if possible."""
+        rng, settings = np.random.default_rng(self.seed), self.settings
+        rows = self.dataset.split("validation")
+        rows = self.dataset.with_few_trivial(rows, settings.trivial_share, rng)
+        groups = self._grouped(rows, rng)
+        # first a group of each scene, then a second one of each, and so on
+        scene = self._scenes(groups)
+        by_scene = np.argsort(scene, kind="stable")
+        order = by_scene[np.lexsort((by_scene, _place_in_run(scene[by_scene])))]
+        groups = groups[order][: max(2, settings.validation_paths // settings.paths_per_scene)]
+        # the other scene is mostly of the same family
+        family = self.dataset.arrays["family"][self._scenes(groups)]
+        groups = groups[np.argsort(family, kind="stable")]
+        batches = np.array_split(groups, max(1, len(groups) // settings.scenes))
+        return Batches(batches, partial(self._batch, augmented=False), self.seed, 0)
+
+    def _grouped(
+        self, rows: np.ndarray, rng: np.random.Generator, key: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Shuffle paths into groups of one scene each, groups shuffled.
+
+        Args:
+            rows: (k,) the paths to group.
+            rng: draws the order.
+            key: (p,) a number for every path; within a scene, paths of similar ones come together.
+
+        Returns:
+            Groups (g, paths_per_scene) of rows; -1 fills a group up.
+        """
+        size, rows = self.settings.paths_per_scene, rng.permutation(rows)
+        scenes = self.dataset.arrays["path_scene"][rows]
+        keys = (scenes,) if key is None else (key[rows], scenes)
+        order = np.lexsort(keys)
+        rows, inside = rows[order], _place_in_run(scenes[order])
+        group = np.cumsum(inside % size == 0) - 1
+        groups = np.full((group[-1] + 1, size), -1, dtype=np.int64)
+        groups[group, inside % size] = rows
+        return rng.permutation(groups)
+
+    def _scenes(self, groups: np.ndarray) -> np.ndarray:
+        """Scene of each group (g,)."""
+        return self.dataset.arrays["path_scene"][groups[:, 0]]
+
+    def _batch(
+        self, groups: np.ndarray, rng: np.random.Generator, *, augmented: bool
+    ) -> dict[str, np.ndarray]:
+        """Arrays of groups (s, p) of paths; noise, hidden surfaces and turns if augmented."""
+        rows, scenes = np.where(groups < 0, groups[:, :1], groups), self._scenes(groups)
+        angles = [self._turn.draw(group, rng) if augmented else 0.0 for group in rows]
+        settings = self.settings.cloud if augmented else self.settings.cloud.without_augmentation()
+        clouds = [sample_cloud(self.dataset.shapes(scene), settings, rng) for scene in scenes]
+        u, counts = self.dataset.padded(rows.ravel())
+        u[:, :, 0] += self._turn.shift(np.repeat(angles, rows.shape[1]))[:, None]
+        return {
+            "cloud": np.stack([turned(*each) for each in zip(clouds, angles, strict=True)]),
+            "u": u,
+            "counts": counts,
+            "weight": (groups >= 0).ravel(),
+            "scene": scenes,
+        }
+
+    def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Mean of |g(q_t, q_goal, z) - q_(t+1)|^2 over joints, all steps and both directions."""
         return {"loss": self._squared_error(batch, batch["cloud"], stochastic=True)}
 
     def validate(self) -> dict[str, float | None]:
         """Loss on held-out scenes with their own cloud and with another scene's; no dropout."""
-        means = Means()
-        for index in range(len(self._validation)):
-            batch = self.tensors(self._validation[index])
+        return means(self._errors())
+
+    def _errors(self) -> Iterator[tuple[str, float, float]]:
+        for arrays in self.validation_batches():
+            batch = self.tensors(arrays)
             clouds = {"": batch["cloud"]}
             others = other_scenes(batch["scene"].cpu().numpy())
             if others is not None:
                 clouds["wrong_cloud_"] = batch["cloud"][others]
             for prefix, cloud in clouds.items():
                 error = self._squared_error(batch, cloud, stochastic=False)
-                means.add(f"{prefix}squared_error", float(error), 1)
-        names = ("squared_error", "wrong_cloud_squared_error")
-        return {name: means.values().get(name) for name in names}
+                yield f"{prefix}squared_error", float(error), 1
+        # a column of the curves even where all held-out paths are of one scene
+        yield "wrong_cloud_squared_error", 0.0, 0
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The network in its present state."""
@@ -96,3 +195,25 @@ class MPNetStage(Stage):
             stochastic=stochastic,
         )
         return (proposed - torch.cat((after, before))).square().mean()
+
+
+def turned(cloud: np.ndarray, angle: float) -> np.ndarray:
+    """Rotate a cloud (k, 3) about z by an angle [rad]: p <- Rz(angle) p."""
+    c, s = math.cos(angle), math.sin(angle)
+    transposed = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)), dtype=np.float32)
+    return cloud @ transposed
+
+
+def _place_in_run(values: np.ndarray) -> np.ndarray:
+    """For each entry, the number of equal entries directly before it."""
+    begins = np.flatnonzero(np.concatenate(([True], values[1:] != values[:-1])))
+    return np.arange(len(values)) - begins.repeat(np.diff(np.append(begins, len(values))))
+
+
+def other_scenes(scene: np.ndarray) -> np.ndarray | None:
+    """For each entry, the next index with another scene; None when all are of one scene."""
+    if (scene == scene[0]).all():
+        return None
+    count = len(scene)
+    cycle = (np.arange(count)[:, None] + np.arange(count)) % count
+    return cycle[np.arange(count), (scene[cycle] != scene[:, None]).argmax(1)]

@@ -6,13 +6,17 @@ from pathlib import Path
 import torch
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.training.batches import RoadmapSettings, SceneBatchSettings
 from cvqmpt_lab.training.clouds import CloudSettings, CropSettings
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset, open_labels
 from cvqmpt_lab.training.dictionary_stage import DictionaryStage, Stage1Settings
-from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage
-from cvqmpt_lab.training.sequence_networks import PublishedSizes, PublishedStage, TransformerStage
-from cvqmpt_lab.training.sequence_stage import SequenceStage, open_sequences
+from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage, SceneBatchSettings
+from cvqmpt_lab.training.sequence_networks import (
+    PublishedSizes,
+    PublishedStage,
+    TransformerStage,
+    open_sequences,
+)
+from cvqmpt_lab.training.sequence_stage import RoadmapSettings
 from cvqmpt_lab.training.stage import OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt import config as sizes
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint
@@ -86,15 +90,11 @@ class Profile:
             network = replace(self.mpnet_model, joint_dim=len(paths.robot.lower))
             return MPNetStage(paths, network, self.mpnet, seed, device)
         words = load_checkpoint(resolve_model(dictionary, VQ_MPT))
-        made: SequenceStage
         if name == "transformer":
-            settings, model_sizes = self.transformer, self.transformer_model
-            made = TransformerStage(open_labels(data), words, settings, model_sizes, seed, device)
-        else:
-            sequences, published = open_sequences(data, words), self.published_model
-            made = PublishedStage(sequences, words, self.published, published, seed, device)
-        made.require_splits()
-        return made
+            labels, network_sizes = open_labels(data), self.transformer_model
+            return TransformerStage(labels, words, self.transformer, network_sizes, seed, device)
+        sequences, published_sizes = open_sequences(data, words), self.published_model
+        return PublishedStage(sequences, words, self.published, published_sizes, seed, device)
 
 
 def _compact() -> Profile:

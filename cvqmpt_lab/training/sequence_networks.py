@@ -7,6 +7,7 @@ has a query of its own that attends to the scene tokens.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.training.batches import RoadmapSettings
-from cvqmpt_lab.training.dataset import SequenceDataset
-from cvqmpt_lab.training.sequence_stage import Cloud, Predicted, SequenceStage, chosen
-from cvqmpt_lab.training.shards import LINKS
+from cvqmpt_lab.training.dataset import (
+    SequenceDataset,
+    holds_labels,
+    open_dataset,
+    open_labels,
+)
+from cvqmpt_lab.training.sequence_stage import Cloud, RoadmapSettings, SequenceStage, chosen
+from cvqmpt_lab.training.shards import LINKS, SCENE_ARRAYS
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import (
     PointCloudConfig,
@@ -26,16 +31,50 @@ from cvqmpt_lab.vqmpt.config import (
     SceneTransformerSizes,
     SequenceConfig,
 )
-from cvqmpt_lab.vqmpt.dictionary import Dictionary
+from cvqmpt_lab.vqmpt.link_positions import LinkPositions
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, Ends, group_points
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
 
 
+def open_sequences(folder: Path, dictionary: Checkpoint) -> SequenceDataset:
+    """Read labels on a roadmap, or encode paths: a code a waypoint, repeats left out.
+
+    InvalidInputError: as of `open_labels` and `open_dataset`, or paths of another robot.
+    """
+    if holds_labels(folder):
+        return open_labels(folder)
+    paths = open_dataset(folder)
+    dictionary.robot.require_same(paths.robot)
+    start, once = paths.arrays["path_start"], np.flatnonzero(paths.arrays["twin_of"] < 0)
+    rows = paths.with_few_trivial(once, 0.15, np.random.default_rng(0))
+    chain = paths.chain if dictionary.config.feature_dim else None
+    links = LinkPositions(paths.robot.lower, paths.robot.upper, chain)
+    counts = np.diff(start)[rows]
+    each: list[np.ndarray] = [np.empty(0)] * len(rows)
+    words = dictionary.modules["dictionary"]
+    # the encoder sees padding, and paths of one length need none
+    for count in np.unique(counts).tolist():
+        alike = np.flatnonzero(counts == count)
+        for some in np.array_split(alike, -(-len(alike) // 64)):
+            with torch.no_grad():
+                u = torch.from_numpy(paths.padded(rows[some])[0])
+                codes = words.encode(links.configurations(u)).numpy()
+            for row, own in zip(some.tolist(), codes, strict=True):
+                each[row] = own[np.append(True, own[1:] != own[:-1])]
+    ends = np.stack([start[rows], start[rows + 1] - 1], axis=1)
+    sequences = {
+        "path_scene": paths.arrays["path_scene"][rows],
+        "ends": paths.arrays["waypoints"][ends],
+        "code_start": np.cumsum([0, *map(len, each)]),
+        "codes": np.concatenate(each),
+    }
+    scenes = {name: paths.arrays[name] for name in SCENE_ARRAYS}
+    return SequenceDataset(**vars(paths) | {"arrays": scenes | sequences}, graph=None)
+
+
 class TransformerStage(SequenceStage):
     """Training of a scene transformer."""
-
-    module: SceneTransformer
 
     def __init__(
         self,
@@ -47,8 +86,8 @@ class TransformerStage(SequenceStage):
         device: torch.device,
     ) -> None:
         super().__init__(dataset, dictionary, settings, sizes.links, LONGEST, seed, device)
-        assert dataset.chain is not None and dataset.roadmap is not None
-        graph = dataset.roadmap.graph
+        assert dataset.chain is not None and dataset.graph is not None
+        graph = dataset.graph
         body = replace(
             dataset.chain, points=tuple(graph.body_joint.tolist()), offsets=graph.body_offset
         )
@@ -60,13 +99,13 @@ class TransformerStage(SequenceStage):
             n_edges=len(graph.edges),
             sizes=sizes,
         )
-        self.module = SceneTransformer(self.config).to(device)
-        self.module.set_roadmap(graph.nodes, graph.edges)
+        self.model = SceneTransformer(self.config).to(device)
+        self.model.set_roadmap(graph.nodes, graph.edges)
 
     def prepare(self) -> None:
         """Set priors to the frequency of free codes and edges, or load weights to fine-tune."""
         if not self.settings.fine_tune:
-            _begin_with(self.free_shares(), self.module.node_prior, self.module.edge_prior)
+            self.set_priors(self.model.node_prior, self.model.edge_prior)
             return
         trained = self.dictionary.modules.get("transformer")
         if trained is None or trained.config.sizes != self.config.sizes:
@@ -74,7 +113,7 @@ class TransformerStage(SequenceStage):
                 "fine_tune needs a --dictionary whose weights hold a transformer of the sizes of "
                 "transformer_model; leave both out to begin with the shipped weights"
             )
-        self.module.load_state_dict(trained.state_dict())
+        self.model.load_state_dict(trained.state_dict())
 
     def cloud_arrays(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """Centres (t, 3) and offsets (t, m, 3) [m] of groups of points."""
@@ -82,29 +121,22 @@ class TransformerStage(SequenceStage):
         centres, offsets = group_points(points, sizes.groups, sizes.group_size)
         return {"centres": centres, "offsets": offsets}
 
-    def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> Predicted:
+    def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Logits over codes and goal, and log odds that codes, edges and links are free."""
-        scenes = self.module.encode(cloud["centres"], cloud["offsets"])
-        starts, goals = (self.module.ends(scenes, batch[name]) for name in ("starts", "goals"))
-        V = self.module.cost_to_go(scenes, goals)
+        scenes = self.model.encode(cloud["centres"], cloud["offsets"])
+        starts, goals = (self.model.ends(scenes, batch[name]) for name in ("starts", "goals"))
+        V = self.model.cost_to_go(scenes, goals)
         start = Ends(*(chosen(part, batch["start"]) for part in starts))
         goal = Ends(*(chosen(part, batch["goal"]) for part in goals))
-        logits = self.module.logits(scenes, start, goal, chosen(V, batch["goal"]), batch["codes"])
-        links = self.module.link_odds(scenes, batch["link_end"], batch["link_code"])
-        return Predicted(logits, scenes.node_odds, scenes.edge_odds, links)
+        logits = self.model.logits(scenes, start, goal, chosen(V, batch["goal"]), batch["codes"])
+        links = self.model.link_odds(scenes, batch["link_end"], batch["link_code"])
+        return {"code": logits, "node": scenes.node_odds, "edge": scenes.edge_odds, "link": links}
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary and the transformer in their present state."""
         config = replace(self.dictionary.config, transformer=self.config)
-        modules = {**self.dictionary.modules, "transformer": self.module}
+        modules = {**self.dictionary.modules, "transformer": self.model}
         return Checkpoint(config, self.dictionary.robot, modules, metadata)
-
-
-@torch.no_grad()
-def _begin_with(shares: list[Tensor], node_prior: Tensor, edge_prior: Tensor) -> None:
-    """Copy log odds that codes (N,) and edges (E,) are free into a network's priors."""
-    node_prior.copy_(shares[0])
-    edge_prior.copy_(shares[1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,8 +187,8 @@ class PublishedStage(SequenceStage):
         seed: int,
         device: torch.device,
     ) -> None:
-        roadmap = dataset.roadmap
-        longest = LONGEST if roadmap is not None else sizes.sequence.max_length - 1
+        graph = dataset.graph
+        longest = LONGEST if graph is not None else sizes.sequence.max_length - 1
         super().__init__(dataset, dictionary, settings, LINKS, longest, seed, device)
         self.config = replace(
             dictionary.config,
@@ -164,27 +196,25 @@ class PublishedStage(SequenceStage):
             point_cloud=sizes.point_cloud,
             sequence=sizes.sequence,
         )
-        self._words: Dictionary = dictionary.modules["dictionary"]
-        self._words.to(device).requires_grad_(False)
+        dictionary.modules["dictionary"].to(device).requires_grad_(False)
         self.model, self.dense = PublishedSequenceModel(self.config), None
         if sizes.dense:
-            if roadmap is None:
+            if graph is None:
                 raise InvalidInputError(
                     f"{dataset.folder} holds paths; the dense loss needs labels on a roadmap "
                     "(cvqmpt data generate --labels roadmap), or set published_model.dense to "
                     "false"
                 )
             width = sizes.sequence.transformer.d_model
-            self.dense = DenseHead(len(roadmap.graph.nodes), roadmap.graph.edges, width)
-        self.module = nn.ModuleList([self.model, *([] if self.dense is None else [self.dense])])
-        self.module.to(device)
+            self.dense = DenseHead(len(graph.nodes), graph.edges, width)
+        self.to(device)
         limits = torch.tensor([dataset.robot.lower, dataset.robot.upper], device=device)
         self._lower, self._range = limits[0], limits[1] - limits[0]
 
     def prepare(self) -> None:
         """Set the dense head's priors to the frequency of free codes and edges."""
         if self.dense is not None:
-            _begin_with(self.free_shares(), self.dense.node_prior, self.dense.edge_prior)
+            self.set_priors(self.dense.node_prior, self.dense.edge_prior)
 
     def cloud_arrays(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """The cloud's points, unchanged."""
@@ -195,7 +225,7 @@ class PublishedStage(SequenceStage):
         constant = self.model.context.env_encoder.constant_features()
         return super().validate() | {"constant_features": constant}
 
-    def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> Predicted:
+    def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Logits (s, r, l + 1, N + 2) over codes, start token and goal; with the dense loss, odds.
 
         Prefixes of one length are a batch, so that none is padded.
@@ -207,16 +237,20 @@ class PublishedStage(SequenceStage):
         ]
         context = self.model.encode_context(scene, *(end.flatten(0, 1) for end in ends))
         codes, count = batch["codes"].flatten(0, 1), batch["count"].flatten()
-        steps, quantizer = [], self._words.quantizer
+        steps, quantizer = [], self.dictionary.modules["dictionary"].quantizer
         for length in range(codes.shape[1] + 1):
             rows = (count >= length).nonzero()[:, 0]
             prefixes = context[rows], codes[rows, :length]
             logits = self.model.prefix_logits(*prefixes, quantizer).float()
             steps.append(logits.new_zeros(len(codes), logits.shape[-1]).index_copy(0, rows, logits))
         logits = torch.stack(steps, 1).unflatten(0, batch["count"].shape)
-        return Predicted(logits, *(() if self.dense is None else self.dense(scene[0])))
+        if self.dense is None:
+            return {"code": logits}
+        node, edge = self.dense(scene[0])
+        return {"code": logits, "node": node, "edge": edge}
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary and the sequence model in their present state."""
-        modules = {"dictionary": self._words, "sequence_model": self.model}
+        words = self.dictionary.modules["dictionary"]
+        modules = {"dictionary": words, "sequence_model": self.model}
         return Checkpoint(self.config, self.dictionary.robot, modules, metadata)

@@ -11,9 +11,11 @@ motions between configurations and codes near them. Every sequence is learned fr
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import chain
+from typing import Literal
 
 import numpy as np
 import torch
@@ -21,18 +23,11 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.training.batches import RoadmapSettings, SequenceBatches
-from cvqmpt_lab.training.dataset import (
-    VALIDATION_EVERY,
-    SequenceDataset,
-    holds_labels,
-    open_dataset,
-    open_labels,
-    with_few_trivial,
-)
-from cvqmpt_lab.training.stage import Means, Stage
+from cvqmpt_lab.training.clouds import CloudSettings, sample_cloud
+from cvqmpt_lab.training.dataset import VALIDATION_EVERY, SequenceDataset
+from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage, means
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
-from cvqmpt_lab.vqmpt.link_positions import LinkPositions
+from cvqmpt_lab.vqmpt.config import require_sizes
 from cvqmpt_lab.vqmpt.scene_arrays import NOWHERE
 from cvqmpt_lab.vqmpt.scene_transformer import roadmap_successors
 
@@ -42,58 +37,43 @@ Cloud = Mapping[str, Tensor]
 """Clouds of s scenes as a model takes them, every array (s, ...)."""
 
 
-class Predicted(NamedTuple):
-    """A model's output for a batch."""
+@dataclass(frozen=True, kw_only=True)
+class RoadmapSettings:
+    """How a sequence model is trained on sequences of codes."""
 
-    logits: Tensor  # (s, r, l + 1, classes) after every prefix; the last class is the goal
-    node_odds: Tensor | None = None  # (s, N), log odds of P(code free)
-    edge_odds: Tensor | None = None  # (s, E), log odds of P(edge free)
-    link_odds: Tensor | None = None  # (s, k, LINKS), log odds of P(link free)
-
-
-def open_sequences(folder: Path, dictionary: Checkpoint) -> SequenceDataset:
-    """Read labels on a roadmap, or encode paths: a code a waypoint, repeats left out.
-
-    InvalidInputError: as of `open_labels` and `open_dataset`, or paths of another robot.
-    """
-    if holds_labels(folder):
-        return open_labels(folder)
-    dataset = open_dataset(folder)
-    dictionary.robot.require_same(dataset.robot)
-    paths, robot = dataset.paths, dataset.robot
-    once = np.flatnonzero(paths.twin_of < 0)
-    rows = with_few_trivial(paths, once, 0.15, np.random.default_rng(0))
-    chain = dataset.chain if dictionary.config.feature_dim else None
-    links, counts = LinkPositions(robot.lower, robot.upper, chain), paths.counts(rows)
-    each: list[np.ndarray] = [np.empty(0)] * len(rows)
-    words = dictionary.modules["dictionary"]
-    # the encoder sees padding, and paths of one length need none
-    for count in np.unique(counts).tolist():
-        alike = np.flatnonzero(counts == count)
-        for some in np.array_split(alike, -(-len(alike) // 64)):
-            with torch.no_grad():
-                u = torch.from_numpy(paths.padded(rows[some])[0])
-                codes = words.encode(links.configurations(u)).numpy()
-            for row, own in zip(some.tolist(), codes, strict=True):
-                each[row] = own[np.append(True, own[1:] != own[:-1])]
-    first, last = paths.start[rows], paths.start[rows + 1] - 1
-    return SequenceDataset(
-        folder=dataset.folder,
-        robot=robot,
-        families=dataset.families,
-        chain=dataset.chain,
-        sha256=dataset.sha256,
-        scenes=dataset.scenes,
-        path_scene=paths.scene[rows],
-        ends=np.stack([paths.waypoints[first], paths.waypoints[last]], axis=1),
-        code_start=np.cumsum([0, *map(len, each)]),
-        codes=np.concatenate(each),
-        roadmap=None,
+    epochs: int = 30
+    batches_per_epoch: int = 400
+    scenes: int = 4  # of a batch
+    paths: int = 96  # of each scene
+    goals: int = 16  # different ones of each scene
+    link_ends: int = 24  # configurations of each scene from which motions to codes are judged
+    cloud: CloudSettings = field(
+        default_factory=lambda: CloudSettings(points=1024, occlusion=0.3, measured=0.3)
     )
+    validation_scenes: int = 70
+    fine_tune: bool = False  # begin with the transformer of the dictionary's weights
+    # of most matrix products; losses are always float32
+    precision: Literal["float32", "bf16"] = "bf16"
+    optimizer: OptimizerSettings = field(
+        default_factory=lambda: OptimizerSettings(
+            rate=2e-3, warmup=100, schedule="cosine", weight_decay=0.01, clip=1.0
+        )
+    )
+
+    def __post_init__(self) -> None:
+        names = ("batches_per_epoch", "scenes", "paths", "goals", "link_ends", "validation_scenes")
+        require_sizes(**{name: getattr(self, name) for name in names})
 
 
 class SequenceStage(Stage):
-    """Training of a sequence model."""
+    """Training of a sequence model.
+
+    Arrays of a batch of s scenes with r code sequences each: those of the clouds (s, ...). starts
+    (s, u, n) and goals (s, g, n) [rad]; start and goal (s, r) int64: which of them each sequence
+    joins. codes (s, r, l) int64, padded with 0, and count (s, r), how many there are. On a roadmap
+    also node_free (s, N) and edge_free (s, E) bool, and of k ends of links link_end (s, k, n)
+    [rad], link_code and link_free (s, k, LINKS).
+    """
 
     selection = "validation_loss"
     dataset: SequenceDataset
@@ -119,13 +99,14 @@ class SequenceStage(Stage):
             seed: of all that is drawn.
             device: to train on.
 
-        InvalidInputError: the dictionary is of another robot, or labels are without kinematics.
+        InvalidInputError: the dictionary is of another robot, labels are without kinematics, or
+        there are fewer scenes than in a batch.
         """
         super().__init__(settings.optimizer, seed, device)
         self.dataset, self.dictionary, self.settings = dataset, dictionary, settings
         self._links, self._longest = links, longest
-        if dataset.roadmap is not None:
-            nodes, codes = len(dataset.roadmap.graph.nodes), dictionary.config.dictionary.n_codes
+        if dataset.graph is not None:
+            nodes, codes = len(dataset.graph.nodes), dictionary.config.dictionary.n_codes
             if dictionary.robot.differences(dataset.robot) or nodes != codes:
                 raise InvalidInputError(
                     f"{dataset.folder} labels the roadmap of a dictionary of robot "
@@ -137,22 +118,21 @@ class SequenceStage(Stage):
                 raise InvalidInputError(
                     f"{dataset.folder} has no kinematics; generate its labels again"
                 )
-        short = dataset.path_scene[np.diff(dataset.code_start) <= longest]
-        count = np.bincount(short, minlength=len(dataset.scenes))
+        validates, scene = dataset.validates, dataset.arrays["path_scene"]
+        # sequences of each scene are a range
+        self._first = np.searchsorted(scene, np.arange(len(validates) + 1))
+        self._count = np.diff(dataset.arrays["code_start"])
+        short = np.bincount(scene[self._count <= longest], minlength=len(validates))
         # paths in a scene are fewer than labels on a roadmap
-        usable = count >= (1 if dataset.roadmap is None else 8)
-        validates = dataset.scenes.validate
-        self._train = np.flatnonzero(usable & ~validates)
-        self._held_out = np.flatnonzero(usable & validates)
-
-    def require_splits(self) -> None:
-        """Raise InvalidInputError for fewer scenes than in a batch."""
-        scenes = self.settings.scenes
-        if len(self._train) < scenes or len(self._held_out) < scenes:
+        usable = short >= (1 if dataset.graph is None else 8)
+        self._train, self._held_out = (
+            np.flatnonzero(usable & which) for which in (~validates, validates)
+        )
+        if min(len(self._train), len(self._held_out)) < settings.scenes:
             raise InvalidInputError(
-                f"{self.dataset.folder} has {len(self._train)} scenes to train on and "
-                f"{len(self._held_out)} to validate with; generate {scenes * VALIDATION_EVERY} "
-                "scenes at least"
+                f"{dataset.folder} has {len(self._train)} scenes to train on and "
+                f"{len(self._held_out)} to validate with; generate "
+                f"{settings.scenes * VALIDATION_EVERY} scenes at least"
             )
 
     @abstractmethod
@@ -160,47 +140,112 @@ class SequenceStage(Stage):
         """A cloud (m, 3) [m] as the model takes it."""
 
     @abstractmethod
-    def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> Predicted:
-        """The model's output for a batch of sequences with these clouds."""
+    def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """The model's output for a batch of sequences with these clouds.
 
-    def free_shares(self) -> list[Tensor]:
-        """Log odds log(p / (1 - p)); p: share of training scenes where a code, an edge is free."""
-        assert self.dataset.roadmap is not None
+        code: (s, r, l + 1, classes) logits after every prefix; the last class is the goal. Where it
+        predicts what is free: log odds node (s, N), edge (s, E) and link (s, k, LINKS).
+        """
+
+    def set_priors(self, node_prior: Tensor, edge_prior: Tensor) -> None:
+        """Set log odds log(p / (1 - p)); p: share of training scenes where each is free."""
         rows = self._train[:: max(1, len(self._train) // 2000)]
-        shares = (torch.from_numpy(each.mean(axis=0)) for each in self.dataset.roadmap.free(rows))
-        return [torch.logit(share.float().clamp(0.01, 0.99)) for share in shares]
+        with torch.no_grad():
+            for name, prior in (("node", node_prior), ("edge", edge_prior)):
+                share = torch.from_numpy(self.dataset.free(name, rows).mean(axis=0)).float()
+                prior.copy_(torch.logit(share.clamp(0.01, 0.99)))
 
-    def batches(self, epoch: int) -> SequenceBatches:
+    def batches(self, epoch: int) -> Batches:
         """Batches of an epoch: scenes in random order."""
         rng = np.random.default_rng((self.seed, epoch))
         wanted = self.settings.batches_per_epoch * self.settings.scenes
         repeats = -(-wanted // len(self._train))
         scenes = np.concatenate([rng.permutation(self._train) for _ in range(repeats)])[:wanted]
-        return self._batches_of(scenes, (self.seed, epoch))
+        return self._batches_of(scenes, epoch, augmented=True)
 
-    def _batches_of(
-        self, scenes: np.ndarray, seed: tuple[int, int], augmented: bool = True
-    ) -> SequenceBatches:
-        rows = scenes.reshape(-1, self.settings.scenes)
-        given = self.dataset, self.settings, self.cloud_arrays
-        return SequenceBatches(*given, rows, self._longest, seed, augmented)
+    def _batches_of(self, scenes: np.ndarray, epoch: int, *, augmented: bool) -> Batches:
+        make = partial(self._batch, augmented=augmented)
+        return Batches(scenes.reshape(-1, self.settings.scenes), make, self.seed, epoch)
 
-    def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+    def _batch(
+        self, scenes: np.ndarray, rng: np.random.Generator, *, augmented: bool
+    ) -> dict[str, np.ndarray]:
+        """Arrays of scenes (s,); noise, hidden surfaces and both directions if augmented."""
+        counts = self._count[self._first[scenes[0]] : self._first[scenes[0] + 1]]
+        drawn = rng.choice(counts) if augmented else None
+        each = [self._sequences(scene, drawn, rng, augmented) for scene in scenes]
+        settings = self.settings.cloud if augmented else self.settings.cloud.without_augmentation()
+        for scene, one in zip(scenes, each, strict=True):
+            cloud = sample_cloud(self.dataset.shapes(scene), settings, rng)
+            one |= self.cloud_arrays(cloud)
+        if self.dataset.graph is not None:
+            for scene, one in zip(scenes, each, strict=True):
+                one |= self._link_arrays(scene, rng)
+        found = {name: _stacked([one[name] for one in each]) for name in each[0]}
+        found["codes"] = found["codes"][:, :, : found["count"].max()]
+        if self.dataset.graph is not None:
+            found["node_free"] = self.dataset.free("node", scenes)
+            found["edge_free"] = self.dataset.free("edge", scenes)
+        return found
+
+    def _sequences(
+        self, scene: int, length: int | None, rng: np.random.Generator, augmented: bool
+    ) -> dict[str, np.ndarray]:
+        """Sequences of one scene; of about this length, if given, so that few are padded."""
+        dataset, settings = self.dataset, self.settings
+        rows = np.arange(self._first[scene], self._first[scene + 1])
+        rows = rows[self._count[rows] <= self._longest]
+        if length is not None:
+            # lengths below 4, below 6 and others are about one
+            alike = np.digitize(self._count[rows], (4, 6)) == np.digitize(length, (4, 6))
+            rows = rows[alike] if alike.sum() >= settings.paths // 6 else rows
+        backwards = augmented and rng.random() < 0.5
+        ends = dataset.arrays["ends"][:, :: -1 if backwards else 1]
+        _, number = np.unique(ends[rows, 1], axis=0, return_inverse=True)
+        # each goal costs the scene transformer an evaluation, but nothing without a roadmap
+        most = settings.paths if dataset.graph is None else settings.goals
+        rows = rows[np.isin(number.reshape(-1), rng.permutation(number.max() + 1)[:most])]
+        rows = rng.choice(rows, settings.paths, replace=len(rows) < settings.paths)
+        joined = dataset.configurations(ends[rows])
+        starts, start = np.unique(joined[:, 0], axis=0, return_inverse=True)
+        goals, goal = np.unique(joined[:, 1], axis=0, return_inverse=True)
+        count, place = self._count[rows], np.arange(self._longest)
+        inside = place < count[:, None]
+        at = np.where(inside, count[:, None] - 1 - place if backwards else place, 0)
+        codes = dataset.arrays["codes"][dataset.arrays["code_start"][rows][:, None] + at]
+        return {
+            "starts": starts,
+            "goals": goals,
+            "start": start.reshape(-1),
+            "goal": goal.reshape(-1),
+            "codes": np.where(inside, codes, 0).astype(np.int64),
+            "count": count,
+        }
+
+    def _link_arrays(self, scene: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Some of a scene's links on a roadmap."""
+        arrays, wanted = self.dataset.arrays, self.settings.link_ends
+        first, last = arrays["link_start"][scene : scene + 2]
+        rows = rng.choice(np.arange(first, last), wanted, replace=last - first < wanted)
+        return {
+            "link_end": self.dataset.configurations(arrays["link_end"][rows]),
+            "link_code": arrays["link_code"][rows].astype(np.int64),
+            "link_free": arrays["link_free"][rows],
+        }
+
+    def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """-log p(h_(i+1) | M, h_1 ... h_i), B(codes) + 2 B(edges) + 2 B(links); see the module."""
         bf16 = self.settings.precision == "bf16"
         with torch.autocast(self.device.type, torch.bfloat16, enabled=bf16):
             predicted = self.predict(batch, batch)
-        logits = predicted.logits
-        targets = self.targets(batch, logits.shape[-1] - 1)
-        code = F.cross_entropy(
-            logits.flatten(0, 2).float(), targets.flatten(), ignore_index=NO_TARGET
-        )
+        logits = predicted["code"].flatten(0, 2).float()
+        targets = self.targets(batch, logits.shape[-1] - 1).flatten()
+        code = F.cross_entropy(logits, targets, ignore_index=NO_TARGET)
         found = {"loss": code, "code": code}
         for name, weight in (("node", 1.0), ("edge", 2.0), ("link", 2.0)):
-            odds = getattr(predicted, f"{name}_odds")
-            if odds is not None:
+            if name in predicted:
                 free = batch[f"{name}_free"].float()
-                found[name] = F.binary_cross_entropy_with_logits(odds, free)
+                found[name] = F.binary_cross_entropy_with_logits(predicted[name], free)
                 found["loss"] = found["loss"] + weight * found[name]
         return found
 
@@ -214,15 +259,13 @@ class SequenceStage(Stage):
 
     def validate(self) -> dict[str, float | None]:
         """Means on held-out scenes: with their own cloud, that of the next scene, and none."""
-        rows = self._held_out[: self.settings.validation_scenes]
-        rows = rows[: len(rows) // self.settings.scenes * self.settings.scenes]
-        batches, means = self._batches_of(rows, (self.seed, 0), augmented=False), Means()
-        for number in range(len(batches)):
-            self._measure(means, self.tensors(batches[number]))
-        return means.values()
+        rows, size = self._held_out[: self.settings.validation_scenes], self.settings.scenes
+        batches = self._batches_of(rows[: len(rows) // size * size], 0, augmented=False)
+        return means(chain.from_iterable(map(self._measured, batches)))
 
-    def _measure(self, means: Means, batch: dict[str, Tensor]) -> None:
-        """Accumulate the metrics of a batch: cross entropies, and areas under curves."""
+    def _measured(self, arrays: dict[str, np.ndarray]) -> Iterator[tuple[str, float, float]]:
+        """Cross entropies and areas under curves of a batch: name, sum and count of each."""
+        batch = self.tensors(arrays)
         nowhere = np.tile(np.array(NOWHERE, dtype=np.float32), (self.settings.cloud.points, 1))
         empty = self.tensors(self.cloud_arrays(nowhere))
         clouds: dict[str, Cloud] = {
@@ -233,7 +276,7 @@ class SequenceStage(Stage):
         ways = self._ways(batch)
         for prefix, given in clouds.items():
             predicted = self.predict(given, batch)
-            logits = predicted.logits
+            logits = predicted["code"]
             targets = self.targets(batch, logits.shape[-1] - 1).flatten()
             choices = {"all": logits}
             if ways is not None:
@@ -246,24 +289,21 @@ class SequenceStage(Stage):
                     odds.flatten(0, 2), targets, ignore_index=NO_TARGET, reduction="none"
                 )
                 counted = each[(targets != NO_TARGET) & each.isfinite()]
-                means.add(f"{prefix}cross_entropy_{which}", float(counted.sum()), len(counted))
+                yield f"{prefix}cross_entropy_{which}", float(counted.sum()), len(counted)
             if prefix == "":
-                means.add("loss", float(counted.sum()), len(counted))
-                for name in ("node", "edge", "link"):
-                    odds = getattr(predicted, f"{name}_odds")
-                    if odds is not None:
-                        free = batch[f"{name}_free"].flatten(1)
-                        areas = map(area_under_curve, odds.flatten(1), free)
-                        known = [area for area in areas if area is not None]
-                        means.add(f"{name}_area_under_curve", sum(known), len(known))
+                yield "loss", float(counted.sum()), len(counted)
+                for name in [name for name in ("node", "edge", "link") if name in predicted]:
+                    free = batch[f"{name}_free"].flatten(1)
+                    areas = map(area_under_curve, predicted[name].flatten(1), free)
+                    known = [area for area in areas if area is not None]
+                    yield f"{name}_area_under_curve", sum(known), len(known)
 
     def _ways(self, batch: dict[str, Tensor]) -> Tensor | None:
         """Successors on a roadmap: codes and goal (s, r, l + 1, N + 1) by an edge or link."""
-        if self.dataset.roadmap is None:
+        if self.dataset.graph is None:
             return None
-        graph = self.dataset.roadmap.graph
-        nodes = torch.from_numpy(graph.nodes).float().to(self.device)
-        edges = torch.from_numpy(graph.edges.astype(np.int64)).to(self.device)
+        nodes = torch.from_numpy(self.dataset.graph.nodes).float().to(self.device)
+        edges = torch.from_numpy(self.dataset.graph.edges.astype(np.int64)).to(self.device)
         start, goal = chosen(batch["starts"], batch["start"]), chosen(batch["goals"], batch["goal"])
         return roadmap_successors(nodes, edges, self._links, start, goal, batch["codes"])
 
@@ -284,3 +324,9 @@ def area_under_curve(odds: Tensor, free: Tensor) -> float | None:
     rank = torch.cat((good, bad)).argsort().argsort().double() + 1.0
     below = rank[: len(good)].sum() - len(good) * (len(good) + 1) / 2
     return float(below / (len(good) * len(bad)))
+
+
+def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
+    """Stack arrays of different lengths; shorter ones repeat their rows."""
+    rows = max(map(len, arrays))
+    return np.stack([array[np.arange(rows) % len(array)] for array in arrays])

@@ -13,6 +13,7 @@ Joints are stored in 16 bits: 65535 u, with u = (q - lower) / (upper - lower) in
 
 import hashlib
 import io
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,10 +102,7 @@ class IndexRow(NamedTuple):
 
 def packed_shard(number: int, arrays: dict[str, np.ndarray]) -> tuple[IndexRow, bytes]:
     """Return the index row and the file content of a shard."""
-    file = io.BytesIO()
-    # numpy's stubs know only options that are bool
-    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-    content = file.getvalue()
+    content = _archive(arrays)
     counts = len(arrays["scene_seed"]), len(arrays["path_scene"])
     return IndexRow(number, hashlib.sha256(content).hexdigest(), *counts), content
 
@@ -119,7 +117,7 @@ def write_shard(folder: Path, row: IndexRow, content: bytes, rows: Iterable[Inde
 def finished_shards(folder: Path) -> list[IndexRow]:
     """Rows of the index whose shard is complete on disk; damaged lines are skipped."""
     path = folder / INDEX_FILE
-    lines = read_text(path).splitlines() if path.exists() else []
+    lines = read_text(path).splitlines(keepends=True) if path.exists() else []
     rows = {row.shard: row for row in map(_parsed, lines) if row is not None}
     finished = []
     for row in rows.values():
@@ -130,46 +128,9 @@ def finished_shards(folder: Path) -> list[IndexRow]:
 
 
 def _parsed(line: str) -> IndexRow | None:
-    fields = line.split(",")
-    if len(fields) != len(IndexRow._fields):
-        return None
-    numbers = (fields[0], *fields[2:])
-    if not all(text.isascii() and text.isdigit() for text in numbers):
-        return None
-    return IndexRow(int(fields[0]), fields[1], int(fields[2]), int(fields[3]))
-
-
-def read_index(folder: Path) -> list[IndexRow]:
-    """Rows of the index; InvalidInputError: missing, damaged, empty, or a shard is listed twice."""
-    path, header = folder / INDEX_FILE, ",".join(IndexRow._fields)
-    text = read_text(require_regular_file(path))
-    first, *lines = text.splitlines() or [""]
-    if first != header:
-        raise InvalidInputError(f"{path}: the first line must be {header}")
-    if not text.endswith("\n"):
-        raise InvalidInputError(f"{path} is cut short; generate again, which completes it")
-    rows = []
-    for number, line in enumerate(lines, 2):
-        row = _parsed(line)
-        if row is None:
-            raise InvalidInputError(
-                f"{path}, line {number} is damaged; generate again, which repairs it"
-            )
-        rows.append(row)
-    if not rows:
-        raise InvalidInputError(f"{path} lists no shard; generate paths first")
-    if len({row.shard for row in rows}) < len(rows):
-        raise InvalidInputError(f"{path} lists a shard twice; generate again, which repairs it")
-    return rows
-
-
-def _read_arrays(path: Path, data: bytes) -> dict[str, np.ndarray]:
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    # what a damaged archive raises depends on the byte
-    except Exception as error:
-        raise InvalidInputError(f"{path} is not a readable archive of arrays: {error}") from error
+    """The row of a line of the index, line end included; None for a damaged line."""
+    found = re.fullmatch(r"(\d{1,9}),([0-9a-f]{64}),(\d{1,9}),(\d{1,9})\n", line)
+    return found and IndexRow(int(found[1]), found[2], int(found[3]), int(found[4]))
 
 
 def read_shards(
@@ -185,7 +146,22 @@ def read_shards(
     InvalidInputError names the file that is missing or damaged, and the arrays that contradict the
     index or each other.
     """
-    return [_read_shard(folder, row, columns, sizes) for row in read_index(folder)]
+    path, header = folder / INDEX_FILE, ",".join(IndexRow._fields)
+    first, *lines = read_text(require_regular_file(path)).splitlines(keepends=True) or [""]
+    if first != f"{header}\n":
+        raise InvalidInputError(f"{path}: the first line must be {header}")
+    if not lines:
+        raise InvalidInputError(f"{path} lists no shard; generate paths first")
+    rows: dict[int, IndexRow] = {}
+    for number, line in enumerate(lines, 2):
+        row = _parsed(line)
+        if row is None or row.shard in rows:
+            raise InvalidInputError(
+                f"{path}, line {number} is damaged, cut short or of a shard listed before; "
+                "generate again, which repairs it"
+            )
+        rows[row.shard] = row
+    return [_read_shard(folder, row, columns, sizes) for row in rows.values()]
 
 
 def _read_shard(
@@ -195,17 +171,15 @@ def _read_shard(
     data = read_bytes(require_regular_file(path))
     if hashlib.sha256(data).hexdigest() != row.sha256:
         raise InvalidInputError(f"{path} is damaged (sha256); fetch or generate it again")
-    arrays = _read_arrays(path, data)
+    arrays = _arrays(path, data)
+    counts = {"kinds of shapes": 3, **sizes, "scene": row.scenes, "path": row.paths}
     for name, column in columns.items():
-        array = arrays.get(name)
-        described = array is not None and array.dtype.kind in column.kinds
-        if array is None or not described or array.ndim != 1 + len(column.shape):
+        array = arrays.get(name, np.empty(()))
+        if array.ndim != 1 + len(column.shape) or array.dtype.kind not in column.kinds:
             raise InvalidInputError(
                 f"{path}: array {name} is missing or not as described; generate it again"
             )
-    counts = {"kinds of shapes": 3, **sizes, "scene": row.scenes, "path": row.paths}
-    for name, column in columns.items():
-        counts.setdefault(column.rows, len(arrays[name]))
+        counts.setdefault(column.rows, len(array))
     wrong = [name for name, column in columns.items() if not _fits(arrays[name], column, counts)]
     if wrong:
         raise InvalidInputError(
@@ -217,16 +191,12 @@ def _read_shard(
 
 def _fits(array: np.ndarray, column: Column, counts: Mapping[str, int]) -> bool:
     """Whether an array has the shape and values of its column, given all counts."""
-    expected = [counts[part] if isinstance(part, str) else part for part in column.shape]
-    if [*array.shape[1:]] != expected:
+    shape = [counts[part] if isinstance(part, str) else part for part in column.shape]
+    if [*array.shape] != [counts[column.rows] + bool(column.ranges), *shape]:
         return False
-    count = counts[column.rows]
     if column.ranges:
-        if len(array) != count + 1 or array[0] != 0 or array[-1] != counts[column.ranges]:
-            return False
-        return bool((np.diff(array.astype(np.int64)) >= column.least).all())
-    if len(array) != count:
-        return False
+        begins_and_ends = array[0] == 0 and array[-1] == counts[column.ranges]
+        return bool(begins_and_ends and (np.diff(array.astype(int)) >= column.least).all())
     if column.below:
         return bool(((array >= column.least) & (array < counts[column.below])).all())
     return not column.finite or bool(np.isfinite(array).all())
@@ -243,19 +213,20 @@ def joined(
     found = {}
     for name, column in columns.items():
         parts = [shard[name] for shard in shards]
+        offsets = before.get(column.ranges or column.below)
+        if offsets is not None:
+            shifted = zip(parts, offsets, strict=False)
+            parts = [np.where(part < 0, -1, part.astype(int) + offset) for part, offset in shifted]
         if column.ranges:
-            offsets = before[column.ranges]
-            starts = zip(parts, offsets, strict=False)
-            parts = [part[:-1].astype(np.int64) + offset for part, offset in starts]
-            parts.append(offsets[-1:])
-        elif column.below in before:
-            offsets = before[column.below]
-            parts = [
-                np.where(part < 0, -1, part.astype(np.int64) + offset)
-                for part, offset in zip(parts, offsets, strict=False)
-            ]
+            parts = [*(part[:-1] for part in parts), before[column.ranges][-1:]]
         found[name] = np.concatenate(parts)
     return found
+
+
+def packed(configurations: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Joints as 16-bit shares of their range: 65535 (q - lower) / (upper - lower), rounded."""
+    u = (configurations - lower) / (upper - lower)
+    return np.rint(np.clip(u, 0.0, 1.0) * FULL_SCALE).astype(np.uint16)
 
 
 def paths_of_labels(
@@ -282,7 +253,14 @@ def paths_of_labels(
     # in ascending order
     scene = labels["path_scene"][rows]
     rows = rows[np.arange(len(rows)) - np.searchsorted(scene, scene) < most]
-    corners, first = _corners(labels, rows, nodes, lower, upper)
+    count = np.diff(labels["code_start"])
+    codes = labels["codes"][np.isin(np.arange(len(count)), rows).repeat(count)]
+    count = count[rows]
+    # start, nodes and goal (c, n) [rad] of each path, and where those of each begin (p + 1,)
+    ends = lower + labels["ends"][rows] / FULL_SCALE * (upper - lower)
+    place = np.stack([np.cumsum(count) - count, np.cumsum(count)], axis=1)
+    corners = np.insert(nodes[codes], place.ravel(), ends.reshape(-1, len(lower)), axis=0)
+    first = np.concatenate([[0], np.cumsum(count + 2)])
     step = np.diff(corners, axis=0, append=corners[-1:])
     parts = np.maximum(np.ceil(np.linalg.norm(step, axis=1) / spacing), 1).astype(int)
     # a goal leads nowhere
@@ -290,13 +268,11 @@ def paths_of_labels(
     begins = np.cumsum(parts) - parts
     share = (np.arange(parts.sum()) - begins.repeat(parts)) / parts.repeat(parts)
     q = corners.repeat(parts, 0) + share[:, None] * step.repeat(parts, 0)
-    u = np.clip((q - lower) / (upper - lower), 0.0, 1.0)
-    scenes = {name: labels[name] for name in SCENE_ARRAYS}
-    return scenes | {
+    return {name: labels[name] for name in SCENE_ARRAYS} | {
         "path_scene": labels["path_scene"][rows],
         "straight": labels["straight"][rows],
         "path_start": np.append(begins, len(q))[first].astype(np.int32),
-        "waypoints": np.rint(u * FULL_SCALE).astype(np.uint16),
+        "waypoints": packed(q, lower, upper),
         "length": labels["cost"][rows],
         # only pairs whose straight motion is blocked are labelled
         "trivial": np.zeros(len(rows), bool),
@@ -304,25 +280,22 @@ def paths_of_labels(
     }
 
 
-def _corners(
-    labels: Mapping[str, np.ndarray],
-    rows: np.ndarray,
-    nodes: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Start, nodes and goal (c, n) [rad] of each path, and where those of each begin (p + 1,)."""
-    count = np.diff(labels["code_start"])[rows]
-    first = np.concatenate([[0], np.cumsum(count + 2)])
-    corners = np.empty((first[-1], nodes.shape[1]))
-    ends = lower + labels["ends"][rows] / FULL_SCALE * (upper - lower)
-    corners[first[:-1]], corners[first[1:] - 1] = ends[:, 0], ends[:, 1]
-    inside = np.ones(len(corners), bool)
-    inside[first[:-1]] = inside[first[1:] - 1] = False
-    place = np.arange(count.sum()) - (np.cumsum(count) - count).repeat(count)
-    codes = labels["codes"][labels["code_start"][rows].astype(int).repeat(count) + place]
-    corners[inside] = nodes[codes]
-    return corners, first
+def _archive(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Arrays as the content of a compressed npz file."""
+    file = io.BytesIO()
+    # numpy's stubs know only options that are bool
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    return file.getvalue()
+
+
+def _arrays(path: Path, data: bytes) -> dict[str, np.ndarray]:
+    """Arrays of an npz file; InvalidInputError names a damaged one."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    # what a damaged archive raises depends on the byte
+    except Exception as error:
+        raise InvalidInputError(f"{path} is not a readable archive of arrays: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,15 +317,13 @@ class RoadmapGraph:
 
     def write(self, folder: Path) -> None:
         """Write it into a dataset's folder."""
-        file = io.BytesIO()
-        np.savez_compressed(file, **vars(self))
-        write_bytes(folder / ROADMAP_FILE, file.getvalue())
+        write_bytes(folder / ROADMAP_FILE, _archive(vars(self)))
 
     @classmethod
     def read(cls, folder: Path) -> Self:
         """What `write` wrote; InvalidInputError where it is missing or damaged."""
         path = folder / ROADMAP_FILE
-        arrays = _read_arrays(path, read_bytes(require_regular_file(path)))
+        arrays = _arrays(path, read_bytes(require_regular_file(path)))
         try:
             return cls(**{name: arrays[name] for name in cls.__annotations__})
         except KeyError as error:

@@ -1,8 +1,8 @@
-"""A training stage: a module with its optimizer, batches, losses and validation."""
+"""A training stage: parameters with their optimizer, batches, losses and validation."""
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -59,34 +59,58 @@ class OptimizerSettings:
         )
 
 
-class Stage(ABC):
-    """Interface of a training stage; `trainer` runs it."""
+def batch_seed(seed: int, epoch: int, batch: int) -> np.random.SeedSequence:
+    """Seed of a batch, the only source of its randomness."""
+    return np.random.SeedSequence((seed, epoch, batch))
+
+
+class Batches(Dataset):
+    """Batches of an epoch, arrays by name; each depends on seed, epoch and its number alone."""
+
+    def __init__(
+        self,
+        rows: Sequence[np.ndarray],
+        make: Callable[[np.ndarray, np.random.Generator], dict[str, np.ndarray]],
+        seed: int,
+        epoch: int,
+    ) -> None:
+        """Make a batch of each of `rows`, which number paths, waypoints or scenes."""
+        self._rows, self._make, self._seed = rows, make, (seed, epoch)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, number: int) -> dict[str, np.ndarray]:
+        rng = np.random.default_rng(batch_seed(*self._seed, number))
+        return self._make(self._rows[number], rng)
+
+
+class Stage(nn.Module, ABC):
+    """A training stage, run by `trainer`: the parameters that it trains, batches and losses."""
 
     selection: ClassVar[str]  # the column of the curves whose least value is the best model
     many_processes: ClassVar[bool] = True  # whether steps depend on gradients alone
-    module: nn.Module  # what the optimizer changes and the state keeps
     dataset: TrainingData
 
     def __init__(self, optimizer: OptimizerSettings, seed: int, device: torch.device) -> None:
+        super().__init__()
         self.optimizer, self.seed, self.device = optimizer, seed, device
         torch.manual_seed(seed)
 
     # most stages have nothing to prepare
-    def prepare(self) -> None:  # noqa: B027
+    def prepare(self) -> None:
         """Called once, before the first step of a training."""
 
     @abstractmethod
-    def batches(self, epoch: int) -> Dataset:
-        """Batches of an epoch, arrays by name; each depends on seed, epoch and its number alone."""
+    def batches(self, epoch: int) -> Batches:
+        """Batches of an epoch."""
 
     @abstractmethod
-    def losses(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Scalars of a batch; ``loss`` is minimised."""
+    def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Losses of a batch, scalars; ``loss`` is minimised."""
 
     # most stages change nothing else
-    def after_step(  # noqa: B027
-        self, epoch: int, step: int, optimizer: torch.optim.Optimizer
-    ) -> None:
+    def after_step(self, epoch: int, step: int, optimizer: torch.optim.Optimizer) -> None:
         """Called after each step of the optimizer."""
 
     @abstractmethod
@@ -102,19 +126,10 @@ class Stage(ABC):
         return {name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()}
 
 
-class Means:
-    """Means of named values over several batches."""
-
-    def __init__(self) -> None:
-        self._sums: dict[str, tuple[float, float]] = {}
-
-    def add(self, name: str, total: float, count: float) -> None:
-        """Add a sum over `count` values."""
-        earlier = self._sums.get(name, (0.0, 0.0))
-        self._sums[name] = earlier[0] + total, earlier[1] + count
-
-    def values(self) -> dict[str, float | None]:
-        """Each mean; None for a sum over no value."""
-        return {
-            name: total / count if count else None for name, (total, count) in self._sums.items()
-        }
+def means(parts: Iterable[tuple[str, float, float]]) -> dict[str, float | None]:
+    """Mean of every name's values, from (name, sum, count) of parts of them; None of no value."""
+    sums: dict[str, tuple[float, float]] = {}
+    for name, total, count in parts:
+        before = sums.get(name, (0.0, 0.0))
+        sums[name] = before[0] + total, before[1] + count
+    return {name: total / count if count else None for name, (total, count) in sums.items()}

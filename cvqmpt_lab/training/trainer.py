@@ -46,9 +46,8 @@ from cvqmpt_lab.files import (
     write_bytes,
     write_text,
 )
-from cvqmpt_lab.training.batches import batch_seed
 from cvqmpt_lab.training.profiles import MODELS, Profile
-from cvqmpt_lab.training.stage import Stage
+from cvqmpt_lab.training.stage import Stage, batch_seed
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.weights import (
     TRAINED_FOLDER,
@@ -181,7 +180,7 @@ class Trainer:
     ) -> None:
         self.stage, self.folder, self.epochs, self.workers = stage, folder, epochs, workers
         self.metadata, (self.rank, self.processes) = metadata, joined_processes()
-        self.progress, self.optimizer = Progress(), stage.optimizer.build(stage.module)
+        self.progress, self.optimizer = Progress(), stage.optimizer.build(stage)
 
     def train(
         self,
@@ -198,7 +197,7 @@ class Trainer:
         else:
             torch.manual_seed(self.stage.seed)
             self.stage.prepare()
-        self._losses: nn.Module = _Losses(self.stage)
+        self._losses: nn.Module = self.stage
         if self.processes > 1:
             self._losses = DistributedDataParallel(self._losses, find_unused_parameters=True)
         began = saved = time.perf_counter()
@@ -236,8 +235,7 @@ class Trainer:
         """Take the remaining steps of an epoch; yield its number of steps and each step's loss."""
         stage, progress, k = self.stage, self.progress, self.processes
         batches = stage.batches(progress.epoch)
-        # torch's Dataset does not promise a length
-        total = len(batches) // k  # type: ignore[arg-type]
+        total = len(batches) // k
         if not total:
             raise InvalidInputError(
                 f"an epoch has fewer batches than the {k} processes; start fewer"
@@ -250,7 +248,7 @@ class Trainer:
             num_workers=self.workers,
             worker_init_fn=_ignore_interrupt,
         )
-        stage.module.train()
+        stage.train()
         for number, batch in zip(mine, loader, strict=True):
             seed = batch_seed(stage.seed, progress.epoch, number).spawn(1)[0]
             torch.manual_seed(int(seed.generate_state(1, np.uint64)[0]) >> 1)
@@ -275,7 +273,7 @@ class Trainer:
             )
         losses["loss"].backward()
         if self.stage.optimizer.clip is not None:
-            nn.utils.clip_grad_norm_(self.stage.module.parameters(), self.stage.optimizer.clip)
+            nn.utils.clip_grad_norm_(self.stage.parameters(), self.stage.optimizer.clip)
         self.optimizer.step()
         return {name: float(value.detach()) for name, value in losses.items()}
 
@@ -303,7 +301,7 @@ class Trainer:
         """Validation metrics, named as in curves.csv; computed in the first process alone."""
         if self.rank > 0:
             return {}
-        self.stage.module.eval()
+        self.stage.eval()
         with torch.no_grad():
             return {f"validation_{name}": value for name, value in self.stage.validate().items()}
 
@@ -321,7 +319,7 @@ class Trainer:
         """Write the state that is needed to continue."""
         if self.rank == 0:
             parts = {
-                "module": self.stage.module.state_dict(),
+                "module": self.stage.state_dict(),
                 "optimizer": self.optimizer.state_dict(),
             }
             content = io.BytesIO()
@@ -332,23 +330,12 @@ class Trainer:
         path = self.folder / "state.pt"
         try:
             state = torch.load(io.BytesIO(read_bytes(path)), "cpu", weights_only=True)
-            self.stage.module.load_state_dict(state["module"])
+            self.stage.load_state_dict(state["module"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.progress = Progress(**state["progress"])
         # what a damaged archive raises depends on the byte
         except Exception as error:
             raise InvalidInputError(f"{path} is damaged: {error}; choose another --out") from error
-
-
-class _Losses(nn.Module):
-    """A stage's losses as a module, for DistributedDataParallel."""
-
-    def __init__(self, stage: Stage) -> None:
-        super().__init__()
-        self.module, self._of = stage.module, stage.losses
-
-    def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        return self._of(batch)
 
 
 def joined_processes() -> tuple[int, int]:

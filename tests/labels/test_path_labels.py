@@ -53,21 +53,22 @@ def test_scenes_depend_on_their_number_alone_and_leave_room(family):
 
 def test_paths_are_free_and_join_their_ends_among_the_shapes_of_their_scene(tiny):
     robot, dataset = panda(), open_dataset(tiny)
-    assert len(dataset.paths) >= 8
-    for scene in range(len(dataset.scenes)):
-        made = family_scene(
-            dataset.families[dataset.scenes.family[scene]], int(dataset.scenes.seed[scene])
-        )
+    arrays = dataset.arrays
+    assert len(arrays["path_scene"]) >= 8
+    for scene, (family, seed) in enumerate(
+        zip(arrays["family"], arrays["scene_seed"], strict=True)
+    ):
+        made = family_scene(dataset.families[family], int(seed))
         poses = [item.T_world_object[:3] for item in made.obstacles]
-        np.testing.assert_allclose(dataset.scenes.shapes(scene).pose, poses, atol=1e-6)
+        np.testing.assert_allclose(dataset.shapes(scene).pose, poses, atol=1e-6)
         checker = CollisionChecker(robot, made)
-        for path in np.flatnonzero(dataset.paths.scene == scene).tolist():
-            q = robot.lower + dataset.paths.joints(path) * (robot.upper - robot.lower)
+        for path in np.flatnonzero(arrays["path_scene"] == scene).tolist():
+            q = robot.lower + dataset.path(path) * (robot.upper - robot.lower)
             steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
             assert steps.max() < path_labels.SPACING + 1e-3
             # waypoints cut corners by less than a tenth of their spacing
-            assert steps.sum() == pytest.approx(dataset.paths.length[path], rel=0.01)
-            assert dataset.paths.length[path] >= dataset.paths.straight[path] - 1e-4
+            assert steps.sum() == pytest.approx(arrays["length"][path], rel=0.01)
+            assert arrays["length"][path] >= arrays["straight"][path] - 1e-4
             assert not checker.in_collision_batch(q[[0, -1]]).any()
 
 

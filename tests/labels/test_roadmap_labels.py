@@ -115,12 +115,12 @@ def test_shards_that_are_missing_are_made_again_as_they_were(tiny, tmp_path):
 
 
 def test_motions_of_all_shards_are_read(tiny):
-    labels = open_labels(tiny)
-    roadmap = labels.roadmap
-    assert len(roadmap.link_start) == len(labels.scenes) + 1 == 5
-    assert (np.diff(roadmap.link_start)[labels.path_scene] > 0).all()
-    assert len(roadmap.link_end) == roadmap.link_start[-1] > 4
-    assert roadmap.link_free.shape == roadmap.link_code.shape == (len(roadmap.link_end), LINKS)
+    arrays = open_labels(tiny).arrays
+    start = arrays["link_start"]
+    assert len(start) == len(arrays["scene_seed"]) + 1 == 5
+    assert (np.diff(start)[arrays["path_scene"]] > 0).all()
+    assert len(arrays["link_end"]) == start[-1] > 4
+    assert arrays["link_free"].shape == arrays["link_code"].shape == (start[-1], LINKS)
 
 
 @pytest.mark.parametrize("read", [open_dataset, open_labels])
@@ -170,18 +170,18 @@ def test_paths_opened_for_training_pass_their_codes_and_are_as_long_as_labelled(
         for arrays in shards
         for row in np.flatnonzero(np.isfinite(arrays["cost"])).tolist()
     ]
-    assert len(dataset.paths) == len(labels) > 4
-    assert len(dataset.scenes) == sum(len(arrays["family"]) for arrays in shards) == 4
+    path_scene, seed = dataset.arrays["path_scene"], dataset.arrays["scene_seed"]
+    assert len(path_scene) == len(labels) > 4
+    assert len(seed) == sum(len(arrays["family"]) for arrays in shards) == 4
     for path, (arrays, row) in enumerate(labels):
-        q = robot.lower + dataset.paths.joints(path) * (robot.upper - robot.lower)
+        q = robot.lower + dataset.path(path) * (robot.upper - robot.lower)
         steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
         assert steps.max() < 0.135 and steps.sum() == pytest.approx(arrays["cost"][row], rel=2e-3)
         nodes = graph.nodes[codes_of(arrays, row)]
         nearest = np.linalg.norm(q[:, None] - nodes, axis=2).argmin(0)
         assert (np.diff(nearest) > 0).all()
         assert np.abs(q[nearest] - nodes).max() < 1e-3
-        scene = int(dataset.paths.scene[path])
-        assert dataset.scenes.seed[scene] == arrays["scene_seed"][arrays["path_scene"][row]]
+        assert seed[path_scene[path]] == arrays["scene_seed"][arrays["path_scene"][row]]
 
 
 def test_labels_of_another_dictionary_are_not_continued(tiny, tmp_path):

@@ -18,10 +18,9 @@ from training_data import kinematics, write_dataset
 from cli.main import main
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.training.batches import batch_seed
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.profiles import PROFILES, Profile
-from cvqmpt_lab.training.stage import OptimizerSettings
+from cvqmpt_lab.training.stage import OptimizerSettings, batch_seed
 from cvqmpt_lab.training.trainer import open_folder, run_training
 from cvqmpt_lab.vqmpt.beam_search import beam_search
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, save_checkpoint
@@ -196,15 +195,15 @@ def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path,
     assert done.stdout.count("model in") == 1, "both processes reported"
     stage = profile.stage("mpnet", data, None, 0, torch.device("cpu"))
     torch.manual_seed(0)
-    optimizer = stage.optimizer.build(stage.module)
+    optimizer = stage.optimizer.build(stage)
     for number in range(2):
         seed = batch_seed(0, 0, number).spawn(1)[0]
         torch.manual_seed(int(seed.generate_state(1, np.uint64)[0]) >> 1)
         batch = {name: torch.from_numpy(part) for name, part in stage.batches(0)[number].items()}
-        (stage.losses(batch)["loss"] / 2).backward()
+        (stage(batch)["loss"] / 2).backward()
     optimizer.step()
     found = safetensors.numpy.load((out / "model" / "mpnet.safetensors").read_bytes())
-    for name, tensor in stage.module.state_dict().items():
+    for name, tensor in stage.network.state_dict().items():
         np.testing.assert_allclose(found[name], tensor.numpy(), atol=1e-6, err_msg=name)
 
 

@@ -17,17 +17,11 @@ from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.filters import BallCrop
 from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
-from cvqmpt_lab.training.batches import (
-    BaseTurn,
-    SceneBatches,
-    SceneBatchSettings,
-    grouped_by_scene,
-    turned,
-)
 from cvqmpt_lab.training.clouds import CloudSettings, CropSettings, measured_points, sample_cloud
-from cvqmpt_lab.training.dataset import Shapes, open_dataset
-from cvqmpt_lab.training.sequence_stage import open_sequences
-from cvqmpt_lab.vqmpt.config import SerialChain
+from cvqmpt_lab.training.dataset import BaseTurn, Shapes, open_dataset
+from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage, SceneBatchSettings, turned
+from cvqmpt_lab.training.sequence_networks import open_sequences
+from cvqmpt_lab.vqmpt.config import MPNetConfig, SerialChain
 from cvqmpt_lab.vqmpt.link_positions import LinkPositions
 
 PLAIN = CloudSettings(
@@ -128,7 +122,7 @@ def test_points_are_uniform_by_area():
 
 
 def test_crops_noise_and_repetition(dataset):
-    shapes, rng = dataset.scenes.shapes(0), np.random.default_rng
+    shapes, rng = dataset.shapes(0), np.random.default_rng
     ball, box = CropSettings(radius=0.5), CropSettings(kind="box", lower=(-0.3, -0.3, 0.0))
     inside, within = (
         sample_cloud(shapes, CloudSettings(points=300, noise=0.0, crop=crop), rng(1))
@@ -181,8 +175,9 @@ def test_turning_moves_cloud_and_links_alike(dataset, chain):
     for seed in range(20):
         angles.append(turn.draw(paths, np.random.default_rng(seed)))
         for path in paths.tolist():
-            u = dataset.paths.joints(path)
-            moved = turn.joints(u, angles[-1])
+            u = dataset.path(path)
+            moved = u.copy()
+            moved[:, 0] += turn.shift(angles[-1])
             assert moved[:, 0].min() >= -1e-6 and moved[:, 0].max() <= 1.0 + 1e-6
             before = links.configurations(torch.tensor(u))[:, 7:].reshape(-1, 3)
             after = links.configurations(torch.tensor(moved))[:, 7:].reshape(-1, 3)
@@ -200,61 +195,61 @@ def test_robots_that_cannot_be_turned_about_their_base_are_not(dataset, tmp_path
         assert turn.draw(np.arange(2), rng) == 0.0 and not turn.draw_each(np.arange(2), rng).any()
 
 
-def test_groups_have_each_path_once_and_one_scene(dataset):
-    rows = dataset.split("train")
-    groups = grouped_by_scene(dataset, rows, 4, np.random.default_rng(0))
-    assert sorted(groups[groups >= 0].tolist()) == rows.tolist()
-    assert (
-        all(len(set(dataset.paths.scene[g[g >= 0]])) == 1 for g in groups)
-        and (groups[:, 0] >= 0).all()
+@pytest.mark.parametrize("turn_base", [False, True])
+def test_batches_repeat_by_seed_and_have_equal_shares_of_each_scene(dataset, turn_base):
+    cloud = CloudSettings(points=64)
+    batches = SceneBatchSettings(
+        scenes=2, paths_per_scene=4, trivial_share=1.0, turn_base=turn_base, cloud=cloud
     )
-    key = np.linspace(1.0, 0.0, len(dataset.paths))
-    by_key = grouped_by_scene(dataset, rows, 4, np.random.default_rng(0), key)
-    assert sorted(by_key[by_key >= 0].tolist()) == rows.tolist()
-    assert all((np.diff(key[g[g >= 0]]) > 0).all() for g in by_key)
+    settings = MPNetSettings(batches=batches)
+    stage = MPNetStage(dataset, MPNetConfig(n_points=64), settings, 5, torch.device("cpu"))
+    first, same, other = (list(stage.batches(epoch)) for epoch in (0, 0, 1))
+    for batch, again in zip(first, same, strict=True):
+        assert batch["cloud"].shape[1:] == (64, 3) and len(batch["u"]) == 4 * len(batch["cloud"])
+        for name, array in again.items():
+            np.testing.assert_array_equal(batch[name], array)
+    assert not np.array_equal(first[0]["cloud"], other[0]["cloud"])
+    # each path once, and those of one scene together
+    lengths = {row: len(dataset.path(row)) for row in dataset.split("train").tolist()}
+    scenes = np.concatenate([batch["scene"].repeat(4)[batch["weight"]] for batch in first])
+    counts = np.concatenate([batch["counts"][batch["weight"]] for batch in first])
+    found = zip(scenes.tolist(), counts.tolist(), strict=True)
+    of_path = dataset.arrays["path_scene"].tolist()
+    assert sorted(found) == sorted((of_path[row], count) for row, count in lengths.items())
 
 
-def test_batches_repeat_by_seed_differ_by_epoch_and_validate_on_held_out_paths(dataset):
-    settings = SceneBatchSettings(
-        scenes=2, paths_per_scene=3, turn_base=True, cloud=CloudSettings(points=64)
-    )
-    turn = BaseTurn(dataset, True)
-    first, same, other = (
-        SceneBatches.of_epoch(dataset, settings, turn, 5, epoch) for epoch in (0, 0, 1)
-    )
-    batch = first[1]
-    assert batch["cloud"].shape == (2, 64, 3) and batch["u"].shape[0] == 6
-    for name, array in same[1].items():
-        np.testing.assert_array_equal(batch[name], array)
-    assert not np.array_equal(batch["cloud"], other[1]["cloud"])
-    batches, ends = SceneBatches.for_validation(dataset, settings, 0), set()
-    for batch in (batches[index] for index in range(len(batches))):
-        ends |= {
-            (*u[0], *u[count - 1]) for u, count in zip(batch["u"], batch["counts"], strict=True)
-        }
-    np.testing.assert_array_equal(batches[0]["cloud"], batches[0]["cloud"])
-    held_out = {
-        tuple(dataset.paths.joints(p)[[0, -1]].ravel())
-        for p in dataset.split("validation").tolist()
+def test_validation_batches_are_held_out_paths_as_they_are(dataset):
+    settings = MPNetSettings(batches=SceneBatchSettings(scenes=2, paths_per_scene=3))
+    config = MPNetConfig(n_points=1024)
+    stage = MPNetStage(dataset, config, settings, 0, torch.device("cpu"))
+    first, same = list(stage.validation_batches()), list(stage.validation_batches())
+    np.testing.assert_array_equal(first[0]["cloud"], same[0]["cloud"])
+    paths = [dataset.path(row) for row in dataset.split("validation").tolist()]
+    held_out = {tuple(path[[0, -1]].ravel()) for path in paths}
+    found = {
+        (*u[0], *u[count - 1])
+        for batch in first
+        for u, count in zip(batch["u"], batch["counts"], strict=True)
     }
-    assert ends <= held_out
+    assert found <= held_out
 
 
 @pytest.mark.parametrize("config", [compact_config, published_config])
 def test_sequences_of_paths_are_their_codes_without_repeats(dataset, panda, config):
     model = random_checkpoint(panda, config())
-    found, paths = open_sequences(dataset.folder, model), dataset.paths
-    assert found.roadmap is None
+    opened, paths = open_sequences(dataset.folder, model), dataset.arrays
+    assert opened.graph is None
+    found, start = opened.arrays, paths["path_start"]
     by_ends = {}
-    for path in np.flatnonzero(paths.twin_of < 0).tolist():
-        ends = paths.waypoints[[paths.start[path], paths.start[path + 1] - 1]]
+    for path in np.flatnonzero(paths["twin_of"] < 0).tolist():
+        ends = paths["waypoints"][[start[path], start[path + 1] - 1]]
         by_ends[ends.tobytes()] = path
     links = LinkPositions(LOWER, UPPER, dataset.chain if model.config.feature_dim else None)
-    rows = [by_ends[ends.tobytes()] for ends in found.ends]
-    assert len(set(rows)) == len(rows) and 0 < paths.trivial[rows].mean() <= 0.15
+    rows = [by_ends[ends.tobytes()] for ends in found["ends"]]
+    assert len(set(rows)) == len(rows) and 0 < paths["trivial"][rows].mean() <= 0.15
     for sequence, path in enumerate(rows):
-        u = torch.from_numpy(paths.joints(path))[None]
+        u = torch.from_numpy(dataset.path(path))[None]
         codes = model.modules["dictionary"].encode(links.configurations(u))[0].tolist()
         kept = [c for i, c in enumerate(codes) if i == 0 or codes[i - 1] != c]
-        assert found.codes[slice(*found.code_start[sequence : sequence + 2])].tolist() == kept
-        assert found.path_scene[sequence] == paths.scene[path]
+        assert found["codes"][slice(*found["code_start"][sequence : sequence + 2])].tolist() == kept
+        assert found["path_scene"][sequence] == paths["path_scene"][path]

@@ -40,9 +40,9 @@ def test_the_loss_counts_motions_to_codes_as_labelled(labels):
     stage = stage_of(labels, "smoke")
     batch, settings = batch_of(stage), stage.settings
     assert batch["link_free"].shape == batch["link_code"].shape == (2, settings.link_ends, 20)
-    losses = stage.losses(batch)
-    scenes = stage.module.encode(batch["centres"], batch["offsets"])
-    odds = stage.module.link_odds(scenes, batch["link_end"], batch["link_code"])
+    losses = stage(batch)
+    scenes = stage.model.encode(batch["centres"], batch["offsets"])
+    odds = stage.model.link_odds(scenes, batch["link_end"], batch["link_code"])
     expected = F.binary_cross_entropy_with_logits(odds, batch["link_free"].float())
     assert losses["link"].item() == pytest.approx(expected.item(), abs=1e-5)
     parts = losses["code"] + losses["node"] + 2.0 * losses["edge"] + 2.0 * losses["link"]
@@ -54,12 +54,12 @@ def test_the_loss_counts_motions_to_codes_as_labelled(labels):
 def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):
     stage = stage_of(labels, "compact", fine_tune=True)
     shipped = load_checkpoint(resolve_model(None, VQ_MPT)).modules["transformer"]
-    for name, value in stage.module.state_dict().items():
+    for name, value in stage.model.state_dict().items():
         assert torch.equal(value, shipped.state_dict()[name]), name
-    batch, optimizer = batch_of(stage), torch.optim.AdamW(stage.module.parameters(), 3e-4)
+    batch, optimizer = batch_of(stage), torch.optim.AdamW(stage.parameters(), 3e-4)
     found = []
     for _ in range(4):
-        losses = stage.losses(batch)
+        losses = stage(batch)
         found.append(losses["link"].item())
         optimizer.zero_grad()
         losses["loss"].backward()

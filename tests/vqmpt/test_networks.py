@@ -170,13 +170,13 @@ def test_stage1_loss_masks_padding():
         -sum(float(log_prob[at]) for at in seen),
         sum(float(entropies[at]) for at in seen),
     )
-    assert float(loss.reconstruction) == pytest.approx((nll - 0.1 * entropy) / 2, rel=1e-5)
+    assert float(loss["reconstruction"]) == pytest.approx((nll - 0.1 * entropy) / 2, rel=1e-5)
     distance = (output.quantized.latent - output.quantized.quantized).square().sum(-1)
-    assert float(loss.quantization) == pytest.approx(
+    assert float(loss["quantization"]) == pytest.approx(
         1.25 * float(distance[visible].mean()), rel=1e-5
     )
-    expected = (nll - 0.1 * entropy) / 2 + float(loss.quantization)
-    assert float(loss.total) == pytest.approx(expected, rel=1e-5)
+    expected = (nll - 0.1 * entropy) / 2 + float(loss["quantization"])
+    assert float(loss["loss"]) == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.fixture
