@@ -27,9 +27,9 @@ def table(args: argparse.Namespace) -> int:
     if not args.ompl_log:
         show_tables(args.directory)
         return 0
-    from paper_tables.ompl_log import write_ompl_log
+    from paper_tables.ompl_log import ompl_log
 
-    write_ompl_log(args.directory, writable_file(args.ompl_log))
+    write_text(writable_file(args.ompl_log), ompl_log(args.directory))
     read = f"ompl_benchmark_statistics {args.ompl_log} -d FILE.db"
     print(f"{args.ompl_log} written; read it with: {read}")
     return 0

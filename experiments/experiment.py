@@ -17,7 +17,7 @@ from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
-from paper_tables.suites import SUITES, Amount
+from paper_tables.suites import SUITES
 
 # what is committed, two hours on two cores, and a little of it, three minutes
 PROFILES = ("full", "small")
@@ -190,28 +190,21 @@ def parts_of(profile: str) -> list[Part]:
     """What a profile runs, in order; UnknownChoiceError lists the profiles."""
     if profile not in PROFILES:
         raise UnknownChoiceError("profile", profile, PROFILES)
-    chosen = [
-        (name, amount)
-        for name, suite in SUITES.items()
-        for amount in suite.amounts
-        if amount.profile == profile
-    ]
-    return [_part(*each) for each in sorted(chosen, key=lambda each: each[1].late)]
-
-
-def _part(name: str, amount: Amount) -> Part:
-    suite = suite_named(name)
-    experiment = Experiment(
-        suite=name,
-        problems=tuple(suite.problems[: amount.problems]),
-        planners=amount.planners or planners_of(suite),
-        seeds=tuple(range(amount.seeds)),
-        budget=Budget(seconds=amount.cutoff),
-    )
-    command = ["cvqmpt", "reproduce", name]
-    command += ["--seeds", str(amount.seeds), "--cutoff", f"{amount.cutoff:g}"]
-    if amount.problems is not None:
-        command += ["--problems", str(amount.problems)]
-    if amount.planners is not None:
-        command += ["--planners", ",".join(amount.planners)]
-    return Part(amount.folder or name, experiment, command)
+    chosen = [(name, amount) for name, suite in SUITES.items() for amount in suite.amounts]
+    chosen = [(name, amount) for name, amount in chosen if amount.profile == profile]
+    parts = []
+    for name, amount in sorted(chosen, key=lambda each: each[1].late):
+        suite = suite_named(name)
+        experiment = Experiment(
+            suite=name,
+            problems=tuple(suite.problems[: amount.problems]),
+            planners=amount.planners or planners_of(suite),
+            seeds=tuple(range(amount.seeds)),
+            budget=Budget(seconds=amount.cutoff),
+        )
+        command = ["cvqmpt", "reproduce", name]
+        command += ["--seeds", str(amount.seeds), "--cutoff", f"{amount.cutoff:g}"]
+        command += [] if amount.problems is None else ["--problems", str(amount.problems)]
+        command += [] if amount.planners is None else ["--planners", ",".join(amount.planners)]
+        parts.append(Part(amount.folder or name, experiment, command))
+    return parts

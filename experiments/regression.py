@@ -3,15 +3,13 @@
 Budgets are iterations: a run depends only on code, versions and the processor of the kernels.
 """
 
-import contextlib
 import json
 import math
 import platform
-import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,10 +19,11 @@ from cvqmpt_lab.files import read_json_object, write_text
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.provenance import provenance
+from cvqmpt_lab.results.provenance import cpu_facts, provenance
 from cvqmpt_lab.search.result import Budget
 from experiments.experiment import Experiment
 from experiments.rows import result_row
+from paper_tables.measures import grouped
 from paper_tables.statements import PUBLISHED
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"
@@ -53,7 +52,7 @@ class Case(NamedTuple):
         return f"{self.planner}, problem {problem}, seed {self.seed}, {self.iterations} iterations"
 
 
-Values = Mapping[str, str | int | float | None]  # COLUMNS of a run, None where undefined
+Values = Mapping[str, Any]  # COLUMNS of a run, None where undefined
 CASES: tuple[Case, ...] = (
     Case("birrt", 5, 0, 2),  # too few: a failure is an expectation too
     *(
@@ -121,20 +120,12 @@ def made_with() -> dict[str, str | None]:
         "system": platform.system(),
         "machine": platform.machine(),
         "cpu_model": record["cpu_model"],
-        "cpu_ids": _cpu_ids(),
+        # virtual machines name different processors alike, and OpenBLAS rounds differently on them
+        "cpu_ids": " ".join(cpu_facts(r"^(?:cpu family|model|stepping)\s*: (\d+)")[:3]),
         "instructions": " ".join(np.show_config(mode="dicts")["SIMD Extensions"]["found"]),
         "python": ".".join(platform.python_version_tuple()[:2]),
         **{name: record["versions"][name] for name in WHAT_DECIDES},
     }
-
-
-def _cpu_ids() -> str:
-    """Family, model and stepping of the processor, as Linux tells them; "" elsewhere."""
-    # Virtual machines name different processors alike, and OpenBLAS rounds differently on them.
-    with contextlib.suppress(OSError):
-        text = Path("/proc/cpuinfo").read_text()
-        return " ".join(re.findall(r"^(?:cpu family|model|stepping)\s*: (\d+)", text, re.M)[:3])
-    return ""
 
 
 @lru_cache(maxsize=8)
@@ -190,23 +181,23 @@ def _unequal(pairs: Sequence[tuple[Case, Values, Values]], columns: Sequence[str
     """A line for each run that differs, with its first different column."""
     found = []
     for case, old, new in pairs:
-        column = next((name for name in columns if old[name] != new[name]), None)
-        if column is not None:
-            found.append(f"{case}: {column} was {old[column]}, is {new[column]}")
+        changed = [name for name in columns if old[name] != new[name]]
+        found += [f"{case}: {name} was {old[name]}, is {new[name]}" for name in changed[:1]]
     return found
 
 
 def _out_of_bounds(pairs: Sequence[tuple[Case, Values, Values]]) -> list[str]:
     """Planners whose typical count or length is outside the stated bounds."""
     found = []
-    solved: dict[str, list[tuple[Values, Values]]] = {}
-    for case, old, new in pairs:
-        if old["fail_reason"] is new["fail_reason"] is None:
-            solved.setdefault(case.planner, []).append((old, new))
-    for planner, both in solved.items():
+    solved = [
+        (case.planner, (old, new))
+        for case, old, new in pairs
+        if old["fail_reason"] is new["fail_reason"] is None
+    ]
+    for planner, both in grouped(solved).items():
         for column in BOUNDED_COUNTS:
             logs = [
-                math.log((1 + _number(new[column])) / (1 + _number(old[column])))
+                math.log((1.0 + (new[column] or 0)) / (1.0 + (old[column] or 0)))
                 for old, new in both
             ]
             factor = math.exp(sum(logs) / len(logs))
@@ -214,13 +205,9 @@ def _out_of_bounds(pairs: Sequence[tuple[Case, Values, Values]]) -> list[str]:
                 found.append(
                     f"{planner}, geometric mean of {column}: {factor:.2g} times the expectation"
                 )
-        before, after = (sum(_number(side[i]["path_length_rad"]) for side in both) for i in (0, 1))
+        before, after = (sum(side[i]["path_length_rad"] for side in both) for i in (0, 1))
         if abs(after / before - 1.0) > LENGTH_SHARE:
             found.append(
                 f"{planner}, mean path_length_rad: {after / before:.2f} times the expectation"
             )
     return found
-
-
-def _number(value: str | int | float | None) -> float:
-    return float(value) if value is not None else 0.0

@@ -8,7 +8,16 @@ from dataclasses import replace
 
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
 from paper_tables import table_engine as table
-from paper_tables.measures import Measure, Rows, SuiteRuns, mean_of, median_of, share_of, solved
+from paper_tables.measures import (
+    Measure,
+    Rows,
+    SuiteRuns,
+    grouped,
+    mean_of,
+    median_of,
+    share_of,
+    solved,
+)
 from paper_tables.statements import PublishedValue
 from paper_tables.table_engine import BriefColumn, Column, Entry, SuiteTable
 from paper_tables.writers import Lines, number
@@ -29,20 +38,13 @@ def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) 
     ``t_total_s`` is planning and ``execution_time_s`` execution. A task is solved when all its
     phases are, the others too; the reason of a failure is that of its first failed phase.
     """
-    groups: dict[tuple, list[ResultRow]] = {}
-    for row in sorted_rows(rows):
-        groups.setdefault(row.run_key, []).append(row)
     tasks = []
-    for group in groups.values():
+    for group in grouped([(row.run_key, row) for row in sorted_rows(rows)]).values():
         failed = next((row for row in group if not row.solved), None)
         counted = [
             row for row in group if phases is None or split_problem(row.problem).phase in phases
         ]
-        detail = (
-            f"{split_problem(failed.problem).phase}: {failed.detail or failed.fail_reason}"
-            if failed
-            else None
-        )
+        phase = split_problem(failed.problem).phase if failed else ""
         task = ResultRow(
             suite=group[0].suite,
             problem=group[0].item,
@@ -51,15 +53,13 @@ def task_rows(rows: Iterable[ResultRow], phases: Collection[str] | None = None) 
             backend=group[0].backend,
             solved=failed is None,
             fail_reason=failed.fail_reason if failed else None,
-            detail=detail,
-            certified=True if failed is None else None,
+            detail=f"{phase}: {failed.detail or failed.fail_reason}" if failed else None,
+            certified=None if failed else True,
             t_total_s=sum(row.t_total_s or 0.0 for row in counted),
-            execution_time_s=sum(row.execution_time_s or 0.0 for row in counted)
-            if failed is None
-            else None,
-            path_length_rad=sum(row.path_length_rad or 0.0 for row in counted)
-            if failed is None
-            else None,
+            execution_time_s=None
+            if failed
+            else sum(row.execution_time_s or 0.0 for row in counted),
+            path_length_rad=None if failed else sum(row.path_length_rad or 0.0 for row in counted),
         )
         tasks.append(task)
     return tasks

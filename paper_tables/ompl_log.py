@@ -1,14 +1,13 @@
 """A run as OMPL's benchmark log, which ``ompl_benchmark_statistics`` and Planner Arena read."""
 
-from collections.abc import Callable, Mapping, Sequence
-from itertools import groupby
+from collections.abc import Callable, Mapping
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.files import write_text
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import FailReason, ResultRow
+from paper_tables.measures import grouped
 from paper_tables.suites import directory_rows
 
 STATUSES = (
@@ -30,18 +29,14 @@ STATUS_OF: Mapping[FailReason | None, str] = {
 }  # other reasons are unknown to OMPL; the property "fail reason" has them all
 
 
-def _search_seconds(row: ResultRow) -> float | None:
-    """All but the shortening, which OMPL counts apart [s]."""
-    return None if row.t_total_s is None else row.t_total_s - (row.t_simplify_s or 0.0)
-
-
 PROPERTIES: Mapping[str, Callable[[ResultRow], Any]] = {
     "problem TEXT": attrgetter("problem"),
     "seed INTEGER": attrgetter("seed"),
     "solved BOOLEAN": lambda row: int(row.solved),
     "status ENUM": lambda row: STATUSES.index(STATUS_OF.get(row.fail_reason, "Unknown status")),
     "fail reason TEXT": attrgetter("fail_reason"),
-    "time REAL": _search_seconds,
+    # all but the shortening, which OMPL counts apart [s]
+    "time REAL": lambda row: row.t_total_s and row.t_total_s - (row.t_simplify_s or 0.0),
     "simplification time REAL": attrgetter("t_simplify_s"),
     "solution length REAL": attrgetter("path_length_raw_rad"),
     "simplified solution length REAL": attrgetter("path_length_rad"),
@@ -52,19 +47,15 @@ PROPERTIES: Mapping[str, Callable[[ResultRow], Any]] = {
 }  # name and SQL type of each property of a run, in OMPL's words where it has any
 
 
-def write_ompl_log(directory: Path, path: Path) -> None:
-    """Write the rows of a results directory as one experiment, named after its suite.
+def ompl_log(directory: Path) -> str:
+    """A results directory as one experiment, named after its suite, in the grammar of OMPL's log.
 
-    InvalidInputError: no readable runs with provenance, or `path` cannot be written.
+    InvalidInputError: no readable runs with provenance.
     """
-    write_text(path, ompl_log(directory_rows(directory), ProvenanceFile(directory).read()))
-
-
-def ompl_log(rows: Sequence[ResultRow], record: Mapping[str, Any]) -> str:
-    """Rows of one suite in the grammar of OMPL's log; record: their provenance."""
+    rows, record = directory_rows(directory), ProvenanceFile(directory).read()
     settings = record["configuration"]
     ordered = sorted(rows, key=attrgetter("planner", "problem"))
-    runs = {name: list(group) for name, group in groupby(ordered, attrgetter("planner"))}
+    runs = grouped([(row.planner, row) for row in ordered])
     lines = [
         f"cvqmpt_lab version {record.get('versions', {}).get('cvqmpt-lab') or '0'}",
         f"Experiment {rows[0].suite}",
@@ -89,11 +80,11 @@ def ompl_log(rows: Sequence[ResultRow], record: Mapping[str, Any]) -> str:
             f"{len(PROPERTIES)} properties for each run",
             *PROPERTIES,
         ]
-        lines += [f"{len(own)} runs", *map(_run_line, own), "."]
+        lines.append(f"{len(own)} runs")
+        for row in own:
+            values = [value_of(row) for value_of in PROPERTIES.values()]
+            # every value followed by "; "; nothing where it is undefined
+            cells = ["" if x is None else str(x).replace(";", ",") for x in values]
+            lines.append("".join(f"{cell}; " for cell in cells))
+        lines.append(".")
     return "\n".join(lines) + "\n"
-
-
-def _run_line(row: ResultRow) -> str:
-    """Every value followed by "; "; nothing where it is undefined."""
-    values = (value_of(row) for value_of in PROPERTIES.values())
-    return "".join(f"{'' if value is None else str(value).replace(';', ',')}; " for value in values)

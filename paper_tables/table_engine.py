@@ -1,5 +1,7 @@
 """Tables of suites beside the paper's numbers: Markdown, LaTeX, csv and lines for a terminal."""
 
+import csv
+import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -16,7 +18,6 @@ from paper_tables.writers import (
     Lines,
     Sections,
     bounds,
-    csv_text,
     estimate,
     latex_table,
     number,
@@ -102,7 +103,9 @@ class SuiteTable:
                 unit, numbers = item.columns[name].unit, (ours.estimate, ours.low, ours.high)
                 metric = name + item.suffix
                 lines.append((self.suite, metric, unit, item.planner, "ours", *numbers, ours.n))
-        return csv_text(lines)
+        buffer = io.StringIO()
+        csv.writer(buffer, lineterminator="\n").writerows(lines)
+        return buffer.getvalue()
 
 
 # ---------------------------------------------------------------- from rows to numbers

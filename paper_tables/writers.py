@@ -1,9 +1,7 @@
 """How tables are written: numbers, intervals, aligned text, Markdown, LaTeX and csv."""
 
-import csv
-import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from cvqmpt_lab.results.statistics import CONFIDENCE, Interval
 
@@ -157,11 +155,3 @@ def _latex_float(caption: str, blocks: Sequence[Lines]) -> str:
             "",
         ]
     )
-
-
-def csv_text(lines: Iterable[Sequence[object]]) -> str:
-    """Csv with floats in full precision; undefined is empty."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerows([repr(x) if isinstance(x, float) else x for x in line] for line in lines)
-    return buffer.getvalue()

@@ -92,25 +92,18 @@ def test_every_way_to_fail_has_its_reason():
 
 
 def test_a_path_that_is_refused_keeps_the_first_fault_as_reason_and_all_in_words(solution):
-    faults = (
-        Fault(FaultKind.STEP, "a step of 1 rad"),
-        Fault(FaultKind.COLLISION, "in collision: a and b"),
-    )
+    faults = Fault(FaultKind.STEP, "a step of 1 rad"), Fault(FaultKind.COLLISION, "in collision")
     refused = replace(solution, certificate=replace(solution.certificate, faults=faults))
     row = result_row(RUN, refused, goal_seconds=0.0)
     assert (row.solved, row.certified, row.fail_reason) == (False, False, "uncertified_step")
-    assert row.detail.startswith("a step of 1 rad; in collision: a and b")
+    assert row.detail.startswith("a step of 1 rad; in collision")
     assert row.path_sha256 == states_hash(solution.simplified.path.states)
 
 
 def test_a_fallback_has_its_column_and_counts_as_solved(solution):
-    fallen_back = replace(
-        solution, plan=replace(solution.plan, fallback="no path after 3 searches: birrt")
-    )
+    fallen_back = replace(solution, plan=replace(solution.plan, fallback="no path: birrt"))
     row = result_row(RUN, fallen_back, goal_seconds=0.0)
-    assert (
-        row.solved and row.fallback == "no path after 3 searches: birrt" and row.fail_reason is None
-    )
+    assert (row.solved, row.fallback, row.fail_reason) == (True, "no path: birrt", None)
     assert result_row(RUN, solution, goal_seconds=0.0).fallback is None
 
 

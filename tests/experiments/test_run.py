@@ -161,11 +161,8 @@ def test_an_interrupt_leaves_no_worker_and_a_run_that_the_same_command_continues
 def test_a_run_is_not_continued_with_other_weights(tmp_path, monkeypatch):
     few = replace(ONE, planners=("roadmap-cvq",))
     rows = run(few, tmp_path)
-    recorded = ProvenanceFile(tmp_path).read()["weights"]
-    assert recorded == weights_of(few.planners)
+    assert ProvenanceFile(tmp_path).read()["weights"] == weights_of(few.planners)
     monkeypatch.setattr(runner, "weights_of", lambda planners, model: {"vq_mpt": "f" * 64})
-    with pytest.raises(
-        RunStoreError, match=f'weights.vq_mpt was "{recorded["vq_mpt"]}", now "{"f" * 64}"'
-    ):
+    with pytest.raises(RunStoreError, match=rf'weights.vq_mpt was "\w+", now "{"f" * 64}"'):
         run(few, tmp_path)
     assert read_rows(tmp_path / RUNS_FILE) == rows

@@ -46,13 +46,8 @@ def test_failures_are_infinite(rows, values):
 
 
 def test_ratios_are_geometric_means_over_problems_that_both_solved():
-    rows = [
-        run("x", 0, 2),
-        run("x", 1, 8),
-        run("x", 2, 1000),
-        run("x", 3, 5, solved=False),
-        run("x", 4),
-    ]
+    works = {0: 2, 1: 8, 2: 1000, 4: None}
+    rows = [*(run("x", k, x) for k, x in works.items()), run("x", 3, 5, solved=False)]
     base = [run("b", i, 1) for i in (0, 1, 3, 4)] + [run("b", 2, 1, solved=False)]
     ratio = mean_ratio(paired(rows, base, work))
     assert ratio.estimate == pytest.approx(4.0) and ratio.n == 2  # sqrt(2 * 8)

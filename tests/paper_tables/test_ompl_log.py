@@ -51,21 +51,6 @@ def test_every_row_is_a_run_of_its_planner(database):
     assert found == [
         ("birrt", "a, b", 0, 1, 6, None, 1.0, None, None, None, None, 7, 9, -0.001),
         ("birrt", "place_0", 0, 1, 6, None, 2.0, 0.5, 9.0, 8.0, 40, None, None, None),
-        (
-            "mpnet",
-            "p2",
-            0,
-            0,
-            0,
-            "uncertified_collision",
-            None,
-            None,
-            None,
-            None,
-            None,
-            None,
-            None,
-            None,
-        ),
-        ("mpnet", "place_0", 0, 0, 4, "timeout", 10.0, None, None, None, None, None, None, None),
+        ("mpnet", "p2", 0, 0, 0, "uncertified_collision", *[None] * 8),
+        ("mpnet", "place_0", 0, 0, 4, "timeout", 10.0, *[None] * 7),
     ]
