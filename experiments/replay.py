@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from itertools import groupby, takewhile
 from operator import attrgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -74,7 +74,7 @@ def _folder_of(directory: Path, problems_dir: Path | None) -> Suite | None:
 
 
 def _recertified(
-    item: object, rows: list[ResultRow], paths: Mapping[str | None, np.ndarray]
+    item: object, rows: list[ResultRow], paths: Mapping[Any, np.ndarray]
 ) -> Iterator[Recertified]:
     """New certificates of the paths of one run: of a problem, or of the phases of a task."""
     item = item.problem if isinstance(item, SensedProblem) else item

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Collection
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, digests_in, sessions
@@ -105,6 +106,6 @@ def _close(was: str, now: str) -> bool:
 def _cells(line: str, suffix: str) -> list[str]:
     """The cells of one line of a table."""
     delimiter = {".csv": ",", ".md": "|", ".tex": "&"}[suffix]
-    quoting = csv.QUOTE_MINIMAL if suffix == ".csv" else csv.QUOTE_NONE
+    quoting: Any = csv.QUOTE_MINIMAL if suffix == ".csv" else csv.QUOTE_NONE
     cells = next(csv.reader([line], delimiter=delimiter, quoting=quoting), [])
     return [cell.strip() for cell in cells]

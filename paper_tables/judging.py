@@ -101,10 +101,11 @@ def verdicts_of(claim: Claim, rows: Rows, published: Sequence[PublishedValue]) -
 
 def _left_out(judged: Rows, others: Rows) -> str:
     """How many runs are in no pair because one of two planners failed; "" for none."""
-    solved = [{problem_key(row): row.solved for row in rows} for rows in (judged, others)]
-    both = solved[0].keys() & solved[1].keys()
+    ours = {problem_key(row): row.solved for row in judged}
+    theirs = {problem_key(row): row.solved for row in others}
+    both = ours.keys() & theirs.keys()
     told = []
-    for rows, own, other in ((judged, *solved), (others, *reversed(solved))):
+    for rows, own, other in ((judged, ours, theirs), (others, theirs, ours)):
         lost = sum(not own[key] and other[key] for key in both)
         if lost:
             told.append(f"{lost} that {rows[0].planner} alone failed")

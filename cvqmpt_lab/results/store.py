@@ -13,6 +13,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -108,7 +109,7 @@ class RunStore:
         """Merge the partial files; of paths those that stand in rows are kept."""
         partial = self.directory / PARTIAL_PATHS
         if partial.is_file():
-            known = stored_paths(self.directory)
+            known: dict[str, Any] = stored_paths(self.directory)
             known |= {states_hash(states): states for states in _whole_arrays(read_bytes(partial))}
             wanted = sorted(known.keys() & {row.path_sha256 for row in self._rows.values()})
             buffer = io.BytesIO()
