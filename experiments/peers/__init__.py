@@ -15,19 +15,13 @@ from cvqmpt_lab.problem import PlanningProblem
 
 def versions(planner: str, *distributions: str) -> str:
     """Distributions and their versions; InvalidInputError with the cure where one is missing."""
-    found, missing = [], []
-    for name in distributions:
-        try:
-            found.append(f"{name} {metadata.version(name)}")
-        except metadata.PackageNotFoundError:
-            missing.append(name)
-    if missing:
-        verb = "is" if len(missing) == 1 else "are"
+    try:
+        return ", ".join(f"{name} {metadata.version(name)}" for name in distributions)
+    except metadata.PackageNotFoundError as error:
         raise InvalidInputError(
-            f"planner {planner} needs {' and '.join(missing)}, which {verb} not installed: "
+            f"planner {planner} needs {error.name}, which is not installed: "
             f"{install_command('peers')}"
-        )
-    return ", ".join(found)
+        ) from error
 
 
 def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:

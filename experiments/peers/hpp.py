@@ -9,7 +9,8 @@ import importlib
 import re
 import tempfile
 import time
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -30,30 +31,25 @@ MISSING_LIBRARY = re.compile(r"(\S+): cannot open shared object file")
 
 def _imported(module: str) -> ModuleType:
     """A module whose libraries lie in the folder of pinocchio's."""
-    while True:
-        try:
-            return importlib.import_module(module)
-        except ImportError as error:
-            missing = MISSING_LIBRARY.match(str(error))
-            if missing is None:
-                raise
-            _load(missing[1])
+    return _with_libraries(partial(importlib.import_module, module))
 
 
-def _load(library: str) -> None:
-    """Load a shared library, after those that it needs."""
+def _with_libraries(attempt: Callable[[], Any], library: str = "") -> Any:
+    """What an attempt returns, once the libraries that it misses are loaded, those they need first.
+
+    library: the one that the attempt loads; it cannot be loaded before itself.
+    """
     parents = Path(str(pin.__file__)).resolve().parents
     folder = next(one for one in parents if (one / "libpinocchio_default.so").is_file())
-    path = folder / library
     while True:
         try:
-            ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
-            return
-        except OSError as error:
+            return attempt()
+        except (ImportError, OSError) as error:
             missing = MISSING_LIBRARY.match(str(error))
-            if missing is None or missing[1] == library or not path.is_file():
+            if missing is None or missing[1] in (library, str(folder / library)):
                 raise
-            _load(missing[1])
+            load = partial(ctypes.CDLL, str(folder / missing[1]), mode=ctypes.RTLD_GLOBAL)
+            _with_libraries(load, missing[1])
 
 
 @lru_cache(maxsize=4)

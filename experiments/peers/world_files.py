@@ -4,7 +4,7 @@ Both files have the joint axes of `Robot.kinematics` as z, a body for every conv
 and one for every obstacle, which is fixed to the world. Lengths in metres.
 """
 
-import struct
+import warnings
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from trimesh import Trimesh
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
@@ -74,9 +75,14 @@ def urdf_of(robot: Robot, scene: Scene, folder: Path, T_hand_tool: np.ndarray) -
     arm = robot.kinematics
     for j, name in enumerate(robot.joint_names):
         kind = "prismatic" if arm.prismatic[j] else "revolute"
-        child = f"link_{j + 1}"
         joint = _joint(
-            root, name, kind, f"link_{arm.parent[j]}", child, arm.rotation[j], arm.translation[j]
+            root,
+            f"link_{arm.parent[j]}",
+            f"link_{j + 1}",
+            arm.rotation[j],
+            arm.translation[j],
+            kind,
+            name,
         )
         SubElement(joint, "axis", xyz="0 0 1")
         limits = {"lower": repr(float(arm.lower[j])), "upper": repr(float(arm.upper[j]))}
@@ -89,47 +95,35 @@ def urdf_of(robot: Robot, scene: Scene, folder: Path, T_hand_tool: np.ndarray) -
         checking = SubElement(link, "collision_checking")
         # pinocchio: the mesh is its convex hull
         SubElement(checking, "convex", name=f"{body.name}_0")
-        _fixed_joint(root, f"link_{body.link}", body.name, body.T_link_body)
+        T = body.T_link_body
+        _joint(root, f"link_{body.link}", body.name, T[:3, :3], T[:3, 3])
     row, T_link_hand = robot.end_effector_link
     SubElement(root, "link", name=TOOL)
-    _fixed_joint(root, f"link_{row}", TOOL, T_link_hand @ T_hand_tool)
+    T = T_link_hand @ T_hand_tool
+    _joint(root, f"link_{row}", TOOL, T[:3, :3], T[:3, 3])
     srdf = Element("robot", name="arm")
     for first, second in unchecked_pairs(robot):
         SubElement(srdf, "disable_collisions", link1=first, link2=second, reason="Never")
     return tostring(root, encoding="unicode"), tostring(srdf, encoding="unicode")
 
 
-def _fixed_joint(root: Element, parent: str, child: str, T: np.ndarray) -> None:
-    _joint(root, f"{child}_joint", "fixed", parent, child, T[:3, :3], T[:3, 3])
-
-
 def _joint(
     root: Element,
-    name: str,
-    kind: str,
     parent: str,
     child: str,
     rotation: np.ndarray,
     translation: np.ndarray,
+    kind: str = "fixed",
+    name: str = "",
 ) -> Element:
-    joint = SubElement(root, "joint", name=name, type=kind)
-    SubElement(joint, "origin", xyz=_numbers(translation), rpy=_numbers(_rpy(rotation)))
+    joint = SubElement(root, "joint", name=name or f"{child}_joint", type=kind)
+    # R = Rz(yaw) Ry(pitch) Rx(roll); scipy warns at a pitch of +-90 degrees that it sets yaw to 0
+    with warnings.catch_warnings(action="ignore"):
+        rpy = Rotation.from_matrix(rotation).as_euler("xyz")
+    SubElement(joint, "origin", xyz=_numbers(translation), rpy=_numbers(rpy))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)
     return joint
-
-
-def _rpy(rotation: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw [rad] of a rotation (3, 3): R = Rz(yaw) Ry(pitch) Rx(roll).
-
-    At a pitch of +-90 degrees roll and yaw turn about one axis: yaw is 0 there.
-    """
-    cos_pitch = np.hypot(rotation[0, 0], rotation[1, 0])
-    pitch = np.arctan2(-rotation[2, 0], cos_pitch)
-    if cos_pitch < 1e-9:
-        return np.array([np.arctan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0])
-    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
-    return np.array([np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, yaw])
 
 
 def _numbers(values: np.ndarray) -> str:
@@ -146,20 +140,8 @@ def _urdf_shape(geometry: Element, body: Body, folder: Path) -> None:
             SubElement(geometry, "sphere", radius=repr(radius))
         case ConvexMesh(vertices):
             path = folder / f"{body.name}.stl"
-            path.write_bytes(_stl(vertices))
+            Trimesh(vertices, ConvexHull(vertices).simplices, process=False).export(path)
             SubElement(geometry, "mesh", filename=str(path))
-
-
-def _stl(points: np.ndarray) -> bytes:
-    """The convex hull of points (n, 3) as a binary STL."""
-    hull = ConvexHull(points)
-    triangles = points[hull.simplices]  # (f, 3, 3), turned so that normals point outwards
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    inwards = np.einsum("fi,fi->f", normals, hull.equations[:, :3]) < 0.0
-    triangles[inwards] = triangles[inwards][:, ::-1]
-    records = np.zeros(len(triangles), dtype=[("floats", "<f4", 12), ("attribute", "<u2")])
-    records["floats"] = np.concatenate([hull.equations[:, :3], triangles.reshape(-1, 9)], axis=1)
-    return bytes(80) + struct.pack("<I", len(triangles)) + records.tobytes()
 
 
 def mjcf_of(robot: Robot, scene: Scene) -> str:
