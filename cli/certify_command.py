@@ -34,8 +34,7 @@ def run(args: argparse.Namespace) -> int:
         raise InvalidInputError(
             f"suite {args.suite} is of tasks; certify the directory of a run, or one problem"
         )
-    current = None if args.current is None else np.array(numbers("--current", args.current))
-    found = dry_run(problem, motion, current, args.tolerance)
+    found = dry_run(problem, motion, args.current, args.tolerance)
     contents = record(problem, motion, found)
     lines = report_lines(found, contents)
     if args.against is not None:
@@ -80,7 +79,9 @@ OPTIONS: Options = {
         "with the directory of a run of problem files: their folder", type=Path, metavar="DIR"
     ),
     "--current": option(
-        "where the arm stands now, in quotes [rad]: the motion begins there", metavar="Q"
+        "where the arm stands now, in quotes [rad]: the motion begins there",
+        type=lambda text: np.array(numbers("--current", text)),
+        metavar="Q",
     ),
     "--tolerance": option(
         "how far from there it may begin (0.01)", type=positive, default=0.01, metavar="RAD"

@@ -4,9 +4,18 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from cli.options import Options, ProgressBar, log, option, own_command, positive_int
+from cli.options import (
+    Options,
+    ProgressBar,
+    log,
+    not_negative_int,
+    one_of,
+    option,
+    own_command,
+    positive_int,
+)
 from cli.problem_options import ROBOT, robot_source
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.labels.generation import PANDA, SceneRecipe, Shard, generate
 from cvqmpt_lab.labels.path_labels import PathRecipe
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
@@ -15,17 +24,12 @@ from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Lost, local_processes
 from experiments.run import default_jobs
 
-ACTIONS = ("generate",)
 LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": RoadmapRecipe}
 
 
 def run(args: argparse.Namespace) -> int:
     """Generate what is missing."""
-    if args.action not in ACTIONS:
-        raise UnknownChoiceError("action", args.action, ACTIONS)
     families, robot = tuple(args.family.split(",")), robot_source(args) or PANDA
-    if args.labels not in LABELS:
-        raise UnknownChoiceError("kind of labels", args.labels, LABELS)
     more = {}
     if args.dictionary is not None:
         if args.labels != "roadmap":
@@ -50,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 OPTIONS: Options = {
-    "action": option(", ".join(ACTIONS)),
+    "action": option("generate", type=one_of("action", ("generate",))),
     "--scenes": option("scenes in all", type=positive_int, required=True, metavar="N"),
     "--paths-per-scene": option(
         "paths tried per scene (50)", type=positive_int, default=50, metavar="M"
@@ -61,6 +65,7 @@ OPTIONS: Options = {
     "--labels": option(
         f"{' or '.join(LABELS)}: near-shortest paths, or free nodes and edges of a roadmap, and "
         "shortest paths (paths)",
+        type=one_of("kind of labels", LABELS),
         default="paths",
     ),
     "--dictionary --model": option(
@@ -68,7 +73,7 @@ OPTIONS: Options = {
         "other arms)",
         metavar="DIR",
     ),
-    "--seed": option("another seed, other scenes and paths (0)", type=int, default=0),
+    "--seed": option("another seed, other scenes and paths (0)", type=not_negative_int, default=0),
     "--jobs": option(
         "processes (one a core)", type=positive_int, default=default_jobs(), metavar="J"
     ),

@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from cli.options import WEIGHTS, Options, log, option, own_command, positive_int
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cli.options import SEED, WEIGHTS, Options, log, one_of, option, own_command, positive_int
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.figures.code_update import UpdateSettings
@@ -14,22 +14,16 @@ from paper_tables.committed import RESULTS
 
 ROW_FIGURES = {"cost": draw_cost, "training": draw_training}
 KNOWN = (*FIGURES, *ROW_FIGURES)
+LOG = "its last numbers are in docs/training_log.md"
 REMOVED = {  # figures by name, and what is there instead of them
-    "equal-time": "cvqmpt plan --optimize improves a path until the time is up",
-    "difficulty": "cvqmpt report lists the rows of a run problem by problem",
-    "robustness": "cvqmpt reproduce sensor measures planning from noisy cameras",
+    "equal-time": f"{LOG}; cvqmpt plan --optimize improves a path until the time is up",
+    "difficulty": f"{LOG}; cvqmpt report lists the rows of a run problem by problem",
+    "robustness": f"{LOG}; cvqmpt reproduce sensor measures planning from noisy cameras",
 }
 
 
 def run(args: argparse.Namespace) -> int:
     """Make the figure and print a summary."""
-    if args.figure in REMOVED:
-        raise InvalidInputError(
-            f"figure {args.figure} was removed, its last numbers are in docs/training_log.md; "
-            f"{REMOVED[args.figure]}"
-        )
-    if args.figure not in KNOWN:
-        raise UnknownChoiceError("figure", args.figure, KNOWN)
     out = args.out or Path("runs") / args.figure
     if args.figure in ROW_FIGURES:
         if args.rows is None:
@@ -58,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 OPTIONS: Options = {
-    "figure": option(f"one of {', '.join(KNOWN)}"),
+    "figure": option(f"one of {', '.join(KNOWN)}", type=one_of("figure", KNOWN, REMOVED)),
     "--problem": option(
         "of concept: index of the place task's problem (0)", type=int, default=0, metavar="I"
     ),
@@ -66,7 +60,7 @@ OPTIONS: Options = {
         "of histogram: the first N problems (30)", type=positive_int, default=30, metavar="N"
     ),
     **WEIGHTS,
-    "--seed": option("seed of all randomness (0)", type=int, default=0, metavar="S"),
+    **SEED,
     "--out": option("where results go (runs/FIGURE)", type=Path, metavar="DIR"),
     "--rows": option(f"rows or trainings, of {', '.join(ROW_FIGURES)}", type=Path, metavar="DIR"),
 }

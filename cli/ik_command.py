@@ -3,17 +3,18 @@
 import argparse
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from cli.motion_options import pose_region
-from cli.options import EXACTLY_ONE_OF, FLAG, Options, option, positive_int
+from cli.options import EXACTLY_ONE_OF, FLAG, SEED, Options, option, positive_int
+from cli.problem_options import pose_region
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidInputError, located, mapping, whole_number
+from cvqmpt_lab.errors import InvalidInputError, located, mapping
 from cvqmpt_lab.files import json_object, json_text, read_json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
@@ -21,7 +22,6 @@ from cvqmpt_lab.robot.load import robot_from_source
 
 def run(args: argparse.Namespace) -> int:
     """Sample, print; exit code 1 when there is none."""
-    whole_number("--seed", args.seed)
     data = read_json_object(args.problem_file, "problem file")
     region = _region(args, data)
     with located(str(args.problem_file)):
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
 def _region(args: argparse.Namespace, data: dict) -> TaskSpaceRegion:
     """The region asked for."""
     if args.pose is not None:
-        return pose_region("--pose", args.pose)
+        return args.pose
     if args.region in ("goal_region", "start_region"):
         if args.region not in data:
             raise InvalidInputError(
@@ -75,12 +75,14 @@ OPTIONS: Options = {
     ),
     EXACTLY_ONE_OF: {
         "--pose": option(
-            "end-effector pose in the world: [m], roll, pitch, yaw [rad]", metavar="'X Y Z R P Y'"
+            "end-effector pose in the world: [m], roll, pitch, yaw [rad]",
+            type=partial(pose_region, "--pose"),
+            metavar="'X Y Z R P Y'",
         ),
         "--region": option("as in a problem file; or goal_region or start_region of the file"),
     },
     "--count": option("how many at most (1)", type=positive_int, default=1, metavar="N"),
-    "--seed": option("seed of all randomness (0)", type=int, default=0),
+    **SEED,
     "--json": option("print one json object", **FLAG),
 }
 COMMANDS = {"ik": (run, OPTIONS)}

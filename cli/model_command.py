@@ -5,9 +5,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cli.options import FLAG, Options, option
+from cli.options import FLAG, Options, one_of, option
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_torch
+from cvqmpt_lab.errors import InvalidInputError, require_torch
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.vqmpt.weights import (
     SHIPPED,
@@ -19,15 +19,12 @@ from cvqmpt_lab.vqmpt.weights import (
     weights_digest,
 )
 
-ACTIONS = ("info", "import")
 # metadata that it shows
 SUMMARY = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
 
 
 def run(args: argparse.Namespace) -> int:
     """Report on weights, or convert them and report."""
-    if args.action not in ACTIONS:
-        raise UnknownChoiceError("action", args.action, ACTIONS)
     if args.action == "import":
         for name in ("dictionary_dir", "ar_dir", "out"):
             if getattr(args, name) is None:
@@ -116,7 +113,8 @@ def _summary(found: dict[str, Any]) -> list[str]:
 
 OPTIONS: Options = {
     "action": option(
-        f"{' or '.join(ACTIONS)} published VQ-MPT folders (MPNet's cannot be: train it)"
+        "info or import published VQ-MPT folders (MPNet's cannot be: train it)",
+        type=one_of("action", ("info", "import")),
     ),
     "--model": option(
         f"info: {', '.join(SHIPPED)}, or the folder of a model (vq_mpt)", metavar="DIR"

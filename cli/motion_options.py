@@ -1,27 +1,24 @@
 """Start, goals and constraint on the command line, as in a problem file."""
 
 import argparse
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from cli.options import REPEATED, Options, log, numbers, option
-from cli.problem_options import chosen_robot
-from cli.scan_options import scan_of, scan_report, scene_of
+from cli.problem_options import chosen_robot, configuration, pose_region
+from cli.scan_command import scan_of, scan_report, scene_of
 from cvqmpt_lab.codec import field_kinds, from_plain
 from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import json_object
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.load import group_states, numbers_of
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach
 from cvqmpt_lab.sensing.scan import Arm, Scan, refuse_touching
-
-POSE = ("x", "y", "z", "roll", "pitch", "yaw")
-
 
 MOTION: Options = {
     "a motion through what --cloud shows, instead of a suite or a file": {
@@ -31,6 +28,7 @@ MOTION: Options = {
         ),
         "--goal-pose": option(
             "end-effector pose to reach instead: [m], roll, pitch, yaw [rad]",
+            type=partial(pose_region, "--goal-pose"),
             metavar="X,Y,Z,R,P,Y",
         ),
         "--constraint": option(
@@ -58,7 +56,6 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
     robot = chosen_robot(args)
     start = configuration(robot, "--start", args.start)
     goals = [configuration(robot, "--goal", text) for text in args.goal]
-    goal_region = pose_region("--goal-pose", args.goal_pose) if args.goal_pose else None
     constraint = tuple(_constraint(text, robot, start) for text in args.constraint)
     if args.scene is not None:
         scene = read_scene(args.scene)
@@ -75,7 +72,7 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
         start=start,
         goals=np.array(goals).reshape(-1, robot.dof),
         constraint=constraint,
-        goal_region=goal_region,
+        goal_region=args.goal_pose,
     )
 
 
@@ -89,18 +86,6 @@ def scanned(args: argparse.Namespace, arm: Arm) -> Scan:
 def arm_of(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Arm:
     """The robot during the scan: at --arm-at, else at q (n,)."""
     return Arm(robot, q if args.arm_at is None else configuration(robot, "--arm-at", args.arm_at))
-
-
-def configuration(robot: Robot, option: str, text: str) -> np.ndarray:
-    """A configuration (n,) of the robot: numbers, or the name of a group_state of its SRDF."""
-    named = text if text in group_states(robot) else numbers(option, text, robot.joint_names)
-    return np.array(numbers_of(robot, named, option))
-
-
-def pose_region(option: str, text: str) -> TaskSpaceRegion:
-    """The region of one end-effector pose."""
-    x = numbers(option, text, POSE)
-    return from_plain(Region, {"pose": {"at": {"xyz": x[:3], "rpy": x[3:]}}}, option)
 
 
 def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:

@@ -7,11 +7,12 @@ import math
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import finite, require_regular_file
 
 # By names of options (`-v --verbose`), arguments of argparse's add_argument; by a title, a group.
@@ -31,28 +32,41 @@ WEIGHTS: Options = {
 }
 
 
-def positive_int(text: str) -> int:
-    """A whole number of 1 or more."""
-    with contextlib.suppress(ValueError):
-        if int(text) >= 1:
-            return int(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 1 or more")
+def _number(kind: type, holds: Callable[[float], bool], must: str) -> Callable[[str], Any]:
+    """The type of an option that is a finite number which meets a condition."""
+
+    def read(text: str) -> Any:
+        with contextlib.suppress(ValueError, OverflowError):
+            value = kind(text)
+            if math.isfinite(value) and holds(value):
+                return abs(value)  # -0 is 0
+        raise argparse.ArgumentTypeError(f"{text!r} is not {must}")
+
+    return read
 
 
-def positive(text: str) -> float:
-    """A finite positive number."""
-    with contextlib.suppress(ValueError):
-        if math.isfinite(float(text)) and float(text) > 0:
-            return float(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+positive_int = _number(int, lambda x: x >= 1, "a whole number of 1 or more")
+not_negative_int = _number(int, lambda x: x >= 0, "a whole number of 0 or more")
+positive = _number(float, lambda x: x > 0, "a positive number")
+not_negative = _number(float, lambda x: x >= 0, "a number of 0 or more")
+SEED: Options = {
+    "--seed": option("seed of all randomness (0)", type=not_negative_int, default=0, metavar="S")
+}
 
 
-def not_negative(text: str) -> float:
-    """A finite number of 0 or more."""
-    with contextlib.suppress(ValueError):
-        if math.isfinite(float(text)) and float(text) >= 0:
-            return abs(float(text))  # -0 is 0
-    raise argparse.ArgumentTypeError(f"{text!r} is not a number of 0 or more")
+def one_of(
+    what: str, known: Collection[str], removed: Mapping[str, str] = MappingProxyType({})
+) -> Callable[[str], str]:
+    """The type of an option that is a name; removed: what is there instead of names of before."""
+
+    def read(text: str) -> str:
+        if text in removed:
+            raise InvalidInputError(f"{what} {text} was removed: {removed[text]}")
+        if text not in known:
+            raise UnknownChoiceError(what, text, known)
+        return text
+
+    return read
 
 
 def log(text: str) -> None:
@@ -82,8 +96,9 @@ def as_json(data: dict[str, Any]) -> str:
     return json.dumps(finite(data), indent=1, allow_nan=False)
 
 
-def writable_file(path: Path) -> Path:
-    """The path, after checking that a file can be made there."""
+def writable_file(name: Path | str) -> Path:
+    """The path, after checking that a file can be made there; also the type of an option."""
+    path = Path(name)
     if not path.parent.is_dir():
         raise InvalidInputError(
             f"cannot write {path}: folder {path.parent} does not exist; make it first"

@@ -1,13 +1,27 @@
-"""`cvqmpt plan`: one problem, one planner, a short human report."""
+"""`cvqmpt plan`: one problem or task, one planner; a short report, files, pictures."""
 
 import argparse
+import json
 import logging
+import re
 import sys
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from cli.motion_options import MOTION, arm_of, motion_given, motion_problem, scanned
-from cli.options import FLAG, REPEATED, WEIGHTS, Options, as_json, log, option, writable_file
+from cli.options import (
+    FLAG,
+    REPEATED,
+    SEED,
+    WEIGHTS,
+    Options,
+    ProgressBar,
+    as_json,
+    log,
+    option,
+    writable_file,
+)
 from cli.problem_options import (
     BUDGET,
     PROBLEM,
@@ -19,71 +33,116 @@ from cli.problem_options import (
     refuse_robot,
     with_clearance,
 )
-from cli.scan_options import SCAN
-from cli.show_options import SHOW, check_show, show_solution
+from cli.scan_command import SCAN
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
-from cvqmpt_lab.errors import InvalidInputError, whole_number
-from cvqmpt_lab.files import write_text
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.solution_report import solution_data, solution_lines
 from cvqmpt_lab.tasks.task import Task
-from cvqmpt_lab.warm_up import warm_up
+from cvqmpt_lab.warm_up import compile_kernels, warm_up
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.tasks.solve import TaskSolution
 
 OPTIMIZE = 0.05  # [s] after a first path, unless --optimize says otherwise
+RECORDING, FILM, PAGE = ".rrd", ".gif", ".html"  # endings of --save
 
 
 def run(args: argparse.Namespace) -> int:
     """Plan, print, show; exit code 1 when no certified path was found."""
-    if args.save_path:
-        writable_file(args.save_path)
-    check_show(args)
-    whole_number("--seed", args.seed)
-    problem = _asked(args)
-    if isinstance(problem, Task):
-        args.planner = args.planner or "birrt"  # what tasks were measured with
-        # timing needs scipy.interpolate, half a second to import
-        from cli.plan_task import run_task
+    if args.view:
+        from cvqmpt_lab.show.viewer import check_viewer
 
-        return run_task(args, problem)
-    if args.trajectory:
-        writable_file(args.trajectory)
+        check_viewer()
+    asked = _asked(args)
+    if args.speed is not None and args.trajectory is None and not isinstance(asked, Task):
+        raise InvalidInputError(f"--speed {args.speed} is that of --trajectory OUT.csv; give it")
+    args.speed = SLOW if args.speed is None else args.speed
+    if isinstance(asked, Task):
+        solution, told = _solved_task(args, asked)
+    else:
+        solution, told = _solved_problem(args, asked)
+    print(as_json(told) if isinstance(told, dict) else "\n".join(told))
+    say = partial(print, file=sys.stderr if args.json else sys.stdout)
+    if args.save_path and isinstance(solution, Solution) and solution.simplified:
+        states = solution.simplified.path.states
+        lines = (",".join(repr(float(x)) for x in q) for q in states)
+        names = ",".join(solution.problem.robot.joint_names)
+        write_text(args.save_path, "\n".join([names, *lines, ""]))
+        say(f"path written to {args.save_path}")
+    if args.trajectory and isinstance(solution, Solution):
+        say(_write_trajectory(args, solution))
+    elif args.trajectory:
+        say(_write_trajectories(args, solution))
+    for line in _show(args, solution):
+        say(line)
+    return 0 if solution.solved else 1
+
+
+def _solved_problem(
+    args: argparse.Namespace, problem: PlanningProblem
+) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
+    """A problem's solution, and what is said of it: data for --json, else lines."""
     planner, why = (args.planner, "") if args.planner else default_planner(problem)
     method = planner_named(planner, args.model)
     if args.cloud and not motion_given(args):  # of a suite or file, whose own obstacles count
         method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
-    _check_timing(args, problem)
+    if args.trajectory:
+        from cvqmpt_lab.trajectory.trajectory import file_type
+
+        file_type(writable_file(args.trajectory))
+        # refused before anything is planned
+        problem.robot.joint_limits.scaled(args.speed)
     warm_up(problem, method, args.backend, log)
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
-    more = optimize_budget(args, OPTIMIZE)
     solution = solve(
         problem,
         method,
         budget(args),
         args.seed,
         backend=args.backend,
-        optimize=more,
+        optimize=optimize_budget(args, OPTIMIZE),
         near_goals_first=args.suite is None,
     )
     if args.json:
-        print(as_json(solution_data(solution, planner, why, problem)))
-    else:
-        print("\n".join(solution_lines(solution, planner, why)))
-    say = partial(print, file=sys.stderr if args.json else sys.stdout)
-    if args.save_path and solution.simplified:
-        states = solution.simplified.path.states
-        lines = (",".join(repr(float(x)) for x in q) for q in states)
-        write_text(args.save_path, "\n".join([",".join(problem.robot.joint_names), *lines, ""]))
-        say(f"path written to {args.save_path}")
-    if args.trajectory:
-        say(_write_trajectory(args, solution))
-    carried = suite_named(args.suite).carried if args.suite else ()
-    for line in show_solution(args, solution, carried):
-        say(line)
-    return 0 if solution.solved else 1
+        return solution, solution_data(solution, planner, why, problem)
+    return solution, solution_lines(solution, planner, why)
+
+
+def _solved_task(
+    args: argparse.Namespace, task: Task
+) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
+    """A task's solution, and what is said of it: data for --json, else lines."""
+    # timing needs scipy.interpolate, half a second to import
+    from cvqmpt_lab.tasks.solve import solve_task, task_data, task_lines
+    from cvqmpt_lab.trajectory.timing import TimingSettings
+
+    wrong = [name for name in ("cloud", "optimize", "save_path", "view") if getattr(args, name)]
+    if wrong:
+        raise InvalidInputError(
+            f"--{wrong[0].replace('_', '-')} does not go with a task; leave it out"
+        )
+    folder = args.trajectory
+    if folder is not None:
+        if folder.suffix or folder.is_file():
+            raise InvalidInputError(
+                f"--trajectory {folder}: of a task it is a folder, for a file a phase; name one"
+            )
+        make_folder(folder)
+    planner = args.planner or "birrt"  # what tasks were measured with
+    method = planner_named(planner, args.model)
+    compile_kernels(log)
+    timing = TimingSettings(speed=args.speed)
+    # refused before anything is planned
+    robot_from_source(task.robot).joint_limits.scaled(args.speed)
+    solution = solve_task(task, method, budget(args), args.seed, timing, backend=args.backend)
+    return solution, (task_data if args.json else task_lines)(solution, planner)
 
 
 def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
@@ -108,21 +167,6 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
     return with_clearance(args, Task.load(args.task_file))
 
 
-def _check_timing(args: argparse.Namespace, problem: PlanningProblem) -> None:
-    """Refuse before planning what would fail afterwards."""
-    if args.trajectory is None:
-        if args.speed is not None:
-            raise InvalidInputError(
-                f"--speed {args.speed} is that of --trajectory OUT.csv; give it"
-            )
-        return
-    from cvqmpt_lab.trajectory.trajectory import file_type
-
-    file_type(args.trajectory)
-    args.speed = SLOW if args.speed is None else args.speed
-    problem.robot.joint_limits.scaled(args.speed)
-
-
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
     """Time the certified path, certify the motion, write it; return the line to print."""
     from cvqmpt_lab.motion_check import certified_motion
@@ -131,14 +175,89 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
 
     if not solution.solved or solution.simplified is None:
         return "trajectory  none: only certified paths are timed"
-    motion = certified_motion(
-        solution.problem, solution.simplified.path, TimingSettings(speed=args.speed)
-    )
+    timing = TimingSettings(speed=args.speed)
+    motion = certified_motion(solution.problem, solution.simplified.path, timing)
     save_trajectory(motion, args.trajectory)
     return (
         f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "
         f"{motion.deviation:.1e} rad off the path, certified; written to {args.trajectory}"
     )
+
+
+def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> str:
+    """Write a file per planned phase and their index with the gripper's events; return its line."""
+    from cvqmpt_lab.tasks.solve import event_of
+    from cvqmpt_lab.trajectory.trajectory import save_trajectory
+
+    if not solution.solved:
+        return "trajectory  none: only tasks whose phases are all certified are written"
+    steps = []
+    for k, (phase, outcome) in enumerate(solution.steps, start=1):
+        said = event_of(phase)
+        if outcome is not None and outcome.arm_trajectory is not None:
+            name = f"{k:02d}-{re.sub('[^A-Za-z0-9_.-]', '-', phase.name)}.json"
+            save_trajectory(outcome.arm_trajectory, args.trajectory / name)
+            said |= {"file": name, "duration_s": outcome.arm_trajectory.duration}
+        steps.append(said)
+    index = args.trajectory / "task.json"  # what is done in which order
+    text = json.dumps({"task": solution.task.name, "speed": args.speed, "steps": steps}, indent=1)
+    write_text(index, text + "\n")
+    files = sum("file" in step for step in steps)
+    return f"trajectory  {files} files and {len(steps) - files} gripper events, in order in {index}"
+
+
+def _savable(name: str) -> Path:
+    """A file that --save can write."""
+    path, known = writable_file(name), (PAGE, RECORDING, FILM)
+    if path.suffix == ".mp4":
+        raise InvalidInputError(
+            f"--save {path}: mp4 was removed; save {path.stem}.gif and convert it: "
+            f"ffmpeg -i {path.stem}.gif {path.name}"
+        )
+    if path.suffix not in known:
+        raise UnknownChoiceError(f"--save {path}: suffix", path.suffix, known)
+    return path
+
+
+def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list[str]:
+    """Write and open what was asked for of a problem or task; a line for each."""
+    # what the hand is shown with where the problem does not model it
+    of_suite = args.suite and isinstance(solution, Solution)
+    carried = suite_named(args.suite).carried if of_suite else ()
+    lines = []
+    suffix = None if args.save is None else args.save.suffix
+    if args.picture:
+        from cvqmpt_lab.show.picture import draw_solution, draw_task
+
+        what = "picture"
+        if isinstance(solution, Solution):
+            draw_solution(solution, args.picture, carried=carried)
+        else:
+            what = f"picture of {', '.join(draw_task(solution, args.picture))}"
+        lines.append(f"{what} written to {args.picture}")
+    if suffix == FILM:
+        from cvqmpt_lab.show.picture import film_solution
+
+        film_solution(solution, args.save, carried=carried, progress=ProgressBar("film"))
+        lines.append(f"film written to {args.save}")
+    if suffix == PAGE:
+        from cvqmpt_lab.show.web_page import save_page
+
+        notes = save_page(solution, args.save, carried)
+        size = args.save.stat().st_size / 1e6
+        lines.append(
+            f"page written to {args.save} ({size:.1f} MB); open it in a browser, no network is "
+            "needed"
+        )
+        lines += notes
+    if suffix == RECORDING or args.view:
+        from cvqmpt_lab.show.recording import log_solution
+
+        recording = args.save if suffix == RECORDING else None
+        log_solution(solution, recording, args.view, carried)
+        if recording:
+            lines.append(f"recording written to {recording}; open it with: rerun {recording}")
+    return lines
 
 
 OPTIONS: Options = {
@@ -160,15 +279,27 @@ OPTIONS: Options = {
         **REPEATED,
     ),
     "--scene": option("obstacles of --start and --goal, not --cloud", type=Path, metavar="S.json"),
-    "--seed": option("seed of all randomness (0)", type=int, default=0),
+    **SEED,
     "--json": option("print one json object instead of the report", **FLAG),
     "-v --verbose": option("say on standard error what happens inside", **FLAG),
     **MOTION,
     **SCAN,
     **BUDGET,
     **optimize_option(f"; {OPTIMIZE:g}, 0 for none"),
-    **SHOW,
-    "--save-path": option("write the path's states as csv", type=Path, metavar="PATH.csv"),
+    "pictures": {
+        "--picture": option(
+            "a still picture: start, goal and the path between; of a task, the end of each phase",
+            type=writable_file,
+            metavar="P.png",
+        ),
+        "--save": option(
+            "a page for a browser, a rerun recording, or a film",
+            type=_savable,
+            metavar="RUN.html|rrd|gif",
+        ),
+        "--view": option("open the rerun viewer; needs a display", **FLAG),
+    },
+    "--save-path": option("write the path's states as csv", type=writable_file, metavar="PATH.csv"),
     "--trajectory": option(
         "write the path as the fastest motion in time, json for ROS; of a task a folder: a file "
         "a phase",

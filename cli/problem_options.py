@@ -1,10 +1,13 @@
 """Options for problem, robot, budget and planners, and how they are read."""
 
 import argparse
+import contextlib
 import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from cli.options import (
     REPEATED,
@@ -16,15 +19,42 @@ from cli.options import (
     positive_int,
 )
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError, mapping
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.tasks.task import Task
+
+
+def _placement(text: str) -> dict[str, Any]:
+    """The pose of --base."""
+    x = numbers("--base", text)
+    if len(x) not in (3, 6):
+        raise InvalidInputError(f"--base {text!r}: write X,Y,Z or X,Y,Z,ROLL,PITCH,YAW [m, rad]")
+    return {"xyz": x[:3], "rpy": x[3:] or None}
+
+
+def _limits(text: str) -> float | list[float]:
+    """The numbers of --acceleration, or a single one."""
+    limits = numbers("--acceleration", text)
+    return limits[0] if len(limits) == 1 else limits
+
+
+def _locked_joint(text: str) -> tuple[str, float]:
+    """The joint and value of one --lock."""
+    joint, _, value = text.rpartition("=")
+    with contextlib.suppress(ValueError):
+        if joint and math.isfinite(float(value)):
+            return joint, float(value)
+    raise InvalidInputError(f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]")
+
 
 ROBOT_DETAILS: Options = {  # what may be said of a robot, whichever way it is named
     "--end-effector": option("its frame that constraint and goals speak of", metavar="FRAME"),
@@ -35,12 +65,17 @@ ROBOT_DETAILS: Options = {  # what may be said of a robot, whichever way it is n
         metavar="DIR",
         **REPEATED,
     ),
-    "--lock": option("fix a joint [rad or m]; repeatable", metavar="JOINT=VALUE", **REPEATED),
+    "--lock": option(
+        "fix a joint [rad or m]; repeatable", type=_locked_joint, metavar="JOINT=VALUE", **REPEATED
+    ),
     "--base": option(
-        "where its base stands [m], roll, pitch and yaw [rad]", metavar="X,Y,Z[,R,P,Y]"
+        "where its base stands [m], roll, pitch and yaw [rad]",
+        type=_placement,
+        metavar="X,Y,Z[,R,P,Y]",
     ),
     "--acceleration": option(
         "acceleration limits, one a joint or one for all [rad/s^2]; --trajectory needs them",
+        type=_limits,
         metavar="A[,A...]",
     ),
 }
@@ -112,40 +147,27 @@ def chosen_robot(args: argparse.Namespace) -> Robot:
 
 def robot_options(args: argparse.Namespace) -> dict[str, Any]:
     """The options of `ROBOT_DETAILS` that were given, as fields of a problem file's robot."""
-    options: dict[str, Any] = {}
-    if args.end_effector is not None:
-        options["end_effector"] = args.end_effector
-    if args.srdf is not None:
-        options["srdf"] = str(args.srdf.absolute())
-    if args.package_dir:
-        options["package_dirs"] = [str(folder.absolute()) for folder in args.package_dir]
-    if args.lock:
-        options["locked"] = dict(_locked_joint(text) for text in args.lock)
-    if args.base is not None:
-        x = numbers("--base", args.base)
-        if len(x) not in (3, 6):
-            raise InvalidInputError(
-                f"--base {args.base!r}: write X,Y,Z or X,Y,Z,ROLL,PITCH,YAW [m, rad]"
-            )
-        options["base"] = {"xyz": x[:3], "rpy": x[3:] or None}
-    if args.acceleration is not None:
-        limits = numbers("--acceleration", args.acceleration)
-        options["acceleration_limits"] = limits[0] if len(limits) == 1 else limits
-    return options
+    given = {
+        "end_effector": args.end_effector,
+        "srdf": args.srdf and str(args.srdf.absolute()),
+        "package_dirs": [str(folder.absolute()) for folder in args.package_dir],
+        "locked": dict(args.lock),
+        "base": args.base,
+        "acceleration_limits": args.acceleration,
+    }
+    return {name: value for name, value in given.items() if value not in (None, [], {})}
 
 
-def _locked_joint(text: str) -> tuple[str, float]:
-    """The joint and value of one --lock."""
-    joint, _, value = text.rpartition("=")
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if not joint or not math.isfinite(number):
-        raise InvalidInputError(
-            f"--lock {text!r}: write JOINT=VALUE with a finite number [rad or m]"
-        )
-    return joint, number
+def configuration(robot: Robot, option: str, text: str) -> np.ndarray:
+    """A configuration (n,) of the robot: numbers, or the name of a group_state of its SRDF."""
+    named = text if text in group_states(robot) else numbers(option, text, robot.joint_names)
+    return np.array(numbers_of(robot, named, option))
+
+
+def pose_region(option: str, text: str) -> TaskSpaceRegion:
+    """The region of one end-effector pose."""
+    x = numbers(option, text, ("x", "y", "z", "roll", "pitch", "yaw"))
+    return from_plain(Region, {"pose": {"at": {"xyz": x[:3], "rpy": x[3:]}}}, option)
 
 
 def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:

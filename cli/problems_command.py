@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import cvqmpt_lab
-from cli.options import FLAG, Options, ProgressBar, option, positive_int, writable_file
+from cli.options import FLAG, Options, ProgressBar, one_of, option, positive_int, writable_file
 from cli.problem_options import ROBOT, robot_source
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
@@ -25,8 +25,6 @@ GOALS_WIN = (
 
 def run(args: argparse.Namespace) -> int:
     """Build each problem; print a line or write a file."""
-    if args.action not in ACTIONS:
-        raise UnknownChoiceError("action", args.action, ACTIONS)
     goes_with = {
         "problems": "list or export",
         "out": "export or import",
@@ -130,7 +128,7 @@ ACTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "import": _import,
 }
 OPTIONS: Options = {
-    "action": option(", ".join(ACTIONS)),
+    "action": option(", ".join(ACTIONS), type=one_of("action", ACTIONS)),
     "what": option(
         f"suite: {', '.join(SUITES)}; with new: the file to write; with import: a scene of MoveIt "
         "(scene, yaml)"

@@ -15,7 +15,7 @@ from cli.options import (
 )
 from cli.problem_options import BUDGET, budget, optimize_budget, optimize_option, planner_list
 from cli.tables_command import page_of, show_tables, verdict_lines, write_report
-from cvqmpt_lab.benchmarks.suite import SUITES, Suite, folder_suite, suite_named
+from cvqmpt_lab.benchmarks.suite import SUITES, folder_suite, suite_named
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.planners import PLANNERS
@@ -27,7 +27,6 @@ from experiments.run import default_jobs, executor_for, run_experiment
 from paper_tables.suites import render_directory
 
 ALL = "all"
-HISTOGRAM = ("histogram", 30)  # the figure that is part of all, and of how many problems
 FIXED = (
     "problems",
     "problems_dir",
@@ -45,7 +44,11 @@ def run(args: argparse.Namespace) -> int:
     """Run what is missing in --out, then render its tables."""
     if args.suite == ALL:
         return _reproduce_all(args)
-    suite = _suite(args)
+    if (args.suite is None) == (args.problems_dir is None):
+        raise InvalidInputError(
+            f"name a suite ({', '.join(SUITES)}) or give --problems-dir, one of the two"
+        )
+    suite = suite_named(args.suite) if args.suite else folder_suite(args.problems_dir)
     experiment = Experiment(
         suite=suite.name if args.problems_dir is None else str(args.problems_dir.resolve()),
         problems=tuple(suite.problems[: args.problems]),
@@ -62,15 +65,6 @@ def run(args: argparse.Namespace) -> int:
         run_experiment(experiment, out, executor, own_command(), ProgressBar(suite.name))
     show_tables(out)
     return 0
-
-
-def _suite(args: argparse.Namespace) -> Suite:
-    """The suite that is named, or the problems of the folder."""
-    if (args.suite is None) == (args.problems_dir is None):
-        raise InvalidInputError(
-            f"name a suite ({', '.join(SUITES)}) or give --problems-dir, one of the two"
-        )
-    return suite_named(args.suite) if args.problems_dir is None else folder_suite(args.problems_dir)
 
 
 def _reproduce_all(args: argparse.Namespace) -> int:
@@ -90,7 +84,7 @@ def _reproduce_all(args: argparse.Namespace) -> int:
         with executor_for(experiment, jobs) as executor:
             run_experiment(experiment, folder, executor, command, ProgressBar(name))
         render_directory(folder)
-    figure, count = HISTOGRAM
+    figure, count = "histogram", 30
     folder = out / figure
     if not (folder / PROVENANCE_FILE).is_file():
         command = ["cvqmpt", "figure", figure, "--problems", str(count), "--out", str(folder)]

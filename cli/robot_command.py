@@ -30,8 +30,6 @@ def run(args: argparse.Namespace) -> int:
         for name, arm in ARMS.items():
             print(f"{name:16} {arm.urdf}, end effector {arm.end_effector}")
         return 0
-    for path in filter(None, (args.picture, args.srdf_out)):
-        writable_file(path)
     source, others = _source(args)
     robot = robot_from_source(source)
     said = describe(robot)
@@ -142,9 +140,9 @@ OPTIONS: Options = {
     "robot": option("none: the names are listed", nargs="?", metavar="URDF_OR_NAME"),
     **ROBOT_DETAILS,
     "--json": option("print everything as one json object", **FLAG),
-    "--picture": option("draw its collision pieces", type=Path, metavar="FILE.png"),
+    "--picture": option("draw its collision pieces", type=writable_file, metavar="FILE.png"),
     "--srdf-out": option(
-        "write the pairs of links that are not checked", type=Path, metavar="ARM.srdf"
+        "write the pairs of links that are not checked", type=writable_file, metavar="ARM.srdf"
     ),
 }
 COMMANDS = {"robot": (run, OPTIONS)}

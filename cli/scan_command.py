@@ -1,30 +1,195 @@
-"""`cvqmpt scan`: depth images or clouds in; a clean cloud or scene, and a picture out."""
+"""`cvqmpt scan`: depth images or clouds in; a clean cloud or scene out; options of other scans."""
 
 import argparse
+import json
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
-from cli.motion_options import configuration
-from cli.options import REPEATED, Options, option, writable_file
-from cli.problem_options import ROBOT, chosen_robot
-from cli.scan_options import SCAN, scan_of, scan_report, scene_of
+import numpy as np
+
+from cli.options import REPEATED, Options, numbers, option, positive, writable_file
+from cli.problem_options import ROBOT, chosen_robot, configuration
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import json_text, write_text
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
-from cvqmpt_lab.sensing.scan import Arm, refuse_touching
-from cvqmpt_lab.show.picture import draw_world
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.shapes import PointCloud
+from cvqmpt_lab.sensing.depth import read_capture
+from cvqmpt_lab.sensing.filters import BoxCrop
+from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
+from cvqmpt_lab.sensing.plane import CAMERA_UP
+from cvqmpt_lab.sensing.scan import RESOLUTION, Arm, Scan, ScanSettings, refuse_touching, scan
 
-SCENE = ".json"
+CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
+USUAL = ScanSettings()
+SCAN: Options = {
+    "cameras of the scan; options are repeated in the order of the files": {
+        "--intrinsics": option(
+            "of a depth image: width, height, fx, fy, cx, cy, or a ROS camera_info",
+            type=Path,
+            metavar="F.json|yaml",
+            **REPEATED,
+        ),
+        "--extrinsics": option(
+            "pose of the camera in the robot's base frame, x right, y down, z ahead: 4x4, xyz + "
+            "quaternion or rpy, ROS's translation + rotation; else points are in the base frame",
+            type=Path,
+            metavar="F.json|yaml",
+            **REPEATED,
+        ),
+        "--scale": option("[m] of a unit (1; of a 16-bit image 0.001)", type=positive, metavar="M"),
+        "--level": option("find the table, put it level: without --extrinsics", choices=("table",)),
+        "--front": option(
+            "where --level puts the table's near edge (0.3,0,0) [m]",
+            type=partial(numbers, "--front", names=("X", "Y", "Z")),
+            metavar="X,Y,Z",
+        ),
+    },
+    "filters of the scan": {
+        "--crop": option(
+            "keep what lies between two corners [m] (all)",
+            type=partial(numbers, "--crop", names=CORNERS),
+            metavar=",".join(CORNERS),
+        ),
+        "--voxel": option(
+            f"edge of voxels ({USUAL.voxel})", type=positive, default=USUAL.voxel, metavar="M"
+        ),
+        "--robot-margin": option(
+            f"points this near to the arm are the arm ({USUAL.robot_margin})",
+            type=float,
+            default=USUAL.robot_margin,
+            metavar="M",
+        ),
+        "--arm-at": option("configuration of the arm when the scan was taken", metavar="Q"),
+        "--neighbours": option(
+            f"points with fewer within three voxels go ({USUAL.neighbours})",
+            type=int,
+            default=USUAL.neighbours,
+            metavar="N",
+        ),
+        "--plane": option(
+            "the points of the supporting plane (keep)",
+            choices=("keep", "box", "remove"),
+            default="keep",
+        ),
+    },
+    "obstacles made of the scan": {
+        "--map": option(
+            f"edge of the cells of a map ({RESOLUTION})",
+            type=positive,
+            default=RESOLUTION,
+            metavar="M",
+        ),
+        "--padding": option(
+            "inflation radius of the cells (0)", type=float, default=0.0, metavar="M"
+        ),
+        "--unknown": option(
+            "cells that no ray of a camera crossed (free)",
+            choices=("free", "occupied"),
+            default="free",
+        ),
+        "--radius": option(
+            "balls around the points instead; 0.87 voxels cover all", type=positive, metavar="M"
+        ),
+    },
+}
+
+
+def scan_of(args: argparse.Namespace, files: Sequence[Path], arm: Arm | None) -> Scan:
+    """Read and clean the files as the options of `SCAN` say; arm: as it stood then."""
+    if args.level and args.extrinsics:
+        raise InvalidInputError("--level and --extrinsics: give one of the two")
+    if args.front and not args.level:
+        raise InvalidInputError("--front is that of --level table; give it")
+    intrinsics = _each("--intrinsics", args.intrinsics, files)
+    extrinsics = _each("--extrinsics", args.extrinsics, files)
+    cameras = zip(files, intrinsics, extrinsics, strict=True)
+    captures = [read_capture(file, lens, pose, args.scale) for file, lens, pose in cameras]
+    changes: dict = {}
+    if args.crop:
+        x, y, z, *upper = args.crop
+        changes["crop"] = BoxCrop((x, y, z), (upper[0], upper[1], upper[2]))
+    if args.front:
+        changes["front"] = tuple(args.front)
+    settings = ScanSettings(
+        level=args.level is not None,
+        voxel=args.voxel,
+        robot_margin=args.robot_margin,
+        neighbours=args.neighbours,
+        plane=args.plane,
+        **changes,
+    )
+    return scan(captures, settings, np.random.default_rng(0), arm)
+
+
+def scene_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
+    """The scan as obstacles; arm: the robot, which stands in known space."""
+    if args.radius is not None:
+        return made.scene(PointCloud(made.points, args.radius) if len(made.points) else None)
+    if len(made.points) == 0 and args.unknown == "free":
+        return made.scene()
+    settings = MapSettings(
+        resolution=args.map,
+        padding=args.padding,
+        unknown=args.unknown,
+        robot_margin=args.robot_margin,
+    )
+    return made.scene(occupancy_map(made.points, settings, made.captures, arm))
+
+
+def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence[Path | None]:
+    """A value for each file: one each, or none."""
+    if given and len(given) != len(files):
+        times = f"{len(given)} times for {len(files)} files"
+        raise InvalidInputError(f"{option} is given {times}; give one for each")
+    return given or [None] * len(files)
+
+
+def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
+    """The lines a person reads."""
+    names = ", ".join(path.name for path in files)
+    yield (
+        f"scan        {names}: {made.steps[0].before} points, {made.dropped} pixels or rows "
+        "without one"
+    )
+    if made.levelled is not None:
+        from scipy.spatial.transform import Rotation  # a third of a second to import
+
+        T, plane = made.levelled
+        tilt = np.degrees(np.arccos(np.clip(plane.normal @ CAMERA_UP, -1.0, 1.0)))
+        yield (
+            f"levelled    by a table of {plane.share:.0%} of the points, flat to "
+            f"{1e3 * plane.residual:.1f} mm: the camera looks {tilt:.1f} deg down from "
+            f"{-plane.offset:.2f} m above it"
+        )
+        quaternion = Rotation.from_matrix(T[:3, :3]).as_quat().round(6).tolist()
+        yield (
+            "extrinsics  "
+            f"{json.dumps({'xyz': T[:3, 3].round(4).tolist(), 'quaternion': quaternion})}"
+        )
+    for step in made.steps:
+        yield f"{step.name:11} {step.before} -> {step.after} points"
+    if made.plane is not None:
+        done = "now a box" if made.table is not None else "gone"
+        yield (
+            f"plane       flat to {1e3 * made.plane.residual:.1f} mm, at z = "
+            f"{made.plane.offset:.3f} m: {done}"
+        )
+
+
+def _cloud_or_scene(name: str) -> Path:
+    """A file that --out can write."""
+    path, known = writable_file(name), (".json", *HEADERS)
+    if path.suffix not in known:
+        raise UnknownChoiceError(f"--out {path}: suffix", path.suffix, known)
+    return path
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, clean, report, write."""
-    for path in filter(None, (*args.out, args.picture)):
-        writable_file(path)
-    for path in args.out:
-        if path.suffix not in (SCENE, *HEADERS):
-            raise UnknownChoiceError(f"--out {path}: suffix", path.suffix, (SCENE, *HEADERS))
     robot = chosen_robot(args)
     arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
     made = scan_of(args, args.files, arm)
@@ -33,13 +198,15 @@ def run(args: argparse.Namespace) -> int:
         refuse_touching(scene, arm)
     print("\n".join(scan_report(made, args.files)))
     for path in args.out:
-        if path.suffix == SCENE:
+        if path.suffix == ".json":
             write_text(path, json_text(to_plain(scene)) + "\n")
         else:
             write_cloud(path, made.points)
         print(f"written to {path}")
     if args.picture:
         q = 0.5 * (robot.lower + robot.upper) if arm is None else arm.q
+        from cvqmpt_lab.show.picture import draw_world  # Pillow and drawing take 0.2 s to import
+
         draw_world(PlanningProblem("scan", robot, scene, start=q, goals=q[None]), args.picture)
         print(f"picture written to {args.picture}")
     return 0
@@ -54,11 +221,11 @@ OPTIONS: Options = {
     ),
     "--out": option(
         "the cleaned cloud, or as json a scene for plan --scene; repeatable",
-        type=Path,
+        type=_cloud_or_scene,
         metavar="OUT.pcd|ply|npy|json",
         **REPEATED,
     ),
-    "--picture": option("what is left, and the robot", type=Path, metavar="P.png"),
+    "--picture": option("what is left, and the robot", type=writable_file, metavar="P.png"),
     **SCAN,
     "the robot whose points go (panda)": ROBOT,
 }

@@ -15,14 +15,18 @@ from packaging.requirements import Requirement
 
 from cli.main import COMMANDS as ALL_COMMANDS
 from cli.main import THREADS, parser_with
-from cli.options import Options, log, option, positive_int, writable_file
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, install_command
+from cli.options import Options, log, one_of, option, positive_int, writable_file
+from cvqmpt_lab.errors import CvqmptError, install_command
 from cvqmpt_lab.files import write_text
 
 BENCHES = ("stages", "paper-check")
-REMOVED_BENCHES = (
-    "kernels", "collision", "planners", "networks", "transformer", "sequences", "throughput",
-    "growth", "edge-model", "calibration", "unconstrained", "scan", "meshes",
+REMOVED = dict.fromkeys(
+    (
+        "kernels", "collision", "planners", "networks", "transformer", "sequences", "throughput",
+        "growth", "edge-model", "calibration", "unconstrained", "scan", "meshes",
+    ),
+    "its last figures are in docs/performance.md; use bench stages, or planners of a run: cvqmpt "
+    "reproduce place-task",
 )  # fmt: skip
 
 
@@ -37,19 +41,21 @@ class Finding(NamedTuple):
 
 def doctor(args: argparse.Namespace) -> int:
     """Check everything; exit code 1 when something that planning needs is broken."""
-    found = [*_machine(), *_packages(), *_weights(), _kernels(), _display()]
+    cores = f"{len(os.sched_getaffinity(0))} of {os.cpu_count()} cores for this process"
+    threads = [f"{name}={os.environ.get(name, 'not set')}" for name in THREADS]
+    found = [
+        Finding("machine", f"Python {platform.python_version()}, {platform.platform()}, {cores}"),
+        Finding("threads", ", ".join(threads)),
+        *_packages(),
+        *_weights(),
+        _kernels(),
+        _display(),
+    ]
     for what, says, cure, needed in found:
         state = "ok" if not cure else "BROKEN" if needed else "without"
         head, text = f"{state:8} {what:10} ", f"{says}; {cure}" if cure else says
         print(textwrap.fill(head + text, 100, subsequent_indent=" " * 20, break_long_words=False))
     return 1 if any(item.cure and item.needed for item in found) else 0
-
-
-def _machine() -> Iterator[Finding]:
-    cores = f"{len(os.sched_getaffinity(0))} of {os.cpu_count()} cores for this process"
-    yield Finding("machine", f"Python {platform.python_version()}, {platform.platform()}, {cores}")
-    threads = [f"{name}={os.environ.get(name, 'not set')}" for name in THREADS]
-    yield Finding("threads", ", ".join(threads))
 
 
 def _packages() -> Iterator[Finding]:
@@ -132,8 +138,6 @@ def warmup(args: argparse.Namespace) -> int:
 
 def completion(args: argparse.Namespace) -> int:
     """Print the shell's completion script for commands, options, names and files."""
-    if args.shell not in shtab.SUPPORTED_SHELLS:
-        raise UnknownChoiceError("shell", args.shell, shtab.SUPPORTED_SHELLS)
     from cvqmpt_lab.benchmarks.suite import SUITES
     from cvqmpt_lab.planners import CONTROLS, PLANNERS
     from cvqmpt_lab.robot.source import ARMS
@@ -146,7 +150,7 @@ def completion(args: argparse.Namespace) -> int:
     for action in _actions(parser):
         if action.dest in names:
             action.choices = list(names[action.dest])
-        elif action.type is Path:
+        elif Path in (action.type, getattr(action.type, "__annotations__", {}).get("return")):
             kind = shtab.DIR if action.metavar == "DIR" else shtab.FILE
             action.complete = kind  # type: ignore[attr-defined]
     print(shtab.complete(parser, args.shell))
@@ -164,15 +168,6 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
 
 def bench(args: argparse.Namespace) -> int:
     """Measure and print a table."""
-    if args.bench in REMOVED_BENCHES:
-        raise InvalidInputError(
-            f"bench {args.bench} was removed, its last figures are in docs/performance.md; use "
-            "bench stages, or planners of a run: cvqmpt reproduce place-task"
-        )
-    if args.bench not in BENCHES:
-        raise UnknownChoiceError("bench", args.bench, BENCHES)
-    if args.json:
-        writable_file(args.json)
     from cvqmpt_lab.warm_up import compile_kernels
     from experiments.paper_check import paper_check
     from experiments.stage_times import stage_times, tuning_problems
@@ -191,15 +186,19 @@ def bench(args: argparse.Namespace) -> int:
     return 0
 
 
-NOTHING: Options = {}
+SHELL: Options = {
+    "shell": option(
+        f"one of {', '.join(shtab.SUPPORTED_SHELLS)}", type=one_of("shell", shtab.SUPPORTED_SHELLS)
+    )
+}
 BENCH: Options = {
-    "bench": option(", ".join(BENCHES)),
+    "bench": option(", ".join(BENCHES), type=one_of("bench", BENCHES, REMOVED)),
     "--problems": option("of stages: problems (20)", type=positive_int, default=20, metavar="N"),
-    "--json": option("write the figures as json too", type=Path, metavar="F"),
+    "--json": option("write the figures as json too", type=writable_file, metavar="F"),
 }
 COMMANDS = {
-    "doctor": (doctor, NOTHING),
-    "warmup": (warmup, NOTHING),
-    "completion": (completion, {"shell": option(f"one of {', '.join(shtab.SUPPORTED_SHELLS)}")}),
+    "doctor": (doctor, {}),
+    "warmup": (warmup, {}),
+    "completion": (completion, SHELL),
     "bench": (bench, BENCH),
 }

@@ -3,7 +3,6 @@
 import argparse
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cli.options import (
     FLAG,
@@ -11,18 +10,17 @@ from cli.options import (
     Options,
     ProgressBar,
     log,
+    not_negative_int,
+    one_of,
     option,
     own_command,
     positive,
     positive_int,
 )
 from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, require_torch, whole_number
+from cvqmpt_lab.errors import InvalidInputError, require_torch
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
-
-if TYPE_CHECKING:
-    from cvqmpt_lab.training.profiles import Profile
 
 # as in `training.profiles`, which needs torch
 STAGES = ("stage1", "mpnet", "transformer", "published")
@@ -36,20 +34,19 @@ PROFILE_NAMES = ("smoke", "compact", "published")
 
 def run(args: argparse.Namespace) -> int:
     """Train, showing loss and time left."""
-    if args.stage in REMOVED:
-        raise InvalidInputError(f"train {args.stage} was removed: {REMOVED[args.stage]}")
     require_torch("cvqmpt train")
+    from cvqmpt_lab.training.profiles import Profile, profile_named
     from cvqmpt_lab.training.trainer import joined_processes, run_training
 
-    profile = _profile(args)
+    profile = profile_named(args.profile)
+    if args.config is not None:
+        profile = from_plain(Profile, read_json_object(args.config), "profile")
     if args.print_config:
         print(json.dumps(to_plain(profile, complete=True), indent=2))
         return 0
     for name in ("data", "out"):
         if getattr(args, name) is None:
             raise InvalidInputError(f"give --{name} DIR")
-    for name in ("seed", "workers"):
-        whole_number(f"--{name}", getattr(args, name))
     command = own_command()
     origin = provenance(command, [args.seed])
     progress = run_training(
@@ -76,16 +73,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _profile(args: argparse.Namespace) -> "Profile":
-    from cvqmpt_lab.training.profiles import Profile, profile_named
-
-    if args.config is None:
-        return profile_named(args.profile)
-    return from_plain(Profile, read_json_object(args.config), "profile")
-
-
 OPTIONS: Options = {
-    "stage": option(f"what to train: {', '.join(STAGES)}"),
+    "stage": option(f"what to train: {', '.join(STAGES)}", type=one_of("train", STAGES, REMOVED)),
     ONE_OF: {
         "--profile": option(f"of {', '.join(PROFILE_NAMES)} (compact)", default="compact"),
         "--config": option("a profile of your own, see --print-config", type=Path, metavar="FILE"),
@@ -101,12 +90,12 @@ OPTIONS: Options = {
         type=Path,
         metavar="DIR",
     ),
-    "--seed": option("repeatable on a CPU (0)", type=int, default=0, metavar="S"),
+    "--seed": option("repeatable on a CPU (0)", type=not_negative_int, default=0, metavar="S"),
     "--epochs": option("in all (the profile's)", type=positive_int, metavar="N"),
     "--minutes": option("stop and save after M minutes", type=positive, metavar="M"),
     "--device": option("cpu, cuda, or auto (auto)", default="auto"),
     "--workers": option(
-        "processes that prepare batches (0: none)", type=int, default=0, metavar="J"
+        "processes that prepare batches (0: none)", type=not_negative_int, default=0, metavar="J"
     ),
 }
 COMMANDS = {"train": (run, OPTIONS)}

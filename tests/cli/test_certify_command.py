@@ -357,8 +357,6 @@ def test_a_trajectory_without_velocities_with_times_that_go_back_or_in_other_uni
     ):
         (tmp_path / "a.csv").write_text(text)
         assert words in refused(capsys, "certify", tmp_path / "a.csv", "place-task")
-    words = ("certify", tmp_path / "a.csv", "place-task", "--current", "a b")
-    assert "write numbers" in refused(capsys, *words)
 
 
 def test_a_pipe_or_a_device_is_no_motion(tmp_path, capsys):

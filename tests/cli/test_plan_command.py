@@ -51,12 +51,6 @@ def test_command_line(task, tmp_path, capsys):
     out = capsys.readouterr().out
     names = [phase.name for phase in task.phases if isinstance(phase, PlannedPhase)]
     assert all(name in out for name in (*names, "solved"))
-    assert main(["plan", "place-task", "--task-file", str(tmp_path / "task.json")]) == 2
-    assert "one of the four" in capsys.readouterr().err
-    assert main(f"plan --task-file {tmp_path}/task.json --save-path {tmp_path}/a.csv".split()) == 2
-    assert "--save-path does not go with a task" in capsys.readouterr().err
-    assert main(["plan", "--task-file", str(tmp_path / "task.json"), "--trajectory", "a.json"]) == 2
-    assert "of a task it is a folder" in capsys.readouterr().err
     assert main(f"problems export multi-sequence --problems 1 --out {tmp_path}".split()) == 0
     exported = Task.load(tmp_path / "multi-sequence-000.json")
     assert exported.to_dict() == multi_sequence_task(0).to_dict()

@@ -123,23 +123,6 @@ def test_folders_that_are_no_suite_are_refused_before_anything_runs(folder, tmp_
     assert re.search(r"b2.json is not json: .*line 2", told())
 
 
-def test_a_suite_or_a_folder_is_named(folder, capsys):
-    assert "one of the two" in refused(capsys, "reproduce", "place-task", "--problems-dir", folder)
-    assert "one of the two" in refused(capsys, "reproduce", *BUDGET)
-    assert "--problems-dir does not go with 'all'" in refused(
-        capsys, "reproduce", "all", "--problems-dir", folder
-    )
-    assert "--problems-dir goes with the directory" in refused(
-        capsys,
-        "certify",
-        folder / "b2.json",
-        "--problem-file",
-        folder / "b2.json",
-        "--problems-dir",
-        folder,
-    )
-
-
 def test_without_named_planners_all_run_that_can(folder, tmp_path):
     changed(
         folder / "b10.json",

@@ -13,10 +13,11 @@ with Path(__file__).with_name("refused.csv").open(newline="") as file:
 
 @pytest.mark.parametrize("row", TABLE, ids=[row["command"] for row in TABLE])
 def test_a_wrong_command_is_one_line(row, problem_file, scan_folder, capsys):
-    """{problem} stands for a problem file, {scan} for a depth image; the exit code is 2."""
+    """{problem} stands for a problem file, {scan} for a depth image, and so on; exit code 2."""
     before, depth, start = set(Path().iterdir()), scan_folder / "depth", SCAN_START
     extrinsics = f"--extrinsics {depth}.extrinsics.json"
     command = row["command"].replace("{problem}", str(problem_file))
+    command = command.replace("{task}", "tests/data/task-1.json").replace("{path}", "x.csv")
     command = command.replace(
         "{scan}", f"{depth}.png --intrinsics {depth}.intrinsics.json {extrinsics}"
     )

@@ -7,7 +7,6 @@ import subprocess
 from importlib import metadata
 
 import pytest
-from command_line import refused
 
 from cli import setup_command
 from cli.main import COMMANDS, main
@@ -48,10 +47,6 @@ def test_bash_offers(script, words, offered):
     asked = ["bash", "-c", ASK, "bash", script, "cvqmpt", *words]
     done = subprocess.run(asked, capture_output=True, text=True)
     assert set(done.stdout.split()) == offered, done.stderr
-
-
-def test_an_unknown_shell_is_refused(capsys):
-    assert "'nope'" in (line := refused(capsys, "completion", "nope")) and "bash" in line
 
 
 def findings(capsys):

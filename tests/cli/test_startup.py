@@ -4,19 +4,18 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from command_line import ROOT, environment
 
 from cli.train_command import PROFILE_NAMES, STAGES
 from cvqmpt_lab.planners import PLANNERS
 
-ROOT = Path(__file__).resolve().parents[2]
 HEAVY = (
     "torch", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.ndimage", "matplotlib",
     "cvxpy", "ompl", "PIL", "rerun", "trimesh", "collada", "paper_tables", "urllib.request",
 )  # fmt: skip
-IMPORT = ("--dictionary-dir", "d", "--ar-dir", "a", "--out", "o")
+IMPORT = "--dictionary-dir d --ar-dir a --out o"
 LEARNED = ("safetensors", "cvqmpt_lab.vqmpt.weights")
 REPORT = "import json, sys; print(json.dumps(sorted(sys.modules)))"
 PEAK = (
@@ -31,10 +30,7 @@ def bare(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bare") / "torch"
     folder.mkdir()
     (folder / "__init__.py").write_text("raise ImportError('torch is not installed here')\n")
-    path = os.pathsep.join(
-        filter(None, (str(folder.parent), str(ROOT), os.environ.get("PYTHONPATH")))
-    )
-    return os.environ | {"PYTHONPATH": path}
+    return environment(PYTHONPATH=f"{folder.parent}{os.pathsep}{ROOT}")
 
 
 def python(code, env=None):
@@ -81,21 +77,8 @@ def test_the_package_alone_and_help_import_next_to_nothing():
 
 
 def test_all_planners_reproduce_and_render_without_torch(bare, tmp_path):
-    words = [
-        "reproduce",
-        "place-task",
-        "--problems",
-        "1",
-        "--seeds",
-        "1",
-        "--cutoff",
-        "1",
-        "--jobs",
-        "1",
-        "--planners",
-        "all",
-    ]
-    words += ["--out", str(tmp_path / "run")]
+    few = "reproduce place-task --problems 1 --seeds 1 --cutoff 1 --jobs 1 --planners all"
+    words = [*few.split(), "--out", str(tmp_path / "run")]
     code = f"from cli.main import main; raise SystemExit(main({words!r}))"
     done = subprocess.run([sys.executable, "-c", code], env=bare, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -104,25 +87,22 @@ def test_all_planners_reproduce_and_render_without_torch(bare, tmp_path):
     assert not [row for row in rows if "torch" in row]
 
 
+def without_torch(*words):
+    """A command in a process that cannot import torch."""
+    code = "import sys; sys.modules['torch'] = None; from cli.main import main; "
+    code += f"sys.exit(main({words!r}))"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+
+
 def test_help_of_train_needs_no_torch_and_names_what_the_profiles_have():
-    code = (
-        "import sys; sys.modules['torch'] = None; from cli.main import main; main(['train', "
-        "'--help'])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = without_torch("train", "--help")
     assert done.returncode == 0 and "stage1, mpnet, transformer" in done.stdout, done.stderr
     profiles = pytest.importorskip("cvqmpt_lab.training.profiles")
     assert tuple(profiles.MODELS) == STAGES and tuple(profiles.PROFILES) == PROFILE_NAMES
 
 
 def test_what_needs_torch_says_how_to_get_it():
-    code = "import sys; sys.modules['torch'] = None; from cli.main import main; print(main({!r}))"
-    for words in (["train", "stage1", "--data", "d", "--out", "o"], ["model", "import", *IMPORT]):
-        done = subprocess.run(
-            [sys.executable, "-c", code.format(words)], capture_output=True, text=True
-        )
-        assert done.stdout.splitlines()[-1] == "2", done.stderr
-        assert (
-            "pip install -c constraints.txt -e '.[train]'" in done.stderr
-            and done.stderr.count("\n") == 1
-        )
+    for words in ("train stage1 --data d --out o", "model import " + IMPORT):
+        done = without_torch(*words.split())
+        assert done.returncode == 2 and done.stderr.count("\n") == 1
+        assert "pip install -c constraints.txt -e '.[train]'" in done.stderr

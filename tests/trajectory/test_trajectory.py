@@ -217,18 +217,3 @@ def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, sl
     assert out.read_text().startswith("time,rail_position,lift_position,")
     # 1 rad at 1 rad/s, from rest to rest
     assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("--trajectory motion.txt", "'.txt'; valid choices: .csv, .json"),
-        ("--trajectory /nope/motion.csv", "folder /nope does not exist"),
-        ("--trajectory motion.csv --speed 1.5", "speed factor 1.5"),
-        ("--trajectory motion.csv --speed fast", "'fast'"),
-        ("--speed 0.5", "--trajectory"),
-        ("--acceleration 1", "--urdf"),
-    ],
-)
-def test_what_plan_refuses_about_trajectories(capsys, words, expected):
-    assert expected in refused(capsys, "plan", "place-task", *words.split())
