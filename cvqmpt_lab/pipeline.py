@@ -19,7 +19,7 @@ from cvqmpt_lab.search.anytime import Improvement, Restarts, check_units, improv
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
 from cvqmpt_lab.search.planner_interface import Observation, Query, SamplingDistribution, search
-from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus
+from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.search.shortcut import Simplified, SimplifySettings, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -147,45 +147,35 @@ def solve(
         exact = f"exact checks near {', '.join(space.doubtful)}"
         plan = replace(plan, detail="; ".join(filter(None, (plan.detail, exact))))
     sampled = stages.search is None and proposal.path is None and not proposal.as_is
-    drawn_from = proposal.distribution if sampled else None
-    shorter = None
+    shorter = certificate = improvement = None
     if plan.path is not None:
         # the path of an external planner is not post-processed
         shorter = Simplified(plan.path, 0.0, Counters())
         if not plan.as_is:
             shorter = simplify(space, plan.path, rng, simplification)
     wall = time.perf_counter() - called - goal_seconds - observation.seconds
-    found = Solution(
+    if shorter is not None:
+        certificate = certify(problem, shorter.path, clearance=clearance)
+    if shorter is not None and optimize is not None and not plan.as_is:
+        rng = problem.random_stream(seed, 1)
+        paths = stages.path_source or Restarts(tree_search, proposal.distribution)
+        best, improvement = improve(space, paths, shorter.path, optimize, rng, simplification)
+        better = certify(problem, best, clearance=clearance)
+        if better.valid:
+            shorter, certificate = replace(shorter, path=best), better
+        else:
+            improvement = replace(improvement, lengths=improvement.lengths[:1])
+    return Solution(
         problem,
         plan,
         shorter,
-        None,
+        certificate,
         goal_seconds,
         observation.seconds,
         wall,
-        distribution=drawn_from,
+        improvement,
+        proposal.distribution if sampled else None,
     )
-    if shorter is None:
-        return found
-    found = replace(found, certificate=certify(problem, shorter.path, clearance=clearance))
-    if optimize is None or plan.as_is:
-        return found
-    rng = problem.random_stream(seed, 1)
-    paths = stages.path_source or Restarts(tree_search, proposal.distribution)
-    best, improvement = improve(space, paths, shorter.path, optimize, rng, simplification)
-    return _with_better(found, best, improvement, clearance)
-
-
-def _with_better(
-    found: Solution, best: JointPath, improvement: Improvement, clearance: bool
-) -> Solution:
-    """The solution with a path that is no longer, if that is certified."""
-    assert found.simplified is not None
-    certificate = certify(found.problem, best, clearance=clearance)
-    if not certificate.valid:
-        return replace(found, improvement=replace(improvement, lengths=improvement.lengths[:1]))
-    simplified = replace(found.simplified, path=best)
-    return replace(found, simplified=simplified, certificate=certificate, improvement=improvement)
 
 
 def solve_many(
@@ -228,7 +218,8 @@ def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float
     began = time.perf_counter()
     found = drawn_goals(problem).configurations
     kept = found[np.linalg.norm(problem.manifold.residual(found), axis=1) <= TOLERANCE]
-    return problem.with_goals(kept if len(kept) else found), time.perf_counter() - began
+    posed = problem.changed(goals=kept if len(kept) else found)
+    return posed, time.perf_counter() - began
 
 
 def drawn_goals(problem: PlanningProblem) -> GoalSample:

@@ -35,13 +35,13 @@ from cvqmpt_lab.codec import Document, OneOrMore
 from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region, why_none
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.report import bound_usage, bounds_text, broken_bound, displacements
+from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements
 from cvqmpt_lab.constraints.task_space_region import (
     TOLERANCE,
     RegionConstraint,
     TaskSpaceRegionChain,
 )
-from cvqmpt_lab.errors import InvalidProblemError, mapping, shown, unique
+from cvqmpt_lab.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
@@ -79,8 +79,7 @@ class GoalsForm(Array):
 
 
 RobotOfSource = Annotated[Robot, RobotForm()]
-GOALS = GoalsForm((None, None), "numbers [rad or m]")
-States = Annotated[FloatArray, GOALS]
+States = Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")]
 Regions = Annotated[tuple[Region, ...], OneOrMore(Region)]
 Clearance = Annotated[
     float,
@@ -227,13 +226,6 @@ class PlanningProblem(Document):
         """The constraint as a function F(q)."""
         return RegionConstraint(self.robot, self.constraint)
 
-    def with_goals(self, goals: np.ndarray) -> PlanningProblem:
-        """The same problem with goal configurations (k, n) [rad or m]; no more is checked again."""
-        where = f"PlanningProblem {shown(self.name)}: goals"
-        problem = self.changed(goals=GOALS.read(goals, where))
-        problem._check_configurations()
-        return problem
-
     def random_stream(self, *keys: int) -> np.random.Generator:
         """Generator seeded by keys (a seed) and the start; without keys alike for all planners."""
         return np.random.default_rng([*keys, *np.abs(self.start * 1e6).astype(np.uint64)])
@@ -289,10 +281,12 @@ def shared_checker(
     return _OF_THREAD.checker(robot, scene, attachments, margin, clearance)
 
 
-def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = None) -> None:
+def check_problem(problem: PlanningProblem) -> None:
     """Refuse a start or goal in collision, off the manifold or outside the goal region."""
-    checker = checker or problem.collision_checker()
-    for label, q in problem.labelled_configurations():
+    checker = problem.collision_checker()
+    states = np.vstack([problem.start, problem.goals])
+    off = np.linalg.norm(problem.manifold.residual(states), axis=1) > TOLERANCE
+    for (label, q), q_is_off in zip(problem.labelled_configurations(), off, strict=True):
         if checker.in_collision(q):
             gap = (
                 ", or leave 1 mm between what is carried and what it stands on"
@@ -303,18 +297,18 @@ def check_problem(problem: PlanningProblem, checker: CollisionChecker | None = N
                 f"{problem.name}: {label} is in collision: {checker.contact(q)}; choose another "
                 f"configuration{gap}"
             )
-        if np.linalg.norm(problem.manifold.residual(q)) > TOLERANCE:
+        if q_is_off:
             raise InvalidProblemError(f"{problem.name}: {_off_manifold(problem, label, q)}")
     if problem.goal_region is None:
         return
-    for k, goal in enumerate(problem.goals):
-        usage = bound_usage(problem.robot, (problem.goal_region,), goal[None])
-        worst = max((use.excess for use in usage), default=0.0)
-        if worst > CONTRADICTION:
-            raise InvalidProblemError(
-                f"{problem.name}: goal {k} lies outside 'goal_region' by {worst:.4f} (rad or m); "
-                "take out 'goals', and new ones are drawn from the region, or 'goal_region'"
-            )
+    lower, upper = problem.goal_region.Bw.T
+    x = displacements(problem.robot, problem.goal_region, problem.goals)
+    outside = np.maximum(lower - x, x - upper).max(axis=1)
+    for k in np.flatnonzero(outside > CONTRADICTION)[:1]:
+        raise InvalidProblemError(
+            f"{problem.name}: goal {k} lies outside 'goal_region' by {outside[k]:.4f} (rad or m); "
+            "take out 'goals', and new ones are drawn from the region, or 'goal_region'"
+        )
 
 
 def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> str:

@@ -49,7 +49,7 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
         "warm-up", robot, kitchen(), start, np.empty((0, robot.dof)), (upright(),), goal_region=pose
     )
     warm_up(problem, planner_named("birrt"), "compiled")  # goals, trees and shortcuts
-    problem = problem.with_goals(start[None])
+    problem = problem.changed(goals=start[None])
     for name in ("roadmap", "opt-cvq-mpt"):
         _propose(problem, planner_named(name), "compiled")
     space = ConstrainedSpace(problem)  # what planners in Python ask state by state
@@ -84,8 +84,8 @@ def warm_up(
         announce("compiling kernels, once per machine and version ...")
     empty, _ = with_sampled_goals(replace(problem, scene=Scene("empty", ())))
     goals = empty.goals if len(empty.goals) else problem.start[None]
-    _propose(empty.with_goals(goals), method, backend)
-    _search(empty.with_goals(goals), method, backend)
+    _propose(empty.changed(goals=goals), method, backend)
+    _search(empty.changed(goals=goals), method, backend)
 
 
 def _propose(problem: PlanningProblem, method: Method, backend: str) -> None:

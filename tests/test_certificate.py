@@ -85,7 +85,7 @@ def test_a_collision_between_the_states_is_found(problem, states):
 def test_any_goal_will_do_and_so_will_the_goal_region(problem, states):
     others = problem.goals[np.abs(problem.goals - states[-1]).max(axis=1) > 0.0]
     assert len(others) == len(problem.goals) - 1
-    assert reasons(problem.with_goals(others), states) == ()  # the end lies in the region
+    assert reasons(problem.changed(goals=others), states) == ()  # the end lies in the region
     elsewhere = replace(problem, goals=others, goal_region=None)
     assert reasons(elsewhere, states) == ("does not end at a goal",)
 

@@ -24,7 +24,7 @@ ENOUGH = Budget(iterations=20_000)
 
 def test_many_problems_are_solved_as_each_alone_in_the_order_given(problem):
     other = place_problem(1)
-    problems = [problem, other, problem.with_goals(problem.goals[:3])]
+    problems = [problem, other, problem.changed(goals=problem.goals[:3])]
     found = solve_many(problems, "birrt", ENOUGH, seed=1, clearance=False)
     assert [solution.problem.name for solution in found] == [given.name for given in problems]
     for given, solution in zip(problems, found, strict=True):

@@ -97,7 +97,7 @@ def single_goal_problem(environment: int) -> PlanningProblem | UnsolvableProblem
     found = drawn_goals(problem)
     if len(found.configurations) == 0:
         return UnsolvableProblem(problem.name, f"no goal: {found.outcome}", FailReason.NO_GOAL)
-    return problem.with_goals(found.configurations[:1])
+    return problem.changed(goals=found.configurations[:1])
 
 
 def place_problem(environment: int, with_can: bool = False) -> PlanningProblem | UnsolvableProblem:

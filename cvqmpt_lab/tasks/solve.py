@@ -227,7 +227,7 @@ class _Run:
             try:
                 # each phase must observe its own world, so not from the cache
                 solution = solve(
-                    problem.with_goals(step.goals),
+                    problem.changed(goals=step.goals),
                     "birrt" if incompatible else self.method,
                     self.budget.share(share),
                     int(np.random.default_rng([self.seed, self.runs]).integers(2**32)),

@@ -22,7 +22,7 @@ CAMERA = Camera(LENS, look_at((-0.4, 0.3, 1.2), (0.6, 0.0, 0.0)))
 @pytest.fixture(scope="session")
 def problem_data(problem):
     """The json form of a place problem with one goal."""
-    return problem.with_goals(problem.goals[:1]).to_dict()
+    return problem.changed(goals=problem.goals[:1]).to_dict()
 
 
 @pytest.fixture

@@ -57,7 +57,7 @@ def already_there(rng):
     """The goal is the start, among others or alone."""
     problem = between(rng)
     others = problem.goals if rng.random() < 0.5 else problem.goals[:0]
-    return problem.with_goals(np.concatenate([others, problem.start[None]]))
+    return problem.changed(goals=np.concatenate([others, problem.start[None]]))
 
 
 def blocked(rng):

@@ -101,5 +101,5 @@ def problem_around(seed):
     for q in robot.random_configurations(rng, 20):
         goal = problem.manifold.project(q)
         if goal is not None and not checker.in_collision(goal) and not checker.in_collision(start):
-            return problem.with_goals(goal[None])
+            return problem.changed(goals=goal[None])
     return None

@@ -67,7 +67,7 @@ def test_exact_checks_answer_near_it_only(tight):
     expected = ~exact.in_collision_batch(near)
     assert (expected & cautious.in_collision_batch(near)).sum() > 50
     np.testing.assert_array_equal([space.valid(q) for q in near], expected)
-    both = tight.with_goals(np.array([*tight.goals[:2], tight.start]))
+    both = tight.changed(goals=np.array([*tight.goals[:2], tight.start]))
     assert ConstrainedSpace(both).doubtful == ("start", "goal 2")
 
 

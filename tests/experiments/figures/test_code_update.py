@@ -126,7 +126,7 @@ def test_figures_repeat_byte_for_byte(update):
 def test_no_codes_is_said(problem, panda, tmp_path):
     save_checkpoint(tmp_path / "silent", random_checkpoint(panda, goal_bias=-1e6))
     with pytest.raises(InvalidInputError, match="predicted no codes"):
-        update_codes(problem.with_goals(problem.goals[:1]), str(tmp_path / "silent"), SETTINGS)
+        update_codes(problem.changed(goals=problem.goals[:1]), str(tmp_path / "silent"), SETTINGS)
 
 
 def rows_of(path):
