@@ -39,23 +39,17 @@ class _Interrupted(BaseException):
 class ExternalPlanner:
     """The stage `predict` of an external planner: all of its planning.
 
-    It is late after its seconds times 1 + late_share, plus late_s; it is interrupted after
-    interrupt_share times its seconds, plus interrupt_s.
+    It is late after 1.1 times its seconds and 0.1 s, and interrupted after twice its seconds and
+    0.5 s.
     """
 
     planner: Callable[..., Any]
     made_by: str  # distributions and their versions, or the module's file
-    late_share: float = 0.1
-    late_s: float = 0.1
-    interrupt_share: float = 2.0
-    interrupt_s: float = 0.5
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Propose a path, or the reason of a failure, for a query's problem, budget and seed."""
         budget, seconds = query.deadline.budget, query.deadline.budget.seconds
-        interrupt_after = None
-        if seconds is not None:
-            interrupt_after = self.interrupt_share * seconds + self.interrupt_s
+        interrupt_after = None if seconds is None else 2.0 * seconds + 0.5
         answer, failure, detail = None, None, ""
         with _redirected_output() as output:
             try:
@@ -69,7 +63,7 @@ class ExternalPlanner:
                 failure, detail = PlanStatus.PLANNER_ERROR, f"{type(error).__name__}: {error}"
         if seconds is not None and failure is not PlanStatus.PLANNER_ERROR:
             took = query.deadline.seconds
-            if failure is not None or took > (1.0 + self.late_share) * seconds + self.late_s:
+            if failure is not None or took > 1.1 * seconds + 0.1:
                 failure = PlanStatus.OVERTIME
                 late = f"{took:.3g} s where {seconds:g} s were given"
                 detail = "; ".join(filter(None, (late, detail)))
@@ -256,27 +250,23 @@ def _redirected_output(first_characters: int = 60) -> Iterator[list[str]]:
     The list gets one sentence about it where something was written.
     """
     notes: list[str] = []
-    stdout = 1  # its file descriptor
-    with tempfile.TemporaryFile() as kept, contextlib.ExitStack() as stack:
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as kept:
         sys.stdout.flush()
-        own = os.dup(stdout)
-        os.dup2(kept.fileno(), stdout)
-        copy = os.fdopen(os.dup(kept.fileno()), "w", encoding="utf-8", errors="replace")
-        text = stack.enter_context(copy)
+        own = os.dup(1)  # the file descriptor of standard output
+        os.dup2(kept.fileno(), 1)
         try:
-            with contextlib.redirect_stdout(text):
+            with contextlib.redirect_stdout(kept):
                 yield notes
         finally:
-            text.flush()
-            os.dup2(own, stdout)
+            kept.flush()
+            os.dup2(own, 1)
             os.close(own)
             size = kept.seek(0, os.SEEK_END)
-            if size:
-                kept.seek(0)
-                written = kept.read()
-                first = written[:first_characters].decode(errors="replace")
+            kept.seek(0)
+            written = kept.read()
+            if written:
+                first = " ".join(written[:first_characters].split())
                 notes.append(
-                    f"wrote {size} bytes to standard output, shown on standard error: "
-                    f"{' '.join(first.split())!r}"
+                    f"wrote {size} bytes to standard output, shown on standard error: {first!r}"
                 )
-                sys.stderr.write(written.decode(errors="replace"))
+                sys.stderr.write(written)

@@ -71,12 +71,13 @@ def folder() -> Path | None:
 def forget_unused(place: Path, kept: int = 8) -> None:
     """Remove machine code of all but the `kept` versions of the sources that were used last."""
     with contextlib.suppress(OSError):  # another process removes it, too
-        named = [one for one in place.iterdir() if re.fullmatch("[0-9a-f]{16}", one.name)]
-        ours = []
-        for one in named:
+        ours = [
+            one
+            for one in place.iterdir()
+            if re.fullmatch("[0-9a-f]{16}", one.name)
             # a folder that holds anything else is not ours
-            if one.is_dir() and all(f.suffix in (".nbi", ".nbc", "") for f in one.iterdir()):
-                ours.append(one)
+            and all(file.suffix in (".nbi", ".nbc", "") for file in one.iterdir())
+        ]
         for old in sorted(ours, key=lambda one: one.stat().st_mtime_ns)[:-kept]:
             shutil.rmtree(old)
 
@@ -135,11 +136,11 @@ class _Cache(FunctionCache):
 
 @functools.cache
 def _warn_not_kept(why: str) -> None:
-    message = (
+    warnings.warn(
         f"machine code cannot be kept in {folder()} ({why}): every process compiles for up to "
-        "half a minute; "
+        "half a minute; set NUMBA_CACHE_DIR to a writable folder",
+        stacklevel=2,
     )
-    warnings.warn(message + "set NUMBA_CACHE_DIR to a writable folder", stacklevel=2)
 
 
 def kernel(function: Callable | None = None, *, inline: str | None = None) -> Any:

@@ -20,7 +20,7 @@ from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
 from cvqmpt_lab.search.planner_interface import Observation, Query, SamplingDistribution, search
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
-from cvqmpt_lab.search.shortcut import Simplified, SimplifySettings, simplify
+from cvqmpt_lab.search.shortcut import Simplified, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 MAX_GOALS = 20
@@ -77,7 +77,6 @@ def solve(
     seed: int,
     *,
     backend: str = "compiled",
-    simplification: SimplifySettings | None = None,
     clearance: bool = True,
     optimize: Budget | None = None,
     use_cache: bool = True,
@@ -95,7 +94,6 @@ def solve(
         budget: of prediction and search.
         seed: of random numbers.
         backend: of state checks, "compiled" or "exact".
-        simplification: bounds of the shortening.
         clearance: whether the certificate measures the smallest distance.
         optimize: budget for shorter paths after the first one; the result is never longer.
         use_cache: False charges the planner for all that it computes from the cloud, cached or not.
@@ -152,14 +150,14 @@ def solve(
         # the path of an external planner is not post-processed
         shorter = Simplified(plan.path, 0.0, Counters())
         if not plan.as_is:
-            shorter = simplify(space, plan.path, rng, simplification)
+            shorter = simplify(space, plan.path, rng)
     wall = time.perf_counter() - called - goal_seconds - observation.seconds
     if shorter is not None:
         certificate = certify(problem, shorter.path, clearance=clearance)
     if shorter is not None and optimize is not None and not plan.as_is:
         rng = problem.random_stream(seed, 1)
         paths = stages.path_source or Restarts(tree_search, proposal.distribution)
-        best, improvement = improve(space, paths, shorter.path, optimize, rng, simplification)
+        best, improvement = improve(space, paths, shorter.path, optimize, rng)
         better = certify(problem, best, clearance=clearance)
         if better.valid:
             shorter, certificate = replace(shorter, path=best), better

@@ -12,12 +12,11 @@ from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
-from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.birrt import BiRRT, plant, remove_child_of_segment
 from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query, search
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.search.shortcut import SimplifySettings, simplify
+from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
 FEW = Budget(iterations=20)
@@ -40,18 +39,24 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
             others.result()
         compile_all()
     robot = panda()
-    # an upright hand that touches nothing in the kitchen [rad]
+    # with an upright hand [rad]
     start = np.array(
         [0.99468491, 0.49509914, -1.24378071, -2.26869377, 1.93524067, 1.26551103, -1.58268202]
     )
     pose = TaskSpaceRegion(robot.pose(start), np.eye(4), np.zeros((6, 2)))
     problem = PlanningProblem(
-        "warm-up", robot, kitchen(), start, np.empty((0, robot.dof)), (upright(),), goal_region=pose
+        "warm-up",
+        robot,
+        Scene("empty", ()),
+        start,
+        np.empty((0, robot.dof)),
+        (upright(),),
+        goal_region=pose,
     )
     warm_up(problem, planner_named("birrt"), "compiled")  # goals, trees and shortcuts
     problem = problem.changed(goals=start[None])
     for name in ("roadmap", "opt-cvq-mpt"):
-        _propose(problem, planner_named(name), "compiled")
+        _through_stages(problem, planner_named(name), "compiled")
     space = ConstrainedSpace(problem)  # what planners in Python ask state by state
     space.project(start)
     space.valid(start)
@@ -84,28 +89,23 @@ def warm_up(
         announce("compiling kernels, once per machine and version ...")
     empty, _ = with_sampled_goals(replace(problem, scene=Scene("empty", ())))
     goals = empty.goals if len(empty.goals) else problem.start[None]
-    _propose(empty.changed(goals=goals), method, backend)
-    _search(empty.changed(goals=goals), method, backend)
+    _through_stages(empty.changed(goals=goals), method, backend)
 
 
-def _propose(problem: PlanningProblem, method: Method, backend: str) -> None:
-    """Observe, predict and update once with a random cloud, for a problem with goals."""
+def _through_stages(problem: PlanningProblem, method: Method, backend: str) -> None:
+    """Predict and update with a random cloud, search and shorten, for a problem with goals."""
     rng = np.random.default_rng(0)
     stages = method.stages(problem)
-    query = Query.of(ConstrainedSpace(problem, backend), FEW, rng)
+    space = ConstrainedSpace(problem, backend)
+    query = Query.of(space, FEW, rng)
     proposal = stages.predict(query, Observation(rng.uniform(-1.0, 1.0, (2048, 3))))
     if stages.update is not None:
         stages.update(query, proposal)
-
-
-def _search(problem: PlanningProblem, method: Method, backend: str) -> None:
-    """Search and shorten once with uniform samples, for a problem with goals."""
-    rng = np.random.default_rng(0)
-    space = ConstrainedSpace(problem, backend)
+    # the prediction may have used up the budget
     query = Query.of(space, FEW, rng)
-    search(method.stages(problem).search or BiRRT(), query, Proposal(query.uniform))
+    search(stages.search or BiRRT(), query, Proposal(query.uniform))
     still = JointPath(np.array([problem.start, problem.start]))
-    simplify(space, still, rng, SimplifySettings(attempts=16))
+    simplify(space, still, rng, attempts=16)
     trees = plant(problem.start, problem.goals, capacity=8)
     # else called only after a failed fine check
     remove_child_of_segment(trees, np.zeros((2, 2), dtype=np.int64), 0)

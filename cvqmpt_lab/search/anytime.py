@@ -10,7 +10,7 @@ What they find is shortened.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,10 +31,9 @@ from cvqmpt_lab.search.roadmap import (
     Roadmap,
     RoadmapQuery,
     RoadmapSearchSettings,
-    nearest_rows,
     scene_costs,
 )
-from cvqmpt_lab.search.shortcut import SWEEP, SimplifySettings, simplify
+from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 LEAST = 1e-9  # [rad or m] between start and goal, so that there is a direction
@@ -74,7 +73,6 @@ def improve(
     first: JointPath,
     budget: Budget,
     rng: np.random.Generator,
-    settings: SimplifySettings | None = None,
     gain: float = 0.002,
 ) -> tuple[JointPath, Improvement]:
     """Find other paths and shorten them within a budget; the best is never longer than the first.
@@ -85,7 +83,6 @@ def improve(
         first: a path on the manifold, free and shortened.
         budget: seconds or iterations.
         rng: random numbers.
-        settings: of the shortening.
         gain: a path is shortened again while that takes off more than this share of its length.
 
     Returns:
@@ -105,10 +102,7 @@ def improve(
         deadline.count()  # so that a round without iterations ends, too
         if found is None:
             continue
-        sweep = replace(
-            settings or SimplifySettings(), attempts=SWEEP, seconds=deadline.rest().seconds
-        )
-        found = simplify(space, found, rng, sweep).path
+        found = simplify(space, found, rng, seconds=deadline.rest().seconds or np.inf).path
         shortening = found.length < (1.0 - gain) * best.length
         if found.length < best.length:
             best = found
@@ -126,8 +120,6 @@ class Restarts:
     distribution: SamplingDistribution  # of the first search
     # times the straight line's length, up to the best path's: upper bounds that are tried in turn
     stretches: tuple[float, ...] = (1.1, 1.3, 1.6, 2.0, 2.6, np.inf)
-    most_anywhere: int = 200  # iterations of a search with the first search's samples
-    most_narrow: int = 60  # iterations of a search near straight lines
 
     def next_path(
         self,
@@ -144,11 +136,11 @@ class Restarts:
             samples: SamplingDistribution = InformedFirst(
                 self.distribution, start, goals, best.length
             )
-            most = self.most_anywhere
+            most = 200  # iterations with the first search's samples
         else:
             stretch = self.stretches[number // 2 % len(self.stretches)]
             goals, samples = informed_samples(space, best.length, stretch)
-            most = self.most_narrow
+            most = 60  # iterations near straight lines
         bounded = replace(rest, iterations=min(most, rest.iterations or most))
         return self.method.search(space, start, goals, samples, bounded, rng).path
 
@@ -157,19 +149,12 @@ class Restarts:
 class InformedRoadmaps:
     """Small roadmaps of draws from the informed set, whose edges are checked lazily.
 
-    A raw path through random nodes is longer than the same path shortened: raw paths up to `slack`
-    times as long as the best one are accepted. Defaults were chosen on tuning problems.
+    A raw path through random nodes is longer than the same path shortened: raw paths up to twice as
+    long as the best one are accepted. Numbers were chosen on tuning problems.
     """
 
-    draws: int = 100  # configurations a roadmap; half of them are free in the kitchen
-    neighbours: int = 20
-    slack: float = 2.0  # times the best length that a raw path may be long
-    weight: float = 1.0  # [rad] of -log P(free), see `EdgeCosts`
     # times the straight line's length, up to the best path's: upper bounds that are tried in turn
     stretches: tuple[float, ...] = (1.6, 2.0, 1.3, 2.6, np.inf)
-    settings: RoadmapSearchSettings = field(
-        default_factory=lambda: RoadmapSearchSettings(penalty=0.0, searches=20, greed=1.5)
-    )
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
 
     def next_path(
@@ -183,17 +168,17 @@ class InformedRoadmaps:
         """Search a new roadmap; see `PathSource`."""
         start, stretch = space.problem.start, self.stretches[number % len(self.stretches)]
         goals, samples = informed_samples(space, best.length, stretch)
-        draws = samples.sample(rng, self.draws)
+        draws = samples.sample(rng, 100)  # half of them are free in the kitchen
         nodes = draws[: keep_informed.unchecked(space.arrays, draws, start, goals, best.length)]
         space.reraise()
         if len(nodes) < FEWEST:
             return None
-        near = nearest_rows(nodes, nodes, min(self.neighbours, len(nodes) - 1), apart=True)
-        costs, longest = self.costs(space), self.slack * best.length
+        costs, longest = self.costs(space), 2.0 * best.length
         if costs.weight > 0.0:
-            costs = costs._replace(weight=self.weight)
-        roadmap = Roadmap(nodes, near.astype(np.int32))
-        query = RoadmapQuery(space, roadmap, start, goals, self.settings, costs, longest, FREE)
+            costs = costs._replace(weight=1.0)
+        roadmap = Roadmap.of(nodes, min(20, len(nodes) - 1))
+        settings = RoadmapSearchSettings(penalty=0.0, searches=20, greed=1.5)
+        query = RoadmapQuery(space, roadmap, start, goals, settings, costs, longest, FREE)
         found = query.next_path(deadline)
         return found if found is not None and found.length < longest else None
 
@@ -311,4 +296,4 @@ def near_shortest(
             return best  # the straight line
     if best is None:
         return None
-    return simplify(space, best, rng, SimplifySettings(attempts=settings.finish, patience=8)).path
+    return simplify(space, best, rng, settings.finish, patience=8).path

@@ -205,10 +205,6 @@ class BiRRT:
     step: float = 0.15
     # [rad] longest extension towards a sample; chosen on the tuning environments
     reach: float = 1.0
-    first_capacity: int = 4096  # nodes of a tree at first
-    first_batch: int = 16  # samples drawn at once; doubled up to the largest batch
-    largest_batch: int = 256
-    clock_batch: int = 16  # samples used before the clock is read, where a budget has seconds
 
     def search(
         self,
@@ -223,9 +219,9 @@ class BiRRT:
         began = time.perf_counter()
         deadline = np.inf if budget.seconds is None else began + budget.seconds
         before = space.counters
-        trees = plant(start, goals, self.first_capacity)
+        trees = plant(start, goals, capacity=4096)
         status, path = PlanStatus.TIMEOUT, None
-        used, batch = 0, self.first_batch
+        used, batch = 0, 16
         while path is None:
             if time.perf_counter() >= deadline:
                 break
@@ -235,7 +231,7 @@ class BiRRT:
                 break
             samples = distribution.sample(rng, count)
             trees, path = self._use(space, trees, samples, deadline)
-            used, batch = used + count, min(2 * batch, self.largest_batch)
+            used, batch = used + count, min(2 * batch, 256)
         return PlanResult(
             status=PlanStatus.SOLVED if path is not None else status,
             path=path,
@@ -252,7 +248,8 @@ class BiRRT:
     def _use(self, space: ConstrainedSpace, trees: Trees, samples: np.ndarray, deadline: float):
         """Grow with one batch; return the trees, and a path that passed the fine check or None."""
         arrays = space.arrays._replace(step=self.step)
-        most = len(samples) if deadline == np.inf else self.clock_batch
+        # samples used before the clock is read
+        most = len(samples) if deadline == np.inf else 16
         first = 0
         while first < len(samples) and time.perf_counter() < deadline:
             part = samples[: first + most]

@@ -12,7 +12,7 @@ from cvqmpt_lab.search.planner_interface import (
     Query,
     SamplingDistribution,
 )
-from cvqmpt_lab.search.result import JointPath, PlanResult
+from cvqmpt_lab.search.result import Budget, JointPath, PlanResult
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -24,41 +24,32 @@ class AroundPath:
     name: str
     std: float = 0.5  # [rad] of each Gaussian, in every joint
     uniform_share: float = 0.15
-    spacing: float = 0.5  # [rad] between waypoints along a path
-    lines: int = 3  # of `straight_line`, to the nearest goals
-    tries: int = 6  # of `solved_paths`, of which the shortest path is taken
 
     def mixture(self, query: Query, *paths: JointPath) -> SamplingDistribution:
-        """The distribution around paths."""
-        means = np.concatenate([path.spaced(self.spacing) for path in paths])
+        """The distribution around waypoints that are 0.5 rad apart."""
+        means = np.concatenate([path.spaced(0.5) for path in paths])
         covariance = self.std**2 * np.eye(means.shape[1])
         return GaussianMixture.equal(
             means, covariance, query.uniform, self.uniform_share, self.name
         )
 
     def straight_line(self, query: Query, observation: Observation) -> Proposal:
-        """Gaussians along the straight lines to the nearest goals; nothing is checked."""
-        goals = query.nearest_goals(self.lines)
-        lines = [JointPath(np.stack([query.start, goal])) for goal in goals]
+        """Gaussians along the straight lines to the three nearest goals; nothing is checked."""
+        lines = [JointPath(np.stack([query.start, goal])) for goal in query.nearest_goals(3)]
         return Proposal(self.mixture(query, *lines))
 
     def solved_paths(self, query: Query, observation: Observation) -> Proposal:
-        """Gaussians around the shortest of several solutions of the problem: a bound of mixtures.
+        """Gaussians around the shortest of six solutions of the problem: a bound of mixtures.
 
         Uniform samples if no path is found. Finding the paths counts as time, not as work.
         """
         aside, best = ConstrainedSpace(query.space.problem, query.space.backend), None
-        for _ in range(self.tries):
+        for _ in range(6):
             if query.deadline.spent():
                 break
-            budget = query.deadline.rest()
-            found = BiRRT().search(
-                aside, query.start, query.goals, query.uniform, budget, query.rng
-            )
-            if found.path is not None:
-                shorter = simplify(aside, found.path, query.rng).path
-                if best is None or shorter.length < best.length:
-                    best = shorter
+            shorter, _ = short_path(aside, query, query.deadline.rest())
+            if shorter is not None and (best is None or shorter.length < best.length):
+                best = shorter
         return Proposal(query.uniform if best is None else self.mixture(query, best))
 
     def unconstrained(self, query: Query, observation: Observation) -> Proposal:
@@ -76,8 +67,12 @@ class AroundPath:
 
 def unconstrained_path(query: Query) -> tuple[JointPath | None, PlanResult]:
     """A shortened path of a query without its constraint, or None; and the search for it."""
-    free = query.space.unconstrained()
-    found = BiRRT().search(
-        free, query.start, query.goals, query.uniform, query.deadline.budget, query.rng
-    )
-    return None if found.path is None else simplify(free, found.path, query.rng).path, found
+    return short_path(query.space.unconstrained(), query, query.deadline.budget)
+
+
+def short_path(
+    space: ConstrainedSpace, query: Query, budget: Budget
+) -> tuple[JointPath | None, PlanResult]:
+    """A shortened path from a query's start to a goal, or None; and the search for it."""
+    found = BiRRT().search(space, query.start, query.goals, query.uniform, budget, query.rng)
+    return None if found.path is None else simplify(space, found.path, query.rng).path, found

@@ -29,7 +29,7 @@ class _Manifold(ob.Constraint):
     """The space's constraint for OMPL; projection is the Newton loop of Algorithm 1."""
 
     def __init__(self, space: ConstrainedSpace) -> None:
-        super().__init__(space.robot.dof, space.dim, space.settings.tolerance)
+        super().__init__(space.robot.dof, space.dim, space.arrays.tolerance)
         self._space = space
 
     def function(self, x: np.ndarray, out: np.ndarray) -> None:
@@ -127,7 +127,7 @@ class _Run:
         """
         moved = np.array(q)
         residual, _ = self._space.residual_and_jacobian(moved)
-        if np.linalg.norm(residual) <= self._space.settings.tolerance or not self._space.project(
+        if np.linalg.norm(residual) <= self._space.arrays.tolerance or not self._space.project(
             moved
         ):
             return q

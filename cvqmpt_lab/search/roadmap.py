@@ -147,21 +147,14 @@ def _kept(
 def _is_roadmap(space: ConstrainedSpace, arrays: Mapping[str, np.ndarray]) -> bool:
     """Whether arrays are a roadmap of free configurations of a space's robot."""
     nodes, table, robot = arrays["nodes"], arrays["neighbours"], space.robot
-    form = (
-        nodes.ndim == table.ndim == 2
-        and len(nodes) == len(table) <= NODES
-        and nodes.shape[1] == robot.dof
-    )
-    if (
-        not form
-        or nodes.dtype != np.float64
-        or table.dtype != np.int32
-        or table.shape[1] > NEIGHBOURS
-    ):
-        return False
-    inside = (nodes >= robot.lower) & (nodes <= robot.upper)  # False for nan
     return bool(
-        inside.all()
+        nodes.dtype == np.float64
+        and table.dtype == np.int32
+        and nodes.shape == (len(table), robot.dof)
+        and table.ndim == 2
+        and table.shape[1] <= NEIGHBOURS
+        and len(nodes) <= NODES
+        and ((nodes >= robot.lower) & (nodes <= robot.upper)).all()  # not nan
         and ((table >= -1) & (table < len(nodes))).all()
         and space.valid_batch(nodes).all()
     )
@@ -408,10 +401,7 @@ class RoadmapPath:
     roadmap: Roadmap
     name: str
     settings: RoadmapSearchSettings = field(default_factory=RoadmapSearchSettings)
-    uniform_share: float = 0.3  # of the samples that a search gets when the roadmap holds no path
     draws: int = 3  # how often nodes near start and goals are added while there is no path
-    drawn: int = 128  # nodes added at once
-    spread: float = 1.0  # [rad] largest standard deviation of those from an end
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
     # blocked nodes and edges are known at no cost: a bound of all roadmaps
     oracle: bool = False
@@ -441,21 +431,23 @@ class RoadmapPath:
             path = search.next_path(deadline)
         free = search.free_nodes
         known = search.configurations(free[free < len(roadmap.nodes)])
-        around = GaussianMixture.equal(
-            known, roadmap.covariance, query.uniform, self.uniform_share, self.name
-        )
+        # in case that the roadmap holds no path
+        around = GaussianMixture.equal(known, roadmap.covariance, query.uniform, 0.3, self.name)
         if path is not None:
             return Proposal(around, vertices=len(free) + 2, path=path)
         lost = f"no roadmap path after {search.searches} searches"
         lost = f"birrt around {len(known)} free nodes: {lost}"
         return Proposal(around, vertices=len(known), fallback=lost)
 
-    def _near_ends(self, query: Query) -> np.ndarray:
-        """Projected draws (at most `drawn`, n), half around the start, half around goals."""
+    def _near_ends(self, query: Query, count: int = 128) -> np.ndarray:
+        """Projected draws (at most count, n), half around the start, half around goals.
+
+        Their standard deviations from an end are up to 1 rad.
+        """
         rng, robot = query.rng, query.space.robot
-        centres = np.tile(query.start, (self.drawn, 1))
+        centres = np.tile(query.start, (count, 1))
         centres[::2] = query.goals[rng.integers(len(query.goals), size=len(centres[::2]))]
-        widths = rng.uniform(0.0, self.spread, (self.drawn, 1))
+        widths = rng.uniform(0.0, 1.0, (count, 1))
         draws = np.clip(
             centres + widths * rng.standard_normal(centres.shape), robot.lower, robot.upper
         )

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.search.motion import Space, bisect_motion, distance, segment_valid
 from cvqmpt_lab.search.result import Counters, JointPath
@@ -98,24 +97,6 @@ def shortcut(
 
 
 @dataclass(frozen=True)
-class SimplifySettings:
-    """Bounds of the shortening; without seconds the result depends on path and seed alone."""
-
-    attempts: int = SWEEP  # shortcuts tried at most
-    seconds: float | None = None  # wall time at most [s]; None: not limited
-    patience: int = 4  # rounds of ROUND shortcuts without `gain` after which it stops
-    gain: float = 0.002  # relative, in length
-
-    def __post_init__(self) -> None:
-        if (
-            self.attempts < 0
-            or (self.seconds is not None and not self.seconds > 0)
-            or self.patience < 1
-        ):
-            raise InvalidInputError(f"simplification bounds must be positive: {self}")
-
-
-@dataclass(frozen=True)
 class Simplified:
     """A shorter path and what it took."""
 
@@ -128,13 +109,25 @@ def simplify(
     space: ConstrainedSpace,
     path: JointPath,
     rng: np.random.Generator,
-    settings: SimplifySettings | None = None,
+    attempts: int = SWEEP,
+    seconds: float = np.inf,
+    patience: int = 4,
+    gain: float = 0.002,
 ) -> Simplified:
     """Replace stretches of a path by direct projected motions as long as that shortens it.
 
     Start and goal stay; every motion put in is on the manifold and checked at the fine resolution.
+    Without seconds the result depends on path and random numbers alone.
+
+    Args:
+        space: the planning space.
+        path: on the manifold and free.
+        rng: random numbers.
+        attempts: shortcuts tried at most.
+        seconds: wall time at most [s].
+        patience: rounds of ROUND shortcuts without gain after which it stops.
+        gain: relative, in length.
     """
-    settings = settings or SimplifySettings()
     began = time.perf_counter()
     before = space.counters
     capacity = 2 * len(path.states) + 1024
@@ -142,15 +135,13 @@ def simplify(
     states[: len(path.states)] = path.states
     detour = np.empty((capacity, space.robot.dof))
     count, length, stale, tried = len(path.states), path.length, 0, 0
-    while tried < settings.attempts and stale < settings.patience:
-        if settings.seconds is not None and time.perf_counter() - began > settings.seconds:
-            break
-        picks = _picks(rng, tried, min(ROUND, settings.attempts - tried))
+    while tried < attempts and stale < patience and time.perf_counter() - began <= seconds:
+        picks = _picks(rng, tried, min(ROUND, attempts - tried))
         count = shortcut.unchecked(space.arrays, states, count, picks, detour)
         space.reraise()
         tried += len(picks)
         shorter = JointPath(states[:count]).length
-        stale = stale + 1 if shorter > (1.0 - settings.gain) * length else 0
+        stale = stale + 1 if shorter > (1.0 - gain) * length else 0
         length = shorter
     return Simplified(
         JointPath(states[:count].copy()), time.perf_counter() - began, space.counters_since(before)

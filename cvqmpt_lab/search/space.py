@@ -1,8 +1,6 @@
 """The planning space of a problem: projection and state checks, counted, for all planners."""
 
 import ctypes
-from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,21 +26,21 @@ BACKENDS = ("compiled", "exact")
 
 
 class StateCheck:
-    """A Python function ``valid(q) -> bool`` that compiled code calls by address.
+    """An exact state check that compiled code calls by address; without a checker none is free.
 
     The configuration is in `query`. Exceptions cannot cross compiled code: one is kept in `error`,
     and the state counts as invalid. The object must outlive its use.
     """
 
-    def __init__(self, valid: Callable[[np.ndarray], bool] | None, n: int) -> None:
+    def __init__(self, checker: CollisionChecker | None, n: int) -> None:
         self.error: BaseException | None = None
         self.query = query = np.zeros(n)
 
         def call() -> bool:
-            if valid is None or self.error is not None:
+            if checker is None or self.error is not None:
                 return False
             try:
-                return bool(valid(query))
+                return not checker.in_collision(query)
             except BaseException as error:
                 self.error = error
                 return False
@@ -51,23 +49,16 @@ class StateCheck:
         self.address: int = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
 
 
-@dataclass(frozen=True)
-class SpaceSettings:
-    """Step sizes and tolerances of a planning space."""
-
-    step: float = 0.05  # between neighbouring states [rad], as in the paper
-    resolution: float = 0.01  # of the exact backend's last check of a motion [rad]
-    margin: float = 1e-4  # kept from obstacles [m]
-    # by which bounds are tightened [m, rad]: motions between states at the bounds stay inside
-    inset: float = 1e-3
-    tolerance: float = TOLERANCE  # on |F| after projection [m, rad]
-    max_iterations: int = MAX_ITERATIONS  # newton steps per projection
-
-
 class ConstrainedSpace:
     """Compiled arrays of a problem, and counters of the work done with them.
 
-    backend: state checks are "compiled", or "exact" by coal; all else is the same code.
+    Args:
+        problem: gives robot, load, scene, constraint, start and goals.
+        backend: state checks are "compiled", or "exact" by coal; all else is the same code.
+        step: between neighbouring states [rad], as in the paper.
+        margin: kept from obstacles [m].
+        inset: by which bounds are tightened [m, rad]: motions between states at the bounds stay
+            inside.
     """
 
     # start and goals that only the conservative check blocks: near them exact checks decide
@@ -77,27 +68,28 @@ class ConstrainedSpace:
         self,
         problem: PlanningProblem,
         backend: str = "compiled",
-        settings: SpaceSettings | None = None,
+        step: float = 0.05,
+        margin: float = 1e-4,
+        inset: float = 1e-3,
     ) -> None:
         if backend not in BACKENDS:
             raise UnknownChoiceError("backend", backend, BACKENDS)
-        settings = settings or SpaceSettings()
         robot, n = problem.robot, problem.robot.dof
-        self.problem, self.robot, self.backend, self.settings = problem, robot, backend, settings
-        exact = problem.collision_checker(settings.margin) if backend == "exact" else None
-        self._check = _callback(exact, n)
-        regions = stack_regions(robot, problem.constraint, settings.inset)
+        self.problem, self.robot, self.backend = problem, robot, backend
+        exact = problem.collision_checker(margin) if backend == "exact" else None
+        self._check = StateCheck(exact, n)
+        regions = stack_regions(robot, problem.constraint, inset)
         reach = reach_with(robot, problem.attachments)
         self.arrays = kernels.Space(
             kinematics=robot.kinematics,
             regions=regions,
             robot=robot_arrays(robot, problem.attachments),
             scene=scene_arrays(problem.scene, reach, problem.clearance),
-            tolerance=settings.tolerance,
-            max_iterations=settings.max_iterations,
-            step=settings.step,
-            resolution=settings.resolution,
-            margin=settings.margin,
+            tolerance=TOLERANCE,
+            max_iterations=MAX_ITERATIONS,
+            step=step,
+            resolution=0.01,
+            margin=margin,
             exact=exact is not None,
             check=self._check.address,
             query=self._check.query,
@@ -108,26 +100,22 @@ class ConstrainedSpace:
             scratch=projection_scratch(n, regions),
         )
         check_arrays(self.arrays)
-        self._shape = (n,)
         self.doubtful = self._find_doubtful()
 
     def _find_doubtful(self) -> tuple[str, ...]:
         """Find `doubtful`, and let exact checks decide near them."""
-        blocked = {
-            label: q for label, q in self.problem.labelled_configurations() if not self.valid(q)
-        }
+        ends = np.vstack([self.problem.start, self.problem.goals])
+        free = self.valid_batch(ends)
         self.arrays.counters[:] = 0
-        if not blocked:
+        if free.all():
             return ()
         checker = self.problem.collision_checker()
-        doubtful = {label: q for label, q in blocked.items() if not checker.in_collision(q)}
-        self._check = _callback(checker, self.robot.dof)
+        rows = [k for k in np.flatnonzero(~free) if not checker.in_collision(ends[k])]
+        self._check = StateCheck(checker, self.robot.dof)
         self.arrays = self.arrays._replace(
-            check=self._check.address,
-            query=self._check.query,
-            doubtful=np.array(list(doubtful.values())).reshape(-1, self.robot.dof),
+            check=self._check.address, query=self._check.query, doubtful=ends[rows]
         )
-        return tuple(doubtful)
+        return tuple("start" if k == 0 else f"goal {k - 1}" for k in rows)
 
     @property
     def counters(self) -> Counters:
@@ -136,14 +124,7 @@ class ConstrainedSpace:
 
     def counters_since(self, before: Counters) -> Counters:
         """Work done since an earlier reading."""
-        now = self.counters
-        return Counters(
-            now.projections - before.projections,
-            now.newton_iterations - before.newton_iterations,
-            now.state_checks - before.state_checks,
-            now.iterations - before.iterations,
-            now.clearances - before.clearances,
-        )
+        return Counters(*(self.arrays.counters - [*vars(before).values()]).tolist())
 
     def reraise(self) -> None:
         """Raise what a Python state check raised inside compiled code, Ctrl-C included."""
@@ -153,7 +134,7 @@ class ConstrainedSpace:
 
     def unconstrained(self) -> "ConstrainedSpace":
         """The same world without its constraint; work done there is counted here."""
-        free = ConstrainedSpace(replace(self.problem, constraint=()), self.backend, self.settings)
+        free = ConstrainedSpace(self.problem.changed(constraint=()), self.backend)
         free.arrays = free.arrays._replace(counters=self.arrays.counters)
         return free
 
@@ -192,7 +173,7 @@ class ConstrainedSpace:
 
     def _require_configuration(self, q: np.ndarray) -> None:
         """InvalidInputError unless q is one configuration; faster than the check of `jit.entry`."""
-        if q.shape != self._shape or q.dtype != np.float64:
+        if q.shape != (self.robot.dof,) or q.dtype != np.float64:
             raise InvalidInputError(
                 f"a configuration of {self.robot.name} is an array ({self.robot.dof},) of "
                 f"float64; given: {q.shape} of {q.dtype}"
@@ -204,16 +185,11 @@ class ConstrainedSpace:
         Returns the path and -1, or None and the index of the first segment that fails.
         """
         states = np.ascontiguousarray(states)
-        capacity = 8 * len(states) + 4 * int(JointPath(states).length / self.settings.step) + 64
+        capacity = 8 * len(states) + 4 * int(JointPath(states).length / self.arrays.step) + 64
         out = np.empty((capacity, states.shape[1]))
         written, bad = refine_and_check(self.arrays, states, out)
         self.reraise()
         return (JointPath(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
-
-
-def _callback(checker: CollisionChecker | None, n: int) -> StateCheck:
-    """An exact checker of n joints as compiled code calls it."""
-    return StateCheck(None if checker is None else lambda q: not checker.in_collision(q), n)
 
 
 def direct_motion(

@@ -7,6 +7,7 @@ import time
 import weakref
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.ompl_planners import STATE_SPACES, OmplSearch
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings, StateCheck
+from cvqmpt_lab.search.space import ConstrainedSpace, StateCheck
 
 LENIENT = {  # may fail: out of time, or of rollouts
     "atlas-rrt": PlanStatus.TIMEOUT,
@@ -135,7 +136,7 @@ def test_unknown_names_are_listed(problem):
 
 def test_trees_are_enlarged_when_full(problem):
     """Steps of 2 mrad need more than the 4096 nodes that a tree has room for at first."""
-    space = ConstrainedSpace(problem, settings=SpaceSettings(step=0.002))
+    space = ConstrainedSpace(problem, step=0.002)
     uniform = Uniform(problem.robot.lower, problem.robot.upper)
     rng = np.random.default_rng(0)
     result = BiRRT(step=0.002).search(space, problem.start, problem.goals, uniform, ENOUGH, rng)
@@ -276,7 +277,7 @@ def test_a_space_raises_the_error_of_its_state_check_once(problem):
         calls.append(q)
         raise ValueError("no answer")
 
-    space._check = check = StateCheck(fail, 7)
+    space._check = check = StateCheck(SimpleNamespace(in_collision=fail), 7)
     assert not check._callback() and not check._callback()
     assert len(calls) == 1 and calls[0] is check.query
     with pytest.raises(ValueError, match="no answer"):

@@ -13,9 +13,9 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Attachment, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.space import ConstrainedSpace, SpaceSettings
+from cvqmpt_lab.search.space import ConstrainedSpace
 
-MARGIN = SpaceSettings().margin
+MARGIN = 1e-4  # [m] that planning keeps from obstacles
 ENOUGH = Budget(iterations=20_000)
 
 
