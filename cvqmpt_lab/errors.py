@@ -12,7 +12,6 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-LISTED = 60  # choices that a message lists at most
 LONGEST = 120  # characters of a value that a message shows
 LONGEST_LINE = 1200  # characters of a message
 
@@ -53,9 +52,7 @@ class UnknownChoiceError(CvqmptError):
 
     def __init__(self, kind: str, value: object, choices: Iterable[object]) -> None:
         names = [str(choice) for choice in choices]
-        listed = ", ".join(names[:LISTED]) + (
-            f", ... ({len(names)} in all)" if len(names) > LISTED else ""
-        )
+        listed = ", ".join(names[:60]) + (f", ... ({len(names)} in all)" if len(names) > 60 else "")
         super().__init__(
             f"unknown {kind} {shown(value)}; valid choices: {listed}{nearest(value, names)}"
         )
@@ -130,11 +127,6 @@ def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
     return value
 
 
-def torch_installed() -> bool:
-    """Whether torch is installed; does not import it."""
-    return importlib.util.find_spec("torch") is not None
-
-
 def install_command(extra: str) -> str:
     """What installs an extra: from the checkout if the package lies in one, as no index has it."""
     if (Path(__file__).parents[1] / "constraints.txt").is_file():
@@ -143,8 +135,8 @@ def install_command(extra: str) -> str:
 
 
 def require_torch(what: str) -> None:
-    """Raise InvalidInputError if torch, which `what` needs, is not installed."""
-    if not torch_installed():
+    """Raise InvalidInputError if torch, which `what` needs, is not installed; imports nothing."""
+    if importlib.util.find_spec("torch") is None:
         raise InvalidInputError(
             f"{what} needs torch, which is not installed: {install_command('train')}"
         )

@@ -12,8 +12,6 @@ from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError, shown
 
-TEMPORARY = re.compile(r"\..+\.\d+\.tmp")  # names that `replacing` gives
-
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
@@ -91,7 +89,7 @@ def locked(folder: Path) -> Iterator[None]:
                     f"{folder} is in use by another run; wait or use another folder"
                 ) from None
             for path in Path(folder).rglob(".*.tmp"):
-                if TEMPORARY.fullmatch(path.name):
+                if re.fullmatch(r"\..+\.\d+\.tmp", path.name):  # names that `replacing` gives
                     path.unlink(missing_ok=True)
         yield
     finally:

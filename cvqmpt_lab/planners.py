@@ -15,15 +15,10 @@ from cvqmpt_lab.external import entry_point_names, external_planner, is_external
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import InformedRoadmaps
 from cvqmpt_lab.search.controls import AroundPath
-from cvqmpt_lab.search.edge_costs import EdgeCosts
+from cvqmpt_lab.search.edge_costs import EdgeCosts, no_costs, other_costs, scene_costs
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.roadmap import (
-    HALTON,
-    UNIFORM,
     RoadmapPath,
-    no_costs,
-    other_costs,
-    scene_costs,
     spread_roadmap,
 )
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -114,17 +109,19 @@ def _learned(planner: str, builder: str, weights: str = VQ_MPT, **options: Any) 
 def _roadmap(
     name: str,
     weights: str | None = None,
-    sequence: str = HALTON,
-    draw: int = 0,
+    draw: int | None = None,
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs,
     oracle: bool = False,
 ) -> Method:
-    """A roadmap of the dictionary's nodes if it has weights, else of nodes spread evenly."""
+    """A roadmap of the dictionary's nodes if it has weights, else of nodes spread evenly.
+
+    draw: seed of independent nodes instead.
+    """
 
     def build(problem: PlanningProblem, model: str) -> Stages:
         robot, load = problem.robot, problem.attachments
         if weights is None:
-            roadmap = spread_roadmap(robot, load, sequence, draw)
+            roadmap = spread_roadmap(robot, load, draw)
         else:
             from cvqmpt_lab.vqmpt.learned_sampler import free_dictionary  # reads weights
 
@@ -175,7 +172,7 @@ CONTROLS = _by_name(
         predict=AroundPath("straight-line-only", uniform_share=0.0).straight_line,
     ),
     # three draws of independent nodes show the variance among roadmaps
-    *(_roadmap(f"roadmap-uniform-{draw}", sequence=UNIFORM, draw=draw) for draw in range(3)),
+    *(_roadmap(f"roadmap-uniform-{draw}", draw=draw) for draw in range(3)),
     _roadmap("roadmap-wrong-scene", VQ_MPT, costs=other_costs),
     _roadmap("roadmap-no-scene", VQ_MPT, costs=no_costs),
     _roadmap("roadmap-true-edges", VQ_MPT, costs=no_costs, oracle=True),
@@ -208,8 +205,9 @@ def planner_named(name: str, model: str | None = None) -> Method:
         raise InvalidInputError(
             f"{name} was removed; roadmap-cvq plans on the same dictionary's roadmap"
         )
-    refuse_clash(name, (*PLANNERS, *CONTROLS, *PUBLISHED))
-    found = PLANNERS.get(name) or CONTROLS.get(name) or PUBLISHED.get(name)
+    ours = {**PLANNERS, **CONTROLS, **PUBLISHED}
+    refuse_clash(name, ours)
+    found = ours.get(name)
     if name.startswith(PREFIX):
         found = _product(name, SamplerChoice.of(name.removeprefix(PREFIX)))
     elif is_external(name):
@@ -217,8 +215,8 @@ def planner_named(name: str, model: str | None = None) -> Method:
         found = replace(Method.simple(name, predict=planner), external=planner.made_by)
     if found is None:
         others = [*entry_point_names(), "package.module:planner"]
-        known = [*PLANNERS, *CONTROLS, *PUBLISHED, f"{PREFIX}random+wide, ..."]
-        raise UnknownChoiceError("planner", name, [*known, *others])
+        known = [*ours, f"{PREFIX}random+wide, ...", *others]
+        raise UnknownChoiceError("planner", name, known)
     return found if model is None else found.with_model(model)
 
 

@@ -51,7 +51,6 @@ from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name
 
 MOST_REGIONS = 32  # of one constraint
 MOST_CLEARANCE = 0.2  # [m]
-CONTRADICTION = 1e-3  # [m, rad] that a given goal may be outside the goal region
 
 
 class RobotForm:
@@ -260,14 +259,10 @@ def _with_numbers(data: Any) -> Any:
     return {**data, "robot": robot, **read}
 
 
-class _ThreadCheckers(threading.local):
-    """Checkers used last, per thread: a check writes to pinocchio's and coal's data."""
-
-    def __init__(self) -> None:
-        self.checker = lru_cache(maxsize=4)(CollisionChecker)
-
-
-_OF_THREAD = _ThreadCheckers()
+@lru_cache(maxsize=8)
+def _checker_of_thread(thread: int, *parts: Any) -> CollisionChecker:
+    """A checker for one thread alone: a check writes to pinocchio's and coal's data."""
+    return CollisionChecker(*parts)
 
 
 def shared_checker(
@@ -278,7 +273,8 @@ def shared_checker(
     clearance: float = 0.0,
 ) -> CollisionChecker:
     """The exact checker of a robot, scene and attachments, cached for this thread (10 ms)."""
-    return _OF_THREAD.checker(robot, scene, attachments, margin, clearance)
+    thread = threading.get_ident()
+    return _checker_of_thread(thread, robot, scene, attachments, margin, clearance)
 
 
 def check_problem(problem: PlanningProblem) -> None:
@@ -304,7 +300,7 @@ def check_problem(problem: PlanningProblem) -> None:
     lower, upper = problem.goal_region.Bw.T
     x = displacements(problem.robot, problem.goal_region, problem.goals)
     outside = np.maximum(lower - x, x - upper).max(axis=1)
-    for k in np.flatnonzero(outside > CONTRADICTION)[:1]:
+    for k in np.flatnonzero(outside > 1e-3)[:1]:
         raise InvalidProblemError(
             f"{problem.name}: goal {k} lies outside 'goal_region' by {outside[k]:.4f} (rad or m); "
             "take out 'goals', and new ones are drawn from the region, or 'goal_region'"

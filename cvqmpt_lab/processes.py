@@ -11,14 +11,13 @@ from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController
 
-PR_SET_PDEATHSIG = 1
 _ONE_AT_A_TIME = threading.RLock()
 
 
 def end_with_parent(parent: int) -> None:
     """End this process when `parent`, which started it, ends (Linux)."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
         if os.getppid() != parent:  # it has ended already
             os._exit(1)
 

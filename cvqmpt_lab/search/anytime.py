@@ -11,13 +11,16 @@ What they find is shortened.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.jit import entry
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.edge_costs import EdgeCosts
-from cvqmpt_lab.search.lazy_roadmap import FREE, keep_informed
+from cvqmpt_lab.search.edge_costs import EdgeCosts, scene_costs
+from cvqmpt_lab.search.lazy_roadmap import FREE
+from cvqmpt_lab.search.motion import Space, distance, posed_state_valid, project_state
 from cvqmpt_lab.search.planner_interface import (
     Deadline,
     PathSource,
@@ -27,16 +30,42 @@ from cvqmpt_lab.search.planner_interface import (
 )
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.roadmap import (
-    FEWEST,
     Roadmap,
     RoadmapQuery,
     RoadmapSearchSettings,
-    scene_costs,
 )
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 LEAST = 1e-9  # [rad or m] between start and goal, so that there is a direction
+
+
+@entry
+def keep_informed(
+    space: Space,
+    draws: Annotated[np.ndarray, "count n"],
+    start: Annotated[np.ndarray, "n"],
+    goals: Annotated[np.ndarray, "goals n"],
+    longest: float,
+):
+    """Project draws and move those in the informed set that are free to the front, in order.
+
+    The set is { q : |q - start| + min_g |q - g| < longest [rad] }. Returns their number.
+    """
+    kept = 0
+    for i in range(draws.shape[0]):
+        for j in range(draws.shape[1]):
+            draws[kept, j] = draws[i, j]
+        if not project_state(space, draws[kept]):
+            continue
+        to_go = np.inf
+        for g in range(goals.shape[0]):
+            to_go = min(to_go, distance(draws[kept], goals[g]))
+        if distance(start, draws[kept]) + to_go < longest and posed_state_valid(
+            space, draws[kept], 0.0
+        ):
+            kept += 1
+    return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +200,7 @@ class InformedRoadmaps:
         draws = samples.sample(rng, 100)  # half of them are free in the kitchen
         nodes = draws[: keep_informed.unchecked(space.arrays, draws, start, goals, best.length)]
         space.reraise()
-        if len(nodes) < FEWEST:
+        if len(nodes) < 2:
             return None
         costs, longest = self.costs(space), 2.0 * best.length
         if costs.weight > 0.0:

@@ -24,7 +24,6 @@ from cvqmpt_lab.search.motion import (
     Space,
     bisect_motion,
     distance,
-    posed_state_valid,
     project_state,
     state_valid,
 )
@@ -60,7 +59,6 @@ def drop_smallest(keys, values, size):
 
 UNKNOWN, FREE, BLOCKED = range(3)
 NO_PATH = 0  # instead of a number of states
-UNLIMITED = np.inf  # [rad] of a motion on the manifold; its neighbours' distance is limited anyway
 
 
 class RoadmapArrays(NamedTuple):
@@ -314,7 +312,8 @@ def _join_nodes(space, roadmap, path, length, ends, states):
         states[0, j] = roadmap.nodes[path[length - 1], j]
     for i in range(length - 2, -1, -1):
         a, b = path[i + 1], path[i]
-        added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], UNLIMITED, states[size:])
+        # of any length: the distance of neighbours is limited anyway
+        added = bisect_motion(space, roadmap.nodes[a], roadmap.nodes[b], np.inf, states[size:])
         if added == 0:
             _settle_edge(roadmap, a, b, BLOCKED)
             return NO_PATH
@@ -372,34 +371,6 @@ def search(
             continue
         return size, length, searched + 1
     return NO_PATH, length, most_searches
-
-
-@entry
-def keep_informed(
-    space: Space,
-    draws: Annotated[np.ndarray, "count n"],
-    start: Annotated[np.ndarray, "n"],
-    goals: Annotated[np.ndarray, "goals n"],
-    longest: float,
-):
-    """Project draws and move those in the informed set that are free to the front, in order.
-
-    The set is { q : |q - start| + min_g |q - g| < longest [rad] }. Returns their number.
-    """
-    kept = 0
-    for i in range(draws.shape[0]):
-        for j in range(draws.shape[1]):
-            draws[kept, j] = draws[i, j]
-        if not project_state(space, draws[kept]):
-            continue
-        to_go = np.inf
-        for g in range(goals.shape[0]):
-            to_go = min(to_go, distance(draws[kept], goals[g]))
-        if distance(start, draws[kept]) + to_go < longest and posed_state_valid(
-            space, draws[kept], 0.0
-        ):
-            kept += 1
-    return kept
 
 
 @entry

@@ -11,7 +11,7 @@ from cvqmpt_lab.collision.checker import in_contact
 from cvqmpt_lab.collision.distance_grid import REACH
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.project import ProjectionScratch, project
-from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
+from cvqmpt_lab.constraints.regions import Regions, residual
 from cvqmpt_lab.jit import call_address, entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
@@ -113,43 +113,6 @@ def states_valid(
     """Write whether each configuration (b, n) is free of collision into out (b,) bool."""
     for i in range(configurations.shape[0]):
         out[i] = state_valid(space, configurations[i])
-
-
-@entry
-def project_one(space: Space, q: Annotated[np.ndarray, "n"]):
-    """Project q (n,) in place; True on success."""
-    return project_state(space, q)
-
-
-@entry
-def valid_one(space: Space, q: Annotated[np.ndarray, "n"]):
-    """Whether q (n,) is free of collision."""
-    return state_valid(space, q)
-
-
-@entry
-def constraint_one(
-    space: Space,
-    q: Annotated[np.ndarray, "n"],
-    full: bool,
-    out_residual: Annotated[np.ndarray, "m"],
-    out_jacobian: Annotated[np.ndarray, "m n"],
-):
-    """Write F(q) into out_residual (m,) and dF/dq into out_jacobian (m, n)."""
-    scratch = space.scratch
-    rotation, translation = scratch.link_rotation, scratch.link_translation
-    forward_kinematics(space.kinematics, q, rotation, translation)
-    residual(space.regions, rotation, translation, out_residual, scratch.displacement)
-    jacobian(
-        space.kinematics,
-        space.regions,
-        rotation,
-        translation,
-        scratch.displacement,
-        full,
-        out_residual,
-        out_jacobian,
-    )
 
 
 @kernel(inline="machine")

@@ -13,15 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.caches import cached_arrays, sources_digest
-from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
-from cvqmpt_lab.collision.exact import reach_with
+from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search import lazy_roadmap as kernels
-from cvqmpt_lab.search.edge_costs import EdgeCosts
+from cvqmpt_lab.search.edge_costs import EdgeCosts, scene_costs
 from cvqmpt_lab.search.planner_interface import (
     Deadline,
     GaussianMixture,
@@ -32,16 +30,9 @@ from cvqmpt_lab.search.planner_interface import (
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-LONGEST_PATH = 256  # nodes
-FEWEST = 2  # nodes of a roadmap
 TURN = 2.0 * np.pi  # [rad]
-QUEUE = 32  # entries a node
-SEARCHES_AT_ONCE = 16  # before the clock is read
 NODES = 1024
 NEIGHBOURS = 20  # that each node is linked to, at most
-TRIED = 30  # of its nearest nodes
-BLOCKS = 32  # of NODES configurations each, at most, of which free ones become nodes
-UNIFORM, HALTON = "uniform", "halton"
 
 
 def nearest_rows(
@@ -98,7 +89,7 @@ class Roadmap:
 
 @lru_cache(maxsize=8)
 def spread_roadmap(
-    robot: Robot, attachments: tuple[Attachment, ...] = (), sequence: str = HALTON, draw: int = 0
+    robot: Robot, attachments: tuple[Attachment, ...] = (), draw: int | None = None
 ) -> Roadmap:
     """NODES configurations over the joint ranges; fewer if most self-collide.
 
@@ -107,11 +98,9 @@ def spread_roadmap(
     Args:
         robot: the robot.
         attachments: what it carries.
-        sequence: HALTON, scrambled, covers the ranges evenly; UNIFORM are independent draws.
-        draw: seed of the sequence.
+        draw: seed of independent draws; None: a scrambled Halton sequence covers the ranges evenly.
     """
-    made_of = f"{sequence} {draw}".encode()
-    return _kept(robot, attachments, made_of, lambda space: _free_draws(space, sequence, draw))
+    return _kept(robot, attachments, f"{draw}".encode(), lambda space: _free_draws(space, draw))
 
 
 def linked_roadmap(robot: Robot, attachments: tuple[Attachment, ...], nodes: np.ndarray) -> Roadmap:
@@ -160,23 +149,22 @@ def _is_roadmap(space: ConstrainedSpace, arrays: Mapping[str, np.ndarray]) -> bo
     )
 
 
-def _free_draws(space: ConstrainedSpace, sequence: str, draw: int) -> np.ndarray:
+def _free_draws(space: ConstrainedSpace, draw: int | None) -> np.ndarray:
     """Free configurations (at most NODES, n)."""
     robot, turns = space.robot, space.robot.turning
     middle = 0.5 * (robot.lower + robot.upper)
     low = np.where(turns, middle - 0.5 * TURN, robot.lower)
     width = np.where(turns, TURN, robot.upper - robot.lower)
-    rng = np.random.default_rng(draw)
-    if sequence == HALTON:
+    rng = np.random.default_rng(draw or 0)
+    if draw is None:
         from scipy.stats import qmc  # takes half a second to import
 
-        unit = qmc.Halton(robot.dof, seed=rng).random
-    else:
-        unit = lambda count: rng.uniform(size=(count, robot.dof))  # noqa: E731
+        halton = qmc.Halton(robot.dof, seed=rng)
     found = np.empty((0, robot.dof))
-    for _ in range(BLOCKS):
+    for _ in range(32):
         if len(found) < NODES:
-            states = np.ascontiguousarray(low + width * unit(NODES))
+            unit = halton.random(NODES) if draw is None else rng.uniform(size=(NODES, robot.dof))
+            states = np.ascontiguousarray(low + width * unit)
             found = np.concatenate([found, states[space.valid_batch(states)]])
     return found[:NODES].copy()
 
@@ -193,7 +181,7 @@ def _linked(space: ConstrainedSpace, nodes: np.ndarray) -> np.ndarray:
         change[:, turns] -= TURN * np.round(change[:, turns] / TURN)
         squares = (change**2).sum(axis=1)
         squares[i] = np.inf
-        tried = min(TRIED, len(nodes) - 1)
+        tried = min(30, len(nodes) - 1)
         near = np.argpartition(squares, tried - 1)[:tried] if tried else np.empty(0, dtype=int)
         near = near[np.argsort(squares[near], kind="stable")]
         free = near[_motions_free(space, node, change[near])][:NEIGHBOURS]
@@ -228,22 +216,6 @@ class RoadmapSearchSettings:
     step: float = 0.2
 
 
-def scene_costs(space: ConstrainedSpace) -> EdgeCosts:
-    """Edge costs in the scene of a space, from the distances that its checker has."""
-    return EdgeCosts(space.arrays.scene.grid)
-
-
-def no_costs(space: ConstrainedSpace) -> EdgeCosts:
-    """Edges cost their length, whatever the scene."""
-    return scene_costs(space)._replace(weight=0.0)
-
-
-def other_costs(space: ConstrainedSpace) -> EdgeCosts:
-    """Edge costs in another scene than the space's, for controls."""
-    reach = reach_with(space.robot, space.problem.attachments)
-    return scene_costs(space)._replace(grid=scene_arrays(another_scene(), reach).grid)
-
-
 class RoadmapQuery:
     """One start and its goals on a roadmap, in a space."""
 
@@ -270,13 +242,8 @@ class RoadmapQuery:
             longest: paths that cost more are not searched for [rad].
             known: verdict on all nodes; FREE ones are on the manifold.
         """
-        self._costs, self._longest = costs, longest
-        self._settings, self._space, self._arrays = (
-            settings,
-            space,
-            space.arrays._replace(step=settings.step),
-        )
-        self._ends, self.searches = (start, goals), 0
+        self._space, self._settings, self._costs = space, settings, costs
+        self._longest, self._ends, self.searches = longest, (start, goals), 0
         verdict = np.full(len(roadmap.nodes), known, dtype=np.int8)
         self._set_up(roadmap.nodes, roadmap.neighbours, verdict)
 
@@ -287,7 +254,7 @@ class RoadmapQuery:
         links = min(settings.links, count)
         neighbours = np.full((count + 1, max(links, table.shape[1])), -1, dtype=np.int32)
         neighbours[:count, : table.shape[1]] = table
-        self._graph = kernels.RoadmapArrays(
+        self.graph = kernels.RoadmapArrays(
             nodes=np.concatenate([nodes, start[None], goals]),
             neighbours=neighbours,
             edge=np.zeros(neighbours.shape, dtype=np.int8),
@@ -304,67 +271,54 @@ class RoadmapQuery:
             parent=np.empty(total, dtype=np.int32),
             slot=np.empty(total, dtype=np.int32),
             closed=np.empty(total, dtype=np.int8),
-            heap=np.empty(QUEUE * total),
-            heap_edge=np.empty(QUEUE * total, dtype=np.int32),
+            heap=np.empty(32 * total),
+            heap_edge=np.empty(32 * total, dtype=np.int32),
         )
         self._count, self._left = count, settings.searches
-        kernels.link_query.unchecked(self._graph, np.empty(links, dtype=np.int32), np.empty(links))
-        self._graph.to_go[:] *= settings.greed
+        kernels.link_query.unchecked(self.graph, np.empty(links, dtype=np.int32), np.empty(links))
+        self.graph.to_go[:] *= settings.greed
 
     def add_nodes(self, added: np.ndarray) -> None:
         """Link more nodes (a, n) to the roadmap, to each other, and to start and goals.
 
         Verdicts on nodes and edges between them are kept, those on edges of start and goals not.
         """
-        before, count, half = self._graph, self._count, self._settings.links // 2
+        before, count, half = self.graph, self._count, self._settings.links // 2
         nodes = np.concatenate([before.nodes[:count], added])
         table = np.full((len(nodes), before.neighbours.shape[1]), -1, dtype=np.int32)
         table[:count] = before.neighbours[:count]
-        known, new = (
-            nearest_rows(nodes[:count], added, half),
-            count + nearest_rows(added, added, half, apart=True),
-        )
-        near = np.concatenate([known, new], axis=1)
+        new = count + nearest_rows(added, added, half, apart=True)
+        near = np.concatenate([nearest_rows(nodes[:count], added, half), new], axis=1)
         table[count:, : near.shape[1]] = near
         for row, targets in enumerate(near, start=count):
             back = targets[table[targets, -1] < 0]  # those that have room for one more
             table[back, np.argmax(table[back] < 0, axis=1)] = row
-        verdict = np.concatenate(
-            [before.node[:count], np.full(len(added), kernels.UNKNOWN, dtype=np.int8)]
-        )
+        unknown = np.full(len(added), kernels.UNKNOWN, dtype=np.int8)
+        verdict = np.concatenate([before.node[:count], unknown])
         self._set_up(nodes, table, verdict)
-        self._graph.edge[:count] = before.edge[:count]
+        self.graph.edge[:count] = before.edge[:count]
         for kept in ("factor", "clearance", "lowest", "known"):
-            getattr(self._graph, kept)[:count] = getattr(before, kept)[:count]
+            getattr(self.graph, kept)[:count] = getattr(before, kept)[:count]
 
     def avoid(self, known: "RoadmapQuery") -> None:
         """Leave out what another query, of the same nodes, found blocked."""
-        mine, theirs = self._graph, known._graph
-        for verdicts, found in zip(
-            (mine.edge, mine.goal_edge, mine.node),
-            (theirs.edge, theirs.goal_edge, theirs.node),
-            strict=True,
-        ):
-            verdicts[found == kernels.BLOCKED] = kernels.BLOCKED
+        for verdicts in ("edge", "goal_edge", "node"):
+            blocked = getattr(known.graph, verdicts) == kernels.BLOCKED
+            getattr(self.graph, verdicts)[blocked] = kernels.BLOCKED
 
     def next_path(self, deadline: Deadline) -> JointPath | None:
         """The shortest free path on the manifold, or None; an A* search counts as an iteration."""
-        path, ends = np.empty(LONGEST_PATH, dtype=np.int64), np.empty(LONGEST_PATH, dtype=np.int64)
-        states = np.empty((64 * LONGEST_PATH, self._graph.nodes.shape[1]))
+        path, ends = np.empty((2, 256), dtype=np.int64)  # longest path in nodes
+        states = np.empty((64 * len(path), self.graph.nodes.shape[1]))
+        arrays = self._space.arrays._replace(step=self._settings.step)
         length, bad = 0, -1
         while self._left > 0 and deadline.spent() is None:
             # of a path that failed its fine check
-            kernels.block_state.unchecked(self._graph, path, ends, length, bad)
-            most = min(self._left, SEARCHES_AT_ONCE, deadline.rest().iterations or SEARCHES_AT_ONCE)
+            kernels.block_state.unchecked(self.graph, path, ends, length, bad)
+            # searches before the clock is read
+            most = min(self._left, 16, deadline.rest().iterations or 16)
             size, length, searched = kernels.search.unchecked(
-                self._arrays,
-                self._graph,
-                self._costs,
-                most,
-                self._settings.drift,
-                path,
-                ends,
-                states,
+                arrays, self.graph, self._costs, most, self._settings.drift, path, ends, states
             )
             self._space.reraise()
             self._left -= searched
@@ -383,11 +337,7 @@ class RoadmapQuery:
     @property
     def free_nodes(self) -> np.ndarray:
         """Rows (r,) of nodes found free so far."""
-        return np.flatnonzero(self._graph.node[: self._count] == kernels.FREE)
-
-    def configurations(self, rows: np.ndarray) -> np.ndarray:
-        """Where nodes are now (r, n): projected, if they were visited."""
-        return self._graph.nodes[rows]
+        return np.flatnonzero(self.graph.node[: self._count] == kernels.FREE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -408,19 +358,16 @@ class RoadmapPath:
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Search the roadmap under the query's constraint."""
-        if len(self.roadmap.nodes) < FEWEST:
-            few = f"birrt: {len(self.roadmap.nodes)} nodes are no roadmap"
-            return Proposal(query.uniform, fallback=few)
+        if len(self.roadmap.nodes) < 2:
+            count = len(self.roadmap.nodes)
+            return Proposal(query.uniform, fallback=f"birrt: {count} nodes are no roadmap")
         deadline = query.deadline
         roadmap = self.roadmap.near(query.start, query.space.robot)
-        search = RoadmapQuery(
-            query.space, roadmap, query.start, query.goals, self.settings, self.costs(query.space)
-        )
+        asked = roadmap, query.start, query.goals, self.settings
+        search = RoadmapQuery(query.space, *asked, self.costs(query.space))
         if self.oracle:
             aside = ConstrainedSpace(query.space.problem, query.space.backend)
-            before = RoadmapQuery(
-                aside, roadmap, query.start, query.goals, self.settings, self.costs(aside)
-            )
+            before = RoadmapQuery(aside, *asked, self.costs(aside))
             before.next_path(Deadline(deadline.budget, aside))
             search.avoid(before)
         path = search.next_path(deadline)
@@ -430,14 +377,13 @@ class RoadmapPath:
             search.add_nodes(self._near_ends(query))
             path = search.next_path(deadline)
         free = search.free_nodes
-        known = search.configurations(free[free < len(roadmap.nodes)])
+        known = search.graph.nodes[free[free < len(roadmap.nodes)]]  # projected
         # in case that the roadmap holds no path
         around = GaussianMixture.equal(known, roadmap.covariance, query.uniform, 0.3, self.name)
         if path is not None:
             return Proposal(around, vertices=len(free) + 2, path=path)
-        lost = f"no roadmap path after {search.searches} searches"
-        lost = f"birrt around {len(known)} free nodes: {lost}"
-        return Proposal(around, vertices=len(known), fallback=lost)
+        lost = f"free nodes: no roadmap path after {search.searches} searches"
+        return Proposal(around, vertices=len(known), fallback=f"birrt around {len(known)} {lost}")
 
     def _near_ends(self, query: Query, count: int = 128) -> np.ndarray:
         """Projected draws (at most count, n), half around the start, half around goals.
@@ -448,7 +394,6 @@ class RoadmapPath:
         centres = np.tile(query.start, (count, 1))
         centres[::2] = query.goals[rng.integers(len(query.goals), size=len(centres[::2]))]
         widths = rng.uniform(0.0, 1.0, (count, 1))
-        draws = np.clip(
-            centres + widths * rng.standard_normal(centres.shape), robot.lower, robot.upper
-        )
+        draws = centres + widths * rng.standard_normal(centres.shape)
+        draws = np.clip(draws, robot.lower, robot.upper)
         return draws[[query.space.project(q) for q in draws]]

@@ -1,28 +1,61 @@
 """The planning space of a problem: projection and state checks, counted, for all planners."""
 
 import ctypes
+from typing import Annotated
 
 import numpy as np
 
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
 from cvqmpt_lab.constraints.project import projection_scratch
+from cvqmpt_lab.constraints.regions import jacobian, residual
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.jit import check_arrays
+from cvqmpt_lab.jit import check_arrays, entry
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.search import motion as kernels
-from cvqmpt_lab.search.motion import (
-    DEVIATION,
-    bisect_motion,
-    constraint_one,
-    project_one,
-    refine_and_check,
-    valid_one,
-)
+from cvqmpt_lab.robot.kinematics import forward_kinematics
+from cvqmpt_lab.search import motion
+from cvqmpt_lab.search.motion import DEVIATION, bisect_motion, project_state, state_valid
 from cvqmpt_lab.search.result import Counters, JointPath
 
 BACKENDS = ("compiled", "exact")
+
+
+@entry
+def project_one(space: motion.Space, q: Annotated[np.ndarray, "n"]):
+    """Project q (n,) in place; True on success."""
+    return project_state(space, q)
+
+
+@entry
+def valid_one(space: motion.Space, q: Annotated[np.ndarray, "n"]):
+    """Whether q (n,) is free of collision."""
+    return state_valid(space, q)
+
+
+@entry
+def constraint_one(
+    space: motion.Space,
+    q: Annotated[np.ndarray, "n"],
+    full: bool,
+    out_residual: Annotated[np.ndarray, "m"],
+    out_jacobian: Annotated[np.ndarray, "m n"],
+):
+    """Write F(q) into out_residual (m,) and dF/dq into out_jacobian (m, n)."""
+    scratch = space.scratch
+    rotation, translation = scratch.link_rotation, scratch.link_translation
+    forward_kinematics(space.kinematics, q, rotation, translation)
+    residual(space.regions, rotation, translation, out_residual, scratch.displacement)
+    jacobian(
+        space.kinematics,
+        space.regions,
+        rotation,
+        translation,
+        scratch.displacement,
+        full,
+        out_residual,
+        out_jacobian,
+    )
 
 
 class StateCheck:
@@ -80,7 +113,7 @@ class ConstrainedSpace:
         self._check = StateCheck(exact, n)
         regions = stack_regions(robot, problem.constraint, inset)
         reach = reach_with(robot, problem.attachments)
-        self.arrays = kernels.Space(
+        self.arrays = motion.Space(
             kinematics=robot.kinematics,
             regions=regions,
             robot=robot_arrays(robot, problem.attachments),
@@ -158,7 +191,7 @@ class ConstrainedSpace:
     def valid_batch(self, configurations: np.ndarray) -> np.ndarray:
         """Whether each row of configurations (b, n) is free of collision, (b,) bool."""
         out = np.zeros(len(configurations), dtype=bool)
-        kernels.states_valid(self.arrays, configurations, out)
+        motion.states_valid(self.arrays, configurations, out)
         self.reraise()
         return out
 
@@ -187,7 +220,7 @@ class ConstrainedSpace:
         states = np.ascontiguousarray(states)
         capacity = 8 * len(states) + 4 * int(JointPath(states).length / self.arrays.step) + 64
         out = np.empty((capacity, states.shape[1]))
-        written, bad = refine_and_check(self.arrays, states, out)
+        written, bad = motion.refine_and_check(self.arrays, states, out)
         self.reraise()
         return (JointPath(out[:written].copy()), -1) if bad < 0 else (None, int(bad))
 

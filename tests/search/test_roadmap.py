@@ -11,7 +11,7 @@ from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
-from cvqmpt_lab.search.edge_costs import reading, readings
+from cvqmpt_lab.search.edge_costs import reading, readings, scene_costs
 from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE, nearest_nodes
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.planner_interface import Deadline, GaussianMixture, Uniform
@@ -21,7 +21,6 @@ from cvqmpt_lab.search.roadmap import (
     RoadmapPath,
     RoadmapQuery,
     RoadmapSearchSettings,
-    scene_costs,
 )
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -84,12 +83,12 @@ def test_a_roadmap_path_is_certified_and_repeats(problem, roadmap):
 def test_visited_nodes_lie_on_the_manifold_and_are_free(problem, roadmap):
     space, query, deadline = query_of(problem, roadmap)
     query.next_path(deadline)
-    nodes = query.configurations(query.free_nodes)
+    nodes = query.graph.nodes[query.free_nodes]
     assert len(nodes) > 0 and space.valid_batch(nodes).all()
     for q in nodes:
         assert np.abs(space.residual_and_jacobian(q)[0]).max() < 1e-4
     untouched = np.setdiff1d(np.arange(len(roadmap.nodes)), query.free_nodes)
-    assert (query.configurations(untouched) == roadmap.nodes[untouched]).all(axis=1).sum() > 1000
+    assert (query.graph.nodes[untouched] == roadmap.nodes[untouched]).all(axis=1).sum() > 1000
 
 
 def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(problem, roadmap):
@@ -121,7 +120,7 @@ def test_edges_cost_more_the_less_likely_they_are_free(problem, roadmap):
 def test_edges_read_to_their_end_cost_what_the_whole_motion_does(problem, roadmap):
     space, query, deadline = query_of(problem, roadmap)
     query.next_path(deadline)
-    graph, costs = query._graph, scene_costs(space)
+    graph, costs = query.graph, scene_costs(space)
     free = graph.node == FREE
     whole = part = 0
     for row, slot in np.argwhere(graph.known[:, : graph.neighbours.shape[1]] > 0):
@@ -146,10 +145,10 @@ def test_edges_read_to_their_end_cost_what_the_whole_motion_does(problem, roadma
 def test_added_nodes_are_linked_both_ways_and_verdicts_stay(problem, roadmap):
     _, query, deadline = query_of(problem, roadmap)
     query.next_path(deadline)
-    before, count = query._graph, len(roadmap.nodes)
+    before, count = query.graph, len(roadmap.nodes)
     added = problem.robot.random_configurations(np.random.default_rng(1), 40)
     query.add_nodes(added)
-    after = query._graph
+    after = query.graph
     np.testing.assert_array_equal(after.nodes[:count], before.nodes[:count])
     np.testing.assert_array_equal(after.nodes[count : count + 40], added)
     np.testing.assert_array_equal(after.node[:count], before.node[:count])

@@ -16,7 +16,7 @@ from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.roadmap import NEIGHBOURS, NODES, TURN, UNIFORM, RoadmapPath, spread_roadmap
+from cvqmpt_lab.search.roadmap import NEIGHBOURS, NODES, TURN, RoadmapPath, spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 EMPTY = Scene("empty", ())
@@ -60,7 +60,7 @@ def test_nodes_and_the_motions_along_links_are_free_and_near():
         way -= TURN * np.round(way / TURN)
         assert space.valid_batch(roadmap.nodes[i] + 0.5 * way).mean() > 0.99
         assert (np.diff(np.linalg.norm(way, axis=1)) >= 0).all()
-    other = fresh(robot, sequence=UNIFORM, draw=1)
+    other = fresh(robot, draw=1)
     assert not np.array_equal(other.nodes, roadmap.nodes)
 
 
