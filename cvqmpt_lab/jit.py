@@ -150,16 +150,14 @@ def kernel(function: Callable | None = None, *, inline: str | None = None) -> An
         as a hundred scalars, too slow in the hot path. "source" copies its source into its callers
         and does not compile it alone.
     """
-    if function is None:
-        return functools.partial(kernel, inline=inline)
-    return njit(no_cpython_wrapper=True, **OPTIONS, **INLINE[inline])(function)
+    compiled = njit(no_cpython_wrapper=True, **OPTIONS, **INLINE[inline])
+    return compiled if function is None else compiled(function)
 
 
 def entry(function: Callable | None = None, *, inline: str | None = None) -> Any:
     """A compiled function that Python and other kernels call; inline: see `kernel`."""
-    if function is None:
-        return functools.partial(entry, inline=inline)
-    return Entry(function, INLINE[inline])
+    compiled = functools.partial(Entry, options=INLINE[inline])
+    return compiled if function is None else compiled(function)
 
 
 class Entry:

@@ -125,13 +125,13 @@ def solve(
     stages = method.stages(problem)
     began = time.perf_counter()
     cloud = None if stages.observe is None else stages.observe(problem.scene)
-    observation = Observation(cloud, time.perf_counter() - began, use_cache)
+    observe_seconds = time.perf_counter() - began
     _log.info("%d goals in %.1f ms", len(problem.goals), 1e3 * goal_seconds)
     _log.info("cloud of %s points", "no" if cloud is None else len(cloud))
     space, rng = ConstrainedSpace(problem, backend), problem.random_stream(seed)
 
     query = Query.of(space, budget, rng, seed)
-    proposal = stages.predict(query, observation)
+    proposal = stages.predict(query, Observation(cloud, use_cache))
     if stages.update is not None:
         proposal = stages.update(query, proposal)
 
@@ -151,7 +151,7 @@ def solve(
         shorter = Simplified(plan.path, 0.0, Counters())
         if not plan.as_is:
             shorter = simplify(space, plan.path, rng)
-    wall = time.perf_counter() - called - goal_seconds - observation.seconds
+    wall = time.perf_counter() - called - goal_seconds - observe_seconds
     if shorter is not None:
         certificate = certify(problem, shorter.path, clearance=clearance)
     if shorter is not None and optimize is not None and not plan.as_is:
@@ -169,7 +169,7 @@ def solve(
         shorter,
         certificate,
         goal_seconds,
-        observation.seconds,
+        observe_seconds,
         wall,
         improvement,
         proposal.distribution if sampled else None,

@@ -12,7 +12,6 @@ import numpy as np
 
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.project import projection_scratch, reach_poses
-from cvqmpt_lab.constraints.regions import Regions
 from cvqmpt_lab.constraints.report import broken_bound, displaced
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
@@ -49,7 +48,9 @@ def solve_poses(
     Returns:
         k arrays (at most a, n).
     """
-    regions, reached = pose_regions(robot, within), np.empty(guesses.shape[:2], dtype=np.int64)
+    # the reference frame of the first region is written for each pose
+    regions = stack_regions(robot, (ONE_POSE, *within))
+    reached = np.empty(guesses.shape[:2], dtype=np.int64)
     reach_poses(
         robot.kinematics,
         regions,
@@ -62,11 +63,6 @@ def solve_poses(
         reached,
     )
     return [rows[iterations >= 0] for rows, iterations in zip(guesses, reached, strict=True)]
-
-
-def pose_regions(robot: Robot, within: Sequence[TaskSpaceRegion] = ()) -> Regions:
-    """A region of a single pose, its reference frame to be written, and regions kept, too."""
-    return stack_regions(robot, (ONE_POSE, *within))
 
 
 def first_guesses(

@@ -14,14 +14,14 @@ from cvqmpt_lab.constraints.inverse_kinematics import (
     ATTEMPTS,
     MAX_ITERATIONS,
     NEAR,
+    ONE_POSE,
     SAMPLE_MARGIN,
     TOLERANCE,
     GoalSample,
-    pose_regions,
 )
 from cvqmpt_lab.constraints.project import ProjectionScratch, newton, projection_scratch
 from cvqmpt_lab.constraints.regions import Regions
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, stack_regions
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
@@ -172,7 +172,7 @@ def sample_goals(
     """
     robot, region = problem.robot, problem.goal_region
     assert region is not None
-    regions = pose_regions(robot, within)
+    regions = stack_regions(robot, (ONE_POSE, *within))
     if near is None:
         seeds = _seeds_anywhere(robot)
     else:

@@ -211,7 +211,6 @@ class Observation:
 
     # (m, 3) [m, robot base frame]; None for planners without sensing
     cloud: np.ndarray | None = None
-    seconds: float = 0.0  # of rendering or reading the cloud; charged to nobody
     # False: whatever is computed from the cloud is computed again, and charged
     use_cache: bool = True
 

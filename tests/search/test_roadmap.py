@@ -12,7 +12,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.search.edge_costs import reading, readings, scene_costs
-from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE, nearest_nodes
+from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.planner_interface import Deadline, GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
@@ -50,16 +50,6 @@ def query_of(problem, roadmap, **settings):
     asked = RoadmapSearchSettings(**settings)
     query = RoadmapQuery(space, roadmap, problem.start, problem.goals, asked, scene_costs(space))
     return space, query, Deadline(ENOUGH, space)
-
-
-def test_nearest_nodes_are_those_of_a_full_sort():
-    rng = np.random.default_rng(0)
-    nodes, target = rng.normal(size=(300, 7)), rng.normal(size=7)
-    chosen, squares = np.empty(9, dtype=np.int32), np.empty(9)
-    nearest_nodes(nodes, 200, target, chosen, squares)
-    distances = ((nodes[:200] - target) ** 2).sum(axis=1)
-    np.testing.assert_array_equal(chosen, np.argsort(distances)[:9])
-    np.testing.assert_allclose(squares, np.sort(distances)[:9])
 
 
 def test_a_roadmap_links_each_node_to_its_nearest_others(roadmap):

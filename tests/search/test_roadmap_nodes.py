@@ -1,6 +1,5 @@
 """Roadmaps of any robot: nodes, edges, cache, and robots and scenes that hardly allow one."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -96,17 +95,6 @@ def test_a_spoilt_or_foreign_file_of_the_cache_is_made_anew(cache, slider_arm, s
     again = fresh(slider_arm)
     np.testing.assert_array_equal(again.nodes, made.nodes)
     np.testing.assert_array_equal(again.neighbours, made.neighbours)
-
-
-def test_without_a_place_for_the_cache_a_roadmap_is_made_all_the_same(
-    slider_arm, tmp_path, monkeypatch
-):
-    made = fresh(slider_arm)
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        np.testing.assert_array_equal(fresh(slider_arm).nodes, made.nodes)
 
 
 @pytest.mark.parametrize("fault", [(28, "No space left on device"), (30, "Read-only file system")])
