@@ -14,11 +14,12 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.external import entry_point_names, external_planner, is_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import InformedRoadmaps
-from cvqmpt_lab.search.controls import AroundPath
-from cvqmpt_lab.search.edge_costs import EdgeCosts, no_costs, other_costs, scene_costs
+from cvqmpt_lab.search.controls import AroundPath, no_costs, other_costs
+from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.roadmap import (
     RoadmapPath,
+    scene_costs,
     spread_roadmap,
 )
 from cvqmpt_lab.search.space import ConstrainedSpace

@@ -18,7 +18,7 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import entry
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.edge_costs import EdgeCosts, scene_costs
+from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.lazy_roadmap import FREE
 from cvqmpt_lab.search.motion import Space, distance, posed_state_valid, project_state
 from cvqmpt_lab.search.planner_interface import (
@@ -33,6 +33,7 @@ from cvqmpt_lab.search.roadmap import (
     Roadmap,
     RoadmapQuery,
     RoadmapSearchSettings,
+    scene_costs,
 )
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace

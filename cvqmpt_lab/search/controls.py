@@ -1,10 +1,14 @@
-"""Controls of learned distributions: Gaussians around paths that need no network."""
+"""Controls: Gaussians around paths that need no network; edge costs that do not see the scene."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from cvqmpt_lab.collision.arrays import scene_arrays
+from cvqmpt_lab.collision.exact import reach_with
+from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import (
     GaussianMixture,
     Observation,
@@ -13,6 +17,7 @@ from cvqmpt_lab.search.planner_interface import (
     SamplingDistribution,
 )
 from cvqmpt_lab.search.result import Budget, JointPath, PlanResult
+from cvqmpt_lab.search.roadmap import scene_costs
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -76,3 +81,14 @@ def short_path(
     """A shortened path from a query's start to a goal, or None; and the search for it."""
     found = BiRRT().search(space, query.start, query.goals, query.uniform, budget, query.rng)
     return None if found.path is None else simplify(space, found.path, query.rng).path, found
+
+
+def no_costs(space: ConstrainedSpace) -> EdgeCosts:
+    """Edges cost their length, whatever the scene."""
+    return scene_costs(space)._replace(weight=0.0)
+
+
+def other_costs(space: ConstrainedSpace) -> EdgeCosts:
+    """Edge costs in another scene than the space's."""
+    reach = reach_with(space.robot, space.problem.attachments)
+    return scene_costs(space)._replace(grid=scene_arrays(another_scene(), reach).grid)

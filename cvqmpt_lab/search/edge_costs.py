@@ -12,15 +12,11 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.arrays import scene_arrays
 from cvqmpt_lab.collision.checker import ball_clearance
 from cvqmpt_lab.collision.distance_grid import NEAREST, DistanceGrid
-from cvqmpt_lab.collision.exact import reach_with
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
-from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.search.motion import CLEARANCES, GAP, Space
-from cvqmpt_lab.search.space import ConstrainedSpace
 
 
 class EdgeCosts(NamedTuple):
@@ -97,19 +93,3 @@ def reading(
     )
     space.counters[CLEARANCES] += 1
     return smallest_clearance(space, costs.grid, lowest)
-
-
-def scene_costs(space: ConstrainedSpace) -> EdgeCosts:
-    """Edge costs in the scene of a space, from the distances that its checker has."""
-    return EdgeCosts(space.arrays.scene.grid)
-
-
-def no_costs(space: ConstrainedSpace) -> EdgeCosts:
-    """Edges cost their length, whatever the scene."""
-    return scene_costs(space)._replace(weight=0.0)
-
-
-def other_costs(space: ConstrainedSpace) -> EdgeCosts:
-    """Edge costs in another scene than the space's, for controls."""
-    reach = reach_with(space.robot, space.problem.attachments)
-    return scene_costs(space)._replace(grid=scene_arrays(another_scene(), reach).grid)

@@ -19,7 +19,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search import lazy_roadmap as kernels
-from cvqmpt_lab.search.edge_costs import EdgeCosts, scene_costs
+from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import (
     Deadline,
     GaussianMixture,
@@ -93,12 +93,8 @@ def spread_roadmap(
 ) -> Roadmap:
     """NODES configurations over the joint ranges; fewer if most self-collide.
 
-    Joints that turn more than once get one turn, see `Roadmap.near`.
-
-    Args:
-        robot: the robot.
-        attachments: what it carries.
-        draw: seed of independent draws; None: a scrambled Halton sequence covers the ranges evenly.
+    Joints that turn more than once get one turn, see `Roadmap.near`. draw: seed of independent
+    draws; None: a scrambled Halton sequence, which covers the ranges evenly.
     """
     return _kept(robot, attachments, f"{draw}".encode(), lambda space: _free_draws(space, draw))
 
@@ -214,6 +210,11 @@ class RoadmapSearchSettings:
     greed: float = 4.0
     # [rad] between the states of an edge; a found path is refined to the space's own step
     step: float = 0.2
+
+
+def scene_costs(space: ConstrainedSpace) -> EdgeCosts:
+    """Edge costs in the scene of a space, from the distances that its checker has."""
+    return EdgeCosts(space.arrays.scene.grid)
 
 
 class RoadmapQuery:
@@ -386,14 +387,11 @@ class RoadmapPath:
         return Proposal(around, vertices=len(known), fallback=f"birrt around {len(known)} {lost}")
 
     def _near_ends(self, query: Query, count: int = 128) -> np.ndarray:
-        """Projected draws (at most count, n), half around the start, half around goals.
-
-        Their standard deviations from an end are up to 1 rad.
-        """
+        """Projected draws (at most count, n), half around the start, half around goals."""
         rng, robot = query.rng, query.space.robot
         centres = np.tile(query.start, (count, 1))
         centres[::2] = query.goals[rng.integers(len(query.goals), size=len(centres[::2]))]
-        widths = rng.uniform(0.0, 1.0, (count, 1))
+        widths = rng.uniform(0.0, 1.0, (count, 1))  # standard deviations [rad]
         draws = centres + widths * rng.standard_normal(centres.shape)
         draws = np.clip(draws, robot.lower, robot.upper)
         return draws[[query.space.project(q) for q in draws]]

@@ -6,10 +6,9 @@ import pytest
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.search.anytime import InformedRoadmaps, InformedSamples, improve, keep_informed
-from cvqmpt_lab.search.edge_costs import scene_costs
 from cvqmpt_lab.search.planner_interface import Deadline
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettings
+from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettings, scene_costs
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 LOWER, UPPER = np.full(7, -9.0), np.full(7, 9.0)

@@ -11,7 +11,7 @@ from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
-from cvqmpt_lab.search.edge_costs import reading, readings, scene_costs
+from cvqmpt_lab.search.edge_costs import reading, readings
 from cvqmpt_lab.search.lazy_roadmap import BLOCKED, FREE
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.planner_interface import Deadline, GaussianMixture, Uniform
@@ -21,6 +21,7 @@ from cvqmpt_lab.search.roadmap import (
     RoadmapPath,
     RoadmapQuery,
     RoadmapSearchSettings,
+    scene_costs,
 )
 from cvqmpt_lab.search.space import ConstrainedSpace
 
