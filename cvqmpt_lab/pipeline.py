@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from cvqmpt_lab.errors import require_kind, whole_number
 from cvqmpt_lab.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.processes import one_thread
-from cvqmpt_lab.search.anytime import Improvement, Restarts, check_units, improve
+from cvqmpt_lab.search.anytime import Improvement, check_units, improve, restarted
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
 from cvqmpt_lab.search.planner_interface import Observation, Query, SamplingDistribution, search
@@ -156,7 +157,7 @@ def solve(
         certificate = certify(problem, shorter.path, clearance=clearance)
     if shorter is not None and optimize is not None and not plan.as_is:
         rng = problem.random_stream(seed, 1)
-        paths = stages.path_source or Restarts(tree_search, proposal.distribution)
+        paths = stages.path_source or partial(restarted, tree_search, proposal.distribution)
         best, improvement = improve(space, paths, shorter.path, optimize, rng)
         better = certify(problem, best, clearance=clearance)
         if better.valid:

@@ -5,6 +5,7 @@ Each is up to four stages, see `search.planner_interface`, made and loaded when 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.external import entry_point_names, external_planner, is_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.search.anytime import InformedRoadmaps
+from cvqmpt_lab.search.anytime import informed_roadmap_path
 from cvqmpt_lab.search.controls import AroundPath, no_costs, other_costs
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import Stages
@@ -129,7 +130,7 @@ def _roadmap(
             roadmap = free_dictionary(model, robot, load)
         return Stages(
             predict=RoadmapPath(roadmap, name, costs=costs, oracle=oracle),
-            path_source=InformedRoadmaps(costs=costs),
+            path_source=partial(informed_roadmap_path, costs),
         )
 
     return Method(name, build, weights)

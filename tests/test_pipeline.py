@@ -164,17 +164,20 @@ def test_what_is_no_budget_is_refused(problem, task, budget):
             solve(problem, "birrt", ENOUGH, 0, optimize=budget)
 
 
-@pytest.mark.parametrize("value", [2.5, np.nan, "3", 0, -1, 1e300, np.inf, True, [1], 2**70])
-def test_iterations_that_are_no_whole_number_are_refused(value):
-    with pytest.raises(
-        InvalidInputError, match=r"budget iterations .*: give a whole number from 1"
-    ):
-        Budget(iterations=value)
-
-
-@pytest.mark.parametrize("value", [np.nan, "3", 0, -1, [1]])
-def test_seconds_that_are_not_above_zero_are_refused(value):
-    with pytest.raises(InvalidInputError, match=r"budget seconds .*: give a number above 0"):
-        Budget(seconds=value)
-    with pytest.raises(InvalidInputError, match="budget"):
+@pytest.mark.parametrize(
+    ("field", "values", "must"),
+    [
+        (
+            "iterations",
+            [2.5, np.nan, "3", 0, -1, 1e300, np.inf, True, [1], 2**70],
+            "whole number from 1",
+        ),
+        ("seconds", [np.nan, "3", 0, -1, [1]], "number above 0"),
+    ],
+)
+def test_a_budget_of_nothing_is_refused(field, values, must):
+    for value in values:
+        with pytest.raises(InvalidInputError, match=f"budget {field} .*: give a {must}"):
+            Budget(**{field: value})
+    with pytest.raises(InvalidInputError, match="budget needs"):
         Budget()

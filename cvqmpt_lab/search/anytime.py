@@ -5,8 +5,8 @@ A path of length c from q_start to q_goal passes through configurations of the i
 
     { q : |q - q_start| + |q - q_goal| < c }
 
-`Restarts` searches again with samples from it. `InformedRoadmaps` searches small roadmaps of it.
-What they find is shortened.
+`restarted` searches again with samples from it. `informed_roadmap_path` searches small roadmaps of
+it. What they find is shortened.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,6 @@ from cvqmpt_lab.search.roadmap import (
     Roadmap,
     RoadmapQuery,
     RoadmapSearchSettings,
-    scene_costs,
 )
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -127,7 +126,7 @@ def improve(
         if not shortening:
             if nearest >= best.length:
                 break  # the path is straight
-            found = source.next_path(space, best, deadline, rng, searches)
+            found = source(space, best, deadline, rng, searches)
             searches += 1
         deadline.count()  # so that a round without iterations ends, too
         if found is None:
@@ -142,75 +141,62 @@ def improve(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Restarts:
-    """Other searches by the same method; every other one near straight lines to the goals."""
+def restarted(
+    method: Search,
+    distribution: SamplingDistribution,
+    space: ConstrainedSpace,
+    best: JointPath,
+    deadline: Deadline,
+    rng: np.random.Generator,
+    number: int,
+) -> JointPath | None:
+    """A path of another search by the same method; see `PathSource`.
 
-    method: Search
-    distribution: SamplingDistribution  # of the first search
-    # times the straight line's length, up to the best path's: upper bounds that are tried in turn
-    stretches: tuple[float, ...] = (1.1, 1.3, 1.6, 2.0, 2.6, np.inf)
-
-    def next_path(
-        self,
-        space: ConstrainedSpace,
-        best: JointPath,
-        deadline: Deadline,
-        rng: np.random.Generator,
-        number: int,
-    ) -> JointPath | None:
-        """Search with new samples; see `PathSource`."""
-        start, rest = space.problem.start, deadline.rest()
-        if number % 2 == 0:
-            goals = nearer_goals(space, best.length)
-            samples: SamplingDistribution = InformedFirst(
-                self.distribution, start, goals, best.length
-            )
-            most = 200  # iterations with the first search's samples
-        else:
-            stretch = self.stretches[number // 2 % len(self.stretches)]
-            goals, samples = informed_samples(space, best.length, stretch)
-            most = 60  # iterations near straight lines
-        bounded = replace(rest, iterations=min(most, rest.iterations or most))
-        return self.method.search(space, start, goals, samples, bounded, rng).path
-
-
-@dataclass(frozen=True, eq=False)
-class InformedRoadmaps:
-    """Small roadmaps of draws from the informed set, whose edges are checked lazily.
-
-    A raw path through random nodes is longer than the same path shortened: raw paths up to twice as
-    long as the best one are accepted. Numbers were chosen on tuning problems.
+    Every other one draws near straight lines to the goals, the others from the first search's
+    distribution, informed samples first.
     """
+    start, rest = space.problem.start, deadline.rest()
+    if number % 2 == 0:
+        goals = nearer_goals(space, best.length)
+        samples: SamplingDistribution = InformedFirst(distribution, start, goals, best.length)
+        most = 200  # iterations
+    else:
+        stretches = (1.1, 1.3, 1.6, 2.0, 2.6, np.inf)
+        goals, samples = informed_samples(space, best.length, stretches[number // 2 % 6])
+        most = 60  # iterations
+    bounded = replace(rest, iterations=min(most, rest.iterations or most))
+    return method.search(space, start, goals, samples, bounded, rng).path
 
-    # times the straight line's length, up to the best path's: upper bounds that are tried in turn
-    stretches: tuple[float, ...] = (1.6, 2.0, 1.3, 2.6, np.inf)
-    costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
 
-    def next_path(
-        self,
-        space: ConstrainedSpace,
-        best: JointPath,
-        deadline: Deadline,
-        rng: np.random.Generator,
-        number: int,
-    ) -> JointPath | None:
-        """Search a new roadmap; see `PathSource`."""
-        start, stretch = space.problem.start, self.stretches[number % len(self.stretches)]
-        goals, samples = informed_samples(space, best.length, stretch)
-        draws = samples.sample(rng, 100)  # half of them are free in the kitchen
-        nodes = draws[: keep_informed.unchecked(space.arrays, draws, start, goals, best.length)]
-        space.reraise()
-        if len(nodes) < 2:
-            return None
-        costs, longest = self.costs(space), 2.0 * best.length
-        if costs.weight > 0.0:
-            costs = costs._replace(weight=1.0)
-        roadmap = Roadmap.of(nodes, min(20, len(nodes) - 1))
-        settings = RoadmapSearchSettings(penalty=0.0, searches=20, greed=1.5)
-        query = RoadmapQuery(space, roadmap, start, goals, settings, costs, longest, FREE)
-        found = query.next_path(deadline)
-        return found if found is not None and found.length < longest else None
+def informed_roadmap_path(
+    edge_costs: Callable[[ConstrainedSpace], EdgeCosts],
+    space: ConstrainedSpace,
+    best: JointPath,
+    deadline: Deadline,
+    rng: np.random.Generator,
+    number: int,
+) -> JointPath | None:
+    """A path through a small roadmap of draws from the informed set; see `PathSource`.
+
+    Edges are checked lazily. A raw path through random nodes is longer than the same path
+    shortened: raw paths up to twice as long as the best one are accepted. Numbers were chosen on
+    tuning problems.
+    """
+    start, stretch = space.problem.start, (1.6, 2.0, 1.3, 2.6, np.inf)[number % 5]
+    goals, samples = informed_samples(space, best.length, stretch)
+    draws = samples.sample(rng, 100)  # half of them are free in the kitchen
+    nodes = draws[: keep_informed.unchecked(space.arrays, draws, start, goals, best.length)]
+    space.reraise()
+    if len(nodes) < 2:
+        return None
+    costs, longest = edge_costs(space), 2.0 * best.length
+    if costs.weight > 0.0:
+        costs = costs._replace(weight=1.0)
+    roadmap = Roadmap.of(nodes, min(20, len(nodes) - 1))
+    settings = RoadmapSearchSettings(penalty=0.0, searches=20, greed=1.5)
+    query = RoadmapQuery(space, roadmap, start, goals, settings, costs, longest, FREE)
+    found = query.next_path(deadline)
+    return found if found is not None and found.length < longest else None
 
 
 def nearer_goals(space: ConstrainedSpace, length: float) -> np.ndarray:
@@ -224,8 +210,8 @@ def informed_samples(
 ) -> tuple[np.ndarray, "InformedSamples"]:
     """The informed sets of paths shorter than `length` [rad] to the goals, and these goals (k, n).
 
-    stretch: upper bound on path length / straight length. Goals whose set it does not reduce are
-        left out, unless all are.
+    stretch: upper bound on path length / straight length, of several that are tried in turn. Goals
+        whose set it does not reduce are left out, unless all are.
     """
     start, goals = space.problem.start, nearer_goals(space, length)
     reach = np.minimum(stretch * np.maximum(np.linalg.norm(goals - start, axis=1), LEAST), length)

@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -250,28 +250,12 @@ class Search(Protocol):
         """Search a path from start (n,) to any row of goals (k, n) [rad or m]."""
 
 
-class PathSource(Protocol):
-    """Finds paths that may be shorter than the best one known, in time left over."""
-
-    def next_path(
-        self,
-        space: ConstrainedSpace,
-        best: JointPath,
-        deadline: Deadline,
-        rng: np.random.Generator,
-        number: int,
-    ) -> JointPath | None:
-        """A free path on the manifold that shortening may make shorter than the best, or None.
-
-        Called while the straight line to a goal is shorter than the best path.
-
-        Args:
-            space: the planning space.
-            best: the shortest path known.
-            deadline: ends the run.
-            rng: random numbers.
-            number: of calls before this one in the run.
-        """
+# A free path on the manifold that shortening may make shorter than the best one known, or None, of
+# (space, best path, deadline of the run, random numbers, number of calls before this one). Called
+# while the straight line to a goal is shorter than the best path.
+PathSource: TypeAlias = Callable[
+    [ConstrainedSpace, JointPath, Deadline, np.random.Generator, int], JointPath | None
+]
 
 
 @dataclass(frozen=True, eq=False)

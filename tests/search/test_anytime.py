@@ -1,11 +1,13 @@
 """Shorter paths: the informed set, the draws kept from it, and paths through roadmaps of them."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.search.anytime import InformedRoadmaps, InformedSamples, improve, keep_informed
+from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path, keep_informed
 from cvqmpt_lab.search.planner_interface import Deadline
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettings, scene_costs
@@ -88,7 +90,7 @@ def test_informed_roadmaps_find_shorter_paths_that_repeat_and_a_straight_path_en
     def better():
         return improve(
             ConstrainedSpace(problem),
-            InformedRoadmaps(),
+            partial(informed_roadmap_path, scene_costs),
             first,
             Budget(iterations=400),
             np.random.default_rng(0),
@@ -104,7 +106,7 @@ def test_informed_roadmaps_find_shorter_paths_that_repeat_and_a_straight_path_en
     straight = JointPath(np.stack([problem.start, nearest]))
     _, made = improve(
         ConstrainedSpace(problem),
-        InformedRoadmaps(),
+        partial(informed_roadmap_path, scene_costs),
         straight,
         Budget(iterations=400),
         np.random.default_rng(0),

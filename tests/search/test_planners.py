@@ -159,16 +159,6 @@ def test_a_budget_in_seconds_is_kept_to_a_tenth_of_a_second(problem, backend):
     assert time.perf_counter() - began < 0.6
 
 
-@dataclass(frozen=True)
-class Outside:
-    """Draws far outside the limits; the planner clips."""
-
-    name: str = "outside"
-
-    def sample(self, rng, count):
-        return rng.uniform(-9.0, 9.0, (count, 7))
-
-
 def test_any_distribution_is_sampled_and_named(problem, solution):
     means = solution.simplified.path.states[::20]
     k = len(means)
@@ -182,7 +172,8 @@ def test_any_distribution_is_sampled_and_named(problem, solution):
 
 
 def test_samples_outside_the_limits_are_clipped(problem):
-    result = plan(problem, sampling(Outside()), ENOUGH, seed=1)
+    outside = Uniform(np.full(7, -9.0), np.full(7, 9.0), "outside")
+    result = plan(problem, sampling(outside), ENOUGH, seed=1)
     assert result.sampler == "outside" and certify(problem, result.path, clearance=False).valid
 
 
@@ -238,16 +229,8 @@ def test_exceptions_in_state_checks_come_out(problem, name):
 @pytest.mark.parametrize("manifold", STATE_SPACES)
 def test_ompl_keeps_nothing_of_a_run(problem, manifold):
     """Python's collector cannot see into OMPL's objects: a reference cycle would stay for ever."""
-    space = ConstrainedSpace(problem)
-    uniform = Uniform(problem.robot.lower, problem.robot.upper)
-    arguments = (
-        problem.start,
-        problem.goals,
-        uniform,
-        Budget(iterations=3),
-        np.random.default_rng(0),
-    )
-    OmplSearch(manifold).search(space, *arguments)
+    space, rng, few = ConstrainedSpace(problem), np.random.default_rng(0), Budget(iterations=3)
+    OmplSearch(manifold).search(space, problem.start, problem.goals, None, few, rng)
     kept = weakref.ref(space)
     del space
     gc.collect()
