@@ -131,16 +131,12 @@ class _Cache(FunctionCache):
             with written_by_owner_only():
                 super().save_overload(sig, data)
         except OSError as error:
-            _warn_not_kept(error.strerror)
-
-
-@functools.cache
-def _warn_not_kept(why: str) -> None:
-    warnings.warn(
-        f"machine code cannot be kept in {folder()} ({why}): every process compiles for up to "
-        "half a minute; set NUMBA_CACHE_DIR to a writable folder",
-        stacklevel=2,
-    )
+            # shown once: Python leaves out warnings that were given at the same line
+            warnings.warn(
+                f"machine code cannot be kept in {folder()} ({error.strerror}): every process "
+                "compiles for up to half a minute; set NUMBA_CACHE_DIR to a writable folder",
+                stacklevel=1,
+            )
 
 
 def kernel(function: Callable | None = None, *, inline: str | None = None) -> Any:

@@ -186,9 +186,6 @@ class PlanningProblem(Document):
                     f"{self.name}: {what} has shape {array.shape}, robot {self.robot.name} needs "
                     f"{shape}"
                 )
-        states = np.vstack([self.start, self.goals])
-        if ((states >= self.robot.lower) & (states <= self.robot.upper)).all():
-            return
         for label, q in self.labelled_configurations():
             outside = self.robot.joint_outside_limits(q)
             if outside is not None:
