@@ -38,10 +38,18 @@ def read_folder(folder: Path) -> dict[str, FiledProblem]:
     for path, data in contents.items():
         if path.resolve() in scenes:
             continue
-        problem = _named_as_in_rows(PlanningProblem.load(path), path)
-        if problem.name in found:
+        problem = PlanningProblem.load(path)
+        # a slash, after which rows name the phase of a task, becomes a hyphen
+        name = problem.name.replace("/", "-")
+        if one_line(name) != name:
             raise InvalidInputError(
-                f"{found[problem.name].path} and {path} are both named {problem.name!r}, and rows "
+                f"{path}: name {name!r} cannot stand in a table: no =, +, - or @ first, no blanks "
+                "around or in a row"
+            )
+        problem = problem if name == problem.name else replace(problem, name=name)
+        if name in found:
+            raise InvalidInputError(
+                f"{found[name].path} and {path} are both named {name!r}, and rows "
                 "go by names: give one of them another 'name'"
             )
         digest = hashlib.sha256(content_digest(str(path)).encode())
@@ -49,7 +57,7 @@ def read_folder(folder: Path) -> dict[str, FiledProblem]:
             digest.update(content_digest(str(other)).encode())
         for _, content in problem.robot.files:
             digest.update(content.encode())
-        found[problem.name] = FiledProblem(problem, path, digest.hexdigest())
+        found[name] = FiledProblem(problem, path, digest.hexdigest())
     if not found:
         raise InvalidInputError(
             f"{folder} holds no problem files (*.json); write one with: cvqmpt problems new "
@@ -70,14 +78,3 @@ def _contents(folder: Path) -> dict[Path, dict[str, Any]]:
         ) from error
     paths = sorted(paths, key=lambda path: natural_key(path.name))
     return {path: read_json_object(path) for path in paths if not path.name.endswith(NO_PROBLEM)}
-
-
-def _named_as_in_rows(problem: PlanningProblem, path: Path) -> PlanningProblem:
-    """A slash in its name, after which rows name the phase of a task, becomes a hyphen."""
-    name = problem.name.replace("/", "-")
-    if one_line(name) != name:
-        raise InvalidInputError(
-            f"{path}: name {name!r} cannot stand in a table: no =, +, - or @ first, no blanks "
-            "around or in a row"
-        )
-    return problem if name == problem.name else replace(problem, name=name)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, hand_reach
 from cvqmpt_lab.constraints.named import upper_axis
@@ -29,8 +30,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
@@ -91,10 +91,10 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
             top, scene = _scene(robot, layout)
             said = {
                 **plain,
-                "scene": _commented(scene),
+                "scene": scene,
                 "constraint": {"_comment": REGIONS, "upright": {"tilt": TILT, "axis": axis}},
             }
-            for start, goal in _ends(robot, scene, layout, top, axis):
+            for start, goal in _ends(robot, from_plain(Scene, scene), layout, top, axis):
                 joints = dict(zip(robot.joint_names, start.tolist(), strict=True))
                 made = {**said, "start": joints, **_goal(robot, goal)}
                 if _solved(PlanningProblem.from_dict(made), matters=layout is not LAYOUTS[-1]):
@@ -136,34 +136,25 @@ def _axes(robot: Robot) -> list[Axis]:
     return list(dict.fromkeys((upper_axis(down), upper_axis(middle))))
 
 
-def _scene(robot: Robot, layout: Layout) -> tuple[float, Scene]:
-    """Height of the table [m], and the scene: a table with a wall on it."""
+def _scene(robot: Robot, layout: Layout) -> tuple[float, dict[str, Any]]:
+    """Height of the table [m], and json of the scene: a table with a wall on it.
+
+    Its first object says which shapes there are.
+    """
     reach, (x, y, z) = hand_reach(robot), robot.kinematics.translation[0]
     top = 0.0 if 0.0 <= z <= 0.6 * reach else z - 0.35 * reach
     begin, end, half, thick = (reach * share for share in layout.table)
     at, *size = (reach * share for share in layout.wall)
-    table = _box(
-        "table", (end - begin, 2.0 * half, thick), (x + 0.5 * (begin + end), y, top - 0.5 * thick)
-    )
-    return top, Scene("room", (table, _box("wall", tuple(size), (x + at, y, top + 0.5 * size[2]))))
-
-
-def _box(name: str, size: Any, xyz: tuple[float, float, float]) -> SceneObject:
-    a, b, c = (round(float(edge), 3) for edge in size)
-    return SceneObject(name, Box((a, b, c)), pose(np.round(xyz, 3)))
-
-
-def _commented(scene: Scene) -> dict[str, Any]:
-    """Json of the scene; the first object says which shapes there are."""
-    objects = [
-        {
-            "name": item.name,
-            "shape": {"type": "box", "size": list(item.shape.size)},  # type: ignore[union-attr]
-            "T_world_object": {"xyz": item.T_world_object[:3, 3].tolist()},
-        }
-        for item in scene
-    ]
-    return {"name": scene.name, "objects": [{"_comment": SHAPES, **objects[0]}, *objects[1:]]}
+    places = {
+        "table": ((end - begin, 2.0 * half, thick), (0.5 * (begin + end), -0.5 * thick)),
+        "wall": (size, (at, 0.5 * size[2])),
+    }
+    objects: list[dict[str, Any]] = []
+    for name, (edges, (ahead, up)) in places.items():
+        box = {"type": "box", "size": [round(float(edge), 3) for edge in edges]}
+        xyz = (np.round((x + ahead, y, top + up), 3) + 0.0).tolist()
+        objects.append({"name": name, "shape": box, "T_world_object": {"xyz": xyz}})
+    return top, {"name": "room", "objects": [{"_comment": SHAPES, **objects[0]}, objects[1]]}
 
 
 def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:

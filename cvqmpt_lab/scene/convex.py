@@ -132,21 +132,20 @@ class Piece:
     solid: FilledCells  # the whole mesh
 
     @cached_property
-    def hull(self) -> FloatArray:
-        """Vertices (k, 3) of its hull, the solid corners of the space included [m]."""
+    def hull(self) -> ConvexHull:
+        """Its hull [m], the solid corners of the space included; `MIN_THICKNESS` thick at least."""
         corners = np.array(list(product(*zip(self.low, self.high, strict=True))))
         inside = corners[self.solid.holds(corners)]
-        return hull_of(np.concatenate([self.triangles.reshape(-1, 3), inside]))
-
-    @cached_property
-    def faces(self) -> ConvexHull:
-        """Its hull with faces and volume."""
-        return ConvexHull(self.hull)
+        points = np.concatenate([self.triangles.reshape(-1, 3), inside])
+        if len(points) < 4 or thickness(points) < 2.0 * MIN_THICKNESS:
+            points = _thickened(points)
+        # made twice: the second time of nothing but vertices
+        return ConvexHull(points[ConvexHull(points).vertices])
 
     @cached_property
     def excess(self) -> float:
         """How much of its hull is not solid [m^3]."""
-        return max(0.0, self.faces.volume - self.solid.volume(self.low, self.high))
+        return max(0.0, self.hull.volume - self.solid.volume(self.low, self.high))
 
     def halves(self, through_void: float = 0.05) -> "list[Piece]":
         """The two parts of the best cut; the piece itself if every cut leaves one side empty.
@@ -158,8 +157,13 @@ class Piece:
         with the volumes V of the hulls of both sides and of the piece, the area A of the cut that
         is not solid, and the length l of the piece along the axis.
         """
-        sketch, whole = self._sketch(), max(self.faces.volume, 1e-30)
-        area = self.solid.voids(planes_around(self.faces), self.low, self.high)
+        # cuts are compared on the largest triangles and some of the others
+        count = 600 if len(self.triangles) <= 600 else 120
+        order = np.argsort(-trimesh.triangles.area(self.triangles))
+        rest = order[count // 2 :]
+        sketched = np.r_[order[: count // 2], rest[:: max(1, 2 * len(rest) // count)]]
+        sketch, whole = self.triangles[sketched], max(self.hull.volume, 1e-30)
+        area = self.solid.voids(planes_around(self.hull), self.low, self.high)
         best, axis, at = np.inf, 0, 0.0
         for axis_now, at_now in self._cuts():
             sides = _sides(sketch, axis_now, at_now)
@@ -176,13 +180,6 @@ class Piece:
             Piece(_clipped(self.triangles, axis, at, 1.0), low, self.high, self.solid),
         ]
         return parts if all(len(part.triangles) for part in parts) else [self]
-
-    def _sketch(self, few: int = 600, coarse: int = 120) -> FloatArray:
-        """Triangles (f, 3, 3) by which cuts are compared; of more than `few` about `coarse`."""
-        count = few if len(self.triangles) <= few else coarse
-        order = np.argsort(-trimesh.triangles.area(self.triangles))
-        rest = order[count // 2 :]
-        return self.triangles[np.r_[order[: count // 2], rest[:: max(1, 2 * len(rest) // count)]]]
 
     def _cuts(
         self,
@@ -240,7 +237,7 @@ def convex_pieces(triangles: FloatArray, enough: float = 0.02) -> tuple[FloatArr
     check_volume(points, "the corners of the mesh")
     closed = as_mesh(triangles).is_watertight or as_mesh(without_points).is_watertight
     whole = Piece(triangles, points.min(axis=0), points.max(axis=0), FilledCells(triangles, closed))
-    most = enough * whole.faces.volume
+    most = enough * whole.hull.volume
     parts, final = [whole], list[Piece]()  # final: those that cannot be cut
     while parts and len(parts) + len(final) < MOST_PIECES:
         if sum(part.excess for part in parts) <= most:
@@ -249,7 +246,7 @@ def convex_pieces(triangles: FloatArray, enough: float = 0.02) -> tuple[FloatArr
         parts.remove(worst)
         halves = worst.halves()
         (parts if len(halves) > 1 else final).extend(halves)
-    return tuple(of_few_vertices(part.faces) for part in (*parts, *final))
+    return tuple(of_few_vertices(part.hull) for part in (*parts, *final))
 
 
 def as_mesh(triangles: FloatArray) -> trimesh.Trimesh:
@@ -284,13 +281,6 @@ def _volume(points: FloatArray) -> float:
         return float(ConvexHull(points).volume) if len(points) > 3 else 0.0
     except QhullError:
         return 0.0
-
-
-def hull_of(points: FloatArray) -> FloatArray:
-    """Vertices (k, 3) of the hull of points (n, 3), n >= 1 [m]; `MIN_THICKNESS` thick at least."""
-    if len(points) < 4 or thickness(points) < 2.0 * MIN_THICKNESS:
-        points = _thickened(points)
-    return points[ConvexHull(points).vertices]
 
 
 def of_few_vertices(hull: ConvexHull) -> FloatArray:

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,16 +25,17 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 from cvqmpt_lab.values import FloatArray, numbers
 
-SOLIDS = {"box": 3, "sphere": 1, "cylinder": 2}  # and the number of their sizes
+SOLIDS: Mapping[str, tuple[int, Callable[..., Shape]]] = {
+    "box": (3, lambda *size: Box(size)),
+    "sphere": (1, Sphere),
+    "cylinder": (2, Cylinder),
+}
+"""Number of the sizes of a solid, x, y, z, or radius and height [m], and what makes it of them."""
 KNOWN = (*SOLIDS, "mesh")
 
 
-class Placed(NamedTuple):
-    """A convex shape of an object."""
-
-    of: str  # the object's id
-    shape: Shape
-    T: FloatArray  # (4, 4)
+Placed = tuple[str, Shape, FloatArray]
+"""The id of an object, a convex shape of it, and the shape's pose (4, 4)."""
 
 
 def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
@@ -48,7 +49,7 @@ def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
 
 def _scene(parse: Callable, data: bytes, path: Path) -> tuple[Scene, str]:
     name, frame, found = parse(data.decode("utf-8"), path)
-    pieces, met = Counter(placed.of for placed in found), Counter[str]()
+    pieces, met = Counter(of for of, _, _ in found), Counter[str]()
     objects = []
     for of, shape, T in found:
         objects.append(SceneObject(of if pieces[of] == 1 else f"{of}/{met[of]}", shape, T))
@@ -57,15 +58,13 @@ def _scene(parse: Callable, data: bytes, path: Path) -> tuple[Scene, str]:
 
 
 def _solid(kind: str, sizes: Sequence[float]) -> Shape:
-    """A box of x, y, z, a sphere of its radius, or a cylinder of its radius and height [m]."""
+    """A solid of `SOLIDS`."""
     if kind not in SOLIDS:
         raise UnknownChoiceError("shape", kind, KNOWN)
-    if len(sizes) != SOLIDS[kind]:
-        raise InvalidInputError(f"{kind} has {len(sizes)} dimensions; {SOLIDS[kind]} are needed")
-    x, *rest = map(float, sizes)
-    if kind == "box":
-        return Box((x, rest[0], rest[1]))
-    return Sphere(x) if kind == "sphere" else Cylinder(x, rest[0])
+    count, make = SOLIDS[kind]
+    if len(sizes) != count:
+        raise InvalidInputError(f"{kind} has {len(sizes)} dimensions; {count} are needed")
+    return make(*map(float, sizes))
 
 
 def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]:
@@ -133,7 +132,8 @@ class _Lines:
         """A solid, or the pieces of a mesh."""
         kind = self.next("a shape")
         if kind in SOLIDS:
-            yield _solid(kind, self.floats(SOLIDS[kind], f"the size of a {kind}").tolist())
+            sizes = self.floats(SOLIDS[kind][0], f"the size of a {kind}")
+            yield _solid(kind, sizes.tolist())
             return
         if kind != "mesh":
             raise UnknownChoiceError("shape", kind, KNOWN)
@@ -150,7 +150,7 @@ class _Lines:
             shapes = list(self.shapes())
             T = T_object @ self.pose("a shape")
             self.floats(4, "a colour")
-            yield from (Placed(of, shape, T) for shape in shapes)
+            yield from ((of, shape, T) for shape in shapes)
         for _ in range(self.count("the number of subframes") if newer else 0):
             self.next("the name of a subframe")
             self.pose("a subframe")
@@ -227,23 +227,19 @@ def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Pla
     if fields.get("planes"):
         raise UnknownChoiceError("shape", "plane", KNOWN)
     T_object = _pose(fields["pose"]) if fields.get("pose") else np.eye(4)
-    reads: dict[str, Callable[[Any], list[Shape]]] = {
-        "primitive": lambda item: [_primitive(item)],
-        "mesh": lambda item: list(_mesh(item, path)),
-    }
-    plural = {"primitive": "primitives", "mesh": "meshes"}
-    for kind, read in reads.items():
-        shapes = _listed(fields.get(plural[kind]), plural[kind])
+    for kind, plural in (("primitive", "primitives"), ("mesh", "meshes")):
+        shapes = _listed(fields.get(plural), plural)
         poses = _listed(fields.get(f"{kind}_poses"), f"{kind}_poses")
         if not poses and len(shapes) == 1 and fields.get("pose"):
             poses = [None]  # newer messages may give the object's pose alone
         if len(poses) != len(shapes):
             raise InvalidInputError(
-                f"{len(shapes)} {plural[kind]} and {len(poses)} {kind}_poses; give as many"
+                f"{len(shapes)} {plural} and {len(poses)} {kind}_poses; give as many"
             )
         for item, there in zip(shapes, poses, strict=True):
             T = T_object if there is None else T_object @ _pose(there)
-            yield from (Placed(of, shape, T) for shape in read(item))
+            made = [_primitive(item)] if kind == "primitive" else _mesh(item, path)
+            yield from ((of, shape, T) for shape in made)
 
 
 def _primitive(item: Any) -> Shape:
