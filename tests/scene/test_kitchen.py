@@ -86,13 +86,9 @@ def test_hinges_have_the_measured_axes_and_ranges():
         np.testing.assert_array_equal(joint.T_world_joint[:3, 2], (0.0, 0.0, 1.0))
         assert (joint.lower, joint.upper, joint.value) == (lower, upper, 0.0)
         assert set(joint.moves) == {item.name for item in scene if item.name.startswith(f"{name}/")}
-        before, after = (
-            scene[f"{name}/panel"],
-            scene.with_joint(name, lower + upper)[f"{name}/panel"],
-        )
-        assert after.T_world_object[0, 3] < before.T_world_object[0, 3] - 0.15, (
-            "it opens towards the room"
-        )
+        opened = scene.with_joint(name, lower + upper)
+        panels = [each[f"{name}/panel"].T_world_object[0, 3] for each in (scene, opened)]
+        assert panels[1] < panels[0] - 0.15, "it opens towards the room"
 
 
 @pytest.mark.parametrize("name", DRAWERS)

@@ -74,11 +74,8 @@ def test_text_of_both_versions_is_read(tmp_path):
     scene, _ = read(tmp_path, OLDER)
     box, sphere, can = scene.objects
     assert scene.name == "cell" and scene.names == ("the box/0", "the box/1", "can")
-    assert (
-        box.shape == Box((0.2, 0.4, 0.6))
-        and sphere.shape == Sphere(0.1)
-        and can.shape == Cylinder(0.03, 0.14)
-    )
+    assert (box.shape, sphere.shape) == (Box((0.2, 0.4, 0.6)), Sphere(0.1))
+    assert can.shape == Cylinder(0.03, 0.14)
     assert box.T_world_object @ (0, 1, 0, 1) == pytest.approx((0.0, 0.0, 0.5, 1.0), abs=1e-6)
     (tetrahedron,) = read(tmp_path, NEWER)[0].objects
     assert isinstance(tetrahedron.shape, ConvexMesh)
@@ -99,29 +96,24 @@ def test_yaml_says_the_same_with_heights_before_radii(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"primitives": [{"type": "cone", "dimensions": [1, 1]}]}, "object 'can': unknown shape "
-                                                                   "'cone'; valid"),
-        ({"primitives": [{"type": 5, "dimensions": [1, 1]}]}, "object 'can': unknown shape "
-                                                              "'prism'"),
+        ({"primitives": [{"type": "cone", "dimensions": [1, 1]}]}, "unknown shape 'cone'; valid"),
+        ({"primitives": [{"type": 5, "dimensions": [1, 1]}]}, "unknown shape 'prism'"),
         ({"planes": [{"coef": [0, 0, 1, 0]}]}, "unknown shape 'plane'"),
-        ({"primitives": [{"type": "box", "dimensions": [1, 1]}]}, "box has 2 dimensions; 3 are "
-                                                                  "needed"),
+        ({"primitives": [{"type": "box", "dimensions": [1, 1]}]}, "box has 2 dimensions; 3 are"),
         ({"primitive_poses": []}, "1 primitives and 0 primitive_poses"),
         ({"operation": 1}, "operation 1; only objects that are added"),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_understood_is_named(tmp_path, change, message):
-    with pytest.raises(InvalidInputError, match=message):
+    with pytest.raises(InvalidInputError, match=f"object 'can': {message}"):
         read(tmp_path, [CAN | change], ".yaml")
 
 
 def test_a_scene_without_something_is_refused(tmp_path):
     world = {"collision_objects": [CAN]}
     attached = {"attached_collision_objects": [{"link_name": "hand", "object": CAN}]}
-    moved = {
-        "child_frame_id": "base",
-        "transform": {"translation": [1, 0, 0], "rotation": [0, 0, 0, 1]},
-    }
+    shift = {"translation": [1, 0, 0], "rotation": [0, 0, 0, 1]}
+    moved = {"child_frame_id": "base", "transform": shift}
     two = [CAN | {"header": {"frame_id": frame}} for frame in ("base", "table")]
     for data, message in (
         ({"world": world, "robot_state": attached}, "carries can; .*'attachments'"),
@@ -143,9 +135,8 @@ def test_damaged_text_is_refused_in_one_line(tmp_path):
         for _ in range(150):
             lines = text.splitlines()
             k = rng.randrange(len(lines))
-            lines[k : k + rng.randrange(2)] = rng.choice(
-                [[], ["nan 1"], ["-1"], ["999999999"], [lines[k] + " 7"]]
-            )
+            wrong = [[], ["nan 1"], ["-1"], ["999999999"], [lines[k] + " 7"]]
+            lines[k : k + rng.randrange(2)] = rng.choice(wrong)
             try:
                 read(tmp_path, "\n".join(lines))
             except InvalidInputError as error:
@@ -156,8 +147,7 @@ def test_import_writes_a_scene_that_problems_name(tmp_path, capsys):
     (tmp_path / "shelf.scene").write_text(OLDER)
     words = f"problems import {tmp_path}/shelf.scene --out {tmp_path}/shelf.json".split()
     assert main(words) == 0
-    assert (
-        "3 objects; the file's frame is taken for the robot's base frame" in capsys.readouterr().out
-    )
+    said = "3 objects; the file's frame is taken for the robot's base frame"
+    assert said in capsys.readouterr().out
     assert read_scene(tmp_path / "shelf.json") == read_moveit_scene(tmp_path / "shelf.scene")[0]
     assert main(words) == 2 and "is there already" in capsys.readouterr().err
