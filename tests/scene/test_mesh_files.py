@@ -32,25 +32,18 @@ MESHES = {
     "table": (table(), 20, 1.5),
     "ring": (trimesh.creation.annulus(0.04, 0.045, 0.1), 40, 1.3),
     "plate": (trimesh.creation.annulus(0.2, 0.5, 0.01), MOST_PIECES, 1.15),
-    "torus": (
-        trimesh.creation.torus(0.3, 0.05, major_sections=24, minor_sections=12),
-        MOST_PIECES,
-        1.3,
-    ),
+    "torus": (trimesh.creation.torus(0.3, 0.05, 24, 12), MOST_PIECES, 1.3),
 }
 
 
 @pytest.mark.parametrize("name", MESHES)
 def test_pieces_hold_the_mesh_and_little_more(name):
     mesh, most, ratio = MESHES[name]
-    hulls = [
-        ConvexHull(ConvexMesh(piece).vertices) for piece in convex_pieces(np.array(mesh.triangles))
-    ]
+    triangles = np.array(mesh.triangles)
+    hulls = [ConvexHull(ConvexMesh(piece).vertices) for piece in convex_pieces(triangles)]
     probes = np.random.default_rng(0).uniform(*mesh.bounds, (3000, 3))
-    inside = np.array(
-        [probe for probe in probes if winding(np.array(mesh.triangles) - probe) > 0.5]
-    )
-    surface = np.concatenate([mesh.vertices, spread_points(np.array(mesh.triangles), 4000)])
+    inside = np.array([probe for probe in probes if winding(triangles - probe) > 0.5])
+    surface = np.concatenate([mesh.vertices, spread_points(triangles, 4000)])
     assert len(inside) > 100 and farthest_outside(np.concatenate([inside, surface]), hulls) < 1e-7
     assert len(hulls) <= most
     assert sum(hull.volume for hull in hulls) < ratio * abs(mesh.volume)
@@ -61,12 +54,9 @@ def winding(triangles):
     a, b, c = np.moveaxis(triangles, 1, 0)
     la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
     volume = (a * np.cross(b, c)).sum(axis=1)
-    rest = (
-        la * lb * lc
-        + (a * b).sum(axis=1) * lc
-        + (b * c).sum(axis=1) * la
-        + (c * a).sum(axis=1) * lb
-    )
+    rest = la * lb * lc
+    for u, v, lw in ((a, b, lc), (b, c, la), (c, a, lb)):
+        rest += (u * v).sum(axis=1) * lw
     return abs(np.arctan2(volume, rest).sum()) / (2.0 * np.pi)
 
 
@@ -76,11 +66,8 @@ def test_large_meshes_are_covered_by_few_pieces(share):
     triangles = np.array(ball.triangles)[ball.triangles_center[:, 2] < 2.0 * share - 1.0]
     triangles[:, :, 0] *= 1.0 + 0.5 * np.cos(9.0 * triangles[:, :, 1])
     pieces = convex_pieces(triangles)
-    assert len(pieces) > 20
-    assert (
-        farthest_outside(spread_points(triangles, 4000), [ConvexHull(piece) for piece in pieces])
-        < 1e-7
-    )
+    hulls = [ConvexHull(piece) for piece in pieces]
+    assert len(hulls) > 20 and farthest_outside(spread_points(triangles, 4000), hulls) < 1e-7
 
 
 def test_a_bracket_is_cut_although_a_cut_can_leave_nothing_on_one_side():
@@ -111,9 +98,8 @@ def test_triangles_without_area_change_nothing(mesh, corners):
 
 def farthest_outside(points, hulls):
     """How far any of some points is from all hulls [m]."""
-    depths = [
-        (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in hulls
-    ]
+    planes = [hull.equations for hull in hulls]
+    depths = [(points @ each[:, :3].T + each[:, 3]).max(axis=1) for each in planes]
     return np.min(depths, axis=0).max()
 
 
@@ -140,9 +126,8 @@ def test_a_file_is_read_in_its_unit(suffix, tmp_path):
 
 def test_collada_says_its_unit(tmp_path):
     data = box((20.0, 30.0, 40.0)).export(file_type="dae")
-    (tmp_path / "a.dae").write_bytes(
-        data.replace(b"<up_axis>", b'<unit name="cm" meter="0.01"/><up_axis>')
-    )
+    centimetres = b'<unit name="cm" meter="0.01"/><up_axis>'
+    (tmp_path / "a.dae").write_bytes(data.replace(b"<up_axis>", centimetres))
     (piece,) = read_mesh(tmp_path / "a.dae")
     np.testing.assert_allclose(np.ptp(piece, axis=0), (0.2, 0.3, 0.4))
     (tmp_path / "b.dae").write_bytes(data.replace(b"<up_axis>", b'<unit meter="-1"/><up_axis>'))

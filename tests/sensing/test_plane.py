@@ -19,15 +19,10 @@ FRONT = (0.4, 0.1, -0.05)
 
 def table(rng, count=6000):
     """Points (m, 3) of a 0.8 x 1 m table, near edge at the origin, with things, a wall, noise."""
-    top = np.c_[
-        rng.uniform(0, 0.8, count),
-        rng.uniform(-0.5, 0.5, count),
-        0.002 * rng.standard_normal(count),
-    ]
+    top = rng.uniform((0.0, -0.5, 0.0), (0.8, 0.5, 0.0), (count, 3))
+    top[:, 2] = 0.002 * rng.standard_normal(count)
     boxes = rng.uniform((0.3, -0.1, 0.0), (0.5, 0.2, 0.15), (count // 4, 3))
-    wall = np.c_[
-        np.full(count // 2, 1.6), rng.uniform(-1, 1, count // 2), rng.uniform(-0.5, 1, count // 2)
-    ]
+    wall = rng.uniform((1.6, -1.0, -0.5), (1.6, 1.0, 1.0), (count // 2, 3))
     return np.concatenate([top, boxes, wall])
 
 

@@ -33,17 +33,14 @@ def test_the_arm_in_the_picture_is_no_obstacle(files, capture):
     assert CollisionChecker(files.robot, with_arm.scene()).in_collision(files.q)
     assert not CollisionChecker(files.robot, made.scene()).in_collision(files.q)
     refuse_touching(made.scene(), arm)
-    with pytest.raises(
-        InvalidInputError, match=r"the arm stands inside the scan: panda_\w+ and scan meet"
-    ):
+    with pytest.raises(InvalidInputError, match=r"stands inside the scan: panda_\w+ and scan meet"):
         refuse_touching(with_arm.scene(), arm)
 
 
 def test_captures_are_merged_where_their_cameras_stand(capture):
     half = len(capture.points) // 2
-    parts = [
-        replace(capture, points=part) for part in (capture.points[:half], capture.points[half:])
-    ]
+    halves = capture.points[:half], capture.points[half:]
+    parts = [replace(capture, points=points) for points in halves]
     settings = ScanSettings(neighbours=0)
     both = scan(parts, settings, np.random.default_rng(0))
     np.testing.assert_allclose(both.points, cleaned(capture, neighbours=0).points, atol=1e-9)
@@ -74,19 +71,11 @@ def test_the_table_becomes_a_box_or_goes(files, capture, plane):
         np.testing.assert_allclose(made.table.T_world_object[2, 3], 0.0, atol=0.005)
 
 
-def test_scans_and_settings_without_sense_are_refused(capture):
+def test_scans_without_sense_are_refused(capture):
     with pytest.raises(InvalidInputError, match="nothing of the scan is left"):
         cleaned(capture, crop=BoxCrop((5, 5, 5), (6, 6, 6)))
     with pytest.raises(InvalidInputError, match="2 captures cannot be levelled"):
         scan([capture, capture], ScanSettings(level=True), np.random.default_rng(0))
-    for settings in (
-        {"voxel": 0.0},
-        {"voxel": float("nan")},
-        {"robot_margin": -0.1},
-        {"neighbours": -1},
-    ):
-        with pytest.raises(InvalidInputError, match=r"give (more than 0|0 or more)"):
-            ScanSettings(**settings)
 
 
 def test_obstacles_cover_the_surface_that_the_camera_saw(capture):

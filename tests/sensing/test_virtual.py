@@ -13,9 +13,11 @@ from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
-from cvqmpt_lab.sensing.camera import KINECT, cameras_on_sphere
+from cvqmpt_lab.sensing.camera import KINECT, Intrinsics, cameras_on_sphere, look_at
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop
 from cvqmpt_lab.sensing.observation import Observer
+from cvqmpt_lab.sensing.occupancy import MapSettings
+from cvqmpt_lab.sensing.scan import ScanSettings
 from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, camera_cloud, visible_points
 
 
@@ -45,6 +47,7 @@ def test_clouds_depend_on_the_seed_alone_and_have_the_points_asked_for():
     assert camera_cloud(Scene("empty", ()), settings, np.random.default_rng(0)).shape == (0, 3)
 
 
+RNG = np.random.default_rng(0)
 CLOUD = Scene("s", (SceneObject("scan", PointCloud(np.eye(3), 0.01), np.eye(4)),))
 
 
@@ -53,12 +56,20 @@ CLOUD = Scene("s", (SceneObject("scan", PointCloud(np.eye(3), 0.01), np.eye(4)),
     [
         (lambda: CameraSettings(voxel=0.0), "voxel of 0.0 m"),
         (lambda: CameraSettings(points=0), "cloud of 0 points"),
-        (lambda: Observer(scenes=0), "of 1 or more"),
         (lambda: CameraSettings(noise=-0.1), "noise of -0.1 m"),
-        (
-            lambda: camera_cloud(CLOUD, CameraSettings(), np.random.default_rng(0)),
-            "'scan', a PointCloud",
-        ),
+        (lambda: Observer(scenes=0), "of 1 or more"),
+        (lambda: camera_cloud(CLOUD, CameraSettings(), RNG), "'scan', a PointCloud"),
+        (lambda: look_at((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "cannot look at"),
+        (lambda: Intrinsics.from_fov(width=0), "width is 0"),
+        (lambda: Intrinsics.from_fov(height=0), "height is 0"),
+        (lambda: Intrinsics.from_fov(vertical_fov=180.0), "give one between 0 and 180"),
+        (lambda: Intrinsics.from_fov(near=2.0, far=1.0), "give 0 <= near < far"),
+        (lambda: ScanSettings(voxel=0.0), "give more than 0"),
+        (lambda: ScanSettings(voxel=float("nan")), "give more than 0"),
+        (lambda: ScanSettings(robot_margin=-0.1), "give 0 or more"),
+        (lambda: ScanSettings(neighbours=-1), "give 0 or more"),
+        (lambda: MapSettings(lower=(1.0, 0.0, 0.0), upper=(0.0, 1.0, 1.0)), "lower corner below"),
+        (lambda: MapSettings(resolution=1e-9), r"resolution is 1e-09 m; give 0\.001 m or more"),
     ],
 )
 def test_settings_and_scenes_are_checked(make, message):
@@ -68,7 +79,7 @@ def test_settings_and_scenes_are_checked(make, message):
 
 def test_the_arm_is_seen_where_it_stands():
     """Every point of a view of the arm alone is on a hull, as measured by the exact checker."""
-    robot, scene = panda(), Scene("empty", ())
+    robot = panda()
     q = np.array([0.3, -0.5, 0.2, -1.9, 0.1, 1.7, 0.4])
     # the checker never pairs the base with obstacles
     moving = [piece.link > 0 for piece in robot.links]
@@ -80,8 +91,7 @@ def test_the_arm_is_seen_where_it_stands():
     towards = camera[0].eye - cloud[:40]
     out = 0.01 * towards / np.linalg.norm(towards, axis=1)[:, None]
     for points, touching in ((cloud[:40], 1.0), (cloud[:40] + out, 0.0)):
-        dots = [
-            scene.with_objects(SceneObject("dot", Sphere(0.001), pose(point))) for point in points
-        ]
-        hit = np.mean([CollisionChecker(robot, dot).in_collision(q) for dot in dots])
+        dots = [SceneObject("dot", Sphere(0.001), pose(point)) for point in points]
+        scenes = [Scene("dot", (dot,)) for dot in dots]
+        hit = np.mean([CollisionChecker(robot, scene).in_collision(q) for scene in scenes])
         assert hit == touching
