@@ -2,27 +2,34 @@
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, whole_number
 from cvqmpt_lab.files import locked, make_folder, read_json_object, write_text
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
+from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
+from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.dataset import SCHEMA
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     SHARDS_FOLDER,
+    Column,
     IndexRow,
     finished_shards,
+    joined,
+    packed_shard,
     write_shard,
 )
 from cvqmpt_lab.vqmpt.config import SerialChain
@@ -31,12 +38,19 @@ FIRST_SCENE = 10_000_000  # scenes of evaluation suites have smaller numbers
 SCENES_PER_SEED = 1_000_000
 SCENES_PER_SHARD = 16
 PANDA = {"name": "panda"}
+SHAPES = {  # kind and size of a shape, as `training.dataset.Shapes` has them
+    Box: lambda box: (0, box.size),
+    Cylinder: lambda cylinder: (1, (cylinder.radius, cylinder.radius, cylinder.height)),
+    Sphere: lambda sphere: (2, (sphere.radius,) * 3),
+}
 Shard = tuple[IndexRow, bytes]
 
 
 @dataclass(frozen=True)
 class SceneRecipe(ABC):
     """Robot and scenes of a dataset; subclasses make the labels."""
+
+    columns: ClassVar[Mapping[str, Column]]  # arrays of a shard
 
     scenes: int  # in all, families taking turns
     paths_per_scene: int  # pairs tried in each; some give no label
@@ -54,18 +68,6 @@ class SceneRecipe(ABC):
         whole_number("scenes", self.scenes, 1, SCENES_PER_SEED)
         whole_number("paths per scene", self.paths_per_scene, 1)
 
-    def scene_of(self, index: int) -> tuple[int, int]:
-        """Family index and scene number of scene `index`; the number decides the split."""
-        turn, family = divmod(index, len(self.families))
-        return family, FIRST_SCENE + self.seed * SCENES_PER_SEED + turn
-
-    def scenes_of(self, shard: int) -> Iterator[tuple[int, int, int, Scene]]:
-        """Index, family index, number and shapes of the scenes of a shard."""
-        first = shard * SCENES_PER_SHARD
-        for index in range(first, min(first + SCENES_PER_SHARD, self.scenes)):
-            family, number = self.scene_of(index)
-            yield index, family, number, family_scene(self.families[family], number)
-
     def prepare(self, out: Path) -> None:  # noqa: B027 (nothing for most)
         """Write the files that shards have in common."""
 
@@ -73,12 +75,38 @@ class SceneRecipe(ABC):
         """Raise InvalidInputError, before anything is written, if labels cannot be made."""
 
     @abstractmethod
-    def shard(self, number: int) -> Shard:
-        """One shard; depends on the recipe and its number alone."""
+    def labelled(
+        self, robot: Robot, scene: Scene, index: int
+    ) -> Mapping[str, np.ndarray | Sequence] | None:
+        """Arrays of a shard of the scene of this index alone; None if it cannot be labelled."""
 
     @abstractmethod
     def card(self, out: Path) -> str:
         """Dataset card: what the dataset holds."""
+
+    def shard(self, number: int) -> Shard:
+        """One shard; depends on the recipe and its number alone."""
+        robot, labelled = robot_from_source(self.robot), []
+        first = number * SCENES_PER_SHARD
+        for index in range(first, min(first + SCENES_PER_SHARD, self.scenes)):
+            turn, family = divmod(index, len(self.families))
+            # the number decides the split
+            scene_number = FIRST_SCENE + self.seed * SCENES_PER_SEED + turn
+            scene = family_scene(self.families[family], scene_number)
+            labels = self.labelled(robot, scene, index)
+            if labels is not None:
+                arrays = scene_arrays(family, scene_number, scene) | labels
+                labelled.append({name: np.asarray(values) for name, values in arrays.items()})
+        if not labelled:
+            raise InvalidInputError(
+                f"{robot.name}: every scene of shard {number} needs too many checks (a wall "
+                "millimetres from the base, or a dictionary trained too briefly); give another "
+                "--seed or --base, or --dictionary"
+            )
+        arrays = joined(labelled, self.columns)
+        return packed_shard(
+            number, {name: arrays[name].astype(self.columns[name].dtype) for name in labelled[0]}
+        )
 
 
 def generate(
@@ -121,7 +149,6 @@ def generate(
 
 def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
     """Write dataset.json, or check that it is equal."""
-    robot = robot_from_source(recipe.robot)
     settings = json.loads(json.dumps(asdict(recipe)))
     path = out / DESCRIPTION_FILE
     if path.exists():
@@ -131,6 +158,7 @@ def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
                 f"{out} holds a dataset of another recipe, {existing}; choose another --out"
             )
         return
+    robot = robot_from_source(recipe.robot)
     description = {
         "schema": SCHEMA,
         "robot": robot.name,
@@ -158,3 +186,60 @@ def serial_chain(robot: Robot) -> SerialChain:
         offsets=offsets,
         sliders=tuple(np.flatnonzero(kinematics.prismatic).tolist()),
     )
+
+
+def scene_arrays(family: int, number: int, scene: Scene) -> dict[str, Any]:
+    """A scene of a family as arrays of a shard."""
+    described = [SHAPES[type(item.shape)](item.shape) for item in scene.obstacles]
+    poses = np.array([item.T_world_object[:3] for item in scene.obstacles])
+    return {
+        "family": [family],
+        "scene_seed": [number],
+        "shape_start": [0, len(described)],
+        "shape_kind": [kind for kind, _ in described],
+        "shape_size": np.array([size for _, size in described]).reshape(-1, 3),
+        "shape_pose": poses.reshape(-1, 3, 4),
+    }
+
+
+def unconstrained_space(robot: Robot, scene: Scene) -> ConstrainedSpace:
+    """The unconstrained planning space of a scene."""
+    middle = 0.5 * (robot.lower + robot.upper)
+    return ConstrainedSpace(PlanningProblem(scene.name, robot, scene, middle, middle[None]))
+
+
+def free_configurations(
+    space: ConstrainedSpace, rng: np.random.Generator, drawn: int = 512
+) -> np.ndarray:
+    """Those of `drawn` random configurations that are free (k, n) [rad or m]."""
+    candidates = space.robot.random_configurations(rng, drawn)
+    return candidates[space.valid_batch(candidates)]
+
+
+def near_obstacles(
+    space: ConstrainedSpace, configurations: np.ndarray, near_hand: float = 0.25
+) -> np.ndarray:
+    """Whether the hand is near an obstacle, (b,) bool: within `near_hand` [m] of a box around one.
+
+    configurations: (b, n) [rad or m].
+    """
+    robot = space.robot
+    link, T = robot.end_effector_link
+    rotations, translations = link_poses(robot.kinematics, configurations)
+    hand = rotations[:, link] @ T[:3, 3] + translations[:, link]
+    near = np.zeros(len(configurations), dtype=bool)
+    for item in space.problem.scene.obstacles:
+        _, size = SHAPES[type(item.shape)](item.shape)
+        half = 0.5 * np.array(size) if isinstance(item.shape, Box) else np.array(size)
+        local = (hand - item.T_world_object[:3, 3]) @ item.T_world_object[:3, :3]
+        outside = np.maximum(np.abs(local) - half, 0.0)
+        near |= np.linalg.norm(outside, axis=1) < near_hand
+    return near
+
+
+def table(title: str, text: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A dataset card: a title, a text and a table, in markdown."""
+    cells = [columns, *rows]
+    lines = [f"| {' | '.join(map(str, row))} |" for row in cells]
+    lines.insert(1, "|" + len(columns) * "---|")
+    return "\n".join((f"# {title}", "", text, "", *lines, ""))

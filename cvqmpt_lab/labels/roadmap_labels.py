@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -11,11 +12,11 @@ from scipy.sparse.csgraph import dijkstra
 
 from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.labels.generation import SceneRecipe, Shard
-from cvqmpt_lab.labels.path_labels import (
+from cvqmpt_lab.labels.generation import (
+    SceneRecipe,
     free_configurations,
     near_obstacles,
-    scene_shapes,
+    table,
     unconstrained_space,
 )
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -33,7 +34,6 @@ from cvqmpt_lab.training.shards import (
     RoadmapGraph,
     joined,
     packed,
-    packed_shard,
 )
 from cvqmpt_lab.vqmpt.learned_sampler import dictionary_roadmap
 from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
@@ -47,6 +47,8 @@ CHECKS = 60
 @dataclass(frozen=True)
 class RoadmapRecipe(SceneRecipe):
     """Labels on the roadmap of a dictionary, or of free configurations of an arm without one."""
+
+    columns: ClassVar = LABEL_ARRAYS
 
     labels: str = field(default="roadmap", init=False)
     model: str | None = None  # name or folder of the dictionary's weights; None: see `roadmap_of`
@@ -62,27 +64,10 @@ class RoadmapRecipe(SceneRecipe):
             raise InvalidInputError(f"{out} holds labels of another roadmap; choose another --out")
         graph.write(out)
 
-    def shard(self, number: int) -> Shard:
-        """Scenes with all their nodes and edges checked."""
-        robot = robot_from_source(self.robot)
-        graph, scenes, labels = roadmap_graph(self.model, robot), [], []
-        for index, family, scene_number, scene in self.scenes_of(number):
-            found = roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
-            if found is not None:
-                labels.append(found)
-                scenes.append((family, scene_number, scene))
-        if not labels:
-            raise InvalidInputError(
-                f"{robot.name}: every scene of shard {number} needs too many checks (a wall "
-                "millimetres from the base, or a dictionary trained too briefly); give another "
-                "--seed or --base, or --dictionary"
-            )
-        arrays = {name: np.concatenate([each[name] for each in labels]) for name in labels[0]}
-        paths = np.repeat(np.arange(len(scenes)), arrays["path_scene"])
-        arrays["path_scene"] = paths.astype(np.int32)
-        for name in ("code_start", "link_start"):
-            arrays[name] = np.cumsum([0, *arrays[name]], dtype=np.int32)
-        return packed_shard(number, scene_shapes(scenes) | arrays)
+    def labelled(self, robot: Robot, scene: Scene, index: int) -> dict[str, np.ndarray] | None:
+        """All nodes and edges checked, and shortest paths."""
+        graph = roadmap_graph(self.model, robot)
+        return roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
 
     def card(self, out: Path) -> str:
         """Counts, shares and lengths by family, of both splits."""
@@ -91,23 +76,22 @@ class RoadmapRecipe(SceneRecipe):
         family, seed, cost = arrays["family"], arrays["scene_seed"], arrays["cost"]
         family_of_path = family[arrays["path_scene"]]
         codes, detour = np.diff(arrays["code_start"]), cost / arrays["straight"]
-        shares = []
-        for name, items in (("node_free", graph.nodes), ("edge_free", graph.edges)):
-            shares.append(np.unpackbits(arrays[name], axis=1, count=len(items)).mean(axis=1))
-        nodes_free, edges_free = shares
+        nodes_free, edges_free = (
+            np.unpackbits(arrays[name], axis=1, count=len(items)).mean(axis=1)
+            for name, items in (("node_free", graph.nodes), ("edge_free", graph.edges))
+        )
 
-        def row(name: str, families: Sequence[int]) -> str:
+        def row(name: str, families: Sequence[int]) -> list[object]:
             own, paths = np.isin(family, families), np.isin(family_of_path, families)
             solved, validate = paths & np.isfinite(cost), own & (seed % VALIDATION_EVERY == 0)
-            start = f"| {name} | {own.sum()} | {validate.sum()} "
+            counts = [name, own.sum(), validate.sum()]
             if not solved.any():
-                return f"{start}| - | - | {paths.sum()} | - | - | - | - |"
-            return (
-                f"{start}| {nodes_free[own].mean():.2f} | {edges_free[own].mean():.2f} | "
-                f"{paths.sum()} | {100 * (~solved[paths]).mean():.0f} % | "
-                f"{100 * arrays['differs'][solved].mean():.0f} % | {detour[solved].mean():.2f} | "
-                f"{codes[solved].mean():.1f} |"
-            )
+                return [*counts, "-", "-", paths.sum(), *4 * "-"]
+            free = [f"{each[own].mean():.2f}" for each in (nodes_free, edges_free)]
+            no_path, differs = (~solved[paths]).mean(), arrays["differs"][solved].mean()
+            shares = [f"{100 * share:.0f} %" for share in (no_path, differs)]
+            lengths = [f"{detour[solved].mean():.2f}", f"{codes[solved].mean():.1f}"]
+            return [*counts, *free, paths.sum(), *shares, *lengths]
 
         possible = graph.node_possible.mean(), graph.edge_possible.mean()
         text = (
@@ -120,14 +104,11 @@ class RoadmapRecipe(SceneRecipe):
             "shortest path over that of the straight line, mean. Scenes with a wall millimetres "
             f"from the base are left out: {self.scenes - len(family)}."
         )
-        titles = (
-            "| family | scenes | of them validate | nodes free | edges free | pairs | no path | "
-            "other codes | detour | codes a path |"
-        )
+        columns = ("family", "scenes", "of them validate", "nodes free", "edges free", "pairs")
+        more = ("no path", "other codes", "detour", "codes a path")
         rows = [row(name, [k]) for k, name in enumerate(self.families)]
         rows.append(row("all", range(len(self.families))))
-        lines = ["# Labels on a roadmap", "", text, "", titles, "|" + 10 * "---|", *rows, ""]
-        return "\n".join(lines)
+        return table("Labels on a roadmap", text, (*columns, *more), rows)
 
 
 @lru_cache(maxsize=1)
@@ -257,8 +238,7 @@ def roadmap_labels(
         seed: of all that is drawn.
 
     Returns:
-        Arrays as in `training.shards`, but path_scene, code_start and link_start hold counts of
-        paths, of each path's codes and of the ends of links. None after too many checks.
+        Arrays of `training.shards.LABEL_ARRAYS` of this scene alone; None after too many checks.
     """
     space, rng = unconstrained_space(robot, scene), np.random.default_rng(seed)
     checks = checks_of(robot, graph)
@@ -270,7 +250,10 @@ def roadmap_labels(
     starts, goals = ends[:STARTS], ends[STARTS:]
     every = np.argwhere(np.ones((len(starts), len(goals)), dtype=bool))
     linked_ends = np.concatenate([ends, _confined(space, np.random.default_rng((*seed, 1)))])
-    near = _nearest_rows(graph.nodes, linked_ends)
+    # squared distances: |end|^2 + |node|^2 - 2 <end, node>
+    lengths = (linked_ends**2).sum(1)[:, None] + (graph.nodes**2).sum(1)
+    squares = lengths - 2.0 * linked_ends @ graph.nodes.T
+    near = np.argpartition(squares, LINKS, axis=1)[:, :LINKS]
     nodes, count = np.concatenate([graph.nodes, linked_ends]), len(graph.nodes)
     of_end = np.repeat(count + np.arange(len(linked_ends)), LINKS)
     links = np.stack([of_end, near.ravel()], axis=1).astype(np.int32)
@@ -294,24 +277,18 @@ def roadmap_labels(
     return {
         "node_free": np.packbits(node_free)[None],
         "edge_free": np.packbits(edge_free)[None],
-        "link_start": np.array([len(linked_ends)]),
+        "link_start": np.array([0, len(linked_ends)]),
         "link_end": packed(linked_ends, robot.lower, robot.upper),
-        "link_code": near.astype(np.uint16),
+        "link_code": near,
         "link_free": link_free.reshape(near.shape),
-        "path_scene": np.array([len(codes)]),
+        "path_scene": np.zeros(len(codes), int),
         "ends": packed(np.stack([starts[s], goals[g]], axis=1), robot.lower, robot.upper),
-        "code_start": np.array([len(path) for path in codes], np.int64),
-        "codes": np.concatenate([np.empty(0, np.int64), *codes]).astype(np.uint16),
-        "straight": np.linalg.norm(goals[g] - starts[s], axis=1).astype(np.float32),
-        "cost": cost[s, g].astype(np.float32),
+        "code_start": np.cumsum([0, *map(len, codes)]),
+        "codes": np.concatenate([np.empty(0, int), *codes]),
+        "straight": np.linalg.norm(goals[g] - starts[s], axis=1),
+        "cost": cost[s, g],
         "differs": np.array([a != b for a, b in zip(codes, others, strict=True)], bool),
     }
-
-
-def _nearest_rows(nodes: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Indices (e, LINKS) of the nodes (N, n) nearest to each of ends (e, n), unordered."""
-    squares = (ends**2).sum(1)[:, None] + (nodes**2).sum(1) - 2.0 * ends @ nodes.T
-    return np.argpartition(squares, LINKS, axis=1)[:, :LINKS]
 
 
 def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:

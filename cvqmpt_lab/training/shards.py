@@ -29,6 +29,7 @@ INDEX_FILE = "shards.csv"
 ROADMAP_FILE = "roadmap.npz"
 SHARDS_FOLDER = "shards"
 FULL_SCALE = 65535.0  # what a stored joint is at the upper limit
+SPACING = 0.13  # [rad] between waypoints of a path, at most
 LINKS = 20  # nodes of a roadmap that a start or goal is linked to
 
 
@@ -36,7 +37,7 @@ class Column(NamedTuple):
     """What an array of a shard holds; n joints, N nodes and E edges."""
 
     rows: str  # there is one entry for each scene, shape, path, waypoint, code or end of links
-    kinds: str  # kinds of numbers, numpy's letters
+    dtype: str  # as it is written; one of the same kind can be read
     shape: tuple[int | str, ...] = ()  # of an entry
     ranges: str = ""  # each entry is where a range of these items begins; at last, where it ends
     below: str = ""  # each entry is less than the number of these
@@ -45,44 +46,43 @@ class Column(NamedTuple):
 
 
 SCENE_ARRAYS = {
-    "family": Column("scene", "u", below="families"),
-    "scene_seed": Column("scene", "iu"),
-    "shape_start": Column("scene", "iu", ranges="shape"),
+    "family": Column("scene", "uint8", below="families"),
+    "scene_seed": Column("scene", "int64"),
+    "shape_start": Column("scene", "int32", ranges="shape"),
     # 0 box, 1 cylinder, 2 sphere; sizes and poses T_world_shape [m] as in `dataset.Shapes`
-    "shape_kind": Column("shape", "u", below="kinds of shapes"),
-    "shape_size": Column("shape", "f", (3,)),
-    "shape_pose": Column("shape", "f", (3, 4)),
-    "path_scene": Column("path", "iu", below="scene"),
+    "shape_kind": Column("shape", "uint8", below="kinds of shapes"),
+    "shape_size": Column("shape", "float32", (3,)),
+    "shape_pose": Column("shape", "float32", (3, 4)),
+    "path_scene": Column("path", "int32", below="scene"),
     # [rad], from the start straight to the goal
-    "straight": Column("path", "f"),
+    "straight": Column("path", "float32"),
 }
 PATH_ARRAYS = SCENE_ARRAYS | {
-    "path_start": Column("path", "iu", ranges="waypoint", least=2),
-    # at most 0.13 rad apart along a path
-    "waypoints": Column("waypoint", "u", ("n",)),
-    "length": Column("path", "f"),
+    "path_start": Column("path", "int32", ranges="waypoint", least=2),
+    "waypoints": Column("waypoint", "uint16", ("n",)),
+    "length": Column("path", "float32"),
     # the straight line is free
-    "trivial": Column("path", "b"),
+    "trivial": Column("path", "bool"),
     # the path of which this is a second label, or -1
-    "twin_of": Column("path", "i", below="path", least=-1),
+    "twin_of": Column("path", "int32", below="path", least=-1),
 }
 LABEL_ARRAYS = SCENE_ARRAYS | {
     # packed bits: 1 where the node or edge is free
-    "node_free": Column("scene", "u", ("N/8",)),
-    "edge_free": Column("scene", "u", ("E/8",)),
+    "node_free": Column("scene", "uint8", ("N/8",)),
+    "edge_free": Column("scene", "uint8", ("E/8",)),
     # start and goal, and the nodes that the shortest path between them leads through
-    "ends": Column("path", "u", (2, "n")),
-    "code_start": Column("path", "iu", ranges="code"),
-    "codes": Column("code", "u", below="N"),
+    "ends": Column("path", "uint16", (2, "n")),
+    "code_start": Column("path", "int32", ranges="code"),
+    "codes": Column("code", "uint16", below="N"),
     # length through the codes [rad], inf where there is no path
-    "cost": Column("path", "f", finite=False),
+    "cost": Column("path", "float32", finite=False),
     # the codes are others than those of the shortest path in an empty scene
-    "differs": Column("path", "b"),
+    "differs": Column("path", "bool"),
     # configurations, the nodes nearest to each, and whether the straight motion to these is free
-    "link_start": Column("scene", "iu", ranges="end"),
-    "link_end": Column("end", "u", ("n",)),
-    "link_code": Column("end", "u", (LINKS,), below="N"),
-    "link_free": Column("end", "b", (LINKS,)),
+    "link_start": Column("scene", "int32", ranges="end"),
+    "link_end": Column("end", "uint16", ("n",)),
+    "link_code": Column("end", "uint16", (LINKS,), below="N"),
+    "link_free": Column("end", "bool", (LINKS,)),
 }
 
 
@@ -175,7 +175,7 @@ def _read_shard(
     counts = {"kinds of shapes": 3, **sizes, "scene": row.scenes, "path": row.paths}
     for name, column in columns.items():
         array = arrays.get(name, np.empty(()))
-        if array.ndim != 1 + len(column.shape) or array.dtype.kind not in column.kinds:
+        if array.ndim != 1 + len(column.shape) or array.dtype.kind != np.dtype(column.dtype).kind:
             raise InvalidInputError(
                 f"{path}: array {name} is missing or not as described; generate it again"
             )
@@ -211,8 +211,8 @@ def joined(
         if not column.ranges and column.rows not in before:
             before[column.rows] = np.cumsum([0, *(len(shard[name]) for shard in shards)])
     found = {}
-    for name, column in columns.items():
-        parts = [shard[name] for shard in shards]
+    for name in [name for name in shards[0] if name in columns]:
+        column, parts = columns[name], [shard[name] for shard in shards]
         offsets = before.get(column.ranges or column.below)
         if offsets is not None:
             shifted = zip(parts, offsets, strict=False)
@@ -234,7 +234,6 @@ def paths_of_labels(
     nodes: np.ndarray,
     lower: np.ndarray,
     upper: np.ndarray,
-    spacing: float = 0.13,
     most: int = 40,
 ) -> dict[str, np.ndarray]:
     """A shard of labels on a roadmap as one of paths.
@@ -246,7 +245,6 @@ def paths_of_labels(
         nodes: (N, n) [rad or m], of the roadmap.
         lower: (n,) joint limits [rad or m].
         upper: (n,) joint limits [rad or m].
-        spacing: [rad] between waypoints, at most.
         most: paths of each scene, the first; all of them would not fit into memory.
     """
     rows = np.flatnonzero(np.isfinite(labels["cost"]))
@@ -262,7 +260,7 @@ def paths_of_labels(
     corners = np.insert(nodes[codes], place.ravel(), ends.reshape(-1, len(lower)), axis=0)
     first = np.concatenate([[0], np.cumsum(count + 2)])
     step = np.diff(corners, axis=0, append=corners[-1:])
-    parts = np.maximum(np.ceil(np.linalg.norm(step, axis=1) / spacing), 1).astype(int)
+    parts = np.maximum(np.ceil(np.linalg.norm(step, axis=1) / SPACING), 1).astype(int)
     # a goal leads nowhere
     parts[first[1:] - 1] = 1
     begins = np.cumsum(parts) - parts

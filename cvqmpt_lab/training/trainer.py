@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -42,10 +42,10 @@ from cvqmpt_lab.files import (
     make_folder,
     read_bytes,
     read_json_object,
-    require_regular_file,
     write_bytes,
     write_text,
 )
+from cvqmpt_lab.training.dataset import SplitName
 from cvqmpt_lab.training.profiles import MODELS, Profile
 from cvqmpt_lab.training.stage import Stage, batch_seed
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
@@ -114,39 +114,34 @@ def run_training(
     seed = whole_number("seed", seed)
     rank, count = joined_processes()
     made = profile.stage(stage, data, dictionary, seed, _device(device))
-    dataset = made.dataset
     if count > 1 and not made.many_processes:
         raise InvalidInputError(
             f"{stage} is trained by one process, not {count}; leave torchrun out"
         )
     plain = to_plain(profile, complete=True)
-    epochs = plain[stage].pop("epochs") if epochs is None else epochs
-    plain[stage].pop("epochs", None)
-    shown = ("name", "link_features", MODELS[stage], stage)
-    settings: dict[str, Any] = {"stage": stage, "profile": {name: plain[name] for name in shown}}
-    settings |= {"data_sha256": dataset.sha256, "seed": seed}
+    epochs_of_profile = plain[stage].pop("epochs")
+    used = {name: plain[name] for name in ("name", "link_features", MODELS[stage], stage)}
+    settings = {"stage": stage, "profile": used, "data_sha256": made.dataset.sha256, "seed": seed}
     if count > 1:
         settings["processes"] = count
     if dictionary is not None:
         settings["dictionary_sha256"] = weights_digest(checkpoint_folder(dictionary) or dictionary)
-    paths = {f"{name}_paths": len(dataset.split(name)) for name in ("train", "validation")}
+    paths = {f"{name}_paths": len(made.dataset.split(name)) for name in get_args(SplitName)}
     if stage == "stage1" and paths["train_paths"] < 2000:
         logging.getLogger("cvqmpt").warning(
             "%d paths to train on, too few for a dictionary: give 2000 or more (the shipped one "
             "had 13 204); `cvqmpt data generate` makes them, and continues in its folder",
             paths["train_paths"],
         )
-    chain = None if dataset.chain is None else to_plain(dataset.chain)
-    trainer = Trainer(
-        made, out, epochs, workers, {**settings, "kinematics": chain, **paths, **metadata}
-    )
+    kinematics = {"kinematics": to_plain(made.dataset.chain)}
+    about = {**settings, **kinematics, **paths, **metadata}
+    epochs = epochs_of_profile if epochs is None else epochs
+    trainer = Trainer(made, out, epochs, workers, about)
     if rank > 0:
-        # until the first has made the folder
+        # until the first has opened the folder
         dist.barrier()
-        open_folder(out, settings)
         return trainer.train(minutes)
-    make_folder(out)
-    with locked(out):
+    with locked(make_folder(out)):
         open_folder(out, settings)
         recover_weights(out / TRAINED_FOLDER)
         if count > 1:
@@ -156,15 +151,15 @@ def run_training(
 
 def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
     """Begin in an empty folder, or continue; InvalidInputError names a setting that differs."""
-    path, settings = folder / "training.json", json.loads(json.dumps(settings))
+    path = folder / "training.json"
     if path.is_file():
-        found = differences(read_json_object(require_regular_file(path)), settings)
+        found = differences(read_json_object(path), json.loads(json.dumps(settings)))
         if found:
             raise InvalidInputError(
                 f"{folder} holds another training ({min(found, key=len)}); use the same or choose "
                 "another --out"
             )
-    elif any(make_folder(folder).iterdir()):
+    elif any(folder.iterdir()):
         raise InvalidInputError(
             f"{folder} is not empty and holds no training to continue; choose another --out"
         )
@@ -279,12 +274,11 @@ class Trainer:
 
     def _end_epoch(self) -> None:
         """Validate, keep the model if it is the best so far, and save."""
-        progress, count = self.progress, self.progress.batch
+        progress = self.progress
         row: dict[str, float | None] = {"epoch": progress.epoch + 1, "step": progress.step}
         row["seconds"] = round(progress.seconds, 1)
-        row |= {
-            f"train_{name}": value / count for name, value in progress.sums.items()
-        } | self._validate()
+        row |= {f"train_{name}": sum_ / progress.batch for name, sum_ in progress.sums.items()}
+        row |= self._validate()
         progress.rows.append(row)
         progress.epoch, progress.batch, progress.sums = progress.epoch + 1, 0, {}
         progress.best = self._keep_if_best(row, progress.epoch)
@@ -318,12 +312,9 @@ class Trainer:
     def _save(self) -> None:
         """Write the state that is needed to continue."""
         if self.rank == 0:
-            parts = {
-                "module": self.stage.state_dict(),
-                "optimizer": self.optimizer.state_dict(),
-            }
+            state = {"module": self.stage.state_dict(), "optimizer": self.optimizer.state_dict()}
             content = io.BytesIO()
-            torch.save({**parts, "progress": vars(self.progress)}, content)
+            torch.save({**state, "progress": vars(self.progress)}, content)
             write_bytes(self.folder / "state.pt", content.getvalue())
 
     def _load(self) -> None:
@@ -354,14 +345,12 @@ def joined_processes() -> tuple[int, int]:
 def _interrupts() -> Iterator[list[int]]:
     """A list that the first Ctrl-C or SIGTERM fills; a second one ends the program as usual."""
     received: list[int] = []
-    earlier = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def note(number: int, frame: object) -> None:
         received.append(number)
         signal.signal(number, earlier[signal.Signals(number)])
 
-    for number in earlier:
-        signal.signal(number, note)
+    earlier = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield received
     finally:

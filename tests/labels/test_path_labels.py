@@ -10,7 +10,7 @@ from cli.main import main
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import locked
-from cvqmpt_lab.labels import generation, path_labels
+from cvqmpt_lab.labels import generation
 from cvqmpt_lab.labels.generation import generate
 from cvqmpt_lab.labels.path_labels import PathRecipe
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -18,6 +18,7 @@ from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.search.anytime import NearShortestSettings
 from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.training.shards import SPACING
 from cvqmpt_lab.vqmpt.link_positions import LinkPositions
 
 TINY = PathRecipe(
@@ -65,7 +66,7 @@ def test_paths_are_free_and_join_their_ends_among_the_shapes_of_their_scene(tiny
         for path in np.flatnonzero(arrays["path_scene"] == scene).tolist():
             q = robot.lower + dataset.path(path) * (robot.upper - robot.lower)
             steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
-            assert steps.max() < path_labels.SPACING + 1e-3
+            assert steps.max() < SPACING + 1e-3
             # waypoints cut corners by less than a tenth of their spacing
             assert steps.sum() == pytest.approx(arrays["length"][path], rel=0.01)
             assert arrays["length"][path] >= arrays["straight"][path] - 1e-4

@@ -11,7 +11,7 @@ from training_data import LOWER, UPPER, kinematics, write_dataset
 
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.labels.path_labels import scene_shapes
+from cvqmpt_lab.labels.generation import scene_arrays
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.filters import BallCrop
@@ -153,8 +153,9 @@ def test_empty_and_unseen_scenes_still_give_points(count, measured):
 def test_measured_clouds_are_those_of_evaluation_cameras():
     """Two cameras at the same places see the same scene by either way, up to the pixels' size."""
     scene, settings = random_scene(3), CloudSettings(points=1024, measured=1.0, cameras=2)
-    arrays = scene_shapes([(0, 3, scene)])
-    shapes = Shapes(*(arrays[f"shape_{name}"] for name in ("kind", "size", "pose")))
+    arrays = scene_arrays(0, 3, scene)
+    kind, size, pose = (np.array(arrays[f"shape_{name}"]) for name in Shapes._fields)
+    shapes = Shapes(kind, size.astype(np.float32), pose.astype(np.float32))
     eyes = np.array([[1.2, 1.0, 1.5], [-0.9, 1.5, 1.2]])
     ours = measured_points(shapes, eyes, np.array(settings.crop.centre), np.random.default_rng(0))
     cameras = tuple(Camera(KINECT, look_at(eye, settings.crop.centre)) for eye in eyes)
