@@ -1,4 +1,4 @@
-"""What an index of a suite may give besides a problem or a task."""
+"""Items of a suite that are neither a plain problem nor a task: unsolvable, or in a map."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +9,7 @@ from cvqmpt_lab.scene.scene import Scene
 
 @dataclass(frozen=True)
 class UnsolvableProblem:
-    """An index for which no problem was found, and why."""
+    """An item for which no problem was found, and why."""
 
     name: str
     reason: str

@@ -49,7 +49,15 @@ def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | Unsolva
     truth = upright_problem(str(number), robot_from_source(PANDA), scene, rng, ROOM)
     if isinstance(truth, UnsolvableProblem):
         return truth
-    return truth, [_camera(stand, rng) for stand in STANDS]
+    cameras = []
+    for stand in STANDS:
+        azimuth, elevation = (np.radians(rng.uniform(*span)) for span in stand)
+        target = np.add((0.45, -0.15, 0.35), rng.uniform(-0.1, 0.1, 3))
+        flat = np.cos(elevation)
+        away = np.array([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)])
+        eye = target + rng.uniform(1.2, 1.7) * away
+        cameras.append(Camera(KINECT, look_at(eye, target)))
+    return truth, cameras
 
 
 def _cluttered_kitchen(number: int, rng: np.random.Generator) -> Scene:
@@ -66,14 +74,6 @@ def _cluttered_kitchen(number: int, rng: np.random.Generator) -> Scene:
     ]
     scene = kitchen(door_angles={DOOR: DOOR_ANGLE}).with_objects(*things)
     return Scene(f"kitchen_clutter_{number}", scene.objects)
-
-
-def _camera(stand: tuple[tuple[int, int], tuple[int, int]], rng: np.random.Generator) -> Camera:
-    azimuth, elevation = (np.radians(rng.uniform(*span)) for span in stand)
-    target = np.add((0.45, -0.15, 0.35), rng.uniform(-0.1, 0.1, 3))
-    flat = np.cos(elevation)
-    away = np.array([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)])
-    return Camera(KINECT, look_at(target + rng.uniform(1.2, 1.7) * away, target))
 
 
 def sensor_problem(number: int, padding: float = 0.0) -> SensedProblem | UnsolvableProblem:

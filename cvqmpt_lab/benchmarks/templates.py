@@ -89,14 +89,14 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
     for layout in LAYOUTS:
         for axis in _axes(robot):
             top, scene = _scene(robot, layout)
-            said = {
+            head = {
                 **plain,
                 "scene": scene,
                 "constraint": {"_comment": REGIONS, "upright": {"tilt": TILT, "axis": axis}},
             }
             for start, goal in _ends(robot, from_plain(Scene, scene), layout, top, axis):
                 joints = dict(zip(robot.joint_names, start.tolist(), strict=True))
-                made = {**said, "start": joints, **_goal(robot, goal)}
+                made = {**head, "start": joints, **_goal(robot, goal)}
                 if _solved(PlanningProblem.from_dict(made), matters=layout is not LAYOUTS[-1]):
                     return made
     raise InvalidInputError(
@@ -170,7 +170,7 @@ def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:
 def _ends(
     robot: Robot, scene: Scene, layout: Layout, top: float, axis: Axis
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of free configurations (n,) on the manifold, beside the wall; order of `_calmest`."""
+    """Pairs of free configurations (n,) on the manifold, beside the wall; order of `_central`."""
     checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN)
     reach, origin = hand_reach(robot), robot.kinematics.translation[0]
     x, y, z = (reach * share for share in layout.hand)
@@ -180,7 +180,7 @@ def _ends(
         bounds = np.array([[-layout.room * reach, layout.room * reach]] * 3 + [[-FREE, FREE]] * 3)
         region = TaskSpaceRegion(place, np.eye(4), bounds)
         manifold = RegionConstraint(robot, (upright(TILT / 2, axis), region))
-        sides.append(_calmest(robot, manifold, checker))
+        sides.append(_central(robot, manifold, checker))
     tried = 0
     for start in sides[0][:12]:
         for goal in sides[1]:
@@ -192,7 +192,7 @@ def _ends(
                 return
 
 
-def _calmest(
+def _central(
     robot: Robot, manifold: RegionConstraint, checker: CollisionChecker, draws: int = 400
 ) -> list[np.ndarray]:
     """Free configurations (n,) on a manifold, nearest to the middle of the joint ranges first."""

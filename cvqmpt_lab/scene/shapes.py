@@ -25,13 +25,9 @@ FARTHEST = 1e4  # [m] that a corner may be from its frame
 
 def thickness(points: FloatArray) -> float:
     """Extent [m] of points (n, 3) in the direction in which they extend least."""
-    return float(np.ptp(points @ thin_direction(points)))
-
-
-def thin_direction(points: FloatArray) -> FloatArray:
-    """Direction (3,) in which points (n, 3) extend least; the normal of flat ones."""
     centred = points - points.mean(axis=0)
-    return np.linalg.eigh(centred.T @ centred)[1][:, 0]
+    thinnest = np.linalg.eigh(centred.T @ centred)[1][:, 0]  # the normal of flat ones
+    return float(np.ptp(points @ thinnest))
 
 
 def check_volume(points: FloatArray, what: str) -> None:

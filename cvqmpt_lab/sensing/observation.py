@@ -17,7 +17,7 @@ from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud, thinned, vi
 
 
 class Observer:
-    """Gives the cloud of a scene, always the same one; by default like training clouds.
+    """Makes the cloud of a scene, the same one every time; by default like training clouds.
 
     Virtual cameras see the shapes; clouds and occupancy maps are used as they are. Rendering takes
     half a second, so the last `scenes` clouds are cached, and rendered ones also in the user's disk

@@ -41,7 +41,7 @@ class CameraSettings:
 
     @classmethod
     def like_training(cls, points: int = 1024, noise: float = 0.003) -> "CameraSettings":
-        """Clouds as in training, which cover obstacles evenly: cameras on all sides, no floor.
+        """Clouds like those of training: cameras on all sides, no floor, obstacles covered evenly.
 
         Unlike training clouds they lack what no camera sees, such as the inside of closed cabinets.
         """
