@@ -75,10 +75,12 @@ def run(args: argparse.Namespace) -> int:
         names = ",".join(solution.problem.robot.joint_names)
         write_text(args.save_path, "\n".join([names, *lines, ""]))
         say(f"path written to {args.save_path}")
-    if args.trajectory and isinstance(solution, Solution):
-        say(_write_trajectory(args, solution))
-    elif args.trajectory:
-        say(_write_trajectories(args, solution))
+    if args.trajectory:
+        say(
+            _write_trajectory(args, solution)
+            if isinstance(solution, Solution)
+            else _write_trajectories(args, solution)
+        )
     for line in _show(args, solution):
         say(line)
     return 0 if solution.solved else 1

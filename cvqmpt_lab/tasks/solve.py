@@ -187,9 +187,11 @@ class _Run:
                 world = step.world.moved(step.end)
                 if len(steps) == len(self.task.planned):
                     last = self.task.phases.index(step.phase)
-                    return TaskSolution(
-                        self.task, outcomes, world.through(self.task.phases[last + 1 :])
+                    # the hand's, after the last planned one
+                    rest = (
+                        p for p in self.task.phases[last + 1 :] if not isinstance(p, PlannedPhase)
                     )
+                    return TaskSolution(self.task, outcomes, world.through(rest))
                 steps.append(self._step(len(steps), world))
                 continue
             if len(steps) == 1 or self.retries == 0:

@@ -1,7 +1,7 @@
 """One moment of a task: the arm's configuration, what the hand holds, the scene."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from typing import Any, NamedTuple
@@ -91,7 +91,7 @@ class World:
         value = float(np.clip(q[-1], joint.lower, joint.upper))
         return replace(self, scene=self.scene.with_joint(joint.name, value), q=q[:-1])
 
-    def through(self, phases: Sequence[HandPhase]) -> "World":
+    def through(self, phases: Iterable[HandPhase]) -> "World":
         """The world after phases that are not planned."""
         return reduce(World.after, phases, self)
 

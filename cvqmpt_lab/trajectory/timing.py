@@ -143,7 +143,11 @@ def smooth_curve(
         # at equal s: no less than the distance between the two sets
         measured = float(np.linalg.norm(spline(s) - polyline(s), axis=1).max())
         if measured <= deviation:
-            return SmoothCurve(spline, _grid(knots), measured, marks)
+            # points between knots: spans are cut in three, short ones at corners in four
+            steps = np.diff(knots)
+            parts = np.where(steps < 0.6 * steps.max(), 4, 3)
+            cuts = [a + np.arange(m) / m * d for a, d, m in zip(knots, steps, parts, strict=False)]
+            return SmoothCurve(spline, np.concatenate([*cuts, knots[-1:]]), measured, marks)
         aim *= 0.9 * deviation / measured
         spacing *= np.sqrt(0.9 * deviation / measured)
     raise InvalidInputError(
@@ -185,14 +189,6 @@ def _knots(
     count = np.concatenate([[0.0], np.cumsum(density)])
     most = max(spans, int(np.ceil(count[-1])))
     return np.interp(np.linspace(0.0, count[-1], most + 1), count, s)
-
-
-def _grid(knots: np.ndarray) -> np.ndarray:
-    """Knots and points between them: spans are cut in three, short ones at corners in four."""
-    spans = np.diff(knots)
-    parts = np.where(spans < 0.6 * spans.max(), 4, 3)
-    cuts = [a + np.arange(m) / m * d for a, d, m in zip(knots, spans, parts, strict=False)]
-    return np.concatenate([*cuts, knots[-1:]])
 
 
 def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) -> Trajectory:

@@ -2,6 +2,8 @@
 
 import pytest
 
+from cvqmpt_lab.errors import CvqmptError
+
 
 @pytest.fixture
 def edited(slider_arm_urdf, tmp_path):
@@ -23,8 +25,8 @@ def edited(slider_arm_urdf, tmp_path):
 def refused():
     """Asserts that loading fails with one line that matches a pattern."""
 
-    def check(error, pattern, load, *args, **kwargs):
-        with pytest.raises(error, match=pattern) as caught:
+    def check(pattern, load, *args, **kwargs):
+        with pytest.raises(CvqmptError, match=pattern) as caught:
             load(*args, **kwargs)
         assert "\n" not in str(caught.value)
 

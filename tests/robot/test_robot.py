@@ -6,7 +6,6 @@ import pytest
 from numba import njit
 
 from cvqmpt_lab.collision.motion_bounds import Sweep
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.kinematics import link_poses, sine_and_cosine
 from cvqmpt_lab.robot.load import load_robot
@@ -51,7 +50,7 @@ def test_finger_opening_moves_the_fingers_within_its_range(refused):
         T_hand_finger = np.linalg.inv(robot.pose(HOME)) @ robot.pose(HOME, finger)
         assert T_hand_finger[1, 3] == pytest.approx(sign * 0.013, abs=1e-12)
     for opening in (-0.001, 0.041):
-        refused(InvalidInputError, rf"finger opening {opening} m.*0 to 0\.04", load_panda, opening)
+        refused(rf"finger opening {opening} m.*0 to 0\.04", load_panda, opening)
 
 
 def test_the_kinematics_digest_names_what_moves_how(panda, slider_arm, slider_arm_urdf, edited):
