@@ -321,7 +321,7 @@ class Numbers(NamedTuple):
 
     tag: str
     attribute: str
-    count: int
+    length: int  # of the list of numbers
     fits: Callable[[Sequence[float]], bool] = lambda _: True
     cure: str = ""  # what to give instead of numbers that do not fit
     has_default: bool = False
@@ -355,7 +355,7 @@ def _check_numbers(elements: Sequence[ElementTree.Element]) -> None:
         except ValueError:
             values = []
         # Python reads 1_0 as a number
-        if len(values) != row.count or not all(map(math.isfinite, values)) or "_" in text:
-            raise InvalidInputError(f"{what}; it must be {row.count} finite numbers")
+        if len(values) != row.length or not all(map(math.isfinite, values)) or "_" in text:
+            raise InvalidInputError(f"{what}; it must be {row.length} finite numbers")
         if not row.fits(values):
             raise InvalidInputError(f"{what}; give {row.cure}")

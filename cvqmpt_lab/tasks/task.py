@@ -186,7 +186,7 @@ class Task(Document):
     @property
     def planned(self) -> list[tuple[tuple[HandPhase, ...], PlannedPhase]]:
         """The planned phases in order, each with the phases of the hand right before it."""
-        found, before = [], []
+        found, before = [], list[HandPhase]()
         for phase in self.phases:
             if isinstance(phase, PlannedPhase):
                 found.append((tuple(before), phase))
