@@ -8,9 +8,6 @@ from pathlib import Path
 
 from cvqmpt_lab.errors import InvalidInputError
 
-LOOPBACK = "127.0.0.1"
-SETTLE_SECONDS = 2.0  # a viewer that cannot open its window gives up sooner
-
 
 def check_viewer() -> None:
     """Raise InvalidInputError if no window can be opened here."""
@@ -22,15 +19,18 @@ def check_viewer() -> None:
         )
 
 
-def open_viewer(recording: Path) -> None:
-    """Open a .rrd file in the viewer of rerun-sdk, which stays open after this program."""
+def open_viewer(recording: Path, settle: float = 2.0) -> None:
+    """Open a .rrd file in the viewer of rerun-sdk, which stays open after this program.
+
+    settle: time [s] after which it is left alone; one that cannot open its window gives up sooner.
+    """
     check_viewer()
     program = shutil.which("rerun", path=str(Path(sys.executable).parent)) or shutil.which("rerun")
     if program is None:
         raise InvalidInputError(
             "cannot open the rerun viewer: no program 'rerun'; install rerun-sdk"
         )
-    command = [program, "--bind", LOOPBACK, "--port", "auto", str(recording)]
+    command = [program, "--bind", "127.0.0.1", "--port", "auto", str(recording)]
     viewer = subprocess.Popen(
         command,
         stdout=subprocess.DEVNULL,
@@ -39,7 +39,7 @@ def open_viewer(recording: Path) -> None:
         text=True,
     )
     try:
-        _, errors = viewer.communicate(timeout=SETTLE_SECONDS)
+        _, errors = viewer.communicate(timeout=settle)
     except subprocess.TimeoutExpired:
         return
     if viewer.returncode != 0:

@@ -1,29 +1,28 @@
 """Fixtures of the tests of pictures and recordings."""
 
-import numpy as np
+from collections import Counter
+
 import pytest
+from rerun.chunk import RrdReader
 
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget
-
-CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-
-
-@pytest.fixture(scope="session")
-def every_shape():
-    """One of each kind."""
-    return (
-        Box((0.1, 0.2, 0.3)),
-        Cylinder(0.1, 0.3),
-        Sphere(0.2),
-        ConvexMesh(CORNERS),
-        PointCloud(CORNERS, 0.05),
-        OccupancyMap(CORNERS, 0.1),
-    )
 
 
 @pytest.fixture(scope="package")
 def unsolved(problem):
     """Result of `problem` with too little time."""
     return solve(problem, "birrt", Budget(iterations=1), seed=0)
+
+
+@pytest.fixture(scope="session")
+def recorded():
+    """Counts the rows per entity of a recording on a timeline."""
+
+    def rows_of(path, timeline="path_state"):
+        rows = Counter()
+        for chunk in RrdReader(path).stream():
+            rows[chunk.entity_path] += chunk.num_rows * (timeline in chunk.timeline_names)
+        return rows
+
+    return rows_of

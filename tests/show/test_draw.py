@@ -35,21 +35,15 @@ def test_notebooks_show_text_above_a_picture(problem):
 
 
 def test_draw_takes_all_of_them_and_writes(solution, task_solution, tmp_path):
-    assert (
-        draw(solution, tmp_path / "a.png", (90, 60)).size
-        == Image.open(tmp_path / "a.png").size
-        == (90, 60)
-    )
+    drawn = draw(solution, tmp_path / "a.png", (90, 60))
+    assert drawn.size == Image.open(tmp_path / "a.png").size == (90, 60)
     assert draw(solution.problem, size=(90, 60)).size == (90, 60)
     assert draw(task_solution, size=(90, 60)).width > 90
-    with pytest.raises(
-        UnknownChoiceError, match="'int'; valid choices: Robot, Scene, PlanningProblem"
-    ):
+    with pytest.raises(UnknownChoiceError, match="'int'; valid choices: Robot, Scene, Pl"):
         draw(3)
 
 
-def test_the_package_has_what_a_script_needs_and_help_is_readable():
-    assert all(getattr(cvqmpt_lab, name) is not None for name in cvqmpt_lab.__all__)
+def test_help_of_the_package_is_readable():
     for kind in (cvqmpt_lab.PlanningProblem, cvqmpt_lab.Scene, cvqmpt_lab.Box):
         assert not re.search("Annotated| at 0x|<class", str(inspect.signature(kind)))
     text = pydoc.plain(pydoc.render_doc(cvqmpt_lab.PlanningProblem))

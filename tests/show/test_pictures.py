@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from PIL import Image
-from rerun.chunk import RrdReader
 
 from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
 from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.show.bodies import (
     frames,
     ground_height,
@@ -23,7 +22,7 @@ from cvqmpt_lab.show.bodies import (
 )
 from cvqmpt_lab.show.marks import constraint_marks
 from cvqmpt_lab.show.meshes import hull_mesh
-from cvqmpt_lab.show.picture import draw_solution, draw_task, film_solution, strip
+from cvqmpt_lab.show.picture import draw_solution, draw_task, film_solution, save_film, strip
 from cvqmpt_lab.show.raster import Stage, Viewpoint
 from cvqmpt_lab.show.recording import log_solution
 
@@ -60,20 +59,18 @@ def test_a_ghost_that_stands_where_the_robot_stands_is_not_seen(problem):
 
 
 @pytest.mark.parametrize(
-    ("region", "extent"),
+    ("region", "thin"),
     [
-        ({"plane": {"normal": [0, 1, 0], "point": [0.4, 0.1, 0.5]}}, (0, 1, 0)),
-        ({"line": {"direction": [1, 0, 0], "point": [0.4, 0.1, 0.5]}}, (0, 1, 1)),
+        ({"plane": {"normal": [0, 1, 0], "point": [0.4, 0.1, 0.5]}}, [1]),
+        ({"line": {"direction": [1, 0, 0], "point": [0.4, 0.1, 0.5]}}, [1, 2]),
     ],
 )
-def test_planes_and_lines_are_drawn_where_the_hand_may_be(problem, region, extent):
+def test_planes_and_lines_are_drawn_where_the_hand_may_be(problem, region, thin):
     bounded = replace(problem, constraint=(from_plain(Region, region, "region"),))
     (mark,) = constraint_marks(bounded, problem.start[None])
     low, high = mark.corners.min(axis=(0, 1)), mark.corners.max(axis=(0, 1))
-    assert ((high - low < 0.01) == np.array(extent, dtype=bool)).all()
-    assert (0.5 * (low + high))[np.array(extent, dtype=bool)] == pytest.approx(
-        np.array([0.4, 0.1, 0.5])[np.array(extent, dtype=bool)]
-    )
+    assert np.flatnonzero(high - low < 0.01).tolist() == thin
+    assert (0.5 * (low + high))[thin] == pytest.approx(np.array([0.4, 0.1, 0.5])[thin])
 
 
 def test_the_cone_of_a_tilt_is_as_wide_as_its_bound(problem):
@@ -85,15 +82,31 @@ def test_the_cone_of_a_tilt_is_as_wide_as_its_bound(problem):
     assert angles == pytest.approx(problem.constraint[0].Bw[4, 1], abs=1e-6)
 
 
-def test_unwritable_picture_is_refused(unsolved, tmp_path):
+def test_what_cannot_be_written_is_refused(unsolved, tmp_path):
     with pytest.raises(InvalidInputError, match=r"cannot write .*missing"):
         draw_solution(unsolved, tmp_path / "missing" / "a.png", (3, 2))
     with pytest.raises(InvalidInputError, match=r"size \(0, 5\)"):
         draw_solution(unsolved, tmp_path / "a.png", (0, 5))
+    frame = np.zeros((21, 31, 3), np.uint8)
+    with pytest.raises(UnknownChoiceError, match=r"'\.avi'; valid choices: \.gif"):
+        save_film([frame], tmp_path / "a.avi")
+    with pytest.raises(InvalidInputError, match="cannot write"):
+        save_film([frame], tmp_path / "missing" / "a.gif")
     assert not list(tmp_path.iterdir())
 
 
-def test_pictures_film_and_recording_of_a_task(task_solution, tmp_path):
+def test_a_film_shows_the_robot_from_start_to_goal(solution, tmp_path):
+    film_solution(solution, tmp_path / "a.gif", (120, 80), pictures=5)
+    with Image.open(tmp_path / "a.gif") as shown:
+        assert shown.n_frames >= 5
+        ends = []
+        for k in (0, shown.n_frames - 1):
+            shown.seek(k)
+            ends.append(np.array(shown.convert("RGB"), dtype=int))
+    assert (np.abs(ends[1] - ends[0]).max(axis=2) > 60).sum() > 50
+
+
+def test_pictures_film_and_recording_of_a_task(task_solution, recorded, tmp_path):
     phases = [outcome.phase.name for outcome in task_solution.outcomes]
     names = draw_task(task_solution, tmp_path / "task.png", size=(60, 40))
     assert names == ["start", *phases]
@@ -103,16 +116,12 @@ def test_pictures_film_and_recording_of_a_task(task_solution, tmp_path):
     with Image.open(tmp_path / "task.gif") as moving:
         assert moving.n_frames > len(phases)
     log_solution(task_solution, tmp_path / "task.rrd")
-    moments: dict[str, int] = {}
-    for chunk in RrdReader(tmp_path / "task.rrd").stream():
-        if "task_time" in chunk.timeline_names:
-            moments[chunk.entity_path] = moments.get(chunk.entity_path, 0) + chunk.num_rows
+    rows = recorded(tmp_path / "task.rrd", "task_time")
+    moments = {entity: count for entity, count in rows.items() if count}
     assert moments.pop("/phase") == len(task_solution.task.phases)
     assert f"/world/moving/{CAN_NAME}" in moments and f"/world/moving/{DOOR}/handle_bar" in moments
-    assert (
-        "/world/robot/panda_leftfinger_0" in moments
-        and "/world/moving/mustard_bottle" not in moments
-    )
+    assert "/world/robot/panda_leftfinger_0" in moments
+    assert "/world/moving/mustard_bottle" not in moments
     duration = sum(outcome.trajectory.duration for outcome in task_solution.outcomes)
     assert set(moments.values()) == {len(frames(task_solution))}
     assert min(moments.values()) > duration / 0.1

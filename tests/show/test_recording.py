@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from rerun.chunk import RrdReader
 
 from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show import viewer
 from cvqmpt_lab.show.curves import plots_along
@@ -21,17 +21,18 @@ from cvqmpt_lab.show.picture import draw_solution
 from cvqmpt_lab.show.recording import log_solution
 from cvqmpt_lab.show.viewer import open_viewer
 
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+SHAPES = (
+    Box((0.1, 0.2, 0.3)),
+    Cylinder(0.1, 0.3),
+    Sphere(0.2),
+    ConvexMesh(CORNERS),
+    PointCloud(CORNERS, 0.05),
+    OccupancyMap(CORNERS, 0.1),
+)
 
-def recorded(path, timeline="path_state"):
-    """Rows per entity on a timeline."""
-    rows: dict[str, int] = {}
-    for chunk in RrdReader(path).stream():
-        on_timeline = chunk.num_rows if timeline in chunk.timeline_names else 0
-        rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + on_timeline
-    return rows
 
-
-def test_solved_recording_holds_everything(solution, tmp_path):
+def test_solved_recording_holds_everything(solution, recorded, tmp_path):
     log_solution(solution, save=tmp_path / "run.rrd", carried=[carried_can()])
     rows = recorded(tmp_path / "run.rrd")
     states = len(solution.simplified.path.states)
@@ -45,22 +46,18 @@ def test_solved_recording_holds_everything(solution, tmp_path):
     moving |= {f"/plots/joints/{name}" for name in solution.problem.robot.joint_names}
     moving |= {"/plots/clearance/clearance", "/plots/clearance/contact"}
     for row in ("rotation_about_y", "rotation_about_z"):
-        moving |= {
-            f"/plots/bounds/0_{row}/{curve}" for curve in (row, "lower_bound", "upper_bound")
-        }
+        curves = (row, "lower_bound", "upper_bound")
+        moving |= {f"/plots/bounds/0_{row}/{curve}" for curve in curves}
     assert {entity for entity, count in rows.items() if count} == moving
     assert {rows[entity] for entity in moving} == {states}
     assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
 
 
-def test_every_shape_and_attachment_is_shown(unsolved, every_shape, tmp_path):
-    items = [
-        SceneObject(type(shape).__name__, shape, pose((0.5, 0.0, 0.5))) for shape in every_shape
-    ]
-    problem = unsolved.problem
-    crowded = replace(
-        problem, scene=problem.scene.with_objects(*items), attachments=(carried_can(),)
-    )
+def test_every_shape_and_attachment_is_shown(unsolved, recorded, tmp_path):
+    T = pose((0.5, 0.0, 0.5))
+    items = [SceneObject(type(shape).__name__, shape, T) for shape in SHAPES]
+    scene = unsolved.problem.scene.with_objects(*items)
+    crowded = replace(unsolved.problem, scene=scene, attachments=(carried_can(),))
     solution = replace(unsolved, problem=crowded)
     log_solution(solution, save=tmp_path / "run.rrd")
     shown = recorded(tmp_path / "run.rrd").keys()
@@ -100,26 +97,21 @@ def test_without_a_display_it_is_refused_before_anything_is_logged(unsolved, mon
     monkeypatch.setattr(viewer.sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(
-        InvalidInputError, match=r"no display.*open it elsewhere with: rerun RUN\.rrd"
-    ):
+    with pytest.raises(InvalidInputError, match=r"no display.*elsewhere with: rerun RUN\.rrd"):
         log_solution(unsolved, view=True)
 
 
-def test_the_viewer_is_bound_to_the_loopback_address(stand_in, tmp_path, monkeypatch):
-    monkeypatch.setattr(viewer, "SETTLE_SECONDS", 0.5)
+def test_the_viewer_is_bound_to_the_loopback_address(stand_in, tmp_path):
     stand_in(f'echo "$@" > {tmp_path}/told; sleep 2')
     began = time.perf_counter()
-    open_viewer(tmp_path / "run.rrd")
+    open_viewer(tmp_path / "run.rrd", settle=0.5)
     assert time.perf_counter() - began < 1.9  # it is not waited for
     assert (tmp_path / "told").read_text() == f"--bind 127.0.0.1 --port auto {tmp_path}/run.rrd\n"
 
 
 def test_a_viewer_that_gives_up_is_an_error(stand_in, tmp_path):
     stand_in("echo 'no graphics device' >&2; exit 3")
-    with pytest.raises(
-        InvalidInputError, match=r"cannot open the rerun viewer \(no graphics device\)"
-    ):
+    with pytest.raises(InvalidInputError, match=r"the rerun viewer \(no graphics device\)"):
         open_viewer(tmp_path / "run.rrd")
 
 

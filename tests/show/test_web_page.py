@@ -49,9 +49,8 @@ def test_a_page_holds_the_motion_and_its_plots(solution, tmp_path):
     plots = {plot["title"]: plot for plot in data["plots"]}
     assert {"tilt of the hand [deg]", "clearance [mm]"} < plots.keys()
     bounds = plots["rotation about y against its bounds [rad]"]["curves"]
-    assert [curve["bound"] for curve in bounds] == [False, True, True] and bounds[2]["values"][
-        0
-    ] == 0.1
+    assert [curve["bound"] for curve in bounds] == [False, True, True]
+    assert bounds[2]["values"][0] == 0.1
     assert min(plots["clearance [mm]"]["curves"][0]["values"]) > 0.0
     assert max(plots["tilt of the hand [deg]"]["curves"][0]["values"]) < np.degrees(0.1415)
 
@@ -61,17 +60,11 @@ def test_fine_scenes_are_drawn_with_fewer_triangles_and_the_page_says_so(solutio
     problem, at = solution.problem, rng.uniform(-1.0, 1.0, (150, 3))
     balls = [SceneObject(f"ball {k}", Sphere(0.05), pose(centre)) for k, centre in enumerate(at)]
     cloud = SceneObject("fine", PointCloud(rng.uniform(-1.0, 1.0, (4000, 3)), 0.01), np.eye(4))
-    crowded = replace(
-        solution, problem=replace(problem, scene=problem.scene.with_objects(cloud, *balls))
-    )
-    (note,) = save_page(crowded, tmp_path / "a.html")
+    crowded = replace(problem, scene=problem.scene.with_objects(cloud, *balls))
+    (note,) = save_page(replace(solution, problem=crowded), tmp_path / "a.html")
     data = data_of(tmp_path / "a.html")
     count = sum(len(array(body["positions"])) // 9 for body in data["bodies"])
-    assert (
-        note
-        == f"drawn with {count} of {note.split()[4]} triangles: close corners of the scene are "
-        "merged"
-    )
+    assert note.startswith(f"drawn with {count} of {note.split()[4]} triangles: ")
     assert note in data["lines"] and count <= 1.02 * 60_000 < int(note.split()[4])
 
 
@@ -82,23 +75,12 @@ def test_a_browser_shows_scene_robot_and_plots(solution, task_solution, tmp_path
     last = len(solution.simplified.path.states) - 1
     shown = {}
     for page in ("plan.html#0", f"plan.html#{last}", "task.html#0"):
-        words = [
-            "--headless",
-            "--no-sandbox",
-            "--use-angle=swiftshader",
-            "--enable-unsafe-swiftshader",
-        ]
-        words += [
-            "--window-size=700,900",
-            "--timeout=8000",
-            "--enable-logging=stderr",
-            f"--user-data-dir={tmp_path}/user",
-        ]
-        words += [f"--screenshot={tmp_path}/shot.png", f"file://{tmp_path}/{page}"]
-        done = subprocess.run([BROWSER, *words], capture_output=True, text=True, timeout=120)
-        assert "CONSOLE" not in done.stderr, [
-            line for line in done.stderr.splitlines() if "CONSOLE" in line
-        ]
+        words = "--headless --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader "
+        words += "--window-size=700,900 --timeout=8000 --enable-logging=stderr"
+        files = [f"--user-data-dir={tmp_path}/user", f"--screenshot={tmp_path}/shot.png"]
+        command = [BROWSER, *words.split(), *files, f"file://{tmp_path}/{page}"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        assert "CONSOLE" not in done.stderr, done.stderr
         shown[page] = np.array(Image.open(tmp_path / "shot.png").convert("RGB"), dtype=int)
     first, end, task = shown.values()
     trace = (first[..., 0] - first[..., 2] > 130) & (first[..., 1] > 60)  # orange beads
