@@ -3,6 +3,8 @@
 import ast
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import nbformat
@@ -14,6 +16,7 @@ from cvqmpt_lab.trajectory.timing import time_path
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "notebooks" / "examples").glob("*.py"))
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 QUICK = (
     ("plan", "place-task"),
@@ -37,6 +40,11 @@ def commands_of(text):
                 yield [word.partition("|")[0] for word in words if word != "..."]
 
 
+def python_of(page):
+    """The fenced blocks of Python on a page."""
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_on_pages_are_understood(page):
     for words in commands_of(page.read_text(encoding="utf-8")):
@@ -53,9 +61,8 @@ def test_examples_in_helps_are_understood(command):
 
 def test_targets_of_make_on_pages_are_there():
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    named = {
-        name for page in PAGES for name in re.findall(r"[`\n]make ([a-z-]+)", page.read_text())
-    }
+    pages = "".join(page.read_text() for page in PAGES)
+    named = set(re.findall(r"[`\n]make ([a-z-]+)", pages))
     assert {"reproduce", "test"} <= named <= targets
 
 
@@ -70,15 +77,14 @@ def test_quick_commands_of_the_readme_run(monkeypatch, tmp_path, capsys):
 
 
 def test_every_public_name_is_there():
-    assert len(cvqmpt_lab.__all__) == len(
-        {id(getattr(cvqmpt_lab, name)) for name in cvqmpt_lab.__all__}
-    )
+    found = {id(getattr(cvqmpt_lab, name)) for name in cvqmpt_lab.__all__}
+    assert len(found) == len(cvqmpt_lab.__all__)
     with pytest.raises(AttributeError, match="public names: Articulation"):
         _ = cvqmpt_lab.solv
 
 
 def test_the_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
-    example = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[1]
+    example = python_of("README.md")[0]
     assert len(re.findall(r"^(?:from|import) ", example, re.MULTILINE)) == 1
     monkeypatch.chdir(tmp_path)
     assert main(["problems", "export", "place-task", "--problems", "8", "--out", "problems"]) == 0
@@ -87,10 +93,16 @@ def test_the_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     assert re.fullmatch(r"solved \d+\.\d+ True\n", capsys.readouterr().out)
 
 
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_the_short_examples_run_in_an_empty_folder(example, tmp_path):
+    command = [sys.executable, example]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() and "not solved" not in done.stdout
+
+
 def test_a_sampler_of_ones_own_is_a_function(tmp_path, monkeypatch):
-    example = re.findall(
-        r"```python\n(.*?)```", (ROOT / "docs" / "your_own.md").read_text(), re.DOTALL
-    )[-1]
+    example = python_of("docs/your_own.md")[-1]
     monkeypatch.chdir(tmp_path)
     assert main(["problems", "new", "mine.json", "--robot", "ur5"]) == 0
     names = {}
@@ -105,39 +117,29 @@ MACHINE = re.compile(r"(?<![\w.])/(home|root|work|tmp|usr|opt|mnt|Users|private|
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebooks_are_short_and_define_nothing(path):
+def test_notebooks_are_short_define_nothing_and_store_their_outputs(path):
+    """All cells ran in order without error; there is a picture and no path of a machine."""
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
-    assert len(notebook.cells) <= LONGEST
-    for cell in (cell for cell in notebook.cells if cell.cell_type == "code"):
-        for node in ast.walk(ast.parse(cell.source)):
-            assert not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef), (
-                cell.source
-            )
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebooks_store_their_outputs(path):
-    """All cells ran in order without error; there is a picture and no path of a machine."""
-    assert path.stat().st_size <= MOST_BYTES
-    cells = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+    assert len(notebook.cells) <= LONGEST and path.stat().st_size <= MOST_BYTES
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    for node in ast.walk(ast.parse("\n".join(cell.source for cell in cells))):
+        assert not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef), (
+            node.name
+        )
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
     outputs = [output for cell in cells for output in cell.outputs]
     assert any("image/png" in output.get("data", {}) for output in outputs)
     for output in outputs:
         assert output.output_type != "error" and output.get("name") != "stderr"
-        data = output.get("data", {})
-        texts = [
-            output.get("text", ""),
-            *(part for kind, part in data.items() if kind != "image/png"),
-        ]
-        assert not MACHINE.search("\n".join(texts)) and "UNCOMMITTED" not in "\n".join(texts)
+        parts = output.get("data", {}).items()
+        text = output.get("text", "") + "\n".join(p for kind, p in parts if kind != "image/png")
+        assert not MACHINE.search(text) and "UNCOMMITTED" not in text
 
 
 def test_a_motion_becomes_the_fields_of_a_ros_2_message(tmp_path, solution):
-    page = (ROOT / "docs" / "ros2.md").read_text(encoding="utf-8")
     names = {}
-    exec(compile(re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0], "ros2.md", "exec"), names)
+    exec(compile(python_of("docs/ros2.md")[0], "ros2.md", "exec"), names)
     motion = time_path(solution.simplified.path.states, solution.problem.robot.joint_limits)
     messages = []
     for ending in ("json", "csv"):

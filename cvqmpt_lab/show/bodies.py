@@ -85,7 +85,6 @@ class Seen:
     moving: Sequence[Body]  # the robot, and what it moves: m poses each
     over: Sequence[Body]  # start, goals, trace, constraint and axes, drawn over the rest
     labels: Sequence[str]  # one a state
-    seconds: float = 6.0  # that the whole is played in
     times: np.ndarray | None = None  # (m,) of a task's states [s]
     plots: Sequence[Plot] = ()
     lines: Sequence[str] = ()  # of text
@@ -341,7 +340,6 @@ def seen_of_task(
     for name, Ts in moved.items():
         mesh = shape_mesh(scene[name].shape)
         moving.append(Body("moved", "moving", name, mesh, colour_of(name), Ts))
-    times = np.array([moment.time for moment in moments])
     verdict = "solved and certified" if solution.solved else solution.failure
     return Seen(
         f"task {solution.task.name}: {verdict}",
@@ -350,8 +348,7 @@ def seen_of_task(
         moving,
         (),
         [moment.phase for moment in moments],
-        max(float(times[-1]), 1.0),
-        times,
+        np.array([moment.time for moment in moments]),
         lines=repr(solution).splitlines(),
     )
 

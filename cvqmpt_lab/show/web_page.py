@@ -79,7 +79,7 @@ def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> tuple[str, list[st
         "lines": [*seen.lines, *note],
         "states": len(labels),
         "labels": labels,
-        "seconds": seen.seconds,
+        "seconds": 6.0 if seen.times is None else max(float(seen.times[-1]), 1.0),
         "camera": {
             "target": list(map(float, viewpoint.target)),
             "distance": distance,
@@ -141,21 +141,18 @@ def _reduced(
 
     Finer bodies of the scene keep the same share of triangles, but at least `coarse`.
     """
-    counts = [len(body.mesh.corners) for body in bodies]
-    pairs = list(zip(bodies, counts, strict=True))
-    fine = [body.group == "scene" and count > coarse for body, count in pairs]
-    finer = int(np.sum(np.array(counts)[fine]))
-    share = (most - (sum(counts) - finer)) / max(finer, 1)
+    sizes = np.array([len(body.mesh.corners) for body in bodies])
+    fine = (sizes > coarse) & [body.group == "scene" for body in bodies]
+    share = (most - sizes[~fine].sum()) / max(sizes[fine].sum(), 1)
+    found = list(bodies)
     if share >= 1.0:
-        return list(bodies), []
-    found = []
-    for (body, count), is_fine in zip(pairs, fine, strict=True):
-        if is_fine:
-            body = replace(body, mesh=_with_fewer(body.mesh, max(coarse, int(share * count))))
-        found.append(body)
+        return found, []
+    for k in np.flatnonzero(fine):
+        mesh = _with_fewer(found[k].mesh, max(coarse, int(share * sizes[k])))
+        found[k] = replace(found[k], mesh=mesh)
     left = sum(len(body.mesh.corners) for body in found)
     return found, [
-        f"drawn with {left} of {sum(counts)} triangles: close corners of the scene are merged"
+        f"drawn with {left} of {sizes.sum()} triangles: close corners of the scene are merged"
     ]
 
 

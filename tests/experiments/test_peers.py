@@ -38,9 +38,8 @@ def test_an_adapter_plans_a_certified_path_or_names_what_installs_it(problem, na
         with pytest.raises(InvalidInputError, match=missing):
             external_planner(name)
         return
-    assert external_planner(name).made_by.startswith(
-        f"{NEEDS[name]} {metadata.version(NEEDS[name])}"
-    )
+    made_by = f"{NEEDS[name]} {metadata.version(NEEDS[name])}"
+    assert external_planner(name).made_by.startswith(made_by)
     solution = solve(problem, name, Budget(seconds=60.0), seed=0)
     assert solution.solved, (solution.plan.detail, solution.certificate)
 
@@ -55,25 +54,20 @@ def test_the_urdf_has_the_kinematics_and_collisions_of_the_problem(problem, tmp_
     data, results = model.createData(), pin.GeometryData(bodies)
     checker, tool = problem.collision_checker(), model.getFrameId("tool")
     for q in problem.robot.random_configurations(np.random.default_rng(0), 200):
-        assert pin.computeCollisions(model, data, bodies, results, q, True) == checker.in_collision(
-            q
-        )
+        collides = pin.computeCollisions(model, data, bodies, results, q, True)
+        assert collides == checker.in_collision(q)
         pin.framesForwardKinematics(model, data, q)
         assert np.allclose(data.oMf[tool].homogeneous, problem.robot.pose(q), atol=1e-9)
-    assert len(list(unchecked_pairs(problem.robot))) == 17 * 16 / 2 - len(
-        problem.robot.self_collision_pairs
-    )
+    checked = len(problem.robot.self_collision_pairs)
+    assert len(list(unchecked_pairs(problem.robot))) == 17 * 16 / 2 - checked
 
 
 def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_twelfth_left(problem):
     region = upright_region(problem)
     rng, box = np.random.default_rng(0), rpy_box(region)
     tilts = rng.choice((-1.0, 1.0), (4000, 2)) * box[4:, 1]
-    turns = [
-        pin.rpy.rpyToMatrix(roll, *tilt)
-        for roll, tilt in zip(np.linspace(-3.14, 3.14, 4000), tilts, strict=True)
-    ]
-    vectors = np.abs([pin.log3(turn)[1:] for turn in turns])
+    angles = np.column_stack([np.linspace(-3.14, 3.14, 4000), tilts])
+    vectors = np.abs([pin.log3(pin.rpy.rpyToMatrix(*each))[1:] for each in angles])
     assert 0.09 < vectors.max() < 0.092
 
 
