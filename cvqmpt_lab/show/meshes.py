@@ -45,7 +45,8 @@ class Mesh:
 
 def joined(meshes: Iterable[Mesh]) -> Mesh:
     """One mesh of several, each a piece of its own."""
-    nothing = Mesh(*np.zeros((2, 0, 3, 3)), np.zeros((0, 3)), np.zeros(0, dtype=int))
+    no = np.zeros((0, 3, 3))
+    nothing = Mesh(no, no, no[:, 0], np.zeros(0, dtype=int))
     meshes = [*meshes, nothing]
     corners, normals, colours = (
         np.concatenate([getattr(mesh, name) for mesh in meshes])

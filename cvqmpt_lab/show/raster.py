@@ -57,7 +57,7 @@ class Viewpoint:
 
 
 class View(NamedTuple):
-    """A surface as it is seen: k pixels of a picture."""
+    """The k pixels of a picture in which a surface is seen."""
 
     row: np.ndarray  # (k,)
     column: np.ndarray  # (k,)
@@ -225,7 +225,7 @@ class Stage:
     def layer(self, mesh: Mesh, opacity: float, behind: float = 0.0) -> Layer:
         """A translucent mesh as it is seen from the stage's viewpoint."""
         view = rasterise(mesh, self.viewpoint, self._shape)
-        return Layer(view._replace(colours=sum(self._lit(view))), opacity, behind)
+        return Layer(view._replace(colours=np.add(*self._lit(view))), opacity, behind)
 
     def image(
         self, moving: Mesh, layers: Sequence[Layer] = (), outline: float = 0.55
@@ -239,7 +239,7 @@ class Stage:
         image = self._shade + self._sunny * share.reshape(*self._shape, 1)
         depth, piece = self._depth.copy(), self._piece.copy()
         view = rasterise(moving, self.viewpoint, self._shape).nearer_than(depth)
-        image[view.at] = sum(self._lit(view, self._shadow, shadow))
+        image[view.at] = np.add(*self._lit(view, self._shadow, shadow))
         depth[view.at], piece[view.at] = view.depth, view.piece + 1 + self._piece.max()
         edge = np.zeros(piece.shape, dtype=bool)  # pieces that begin right or below
         edge[:, 1:] |= piece[:, 1:] != piece[:, :-1]
