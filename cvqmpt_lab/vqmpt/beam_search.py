@@ -67,10 +67,8 @@ def beam_search(
             reads embeddings that were not reordered with the beams.)
 
     Raises:
-        InvalidInputError: no such number of tokens or beams, or log-probabilities are not numbers.
+        InvalidInputError: no such number of beams, or log-probabilities are not numbers.
     """
-    if max_length < 1:
-        raise InvalidInputError(f"sequences of {max_length} tokens; give at least 1")
     classes, log_p = decoder.start()
     if np.isnan(log_p).any():
         raise InvalidInputError("predicted logits are not finite; start, goal or weights hold NaN")

@@ -24,7 +24,7 @@ def require_sizes(largest: int = 1 << 16, **sizes: int | tuple[int, ...] | None)
 
 
 Size = Annotated[int, Condition(int, lambda n: 1 <= n <= 1 << 16, f"1 to {1 << 16}")]
-Layers = Annotated[int, Condition(int, lambda n: 1 <= n <= 64, "1 to 64")]
+Depth = Annotated[int, Condition(int, lambda n: 1 <= n <= 64, "1 to 64")]
 Dropout = Annotated[
     float, Condition(float, lambda share: 0.0 <= share < 1.0, "0 or more, and less than 1")
 ]
@@ -34,7 +34,7 @@ Dropout = Annotated[
 class TransformerConfig:
     """Sizes of a stack of attention layers."""
 
-    n_layers: Layers = 3
+    n_layers: Depth = 3
     n_heads: Size = 3
     d_k: Size = 512  # width of queries and keys, per head
     d_v: Size = 256  # width of values, per head
@@ -267,7 +267,7 @@ class SceneTransformerSizes:
     """Sizes of `SceneTransformer`; defaults are those of the weights that ship."""
 
     width: Size = 128
-    layers: Layers = 3  # of the causal transformer
+    layers: Depth = 3  # of the causal transformer
     heads: Size = 4
     groups: Size = 128  # scene tokens
     group_size: Size = 32  # points that each is made of

@@ -110,22 +110,18 @@ class CrossAttentionLayer(nn.Module):
         return self.pos_ffn(self.enc_attn(query, context, visible))
 
 
-def sinusoid_table(n_position: int, d_model: int) -> Tensor:
-    """Position code (n_position, d_model): sin(p 10000^(-2 i / d)) at 2 i, cos at 2 i + 1."""
-    dimension = torch.arange(d_model, dtype=torch.float64)
-    wavelength = 10000.0 ** (2.0 * (dimension // 2) / d_model)
-    angle = torch.arange(n_position, dtype=torch.float64)[:, None] / wavelength
-    return torch.where(dimension % 2 == 0, angle.sin(), angle.cos()).float()
-
-
 class PositionTable(nn.Module):
-    """Fixed sinusoidal code of the position in a trajectory, kept as a buffer."""
+    """Fixed code of the position p: sin(p 10000^(-2 i / d)) at 2 i, cos at 2 i + 1; a buffer."""
 
     pos_table: Tensor
 
     def __init__(self, n_position: int, d_model: int) -> None:
         super().__init__()
-        self.register_buffer("pos_table", sinusoid_table(n_position, d_model)[None])
+        dimension = torch.arange(d_model, dtype=torch.float64)
+        wavelength = 10000.0 ** (2.0 * (dimension // 2) / d_model)
+        angle = torch.arange(n_position, dtype=torch.float64)[:, None] / wavelength
+        table = torch.where(dimension % 2 == 0, angle.sin(), angle.cos())
+        self.register_buffer("pos_table", table.float()[None])
 
     def forward(self, tokens: Tensor) -> Tensor:
         """Add the code to tokens (b, t, d_model); InvalidInputError when t is beyond the table."""

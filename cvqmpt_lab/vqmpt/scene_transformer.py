@@ -110,9 +110,8 @@ class SceneEncoder(nn.Module):
         """
         shape = self.points(offsets * 5.0).amax(2)
         angle = (centres[..., None] * self.waves).flatten(2)
-        return self.norm(
-            self.block(self.join(torch.cat((shape, centres, angle.sin(), angle.cos()), -1)))
-        )
+        x = self.join(torch.cat((shape, centres, angle.sin(), angle.cos()), -1))
+        return self.norm(self.block(x))
 
 
 class GeometricAttention(nn.Module):
@@ -171,10 +170,8 @@ class GeometricAttention(nn.Module):
             read = (q @ k.transpose(2, 3)).softmax(-1) @ value[:, None]  # (s, k, u, 4 m + 4)
             affine = read[..., : 4 * m].unflatten(-1, (4, m))
             near = affine[..., 0, :] + (affine[..., 1:, :] * points[..., None]).sum(-2)
-            away = (
-                read[..., 4 * m] + (read[..., 4 * m + 1 :] * points).sum(-1) + (points**2).sum(-1)
-            )
-            away = 5.0 * (away.clamp(min=0.0) + 1e-4).sqrt()
+            away = read[..., 4 * m] + (read[..., 4 * m + 1 :] * points).sum(-1)
+            away = 5.0 * ((away + (points**2).sum(-1)).clamp(min=0.0) + 1e-4).sqrt()
             read = torch.cat((near, away[..., None]), -1).transpose(1, 2).reshape(s, u, -1)
         x = x.expand(s, -1, -1)
         return self.norm(x + self.mix(torch.cat((read.to(x.dtype), self.own_norm(x)), -1)))
@@ -234,16 +231,11 @@ class SceneTransformer(nn.Module):
             length = (self.nodes[self.edges[:, 0]] - self.nodes[self.edges[:, 1]]).norm(dim=1)
         return Graph(positions[0], features[0], neighbour, edge, padding, length)
 
-    @cached_property
-    def _kinematics(self) -> LinkPositions:
-        return LinkPositions(
-            self.config.lower, self.config.upper, self.config.body, self.nodes.device
-        )
-
     def configurations(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Features (s, u, f) and body points (s, u, k, 3) [m] of joints q (s, u, n) [rad]."""
-        positions = self._kinematics.positions(q)
-        lower, upper = q.new_tensor(self.config.lower), q.new_tensor(self.config.upper)
+        limits, body = (self.config.lower, self.config.upper), self.config.body
+        positions = LinkPositions(*limits, body, q.device).positions(q)
+        lower, upper = (q.new_tensor(limit) for limit in limits)
         scaled = 2.0 * (q - lower) / (upper - lower) - 1.0
         features = torch.cat((scaled, q.sin(), q.cos(), positions), -1)
         return features, positions.unflatten(-1, (-1, 3))
@@ -271,31 +263,27 @@ class SceneTransformer(nn.Module):
         length, near = torch.cdist(q, self.nodes[None].expand(s, -1, -1)).topk(
             self.config.sizes.links, largest=False
         )
-        odds = self._link_odds(scenes, q, embedding, near)
+        odds = self.link_odds(scenes, q, near, embedding)
         return Ends(embedding, near, length + RISK * F.softplus(-odds))
 
-    def link_odds(self, scenes: Scenes, q: Tensor, near: Tensor) -> Tensor:
+    def link_odds(
+        self, scenes: Scenes, q: Tensor, near: Tensor, embedding: Tensor | None = None
+    ) -> Tensor:
         """Log odds (s, u, l) that the straight motions from q (s, u, n) [rad] to codes are free.
 
         Args:
             scenes: of `encode`.
             q: (s, u, n) [rad].
             near: (s, u, l) int64, the codes.
+            embedding: (s, u, d), of q if it is known.
         """
-        embedding = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
-        return self._link_odds(scenes, q, embedding, near)
-
-    def _link_odds(self, scenes: Scenes, q: Tensor, embedding: Tensor, near: Tensor) -> Tensor:
-        u = q.shape[1]
+        if embedding is None:
+            embedding = self.look(*self.configurations(q), scenes.tokens, scenes.centres)
         half_way = (0.5 * (q[:, :, None] + self.nodes[near])).flatten(1, 2)
         middle = self.look(*self.configurations(half_way), scenes.tokens, scenes.centres)
-        x = (
-            self.middle(middle).float().unflatten(1, (u, -1))
-            + self.part(embedding).float()[:, :, None]
-        )
-        x = x + scenes.parts.gather(
-            1, near.flatten(1)[..., None].expand(-1, -1, x.shape[-1])
-        ).unflatten(1, (u, -1))
+        x = self.middle(middle).float().unflatten(1, near.shape[1:])
+        x = x + self.part(embedding).float()[:, :, None]
+        x = x + _rows(scenes.parts, near)
         return self.link(x.relu())[..., 0].float()
 
     @torch.no_grad()
@@ -341,14 +329,10 @@ class SceneTransformer(nn.Module):
             (s, r, l + 1, N + 1).
         """
         (s, r, length), d, graph = codes.shape, self.config.sizes.width, self.graph
-        taken = scenes.codes.gather(1, codes.flatten(1)[..., None].expand(-1, -1, d)).view(
-            s, r, length, d
-        )
+        taken = _rows(scenes.codes, codes)
         parts = ((goal.embedding[:, :, None], 0), (start.embedding[:, :, None], 1), (taken, 2))
-        x = (
-            torch.cat([self.enter(part) + self.kind[kind] for part, kind in parts], 2)
-            + self.place[: length + 2]
-        )
+        x = torch.cat([self.enter(part) + self.kind[kind] for part, kind in parts], 2)
+        x = x + self.place[: length + 2]
         landmarks = scenes.codes[:, :: self.config.sizes.stride]
         for number, block in enumerate(self.blocks):
             x = block(x.flatten(0, 1), causal=True).view(s, -1, d)
@@ -358,34 +342,34 @@ class SceneTransformer(nn.Module):
         x = self.norm(x[:, :, 1:])
         pointer, gate = self.out(x), F.softplus(self.gate(x)).float()
         scale = d**-0.5
-        over_codes = (pointer.flatten(1, 2) @ scenes.keys.transpose(1, 2)).float().view(
-            s, r, length + 1, -1
-        ) * scale
-        to_goal = (pointer * self.goal_key(goal.embedding)[:, :, None]).sum(
-            -1
-        ).float() * scale + self.goal_bias
+        over_codes = (pointer.flatten(1, 2) @ scenes.keys.transpose(1, 2)).float()
+        over_codes = over_codes.view(s, r, length + 1, -1) * scale
+        to_goal = (pointer * self.goal_key(goal.embedding)[:, :, None]).sum(-1).float()
+        to_goal = to_goal * scale + self.goal_bias
         first = start.cost + V.gather(2, start.near)
         first = self.way - gate[:, :, 0] * (first - first.amin(-1, keepdim=True)).clamp(max=WORST)
         steps = [over_codes[:, :, :1].scatter_add(3, start.near[:, :, None], first[:, :, None])]
         goals = [to_goal[:, :, :1]]
         if length:
             here, neighbour = V.gather(2, codes), graph.neighbour[codes]
-            arcs = self.arc_costs(scenes).gather(
-                1, codes.flatten(1)[..., None].expand(-1, -1, neighbour.shape[-1])
-            )
             there = V.gather(2, neighbour.flatten(2)).view(neighbour.shape)
-            advantage = (arcs.view(neighbour.shape) + there - here[..., None]).clamp(0.0, WORST)
-            bonus = (self.way - gate[:, :, 1:] * advantage).masked_fill(
-                graph.padding[codes] > 0.0, 0.0
-            )
+            arcs = _rows(self.arc_costs(scenes), codes)
+            advantage = (arcs + there - here[..., None]).clamp(0.0, WORST)
+            bonus = self.way - gate[:, :, 1:] * advantage
+            bonus = bonus.masked_fill(graph.padding[codes] > 0.0, 0.0)
             steps.append(over_codes[:, :, 1:].scatter_add(3, neighbour, bonus))
             links = torch.full_like(V, torch.inf).scatter(2, goal.near, goal.cost).gather(2, codes)
             known = links.isfinite()
-            extra = self.way - gate[:, :, 1:, 0] * (links.masked_fill(~known, 0.0) - here).clamp(
-                0.0, WORST
-            )
+            excess = (links.masked_fill(~known, 0.0) - here).clamp(0.0, WORST)
+            extra = self.way - gate[:, :, 1:, 0] * excess
             goals.append(to_goal[:, :, 1:] + extra.masked_fill(~known, 0.0))
         return torch.cat((torch.cat(steps, 2), torch.cat(goals, 2)[..., None]), -1)
+
+
+def _rows(values: Tensor, rows: Tensor) -> Tensor:
+    """The rows (s, u, l) int64 of values (s, N, d), as (s, u, l, d)."""
+    each = rows.flatten(1)[..., None].expand(-1, -1, values.shape[-1])
+    return values.gather(1, each).view(*rows.shape, -1)
 
 
 def roadmap_successors(
@@ -404,17 +388,15 @@ def roadmap_successors(
     Returns:
         (s, r, l + 1, N + 1) bool.
     """
+    classes = len(nodes) + 1
     near = [
         torch.cdist(q.flatten(0, 1), nodes).topk(links, largest=False)[1] for q in (start, goal)
     ]
     first, last = (
-        torch.zeros(len(rows), len(nodes) + 1, device=codes.device).scatter(1, rows, 1.0)
-        for rows in near
+        torch.zeros(len(rows), classes, device=codes.device).scatter(1, rows, 1.0) for rows in near
     )
-    table = torch.zeros(len(nodes), len(nodes) + 1, device=codes.device)
+    table = torch.zeros(len(nodes), classes, device=codes.device)
     table[edges[:, 0], edges[:, 1]] = table[edges[:, 1], edges[:, 0]] = 1.0
     following = table[codes.flatten(0, 1)]  # (s r, l, N + 1)
     following[..., -1] = last.gather(1, codes.flatten(0, 1))
-    return (
-        torch.cat((first[:, None], following), 1).bool().view(*codes.shape[:2], -1, len(nodes) + 1)
-    )
+    return torch.cat((first[:, None], following), 1).bool().view(*codes.shape[:2], -1, classes)

@@ -176,14 +176,24 @@ def write_model(folder: Path, model: StoredModel) -> None:
         # left by a killed process that had this number
         shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir(parents=True)
+        sha256 = {}
+        for part, arrays in model.parts.items():
+            for name, array in arrays.items():
+                if not np.isfinite(array).all():
+                    raise InvalidInputError(
+                        f"cannot write {part}: {name} has NaN or infinite values"
+                    )
+            data = safetensors.numpy.save(
+                {name: np.asarray(array, order="C") for name, array in arrays.items()}
+            )
+            write_bytes(beside / f"{part}.safetensors", data)
+            sha256[part] = hashlib.sha256(data).hexdigest()
         description = {
             "format": FORMAT,
             "architecture": model.architecture,
             "model": to_plain(model.config, complete=True),
             "robot": to_plain(model.robot),
-            "sha256": {
-                name: _write_part(beside, name, arrays) for name, arrays in model.parts.items()
-            },
+            "sha256": sha256,
             "metadata": dict(model.metadata),
         }
         write_bytes(beside / CONFIG_FILE, (json.dumps(description, indent=2) + "\n").encode())
@@ -195,18 +205,6 @@ def write_model(folder: Path, model: StoredModel) -> None:
         ) from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
-
-
-def _write_part(folder: Path, name: str, arrays: Mapping[str, np.ndarray]) -> str:
-    """Write one part's arrays and return the sha256 of the file."""
-    for key, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise InvalidInputError(f"cannot write {name}: {key} has NaN or infinite values")
-    data = safetensors.numpy.save(
-        {key: np.asarray(array, order="C") for key, array in arrays.items()}
-    )
-    write_bytes(folder / f"{name}.safetensors", data)
-    return hashlib.sha256(data).hexdigest()
 
 
 def _move_into_place(source: Path, target: Path) -> None:

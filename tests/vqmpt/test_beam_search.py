@@ -82,7 +82,6 @@ def test_beams_in_a_batch_are_searched_by_the_rules_of_the_published_code(seed, 
     [
         (tables(0), {"beams": 0}, "0 beams; give 1 to 4"),
         (tables(0), {"beams": 5}, "5 beams; give 1 to 4"),
-        (tables(0), {"max_length": 0}, "0 tokens"),
         (tables(0) * np.nan, {}, "not finite"),
     ],
 )

@@ -1,7 +1,6 @@
 """The MPNet planner on tuning environments: real networks, and one that heads for the goal."""
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -97,22 +96,6 @@ def plan(problem, method, budget=ENOUGH, seed=0):
     return solve(problem, method, budget, seed, clearance=False).plan
 
 
-def test_forward_is_a_chain_of_linear_and_prelu():
-    network = random_network()
-    current, goal, code = torch.rand(3, 7), torch.rand(3, 7), torch.rand(3, 4)
-    x = torch.cat((code, current, goal), 1)
-    for linear, prelu in network.hidden:
-        x = x @ linear.weight.T + linear.bias
-        x = torch.where(x > 0, x, prelu.weight * x)
-    expected = x @ network.out.weight.T + network.out.bias
-    torch.testing.assert_close(network(current, goal, code, stochastic=False), expected)
-    assert network.encode(torch.rand(3, 16, 3)).shape == (3, 4)
-    with pytest.raises(InvalidInputError, match=r"this network takes \(16, 3\)"):
-        network.encode(torch.rand(3, 9, 3))
-    network(current, goal, network.encode(torch.rand(3, 16, 3))).square().sum().backward()
-    assert not [name for name, p in network.named_parameters() if p.grad is None]
-
-
 def test_it_computes_what_the_torch_network_does():
     network = random_network()
     inference = ready(network)
@@ -125,6 +108,8 @@ def test_it_computes_what_the_torch_network_does():
         ends = (torch.tensor(q[None], dtype=torch.float32) for q in (current, goal))
         answer = network(*ends, expected, stochastic=False)
     np.testing.assert_allclose(inference.propose(current, goal, code), answer[0], atol=1e-6)
+    with pytest.raises(InvalidInputError, match=r"this network takes \(16, 3\)"):
+        network.encode(torch.rand(3, 9, 3))
 
 
 @pytest.mark.parametrize("make", [heading_network, random_network])
@@ -153,19 +138,20 @@ def test_iterations_stay_within_the_budget(tuning, bridged, limit):
     assert result.path is not None or result.status is PlanStatus.ITERATION_LIMIT
 
 
-def test_a_budget_that_ends_between_rollouts_is_named(tuning):
-    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning)), Budget(iterations=40))
+@pytest.mark.parametrize(
+    ("limits", "budget", "iterations", "detail"),
+    [
+        ({"rollouts": 3, "attempts": 6}, ENOUGH, 3 * 6, "all 3 of 3 rollouts failed: 3"),
+        ({}, Budget(iterations=40), 40, "2 of 10 rollouts failed: 1 cut short by the budget, 1"),
+    ],
+)
+def test_attempts_are_bounded_where_nothing_proposed_is_free(
+    tuning, limits, budget, iterations, detail
+):
+    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning), **limits), budget)
     assert result.path is None and result.status is PlanStatus.ITERATION_LIMIT
-    expected = "2 of 10 rollouts failed: 1 cut short by the budget, 1 without a free state"
-    assert (result.counters.iterations, result.detail) == (40, expected)
-
-
-def test_attempts_are_bounded_where_nothing_proposed_is_free(tuning):
-    method = mpnet_of(tuning.robot, stuck_network(tuning), rollouts=3, attempts=6)
-    result = plan(tuning, method)
-    assert result.status is PlanStatus.ITERATION_LIMIT
-    assert result.detail == "all 3 of 3 rollouts failed: 3 without a free state"
-    assert result.counters.iterations == 3 * 6
+    assert result.detail == f"{detail} without a free state"
+    assert result.counters.iterations == iterations
 
 
 @dataclass(frozen=True)
@@ -197,26 +183,17 @@ def test_sides_that_do_not_meet_are_bridged_or_given_up_without_a_tree(tuning, a
     assert bridged.path is not None and len(asked) >= 1 and "a bridge" in bridged.detail
 
 
-def test_trees_grow_between_neighbours_of_a_rollout_alone_and_within_their_share(
-    tuning, asked, monkeypatch
-):
-    rollouts, join = [], mpnet_rollouts._Run._path
-    keep = lambda run, rollout: rollouts.append(rollout.states) or join(run, rollout)  # noqa: E731
-    monkeypatch.setattr(mpnet_rollouts._Run, "_path", keep)
+def test_trees_grow_between_two_states_and_within_their_share(tuning, asked):
     total = 0
     for seed in range(4):
-        rollouts.clear()
         asked.clear()
-        result = plan(tuning, mpnet_of(tuning.robot), ENOUGH, seed)
-        pairs = {(a.tobytes(), b.tobytes()) for states in rollouts for a, b in pairwise(states)}
-        for start, goals, distribution, budget in asked:
-            assert goals.shape == (1, 7) and (start.tobytes(), goals[0].tobytes()) in pairs
-            assert distribution.name == "uniform" and budget.iterations <= 0.1 * ENOUGH.iterations
-        if result.path is not None and len(rollouts) == 1:
-            trees = (
-                f"{BY_ROLLOUTS} and trees: {len(asked)} of {len(pairs)} pairs joined by tree growth"
-            )
-            assert result.detail == (trees if asked else ROLLOUTS_ALONE)
+        result = plan(tuning, mpnet_of(tuning.robot, rollouts=1), ENOUGH, seed)
+        for _, goals, distribution, budget in asked:
+            assert goals.shape == (1, 7) and distribution.name == "uniform"
+            assert budget.iterations <= 0.1 * ENOUGH.iterations
+        if result.path is not None:
+            trees = f"{BY_ROLLOUTS} and trees: {len(asked)} of "
+            assert result.detail.startswith(trees if asked else ROLLOUTS_ALONE)
         total += len(asked)
     assert total > 0
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from published_files import waves
 from torch.nn import functional as F
 
 from cvqmpt_lab.codec import from_plain, to_plain
@@ -26,7 +27,6 @@ from cvqmpt_lab.vqmpt.dictionary import (
     MultiHeadAttention,
     Quantizer,
     TrajectoryEncoder,
-    sinusoid_table,
 )
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 
@@ -96,7 +96,7 @@ def test_trajectory_encoder_uses_one_layer_norm_three_times():
     torch.nn.init.normal_(encoder.layer_norm.weight)
     u = torch.rand(1, 4, 7)
     x = layer_norm(encoder.to_embedding(u), encoder.layer_norm)
-    x = layer_norm(x + sinusoid_table(30, 16)[:4], encoder.layer_norm)
+    x = layer_norm(x + waves(30, 16)[:4], encoder.layer_norm)
     for layer in encoder.layer_stack:
         x = layer.pos_ffn(attention_by_hand(layer.slf_attn, x, x))
     torch.testing.assert_close(encoder(u), layer_norm(x, encoder.layer_norm))

@@ -120,6 +120,8 @@ def test_the_same_robot_may_have_another_name_or_less_on_record():
     ARM.require_same(replace(ARM, name="my arm", upper=(2.0, 2.00001)))
     ARM.require_same(OLD)
     OLD.require_same(ARM)
+    assert from_plain(RobotSignature, json.loads(json.dumps(to_plain(ARM)))) == ARM
+    assert from_plain(RobotSignature, {"name": "arm", "lower": [-1, -1], "upper": [2, 2]}) == OLD
 
 
 @pytest.mark.parametrize(
@@ -138,17 +140,11 @@ def test_another_robot_is_refused_with_the_difference(weights, robot, message):
         weights.require_same(robot)
 
 
-def test_signatures_survive_json_and_earlier_versions_are_read():
-    assert from_plain(RobotSignature, json.loads(json.dumps(to_plain(ARM)))) == ARM
-    assert from_plain(RobotSignature, {"name": "arm", "lower": [-1, -1], "upper": [2, 2]}) == OLD
-
-
 @pytest.mark.parametrize(
     "change",
     [
-        *({"name": 3}, {"lower": "low"}, {"lower": ["-1", "-1"]}, {"lower": [3, 3]}),
-        *({"lower": [], "upper": []}, {"upper": [10**400, 2]}, {"upper": [float("nan"), 2]}),
-        *({"joints": "elbow"}, {"joints": ["elbow"]}, {"kinematics": 5}),
+        *({"lower": ["-1", "-1"]}, {"lower": [3, 3]}, {"lower": [], "upper": []}),
+        *({"upper": [float("nan"), 2]}, {"joints": ["elbow"]}),
     ],
 )
 def test_what_is_no_signature_is_refused(change):
@@ -183,25 +179,17 @@ def test_weights_that_do_not_fit_are_named(checkpoint, panda, name, change, mess
         Codebook(replace(model, parts={"dictionary": arrays}), panda)
 
 
-def changed_kinematics(**changes):
-    return {"metadata": {"kinematics": METADATA["kinematics"] | changes}}
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"metadata": {}}, "its metadata has no kinematics"),
-        (changed_kinematics(points=[1, 2]), "points and offsets describe 7, 7, 2 and 4"),
-        (
-            changed_kinematics(translation=np.full((7, 3), 0.01).tolist()),
-            "another translation of joint 'panda_joint5' .difference 0.374",
-        ),
-        (
-            {"robot": RobotSignature("ur5", tuple(LOWER), tuple(UPPER))},
-            "for robot 'ur5', not 'panda'",
-        ),
+        ({"points": [1, 2]}, "points and offsets describe 7, 7, 2 and 4"),
+        ({"translation": [[0.01] * 3] * 7}, "translation of joint 'panda_joint5' .difference 0.37"),
+        ({"robot": replace(ROBOT, name="ur5", lower=LOWER, upper=UPPER)}, "for robot 'ur5'"),
     ],
 )
 def test_models_of_other_robots_are_refused(checkpoint, panda, change, message):
+    if not change.keys() & {"metadata", "robot"}:
+        change = {"metadata": {"kinematics": METADATA["kinematics"] | change}}
     with pytest.raises(InvalidInputError, match=message):
         Codebook(stored(replace(checkpoint, **change)), panda)
