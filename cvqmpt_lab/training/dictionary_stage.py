@@ -25,8 +25,7 @@ from cvqmpt_lab.training.dataset import BaseTurn, PathDataset
 from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import ModelConfig, require_sizes
-from cvqmpt_lab.vqmpt.dictionary import Dictionary, DictionaryOutput
-from cvqmpt_lab.vqmpt.link_positions import LinkPositions
+from cvqmpt_lab.vqmpt.dictionary import Dictionary, Gaussians, LinkPositions, Quantized
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +54,8 @@ class Stage1Settings:
 
 
 def stage1_loss(
-    output: DictionaryOutput,
+    gaussians: Gaussians,
+    quantized: Quantized,
     u: Tensor,
     visible: Tensor,
     commitment: float,
@@ -64,16 +64,17 @@ def stage1_loss(
     """Loss of the module's docstring, and its parts reconstruction and quantization: scalars.
 
     Args:
-        output: the dictionary's, of waypoints u.
+        gaussians: the dictionary's, of waypoints u.
+        quantized: likewise.
         u: (b, t, n) normalised joints.
         visible: (b, t) bool, False where padded.
         commitment: beta.
         entropy_weight: w.
     """
-    nll = -torch.where(visible, output.gaussians.log_prob(u), 0.0).sum() / len(u)
-    negative_entropy = -torch.where(visible, output.gaussians.entropy(), 0.0).sum() / len(u)
+    nll = -torch.where(visible, gaussians.log_prob(u), 0.0).sum() / len(u)
+    negative_entropy = -torch.where(visible, gaussians.entropy(), 0.0).sum() / len(u)
     reconstruction = nll + entropy_weight * negative_entropy
-    z, z_q = output.quantized.latent, output.quantized.quantized
+    z, z_q = quantized.latent, quantized.quantized
     to_code = (z_q.detach() - z).square().sum(-1)
     to_latent = (z_q - z.detach()).square().sum(-1)
     quantization = (commitment * to_code + to_latent)[visible].mean()
@@ -166,13 +167,14 @@ class DictionaryStage(Stage):
     def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Mean loss of a batch and its parts, see the module."""
         u, visible = batch["u"], batch["visible"]
-        output = self.dictionary(self._links.configurations(u))
+        gaussians, quantized = self.dictionary(self._links.configurations(u))
         with torch.no_grad():
-            used = output.quantized.codes[visible]
+            used = quantized.codes[visible]
             self.uses += torch.bincount(used, minlength=len(self.uses))
-            self._latents = output.quantized.latent[visible].detach()
+            self._latents = quantized.latent[visible].detach()
         beta = self.config.dictionary.commitment
-        return stage1_loss(output, u, visible, beta, self.settings.entropy_weight)
+        weight = self.settings.entropy_weight
+        return stage1_loss(gaussians, quantized, u, visible, beta, weight)
 
     def after_step(self, epoch: int, step: int, optimizer: torch.optim.Optimizer) -> None:
         """Move codes that are hardly used to latents of the last batch."""
@@ -199,11 +201,11 @@ class DictionaryStage(Stage):
         for first in range(0, len(rows), 64):
             batch = self.tensors(self._padded(rows[first : first + 64]))
             u, visible = batch["u"], batch["visible"]
-            output = self.dictionary(self._links.configurations(u))
-            codes = output.quantized.codes
-            sums["nll"] -= float(output.gaussians.log_prob(u)[visible].double().sum())
-            sums["negative_entropy"] -= float(output.gaussians.entropy()[visible].double().sum())
-            std = output.gaussians.covariance.diagonal(dim1=-2, dim2=-1).sqrt().cpu() * span
+            gaussians, quantized = self.dictionary(self._links.configurations(u))
+            codes = quantized.codes
+            sums["nll"] -= float(gaussians.log_prob(u)[visible].double().sum())
+            sums["negative_entropy"] -= float(gaussians.entropy()[visible].double().sum())
+            std = gaussians.covariance.diagonal(dim1=-2, dim2=-1).sqrt().cpu() * span
             sums["std"] += float(std[visible.cpu()].mean(-1).double().sum())
             sums["changes"] += float(((codes[:, 1:] != codes[:, :-1]) & visible[:, 1:]).sum())
             used += torch.bincount(codes[visible].cpu(), minlength=len(used))

@@ -31,7 +31,7 @@ from cvqmpt_lab.vqmpt.config import (
     SceneTransformerSizes,
     SequenceConfig,
 )
-from cvqmpt_lab.vqmpt.link_positions import LinkPositions
+from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, Ends, group_points
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer

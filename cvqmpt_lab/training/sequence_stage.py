@@ -29,7 +29,6 @@ from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage, means
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import require_sizes
 from cvqmpt_lab.vqmpt.scene_arrays import NOWHERE
-from cvqmpt_lab.vqmpt.scene_transformer import roadmap_successors
 
 NO_TARGET = -100
 
@@ -330,3 +329,33 @@ def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
     """Stack arrays of different lengths; shorter ones repeat their rows."""
     rows = max(map(len, arrays))
     return np.stack([array[np.arange(rows) % len(array)] for array in arrays])
+
+
+def roadmap_successors(
+    nodes: Tensor, edges: Tensor, links: int, start: Tensor, goal: Tensor, codes: Tensor
+) -> Tensor:
+    """Classes that can follow each prefix of codes on a roadmap.
+
+    Args:
+        nodes: (N, n) [rad].
+        edges: (E, 2).
+        links: number of nodes that a start or goal is linked to.
+        start: (s, r, n) [rad].
+        goal: (s, r, n) [rad].
+        codes: (s, r, l).
+
+    Returns:
+        (s, r, l + 1, N + 1) bool.
+    """
+    classes = len(nodes) + 1
+    near = [
+        torch.cdist(q.flatten(0, 1), nodes).topk(links, largest=False)[1] for q in (start, goal)
+    ]
+    first, last = (
+        torch.zeros(len(rows), classes, device=codes.device).scatter(1, rows, 1.0) for rows in near
+    )
+    table = torch.zeros(len(nodes), classes, device=codes.device)
+    table[edges[:, 0], edges[:, 1]] = table[edges[:, 1], edges[:, 0]] = 1.0
+    following = table[codes.flatten(0, 1)]  # (s r, l, N + 1)
+    following[..., -1] = last.gather(1, codes.flatten(0, 1))
+    return torch.cat((first[:, None], following), 1).bool().view(*codes.shape[:2], -1, classes)

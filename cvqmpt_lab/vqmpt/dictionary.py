@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.vqmpt.config import EPSILON, ModelConfig, TransformerConfig
+from cvqmpt_lab.vqmpt.config import EPSILON, ModelConfig, SerialChain, TransformerConfig
 
 
 class MultiHeadAttention(nn.Module):
@@ -95,19 +95,6 @@ class SelfAttentionLayer(nn.Module):
             read: (b, r, d_model), those of the tokens whose outputs alone are wanted.
         """
         return self.pos_ffn(self.slf_attn(tokens if read is None else read, tokens, visible))
-
-
-class CrossAttentionLayer(nn.Module):
-    """Queries attend to a context, not to each other, then a feed-forward block."""
-
-    def __init__(self, sizes: TransformerConfig) -> None:
-        super().__init__()
-        self.enc_attn = MultiHeadAttention(sizes)
-        self.pos_ffn = FeedForward(sizes.d_model, sizes.d_inner, sizes.dropout)
-
-    def forward(self, query: Tensor, context: Tensor, visible: Tensor | None = None) -> Tensor:
-        """Map query (b, t, d_model), given context (b, m, d_model), to the query's shape."""
-        return self.pos_ffn(self.enc_attn(query, context, visible))
 
 
 class PositionTable(nn.Module):
@@ -324,14 +311,6 @@ class GaussianDecoder(nn.Module):
         return Gaussians(mean, lower.unflatten(-1, (n, n)), F.softplus(self.diag(hidden)))
 
 
-@dataclass(frozen=True, eq=False)
-class DictionaryOutput:
-    """The Gaussian of every waypoint and the quantization it came from."""
-
-    gaussians: Gaussians
-    quantized: Quantized
-
-
 class Dictionary(nn.Module):
     """Encoder, quantizer and decoder; the last two are what planning uses."""
 
@@ -348,14 +327,14 @@ class Dictionary(nn.Module):
             sizes.d_model, sizes.d_inner, config.joint_dim, options.decoder_dropout
         )
 
-    def forward(self, waypoints: Tensor) -> DictionaryOutput:
+    def forward(self, waypoints: Tensor) -> tuple[Gaussians, Quantized]:
         """Encode, quantise and decode waypoints; padded ones too, mask them in the losses.
 
         Args:
             waypoints: (b, t, configuration_dim), joints in [0, 1], then features [m], if any.
         """
         quantized = self.quantizer(self.encoder(waypoints))
-        return DictionaryOutput(self.decoder(quantized.quantized), quantized)
+        return self.decoder(quantized.quantized), quantized
 
     def encode(self, waypoints: Tensor) -> Tensor:
         """Codes (b, t) int64 of waypoints (b, t, configuration_dim)."""
@@ -364,3 +343,54 @@ class Dictionary(nn.Module):
     def decode(self, z: Tensor) -> Gaussians:
         """Gaussians g(z) (...) of code vectors z (..., code_dim), in the dictionary or not."""
         return self.decoder(self.quantizer.output_linear_map(z))
+
+
+class LinkPositions:
+    """Configurations as models take them: u = (q - q_min) / (q_max - q_min), link positions."""
+
+    def __init__(
+        self,
+        lower: tuple[float, ...],
+        upper: tuple[float, ...],
+        chain: SerialChain | None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self._lower = torch.tensor(lower, dtype=torch.float32, device=device)
+        self._range = torch.tensor(upper, dtype=torch.float32, device=device) - self._lower
+        self._chain = chain
+        if chain is not None:
+            self._rotation = torch.tensor(chain.rotation, dtype=torch.float32, device=device)
+            self._translation = torch.tensor(chain.translation, dtype=torch.float32, device=device)
+            self._offsets = torch.tensor(chain.offsets, dtype=torch.float32, device=device)
+
+    def configurations(self, u: Tensor) -> Tensor:
+        """Configurations (..., n + 3 k) of normalised joints u (..., n); differentiable."""
+        if self._chain is None:
+            return u
+        return torch.cat((u, self.positions(self._lower + u * self._range)), dim=-1)
+
+    def positions(self, q: Tensor) -> Tensor:
+        """Positions (..., 3 k) [m, robot base frame] of joints q (..., n) [rad or m]."""
+        if self._chain is None:
+            raise InvalidInputError("link positions need the dataset's kinematics; it has none")
+        flat = q.reshape(-1, q.shape[-1])
+        cosine, sine = flat.cos(), flat.sin()
+        x, y, z = (self._rotation[0, :, axis].expand(len(flat), 3) for axis in range(3))
+        origin = self._translation[0].expand(len(flat), 3)
+        places: dict[int, Tensor] = {}
+        last = max(self._chain.points)
+        for joint in range(last + 1):
+            if joint:
+                step, shift = self._rotation[joint], self._translation[joint]
+                origin = origin + x * shift[0] + y * shift[1] + z * shift[2]
+                x, y, z = (x * step[0, i] + y * step[1, i] + z * step[2, i] for i in range(3))
+            if joint in self._chain.sliders:
+                origin = origin + z * flat[:, joint, None]
+            else:
+                c, s = cosine[:, joint, None], sine[:, joint, None]
+                x, y = x * c + y * s, y * c - x * s
+            for point in (k for k, frame in enumerate(self._chain.points) if frame == joint):
+                offset = self._offsets[point]
+                places[point] = origin + x * offset[0] + y * offset[1] + z * offset[2]
+        stacked = torch.cat([places[point] for point in range(len(places))], dim=-1)
+        return stacked.reshape(*q.shape[:-1], -1)

@@ -28,8 +28,9 @@ from cvqmpt_lab.vqmpt.config import (
     require_point_cloud,
 )
 from cvqmpt_lab.vqmpt.dictionary import (
-    CrossAttentionLayer,
     Dictionary,
+    FeedForward,
+    MultiHeadAttention,
     Quantizer,
     SelfAttentionLayer,
 )
@@ -208,6 +209,19 @@ def ball_query(
     first_ones = rank < max_neighbours
     row, point = row[first_ones], point[first_ones]
     return row // m * n + point, row
+
+
+class CrossAttentionLayer(nn.Module):
+    """Queries attend to a context, not to each other, then a feed-forward block."""
+
+    def __init__(self, sizes: TransformerConfig) -> None:
+        super().__init__()
+        self.enc_attn = MultiHeadAttention(sizes)
+        self.pos_ffn = FeedForward(sizes.d_model, sizes.d_inner, sizes.dropout)
+
+    def forward(self, query: Tensor, context: Tensor, visible: Tensor | None = None) -> Tensor:
+        """Map query (b, t, d_model), given context (b, m, d_model), to the query's shape."""
+        return self.pos_ffn(self.enc_attn(query, context, visible))
 
 
 class CrossAttentionContext(nn.Module):

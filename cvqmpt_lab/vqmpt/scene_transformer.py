@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from cvqmpt_lab.vqmpt.config import SceneTransformerConfig
-from cvqmpt_lab.vqmpt.link_positions import LinkPositions
+from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 from cvqmpt_lab.vqmpt.scene_arrays import (
     LONGEST,
     RISK,
@@ -370,33 +370,3 @@ def _rows(values: Tensor, rows: Tensor) -> Tensor:
     """The rows (s, u, l) int64 of values (s, N, d), as (s, u, l, d)."""
     each = rows.flatten(1)[..., None].expand(-1, -1, values.shape[-1])
     return values.gather(1, each).view(*rows.shape, -1)
-
-
-def roadmap_successors(
-    nodes: Tensor, edges: Tensor, links: int, start: Tensor, goal: Tensor, codes: Tensor
-) -> Tensor:
-    """Classes that can follow each prefix of codes on a roadmap.
-
-    Args:
-        nodes: (N, n) [rad].
-        edges: (E, 2).
-        links: number of nodes that a start or goal is linked to.
-        start: (s, r, n) [rad].
-        goal: (s, r, n) [rad].
-        codes: (s, r, l).
-
-    Returns:
-        (s, r, l + 1, N + 1) bool.
-    """
-    classes = len(nodes) + 1
-    near = [
-        torch.cdist(q.flatten(0, 1), nodes).topk(links, largest=False)[1] for q in (start, goal)
-    ]
-    first, last = (
-        torch.zeros(len(rows), classes, device=codes.device).scatter(1, rows, 1.0) for rows in near
-    )
-    table = torch.zeros(len(nodes), classes, device=codes.device)
-    table[edges[:, 0], edges[:, 1]] = table[edges[:, 1], edges[:, 0]] = 1.0
-    following = table[codes.flatten(0, 1)]  # (s r, l, N + 1)
-    following[..., -1] = last.gather(1, codes.flatten(0, 1))
-    return torch.cat((first[:, None], following), 1).bool().view(*codes.shape[:2], -1, classes)

@@ -42,11 +42,11 @@ from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.training.mpnet_stage import MPNet
 from cvqmpt_lab.trajectory.timing import time_path
 from cvqmpt_lab.trajectory.trajectory import read_motion, save_trajectory
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, read_tensors, save_checkpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
-from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.weights import read_model, robot_signature
 from paper_tables.suites import render_directory
 

@@ -19,7 +19,7 @@ from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.search.anytime import NearShortestSettings
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.shards import SPACING
-from cvqmpt_lab.vqmpt.link_positions import LinkPositions
+from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 
 TINY = PathRecipe(
     6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32)

@@ -22,7 +22,7 @@ from cvqmpt_lab.training.dataset import BaseTurn, Shapes, open_dataset
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage, SceneBatchSettings, turned
 from cvqmpt_lab.training.sequence_networks import open_sequences
 from cvqmpt_lab.vqmpt.config import MPNetConfig, SerialChain
-from cvqmpt_lab.vqmpt.link_positions import LinkPositions
+from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 
 PLAIN = CloudSettings(
     points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0)

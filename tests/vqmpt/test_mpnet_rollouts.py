@@ -17,10 +17,10 @@ from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.training.mpnet_stage import MPNet
 from cvqmpt_lab.vqmpt import mpnet_rollouts
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, stored
 from cvqmpt_lab.vqmpt.config import MPNetConfig
-from cvqmpt_lab.vqmpt.mpnet import MPNet
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts, line_free
 from cvqmpt_lab.vqmpt.weights import RobotSignature, robot_signature
 

@@ -162,16 +162,16 @@ def test_stage1_loss_masks_padding():
     u, visible = torch.rand(2, 6, 7), torch.ones(2, 6, dtype=torch.bool)
     visible[1, 4:] = False
     with torch.no_grad():
-        output = dictionary(u)
-    loss = stage1_loss(output, u, visible, commitment=0.25)
-    log_prob, entropies = output.gaussians.log_prob(u), output.gaussians.entropy()
+        gaussians, quantized = dictionary(u)
+    loss = stage1_loss(gaussians, quantized, u, visible, commitment=0.25)
+    log_prob, entropies = gaussians.log_prob(u), gaussians.entropy()
     seen = [(b, t) for b in range(2) for t in range(6) if visible[b, t]]
     nll, entropy = (
         -sum(float(log_prob[at]) for at in seen),
         sum(float(entropies[at]) for at in seen),
     )
     assert float(loss["reconstruction"]) == pytest.approx((nll - 0.1 * entropy) / 2, rel=1e-5)
-    distance = (output.quantized.latent - output.quantized.quantized).square().sum(-1)
+    distance = (quantized.latent - quantized.quantized).square().sum(-1)
     assert float(loss["quantization"]) == pytest.approx(
         1.25 * float(distance[visible].mean()), rel=1e-5
     )

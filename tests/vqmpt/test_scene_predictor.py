@@ -12,6 +12,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import serial_chain
 from cvqmpt_lab.labels.roadmap_labels import body_points
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.training.sequence_stage import roadmap_successors
 from cvqmpt_lab.vqmpt.checkpoint import stored
 from cvqmpt_lab.vqmpt.codebook import dictionary_nodes
 from cvqmpt_lab.vqmpt.config import ModelConfig, SceneTransformerConfig, SceneTransformerSizes
@@ -22,7 +23,7 @@ from cvqmpt_lab.vqmpt.scene_predictor import (
     SequenceDecoder,
     compiled_groups,
 )
-from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer, roadmap_successors
+from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
 
 SMALL = SceneTransformerSizes(
     width=32, layers=3, heads=2, groups=24, group_size=8, values=4, edge_width=16, links=6, stride=3
