@@ -75,9 +75,7 @@ class SceneRecipe(ABC):
         """Raise InvalidInputError, before anything is written, if labels cannot be made."""
 
     @abstractmethod
-    def labelled(
-        self, robot: Robot, scene: Scene, index: int
-    ) -> Mapping[str, np.ndarray | Sequence] | None:
+    def labelled(self, robot: Robot, scene: Scene, index: int) -> dict[str, Any] | None:
         """Arrays of a shard of the scene of this index alone; None if it cannot be labelled."""
 
     @abstractmethod

@@ -138,9 +138,9 @@ class PathDataset(TrainingData):
         steps = np.zeros(len(waypoints))
         block = 1 << 18
         # in blocks: the whole in floats would not fit everywhere
-        for first in range(1, len(steps), block):
-            joints = waypoints[first - 1 : first + block] * scale
-            steps[first : first + block] = np.linalg.norm(np.diff(joints, axis=0), axis=1)
+        for begin in range(1, len(steps), block):
+            joints = waypoints[begin - 1 : begin + block] * scale
+            steps[begin : begin + block] = np.linalg.norm(np.diff(joints, axis=0), axis=1)
         first, last, counts = start[:-1], start[1:] - 1, np.diff(start)
         steps[first] = 0.0
         total = np.cumsum(steps)
@@ -199,8 +199,8 @@ class SequenceDataset(TrainingData):
         lower, upper = np.array(self.robot.lower), np.array(self.robot.upper)
         return (lower + joints / FULL_SCALE * (upper - lower)).astype(np.float32)
 
-    def free(self, name: Literal["node", "edge"], scenes: np.ndarray) -> np.ndarray:
-        """Which nodes (k, N) or edges (k, E) of the roadmap are free in scenes (k,), bool."""
+    def free(self, name: str, scenes: np.ndarray) -> np.ndarray:
+        """Which "node" (k, N) or "edge" (k, E) of the roadmap is free in scenes (k,), bool."""
         count = len(getattr(self.graph, f"{name}s"))
         bits = self.arrays[f"{name}_free"][scenes]
         return np.unpackbits(bits, axis=1, count=count).astype(bool)

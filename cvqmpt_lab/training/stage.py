@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -69,7 +69,7 @@ class Batches(Dataset):
 
     def __init__(
         self,
-        rows: Sequence[np.ndarray],
+        rows: Sequence[np.ndarray] | np.ndarray,
         make: Callable[[np.ndarray, np.random.Generator], dict[str, np.ndarray]],
         seed: int,
         epoch: int,
@@ -79,6 +79,9 @@ class Batches(Dataset):
 
     def __len__(self) -> int:
         return len(self._rows)
+
+    def __iter__(self) -> Iterator[dict[str, np.ndarray]]:
+        return map(self.__getitem__, range(len(self)))
 
     def __getitem__(self, number: int) -> dict[str, np.ndarray]:
         rng = np.random.default_rng(batch_seed(*self._seed, number))

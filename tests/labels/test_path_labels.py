@@ -1,4 +1,3 @@
-import csv
 import shutil
 from dataclasses import replace
 
@@ -37,10 +36,6 @@ def tiny(tmp_path_factory, two_scenes_a_shard):
     return out
 
 
-def shards(out):
-    return {path.name: path.read_bytes() for path in sorted((out / "shards").iterdir())}
-
-
 @pytest.mark.parametrize("family", FAMILIES)
 def test_scenes_depend_on_their_number_alone_and_leave_room(family):
     number = generation.FIRST_SCENE
@@ -76,18 +71,17 @@ def test_paths_are_free_and_join_their_ends_among_the_shapes_of_their_scene(tiny
 @pytest.mark.parametrize("cut", [None, 3, 30, 200])
 def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path, cut):
     """With a shard missing, or damaged and the index cut."""
-    shutil.copytree(tiny, tmp_path / "d")
-    index, first = tmp_path / "d" / "shards.csv", tmp_path / "d" / "shards" / "000000.npz"
-    whole = index.read_bytes()
+    out = tmp_path / "d"
+    shutil.copytree(tiny, out)
+    index, first = out / "shards.csv", out / "shards" / "000000.npz"
     if cut is None:
         first.unlink()
     else:
         first.write_bytes(b"damaged")
-        index.write_bytes(whole[:-cut])
-    make(tmp_path / "d")
-    assert index.read_bytes() == whole and shards(tmp_path / "d") == shards(tiny)
-    with index.open() as file:
-        assert {row["shard"] for row in csv.DictReader(file)} == {"000000", "000001", "000002"}
+        index.write_bytes(index.read_bytes()[:-cut])
+    make(out)
+    for file in ("shards.csv", *(f"shards/{number:06d}.npz" for number in range(3))):
+        assert (out / file).read_bytes() == (tiny / file).read_bytes()
 
 
 def test_a_folder_that_another_run_writes_or_of_another_recipe_is_refused(tiny):
@@ -120,5 +114,6 @@ def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(sli
 )
 def test_bad_input_is_named(capsys, tmp_path, options, says):
     assert main(["data", "generate", "--out", str(tmp_path / "d"), *options.split()]) == 2
-    error = capsys.readouterr().err.strip()
-    assert says in error and error.count("\n") == 0
+    # the line before may say that kernels are compiled
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith("cvqmpt: ") and says in last

@@ -53,11 +53,8 @@ def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_pat
     train = f"train published --config {config} --data {labels} --out {out}".split()
     assert main([*train, "--epochs", "1", "--device", "cpu"]) == 0
     said = capsys.readouterr().out
-    assert (
-        "validation_no_cloud_cross_entropy_ways" in said
-        and "validation_edge_area_under_curve" in said
-    )
-    assert "validation_constant_features" in said
+    for metric in ("no_cloud_cross_entropy_ways", "edge_area_under_curve", "constant_features"):
+        assert f"validation_{metric}" in said
     assert main(["plan", "place-task", "--planner", "cvq-published", "--model", str(out)]) == 0
     assert "solved" in capsys.readouterr().out
 
@@ -72,57 +69,40 @@ def test_a_scene_transformer_for_another_arm(tmp_path, request):
     profile["model"]["dictionary"]["n_codes"] = 256
     profile["stage1"] |= {"batch": 8, "restart_epochs": 3}
     profile["stage1"]["optimizer"]["warmup"] = 20
-    (tmp_path / "tiny.json").write_text(json.dumps(profile))
-    scenes = ["--robot", "ur5-limited", "--family", "table,shelves", "--scenes", "8", "--jobs", "1"]
-    tiny = ["--config", str(tmp_path / "tiny.json"), "--epochs", "4", "--device", "cpu"]
-    smoke = ["--profile", "smoke", "--epochs", "1", "--device", "cpu"]
+    tiny = tmp_path / "tiny.json"
+    tiny.write_text(json.dumps(profile))
+    scenes = "--robot ur5-limited --family table,shelves --scenes 8 --jobs 1"
+    smoke = "--profile smoke --epochs 1 --device cpu"
     for command in (
-        ["data", "generate", *scenes, "--paths-per-scene", "20", "--out", str(data)],
-        ["train", "stage1", *tiny, "--data", str(data), "--out", str(words)],
-        [
-            "data",
-            "generate",
-            "--labels",
-            "roadmap",
-            *scenes,
-            "--dictionary",
-            str(words),
-            "--out",
-            str(labels),
-        ],
-        [
-            "train",
-            "transformer",
-            *smoke,
-            "--data",
-            str(labels),
-            "--dictionary",
-            str(words),
-            "--out",
-            str(out),
-        ],
+        f"data generate {scenes} --paths-per-scene 20 --out {data}",
+        f"train stage1 --config {tiny} --epochs 4 --device cpu --data {data} --out {words}",
+        f"data generate --labels roadmap {scenes} --dictionary {words} --out {labels}",
+        f"train transformer {smoke} --data {labels} --dictionary {words} --out {out}",
     ):
-        assert main(command) == 0
+        assert main(command.split()) == 0
     robot = robot_from_source({"name": "ur5-limited"})
-    predictor, rng = (
-        SceneTransformerPredictor(load_vq_mpt(robot, out), robot),
-        np.random.default_rng(0),
-    )
+    predictor = SceneTransformerPredictor(load_vq_mpt(robot, out), robot)
+    rng = np.random.default_rng(0)
     scene = predictor.encode(rng.uniform(-0.8, 0.8, (400, 3)))
     start, *goals = robot.random_configurations(rng, 4)
     found = predictor.hypotheses(scene, start, np.array(goals))
     assert all(one[0].finished and len(one[0].codes) > 0 for one in found)
 
 
-def test_hints_for_another_arm_lead_to_a_transformer(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("command", "hint"),
+    [
+        (
+            "data generate --robot ur5 --scenes 4 --dictionary d --out paths",
+            "--dictionary is for --labels roadmap",
+        ),
+        (
+            "plan robots --problem 20 --planner cvq-mpt",
+            "cvqmpt data generate --robot ur5 --out DATA, then cvqmpt train stage1",
+        ),
+    ],
+)
+def test_hints_for_another_arm_lead_to_a_transformer(capsys, command, hint):
     """Each refusal names the command before it in the chain, with the options that are missing."""
-    ur5 = ["--robot", "ur5", "--scenes", "4"]
-    assert (
-        main(["data", "generate", *ur5, "--dictionary", "d", "--out", str(tmp_path / "paths")]) == 2
-    )
-    assert "--dictionary is for --labels roadmap" in capsys.readouterr().err
-    assert main(["plan", "robots", "--problem", "20", "--planner", "cvq-mpt"]) == 2
-    assert (
-        "cvqmpt data generate --robot ur5 --out DATA, then cvqmpt train stage1"
-        in capsys.readouterr().err
-    )
+    assert main(command.split()) == 2
+    assert hint in capsys.readouterr().err

@@ -75,11 +75,6 @@ PUBLISHED = changed(
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "d")
-
-
-@pytest.fixture(scope="module")
 def dictionary(tmp_path_factory, data):
     out = tmp_path_factory.mktemp("stage1") / "s1"
     assert go("stage1", data, out).finished
@@ -147,9 +142,8 @@ def test_the_authors_network_learns_from_paths(tmp_path, data, published_diction
 def test_a_stopped_training_continues_on_the_same_curve(
     tmp_path, data, published_dictionary, stage, at
 ):
-    options = (
-        {"dictionary": published_dictionary, "profile": PUBLISHED} if stage == "published" else {}
-    )
+    words = {"dictionary": published_dictionary, "profile": PUBLISHED}
+    options = words if stage == "published" else {}
     whole = go(stage, data, tmp_path / "whole", **options)
     # within the first epoch, or at its end
     at = min(at, whole.step // 2)
@@ -180,27 +174,20 @@ def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path,
     profile = changed(TINY, {**changes, "mpnet_model.dropout": 0})
     config, out = tmp_path / "tiny.json", tmp_path / "out"
     config.write_text(json.dumps(to_plain(profile, complete=True)))
-    torchrun = (
-        "-m torch.distributed.run --nproc-per-node 2 --rdzv-endpoint localhost:0 --rdzv-backend "
-        "c10d"
-    )
-    words = (
-        f"{torchrun} -m cli.main train mpnet --config {config} --device cpu --data {data} --out "
-        f"{out}"
-    )
+    torchrun = "torch.distributed.run --nproc-per-node 2 --rdzv-endpoint localhost:0"
+    train = f"cli.main train mpnet --config {config} --device cpu --data {data} --out {out}"
+    words = f"-m {torchrun} --rdzv-backend c10d -m {train} --epochs 1".split()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    words = [sys.executable, *words.split(), "--epochs", "1"]
+    words = [sys.executable, *words]
     done = subprocess.run(words, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("model in") == 1, "both processes reported"
     stage = profile.stage("mpnet", data, None, 0, torch.device("cpu"))
-    torch.manual_seed(0)
     optimizer = stage.optimizer.build(stage)
-    for number in range(2):
+    for number, batch in enumerate(stage.batches(0)):
         seed = batch_seed(0, 0, number).spawn(1)[0]
         torch.manual_seed(int(seed.generate_state(1, np.uint64)[0]) >> 1)
-        batch = {name: torch.from_numpy(part) for name, part in stage.batches(0)[number].items()}
-        (stage(batch)["loss"] / 2).backward()
+        (stage(stage.tensors(batch))["loss"] / 2).backward()
     optimizer.step()
     found = safetensors.numpy.load((out / "model" / "mpnet.safetensors").read_bytes())
     for name, tensor in stage.network.state_dict().items():
@@ -252,15 +239,14 @@ def test_folders_that_cannot_be_continued(tmp_path, data, dictionary):
 
 
 def test_damaged_states_and_losses_that_are_not_finite_are_named(tmp_path, data):
-    go("stage1", data, tmp_path / "s1", epochs=1)
+    with pytest.raises(KeyboardInterrupt):
+        go("stage1", data, tmp_path / "s1", report=lambda *_: os.kill(os.getpid(), signal.SIGTERM))
     state = tmp_path / "s1" / "state.pt"
     state.write_bytes(state.read_bytes()[:200])
     with pytest.raises(InvalidInputError, match=r"state.pt is damaged"):
         go("stage1", data, tmp_path / "s1")
     wild = {"rate": 1e30, "warmup": 0, "schedule": "constant"}
-    with pytest.raises(
-        InvalidInputError, match=r"loss is .* in epoch 1, batch .*lower optimizer.rate"
-    ):
+    with pytest.raises(InvalidInputError, match=r"loss is .* in epoch 1, .*lower optimizer.rate"):
         go("mpnet", data, tmp_path / "a", changed(TINY, {"mpnet.optimizer": wild}))
 
 
@@ -274,17 +260,13 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch
     assert not list(tmp_path.iterdir())
 
 
-def test_a_second_training_in_the_folder_is_refused(tmp_path, data):
+def test_one_training_at_a_time_gets_back_a_model_that_was_being_replaced(tmp_path, data):
     def second(*progress):
         with pytest.raises(InvalidInputError, match=r"s1 is in use by another run"):
-            go("stage1", data, tmp_path / "s1", epochs=1)
+            go("stage1", data, whole, epochs=1)
 
-    assert go("stage1", data, tmp_path / "s1", report=second, epochs=1).finished
-
-
-def test_a_training_killed_while_it_replaces_its_model_gets_it_back(tmp_path, data):
     whole = tmp_path / "s1"
-    go("stage1", data, whole, epochs=1)
+    assert go("stage1", data, whole, report=second, epochs=1).finished
     before = weights(whole)
     (whole / "model").rename(whole / ".model.previous-123")
     (whole / ".model.partial-123").mkdir()
@@ -308,10 +290,10 @@ def test_rates():
     published = PROFILES["published"].published.optimizer
     for step, factor in ((600, 600 * 2400**-1.5), (2400, 2400**-0.5), (9600, 9600**-0.5)):
         assert published.rate_at(step, 1) == pytest.approx(0.15 * 512**-0.5 * factor)
+    assert PROFILES["published"].stage1.optimizer.rate == 0.2 * 512**-0.5 * 20000**-0.5
     cosine = OptimizerSettings(rate=1.0, warmup=10, schedule="cosine", final=0.1)
-    assert [cosine.rate_at(s, 110) for s in (5, 10, 60, 110)] == pytest.approx(
-        [0.5, 1.0, 0.55, 0.1]
-    )
+    found = [cosine.rate_at(step, 110) for step in (5, 10, 60, 110)]
+    assert found == pytest.approx([0.5, 1.0, 0.55, 0.1])
 
 
 def test_the_command_line(tmp_path, capsys, data):
@@ -320,9 +302,8 @@ def test_the_command_line(tmp_path, capsys, data):
     common = ["train", "stage1", "--config", str(config), "--data", str(data), "--device", "cpu"]
     assert main([*common, "--out", str(tmp_path / "s1"), "--epochs", "1"]) == 0
     captured = capsys.readouterr()
-    assert (
-        "validation_nll" in captured.out and f"model in {tmp_path / 's1' / 'model'}" in captured.out
-    )
+    assert "validation_nll" in captured.out
+    assert f"model in {tmp_path / 's1' / 'model'}" in captured.out
     assert "stage1 6/6, 0 s left  epoch 1, loss " in captured.err
     assert main(["train", "stage1", "--profile", "smoke", "--print-config"]) == 0
     assert from_plain(Profile, json.loads(capsys.readouterr().out)) == SMOKE
@@ -331,7 +312,13 @@ def test_the_command_line(tmp_path, capsys, data):
         "no dataset in": [*common[:4], "--data", str(tmp_path), "--out", out],
         "unknown device 'tpu'": [*common[:6], "--device", "tpu", "--out", out],
         "unknown profile 'big'": ["train", "stage1", "--profile", "big"],
-        "unknown stage 'sequences'": ["train", "sequences", *common[2:6], "--out", out],
+        "'sequences'; valid choices: stage1, mpnet": [
+            "train",
+            "sequences",
+            *common[2:6],
+            "--out",
+            out,
+        ],
         "train stage2 was removed: train published": ["train", "stage2", *common[2:6]],
         "cannot read": ["train", "stage1", "--config", str(tmp_path / "nowhere.json")],
     }.items():

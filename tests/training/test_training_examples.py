@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 from small_models import compact_config, published_config, random_checkpoint
-from training_data import LOWER, UPPER, kinematics, write_dataset
+from training_data import LOWER, SPAN, UPPER, kinematics, write_dataset
 
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
@@ -24,19 +24,14 @@ from cvqmpt_lab.training.sequence_networks import open_sequences
 from cvqmpt_lab.vqmpt.config import MPNetConfig, SerialChain
 from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 
+CPU = torch.device("cpu")
 PLAIN = CloudSettings(
     points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0)
 )
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return open_dataset(write_dataset(tmp_path_factory.mktemp("data") / "d"))
-
-
-@pytest.fixture(scope="module")
-def chain():
-    return from_plain(SerialChain, kinematics())
+def rng(seed=0):
+    return np.random.default_rng(seed)
 
 
 def positions_one_by_one(data, q):
@@ -59,14 +54,13 @@ def positions_one_by_one(data, q):
     ids=["in order", "any link"],
 )
 def test_link_positions_equal_a_loop(other):
-    data = kinematics() | other
-    chain, u = from_plain(SerialChain, data), np.random.default_rng(0).random((5, 3, 7))
+    data, u = kinematics() | other, rng().random((15, 7))
+    chain = from_plain(SerialChain, data)
     assert from_plain(SerialChain, to_plain(chain)).feature_dim == chain.feature_dim == 12
-    q = np.array(LOWER) + u * (np.array(UPPER) - LOWER)
     links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
-    found = links.configurations(torch.tensor(u, dtype=torch.float32))
-    expected = np.stack([[positions_one_by_one(data, q[i, j]) for j in range(3)] for i in range(5)])
-    np.testing.assert_allclose(found[..., 7:], expected, atol=2e-6)
+    found = links.configurations(torch.tensor(u, dtype=torch.float32).reshape(5, 3, 7))
+    expected = [positions_one_by_one(data, q) for q in np.array(LOWER) + u * SPAN]
+    np.testing.assert_allclose(found.reshape(15, -1)[:, 7:], expected, atol=2e-6)
 
 
 @pytest.mark.parametrize(
@@ -86,19 +80,6 @@ def test_kinematics_that_do_not_fit_are_named(change):
         from_plain(SerialChain, kinematics() | change, "kinematics")
 
 
-def distances(points, shapes):
-    """Signed distances (p, m) to shapes; inside boxes and cylinders a lower bound of the depth."""
-    kind, size, pose = shapes.kind, shapes.size, shapes.pose
-    local = np.einsum("mij,pmi->pmj", pose[:, :, :3], points[:, None] - pose[:, :, 3])
-    box = (np.abs(local) - 0.5 * size).max(2)
-    cylinder = np.maximum(
-        np.hypot(local[..., 0], local[..., 1]) - size[:, 0],
-        np.abs(local[..., 2]) - 0.5 * size[:, 2],
-    )
-    sphere = np.linalg.norm(local, axis=2) - size[:, 0]
-    return np.select([kind == 0, kind == 1, kind == 2], [box, cylinder, sphere])
-
-
 def one(kind, size, at=(0.3, -0.2, 0.4)):
     pose = np.concatenate((np.eye(3), np.array(at)[:, None]), 1)[None].astype(np.float32)
     return Shapes(np.array([kind], dtype=np.uint8), np.array([size], dtype=np.float32), pose)
@@ -109,7 +90,7 @@ def test_points_are_uniform_by_area():
 
     def local(kind, size):
         shape = one(kind, size)
-        return sample_cloud(shape, settings, np.random.default_rng(0)) - shape.pose[0, :, 3]
+        return sample_cloud(shape, settings, rng()) - shape.pose[0, :, 3]
 
     on = (np.abs(np.abs(local(0, (0.2, 0.4, 0.6))) - (0.1, 0.2, 0.3)) < 1e-6).mean(0)
     areas = np.array([0.4 * 0.6, 0.2 * 0.6, 0.2 * 0.4])
@@ -118,35 +99,53 @@ def test_points_are_uniform_by_area():
     caps = np.abs(np.abs(points[:, 2]) - 0.25) < 1e-6
     assert caps.mean() == pytest.approx(0.3 / 0.8, abs=0.015)
     assert (np.hypot(*points[caps, :2].T) < 0.3 / np.sqrt(2)).mean() == pytest.approx(0.5, abs=0.02)
-    assert np.abs(local(2, (0.3, 0.3, 0.3)).mean(0)).max() < 0.01
+    ball = local(2, (0.3, 0.3, 0.3))
+    assert np.abs(ball.mean(0)).max() < 0.01
+    np.testing.assert_allclose(np.linalg.norm(ball, axis=1), 0.3, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "depth"),
+    [
+        (0, (0.4, 0.4, 0.4), lambda p: np.abs(p).max(1) - 0.2),
+        (1, (0.2, 0.2, 0.4), lambda p: np.maximum(np.hypot(*p[:, :2].T), np.abs(p[:, 2])) - 0.2),
+        (2, (0.2, 0.2, 0.2), lambda p: np.linalg.norm(p, axis=1) - 0.2),
+    ],
+)
+def test_points_inside_another_shape_are_left_out(kind, size, depth):
+    """A box of 0.5 m that a smaller shape at its edge cuts."""
+    box, other = one(0, (0.5, 0.5, 0.5)), one(kind, size, at=(0.55, -0.2, 0.4))
+    both = Shapes(*(np.concatenate(pair) for pair in zip(box, other, strict=True)))
+    points = sample_cloud(both, replace(PLAIN, points=4000), rng())
+    of_box = np.abs(np.abs(points - box.pose[0, :, 3]).max(1) - 0.25) < 1e-6
+    assert 0.5 < of_box.mean() < 1.0
+    assert depth(points[of_box] - other.pose[0, :, 3]).min() > -2e-4
+    assert np.abs(points[~of_box] - box.pose[0, :, 3]).max(1).min() > 0.25 - 2e-4
 
 
 def test_crops_noise_and_repetition(dataset):
-    shapes, rng = dataset.shapes(0), np.random.default_rng
+    shapes = dataset.shapes(0)
     ball, box = CropSettings(radius=0.5), CropSettings(kind="box", lower=(-0.3, -0.3, 0.0))
     inside, within = (
         sample_cloud(shapes, CloudSettings(points=300, noise=0.0, crop=crop), rng(1))
         for crop in (ball, box)
     )
     assert np.linalg.norm(inside - np.array(ball.centre), axis=1).max() <= 0.5 + 1e-5
-    assert (within >= np.subtract(box.lower, 1e-6)).all() and (
-        within <= np.add(box.upper, 1e-6)
-    ).all()
-    noisy = CloudSettings(points=300, noise=0.01, occlusion=0.0, density=0.0, crop=PLAIN.crop)
-    off = np.abs(distances(sample_cloud(shapes, noisy, rng(1)).astype(np.float64), shapes).min(1))
-    assert 0.003 < off.mean() < 0.02
-    one_cloud, same = (sample_cloud(shapes, CloudSettings(), rng(3)) for _ in range(2))
-    np.testing.assert_array_equal(one_cloud, same)
+    assert (within >= np.subtract(box.lower, 1e-6)).all()
+    assert (within <= np.add(box.upper, 1e-6)).all()
+    # points of one ball: noise moves them off its surface
+    noisy = sample_cloud(one(2, (0.3, 0.3, 0.3)), replace(PLAIN, noise=0.01), rng(1))
+    off = np.abs(np.linalg.norm(noisy - [0.3, -0.2, 0.4], axis=1) - 0.3)
+    assert 0.005 < off.mean() < 0.01
+    first, same = (sample_cloud(shapes, CloudSettings(), rng(3)) for _ in range(2))
+    np.testing.assert_array_equal(first, same)
 
 
 @pytest.mark.parametrize("measured", [0.0, 1.0])
 @pytest.mark.parametrize("count", [0, 1])
 def test_empty_and_unseen_scenes_still_give_points(count, measured):
-    far = one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0))
-    shapes = Shapes(far.kind[:count], far.size[:count], far.pose[:count])
-    cloud = sample_cloud(
-        shapes, CloudSettings(points=50, measured=measured), np.random.default_rng(0)
-    )
+    far = Shapes(*(array[:count] for array in one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0))))
+    cloud = sample_cloud(far, CloudSettings(points=50, measured=measured), rng())
     assert cloud.shape == (50, 3) and np.isfinite(cloud).all() and cloud[:, 2].max() < -0.5
 
 
@@ -157,43 +156,45 @@ def test_measured_clouds_are_those_of_evaluation_cameras():
     kind, size, pose = (np.array(arrays[f"shape_{name}"]) for name in Shapes._fields)
     shapes = Shapes(kind, size.astype(np.float32), pose.astype(np.float32))
     eyes = np.array([[1.2, 1.0, 1.5], [-0.9, 1.5, 1.2]])
-    ours = measured_points(shapes, eyes, np.array(settings.crop.centre), np.random.default_rng(0))
+    ours = measured_points(shapes, eyes, np.array(settings.crop.centre), rng())
     cameras = tuple(Camera(KINECT, look_at(eye, settings.crop.centre)) for eye in eyes)
     seen = CameraSettings(cameras=cameras, crop=BallCrop(radius=9.0), errors=DepthNoise())
-    theirs = visible_points(scene, seen, np.random.default_rng(1))
+    theirs = visible_points(scene, seen, rng(1))
     for some, others in ((ours, theirs), (theirs, ours)):
         assert np.median(cKDTree(others).query(some)[0]) < 0.02
-    one, same = (sample_cloud(shapes, settings, np.random.default_rng(0)) for _ in range(2))
-    np.testing.assert_array_equal(one, same)
-    assert one.shape == (1024, 3) and one.dtype == np.float32 and len(np.unique(one, axis=0)) > 600
+    first, same = (sample_cloud(shapes, settings, rng()) for _ in range(2))
+    np.testing.assert_array_equal(first, same)
+    assert first.shape == (1024, 3) and first.dtype == np.float32
+    assert len(np.unique(first, axis=0)) > 600
 
 
-def test_turning_moves_cloud_and_links_alike(dataset, chain):
-    turn = BaseTurn(dataset, True)
-    links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
-    paths = np.array([3, 4])
-    angles = []
-    for seed in range(20):
-        angles.append(turn.draw(paths, np.random.default_rng(seed)))
+def test_turning_moves_cloud_and_links_alike(dataset):
+    turn, paths = BaseTurn(dataset, True), np.array([3, 4])
+    links = LinkPositions(tuple(LOWER), tuple(UPPER), from_plain(SerialChain, kinematics()))
+    angles = [turn.draw(paths, rng(seed)) for seed in range(20)]
+    for angle in angles:
         for path in paths.tolist():
             u = dataset.path(path)
             moved = u.copy()
-            moved[:, 0] += turn.shift(angles[-1])
+            moved[:, 0] += turn.shift(angle)
             assert moved[:, 0].min() >= -1e-6 and moved[:, 0].max() <= 1.0 + 1e-6
-            before = links.configurations(torch.tensor(u))[:, 7:].reshape(-1, 3)
-            after = links.configurations(torch.tensor(moved))[:, 7:].reshape(-1, 3)
-            np.testing.assert_allclose(after, turned(before.numpy(), angles[-1]), atol=5e-6)
+            before, after = (
+                links.configurations(torch.tensor(each))[:, 7:].reshape(-1, 3)
+                for each in (u, moved)
+            )
+            np.testing.assert_allclose(after, turned(before.numpy(), angle), atol=5e-6)
     assert np.std(angles) > 0.2
-    assert BaseTurn(dataset, False).draw(paths, np.random.default_rng(0)) == 0.0
+    assert BaseTurn(dataset, False).draw(paths, rng()) == 0.0
 
 
 def test_robots_that_cannot_be_turned_about_their_base_are_not(dataset, tmp_path):
-    tilted, rng = kinematics(), np.random.default_rng(0)
+    tilted = kinematics()
     tilted["rotation"][0] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
-    assert BaseTurn(dataset, True).draw(np.arange(2), rng) != 0.0
+    assert BaseTurn(dataset, True).draw(np.arange(2), rng()) != 0.0
     for k, other in enumerate((tilted, kinematics() | {"sliders": [0]})):
         turn = BaseTurn(open_dataset(write_dataset(tmp_path / str(k), kinematics=other)), True)
-        assert turn.draw(np.arange(2), rng) == 0.0 and not turn.draw_each(np.arange(2), rng).any()
+        assert turn.draw(np.arange(2), rng()) == 0.0
+        assert not turn.draw_each(np.arange(2), rng()).any()
 
 
 @pytest.mark.parametrize("turn_base", [False, True])
@@ -203,7 +204,7 @@ def test_batches_repeat_by_seed_and_have_equal_shares_of_each_scene(dataset, tur
         scenes=2, paths_per_scene=4, trivial_share=1.0, turn_base=turn_base, cloud=cloud
     )
     settings = MPNetSettings(batches=batches)
-    stage = MPNetStage(dataset, MPNetConfig(n_points=64), settings, 5, torch.device("cpu"))
+    stage = MPNetStage(dataset, MPNetConfig(n_points=64), settings, 5, CPU)
     first, same, other = (list(stage.batches(epoch)) for epoch in (0, 0, 1))
     for batch, again in zip(first, same, strict=True):
         assert batch["cloud"].shape[1:] == (64, 3) and len(batch["u"]) == 4 * len(batch["cloud"])
@@ -222,7 +223,7 @@ def test_batches_repeat_by_seed_and_have_equal_shares_of_each_scene(dataset, tur
 def test_validation_batches_are_held_out_paths_as_they_are(dataset):
     settings = MPNetSettings(batches=SceneBatchSettings(scenes=2, paths_per_scene=3))
     config = MPNetConfig(n_points=1024)
-    stage = MPNetStage(dataset, config, settings, 0, torch.device("cpu"))
+    stage = MPNetStage(dataset, config, settings, 0, CPU)
     first, same = list(stage.validation_batches()), list(stage.validation_batches())
     np.testing.assert_array_equal(first[0]["cloud"], same[0]["cloud"])
     paths = [dataset.path(row) for row in dataset.split("validation").tolist()]
