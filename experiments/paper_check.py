@@ -37,7 +37,11 @@ def paper_check(problem: PlanningProblem) -> list[Measured]:
     client, clock = bullet.connect(bullet.DIRECT), CpuClock()
     try:
         links = _links(problem.robot)
-        bodies = [_hull(bullet, vertices) for _, vertices in links.values()]
+        hulls = [
+            bullet.createCollisionShape(bullet.GEOM_MESH, vertices=vertices.tolist())
+            for _, vertices in links.values()
+        ]
+        bodies = [bullet.createMultiBody(0.0, hull) for hull in hulls]
         kitchen, count = _obstacles(bullet, problem.scene.obstacles), len(problem.scene.obstacles)
         pairs = list(combinations_with_replacement(bodies, 2))
 
@@ -75,11 +79,6 @@ def _links(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
             piece.vertices_in_link
         )
     return {name: (row, np.concatenate(corners)) for name, (row, corners) in found.items()}
-
-
-def _hull(bullet: Any, vertices: np.ndarray) -> int:
-    shape = bullet.createCollisionShape(bullet.GEOM_MESH, vertices=vertices.tolist())
-    return bullet.createMultiBody(0.0, shape)
 
 
 def _placement(rotation: np.ndarray, translation: np.ndarray) -> Placement:

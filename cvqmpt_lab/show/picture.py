@@ -6,6 +6,7 @@ legend or caption stands below.
 """
 
 import io
+import math
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
@@ -75,8 +76,7 @@ def draw(
         case PlanningProblem():
             image = problem_image(what, None, size)
         case Solution():
-            found = what.simplified
-            image = problem_image(what.problem, None if found is None else found.path, size)
+            image = problem_image(what.problem, what.simplified and what.simplified.path, size)
         case Task():
             image = problem_image(shown(World.before(what)), None, size)
         case TaskSolution():
@@ -124,7 +124,7 @@ def draw_solution(
         ghosts: number of poses shown between start and goal.
         carried: the load in the hand if the problem does not model it.
     """
-    planned = None if solution.simplified is None else solution.simplified.path
+    planned = solution.simplified and solution.simplified.path
     write_png(Path(path), problem_image(solution.problem, planned, size, ghosts, carried))
 
 
@@ -245,23 +245,23 @@ def strip(labels: Sequence[Label], width: int, letters_across: int = 62) -> np.n
     ink, size = (40, 40, 44), max(11, width // letters_across)
     font = ImageFont.load_default(size)
     gap, swatch, line_height = 1.3 * size, 1.3 * size, 1.9 * size
-    x, line, placed = gap / 2, 0, []
+    # one line for each label is enough
+    image = Image.new("RGB", (width, math.ceil(len(labels) * line_height)), (255, 255, 255))
+    canvas = ImageDraw.Draw(image)
+    left, line = gap / 2, 0
     for text, colour in labels:
         needed = font.getlength(text) + (0 if colour is None else swatch)
-        if x + needed > width and x > gap:
-            x, line = gap / 2, line + 1
-        placed.append((text, colour, x, (line + 0.5) * line_height))
-        x += needed + gap
-    image = Image.new("RGB", (width, round((1 + line) * line_height)), (255, 255, 255))
-    canvas = ImageDraw.Draw(image)
-    for text, colour, left, middle in placed:
+        if left + needed > width and left > gap:
+            left, line = gap / 2, line + 1
+        middle = (line + 0.5) * line_height
         if colour is not None:
             fill, half = tuple(round(255 * part) for part in colour), 0.42 * size
             box = (left, middle - half, left + 2 * half, middle + half)
             canvas.rounded_rectangle(box, radius=0.2 * size, fill=fill, outline=ink)
-            left += swatch
+            left, needed = left + swatch, needed - swatch
         canvas.text((left, middle), text, fill=ink, font=font, anchor="lm")
-    return np.array(image)
+        left += needed + gap
+    return np.array(image)[: round((1 + line) * line_height)]
 
 
 def write_png(path: Path, image: np.ndarray) -> None:

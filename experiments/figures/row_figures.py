@@ -29,8 +29,12 @@ from paper_tables.table_engine import by_planner, rows_of_one_suite
 OURS = 1e-6  # [s] a free state of the kitchen, kinematics included (docs/performance.md)
 # of a state check [s]
 COSTS = tuple(float(cost) for cost in np.geomspace(OURS, STATE_CHECK_COST, 29))
-CLOUDS = {"own": ("", "-"), "wrong": ("wrong_cloud_", "--"), "none": ("no_cloud_", ":")}
-SHOWN = {"own": "own cloud", "wrong": "another scene's", "none": "no cloud"}
+# start of its column's name, dash and words of the cloud that a model saw
+CLOUDS = {
+    "own": ("", "-", "own cloud"),
+    "wrong": ("wrong_cloud_", "--", "another scene's"),
+    "none": ("no_cloud_", ":", "no cloud"),
+}
 MEASURES = {"ways": "over the ways on", "all": "over all codes"}
 COLOURS = {
     "transformer": ("#1f6fb4", "#7fb0dc", "#3aa3a0"),
@@ -159,7 +163,7 @@ def _curve(path: Path) -> list[Mapping[str, object]]:
             "seconds": float(line["seconds"]),
             **{
                 f"{cloud}_{which}": float(line[f"validation_{prefix}cross_entropy_{which}"])
-                for cloud, (prefix, _) in CLOUDS.items()
+                for cloud, (prefix, _, _) in CLOUDS.items()
                 for which in MEASURES
             },
         }
@@ -179,9 +183,9 @@ def training_figure(rows: Sequence[Mapping[str, object]]) -> Figure:
             colour = COLOURS[stage][turns[stage] % len(COLOURS[stage])]
             turns[stage] += 1
             x = [1e-6 * float(str(row["sequences"])) for row in own]
-            for cloud, (_, dash) in CLOUDS.items():
+            for cloud, (_, dash, seen) in CLOUDS.items():
                 y = [float(str(row[f"{cloud}_{which}"])) for row in own]
-                axes.plot(x, y, dash, color=colour, marker=".", label=f"{name}, {SHOWN[cloud]}")
+                axes.plot(x, y, dash, color=colour, marker=".", label=f"{name}, {seen}")
         axes.set(
             title=f"cross entropy {words}", xlabel="sequences seen [million]", ylabel="nats a code"
         )
