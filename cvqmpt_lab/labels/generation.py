@@ -235,9 +235,24 @@ def near_obstacles(
     return near
 
 
-def table(title: str, text: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A dataset card: a title, a text and a table, in markdown."""
-    cells = [columns, *rows]
-    lines = [f"| {' | '.join(map(str, row))} |" for row in cells]
-    lines.insert(1, "|" + len(columns) * "---|")
+def dataset_card(
+    title: str,
+    text: str,
+    columns: Sequence[str],
+    families: Sequence[str],
+    row: Callable[[Sequence[int]], Sequence[object]],
+) -> str:
+    """A title, a text and a table in markdown.
+
+    Args:
+        title: of the card.
+        text: below the title.
+        columns: of the table, beside the family's name.
+        families: of the dataset, by their numbers in its arrays.
+        row: gives the cells of one family, and of all together, from their numbers.
+    """
+    rows = [(name, *row([number])) for number, name in enumerate(families)]
+    cells = [("family", *columns), *rows, ("all", *row(range(len(families))))]
+    lines = [f"| {' | '.join(map(str, each))} |" for each in cells]
+    lines.insert(1, "|" + len(cells[0]) * "---|")
     return "\n".join((f"# {title}", "", text, "", *lines, ""))

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,9 +12,9 @@ import numpy as np
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.labels.generation import (
     SceneRecipe,
+    dataset_card,
     free_configurations,
     near_obstacles,
-    table,
     unconstrained_space,
 )
 from cvqmpt_lab.robot.robot import Robot
@@ -62,11 +63,14 @@ class PathRecipe(SceneRecipe):
             "independent labels; the ratio is their mean waypoint distance over that from the "
             "first label to the straight line."
         )
-        columns = ("family", "scenes", "paths", "trivial", "length rad", "straight rad", "twins")
-        rows = [_card_row(dataset, name, [k]) for k, name in enumerate(dataset.families)]
-        rows.append(_card_row(dataset, "all", range(len(dataset.families))))
-        title = f"Training paths of {dataset.robot.name}"
-        return table(title, text, (*columns, "twin / straight-line distance"), rows)
+        columns = ("scenes", "paths", "trivial", "length rad", "straight rad", "twins")
+        return dataset_card(
+            f"Training paths of {dataset.robot.name}",
+            text,
+            (*columns, "twin / straight-line distance"),
+            dataset.families,
+            partial(_card_row, dataset),
+        )
 
 
 def _labels(
@@ -131,7 +135,7 @@ def _labels(
     return labels
 
 
-def _card_row(dataset: PathDataset, name: str, families: Sequence[int]) -> list[object]:
+def _card_row(dataset: PathDataset, families: Sequence[int]) -> list[object]:
     """Counts and means of the scenes of some families."""
     arrays = dataset.arrays
     chosen, twin = np.isin(arrays["family"], families), arrays["twin_of"] >= 0
@@ -141,7 +145,7 @@ def _card_row(dataset: PathDataset, name: str, families: Sequence[int]) -> list[
     if len(first):
         share = f"{100 * arrays['trivial'][first].mean():.0f} %"
         means = [f"{arrays[name][first].mean():.2f}" for name in ("length", "straight")]
-    return [name, chosen.sum(), len(first), share, *means, len(twins), _ratio(dataset, twins)]
+    return [chosen.sum(), len(first), share, *means, len(twins), _ratio(dataset, twins)]
 
 
 def _ratio(dataset: PathDataset, twins: np.ndarray) -> str:

@@ -14,9 +14,9 @@ from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import (
     SceneRecipe,
+    dataset_card,
     free_configurations,
     near_obstacles,
-    table,
     unconstrained_space,
 )
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -51,7 +51,9 @@ class RoadmapRecipe(SceneRecipe):
     columns: ClassVar = LABEL_ARRAYS
 
     labels: str = field(default="roadmap", init=False)
-    model: str | None = None  # name or folder of the dictionary's weights; None: see `roadmap_of`
+    model: str | None = (
+        None  # name or folder of the dictionary's weights; None: see `roadmap_graph`
+    )
 
     def check(self) -> None:
         """Refuse a robot that the dictionary is not of, or one without a roadmap."""
@@ -81,10 +83,10 @@ class RoadmapRecipe(SceneRecipe):
             for name, items in (("node_free", graph.nodes), ("edge_free", graph.edges))
         )
 
-        def row(name: str, families: Sequence[int]) -> list[object]:
+        def row(families: Sequence[int]) -> list[object]:
             own, paths = np.isin(family, families), np.isin(family_of_path, families)
             solved, validate = paths & np.isfinite(cost), own & (seed % VALIDATION_EVERY == 0)
-            counts = [name, own.sum(), validate.sum()]
+            counts = [own.sum(), validate.sum()]
             if not solved.any():
                 return [*counts, "-", "-", paths.sum(), *4 * "-"]
             free = [f"{each[own].mean():.2f}" for each in (nodes_free, edges_free)]
@@ -104,11 +106,10 @@ class RoadmapRecipe(SceneRecipe):
             "shortest path over that of the straight line, mean. Scenes with a wall millimetres "
             f"from the base are left out: {self.scenes - len(family)}."
         )
-        columns = ("family", "scenes", "of them validate", "nodes free", "edges free", "pairs")
+        columns = ("scenes", "of them validate", "nodes free", "edges free", "pairs")
         more = ("no path", "other codes", "detour", "codes a path")
-        rows = [row(name, [k]) for k, name in enumerate(self.families)]
-        rows.append(row("all", range(len(self.families))))
-        return table("Labels on a roadmap", text, (*columns, *more), rows)
+        title = "Labels on a roadmap"
+        return dataset_card(title, text, (*columns, *more), self.families, row)
 
 
 @lru_cache(maxsize=1)

@@ -104,7 +104,7 @@ def run_training(
         workers: processes that prepare batches.
         device: cpu, cuda, or auto for a GPU if there is one.
         metadata: kept with the model.
-        report: told after each batch.
+        report: called after each batch.
 
     InvalidInputError or UnknownChoiceError: before anything is written when data, dictionary or
     folder cannot be used, another training uses the folder, or `torchrun` starts several processes
@@ -133,8 +133,7 @@ def run_training(
             "had 13 204); `cvqmpt data generate` makes them, and continues in its folder",
             paths["train_paths"],
         )
-    kinematics = {"kinematics": to_plain(made.dataset.chain)}
-    about = {**settings, **kinematics, **paths, **metadata}
+    about = {**settings, "kinematics": to_plain(made.dataset.chain), **paths, **metadata}
     epochs = epochs_of_profile if epochs is None else epochs
     trainer = Trainer(made, out, epochs, workers, about)
     if rank > 0:
