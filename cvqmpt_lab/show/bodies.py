@@ -251,7 +251,7 @@ def seen_of_solution(
         return seen_of_task(solution, hidden=hidden)
     return seen_of_problem(
         solution.problem,
-        solution.simplified and solution.simplified.path,
+        solution.simplified.path if solution.simplified else None,
         carried,
         most_states,
         goals=goals,

@@ -76,7 +76,8 @@ def draw(
         case PlanningProblem():
             image = problem_image(what, None, size)
         case Solution():
-            image = problem_image(what.problem, what.simplified and what.simplified.path, size)
+            path_found = what.simplified.path if what.simplified else None
+            image = problem_image(what.problem, path_found, size)
         case Task():
             image = problem_image(shown(World.before(what)), None, size)
         case TaskSolution():
@@ -124,7 +125,7 @@ def draw_solution(
         ghosts: number of poses shown between start and goal.
         carried: the load in the hand if the problem does not model it.
     """
-    planned = solution.simplified and solution.simplified.path
+    planned = solution.simplified.path if solution.simplified else None
     write_png(Path(path), problem_image(solution.problem, planned, size, ghosts, carried))
 
 

@@ -152,9 +152,9 @@ def test_files_of_others_are_left_alone(tmp_path, model, capsys):
     ("words", "said"),
     [
         (["histogram", "--planners", "birrt"], "unknown arguments: --planners birrt"),
-        (["equal-time"], "equal-time was removed, its last numbers are in docs/training_log.md"),
+        (["equal-time"], "equal-time was removed: its last numbers are in docs/training_log.md"),
         (["pie"], "unknown figure 'pie'; valid choices: histogram, concept"),
-        (["histogram", "--seed", "-1"], "seed of the update -1: give"),
+        (["histogram", "--seed", "-1"], "argument --seed: '-1' is not a whole number"),
         (["concept", "--problem", "150"], "unknown problem 150"),
         (["histogram", "--model", "/nowhere"], "/nowhere"),
     ],
