@@ -136,10 +136,22 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
     """
 
     base: Name  # name of a body frame of the robot, e.g. "dagger_door_left/handle_bar"
+    # The base stands still while the robot moves; a base that does is refused without it
+    fixed: bool = False
 
     def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
-        """Pose row that carries frame w, and T_link_w (4, 4); UnknownChoiceError: no such base."""
+        """Pose row that carries frame w, and T_link_w (4, 4); InvalidInputError: no such base."""
         row, T_link_base = robot.link_of(self.base)
+        if row == 0 and not self.fixed:
+            raise InvalidInputError(
+                f"base {self.base!r} stands still: none of the planned joints "
+                f"({', '.join(robot.joint_names)}) moves it. Plan the joints that do, or, if it "
+                'does stand still, give "fixed": true beside "base"'
+            )
+        if row != 0 and self.fixed:
+            raise InvalidInputError(
+                f'base {self.base!r} is moved by the planned joints: leave out "fixed": true'
+            )
         return row, T_link_base @ self.T0_w
 
     def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:

@@ -31,8 +31,10 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.poses import pose
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget, JointPath
 
@@ -110,6 +112,29 @@ def test_bad_chains_are_refused(door, panda):
         from_plain(Region, to_plain(handle_region()) | {"base": 3})
     with pytest.raises(InvalidInputError, match="base is missing"):
         from_plain(TaskSpaceRegionChain, to_plain(handle_region().at(np.eye(4))))
+
+
+@pytest.mark.parametrize("hand", ["right_gripper", "base"])
+def test_a_base_that_stands_still_is_refused_unless_the_region_says_so(hand):
+    """The other arm's hand, which is not planned, was taken for a frame of the world."""
+    baxter = robot_from_source({"name": "baxter-left"})
+    region = {**to_plain(handle_region()), "base": hand}
+    problem = {
+        **PlanningProblem(
+            "two arms", baxter, Scene("empty", ()), np.zeros(baxter.dof), np.zeros((1, baxter.dof))
+        ).to_dict(),
+        "constraint": region,
+    }
+    with pytest.raises(
+        InvalidInputError, match=rf"base '{hand}' stands still: none of the planned joints \(left_"
+    ):
+        PlanningProblem.from_dict(problem)
+    problem["constraint"] = {**region, "fixed": True}
+    made = PlanningProblem.from_dict(problem)
+    assert made.constraint[0].fixed and PlanningProblem.from_dict(made.to_dict()) == made
+    problem["constraint"] = {**region, "fixed": True, "base": "left_gripper"}
+    with pytest.raises(InvalidInputError, match="'left_gripper' is moved by the planned joints"):
+        PlanningProblem.from_dict(problem)
 
 
 def handle_errors(problem, states, resolution=0.002):
