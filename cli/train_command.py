@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 OPTIONS: Options = {
-    "stage": option(f"what to train: {', '.join(STAGES)}", type=one_of("train", STAGES, REMOVED)),
+    "stage": option(f"what to train: {', '.join(STAGES)}", type=one_of("stage", STAGES, REMOVED)),
     ONE_OF: {
         "--profile": option(f"of {', '.join(PROFILE_NAMES)} (compact)", default="compact"),
         "--config": option("a profile of your own, see --print-config", type=Path, metavar="FILE"),

@@ -260,6 +260,11 @@ def _roadmap(model: StoredModel, config: SceneTransformerConfig) -> tuple[np.nda
         raise InvalidInputError(
             f"{PART} is for {count} codes, the dictionary has {codes}; train it again"
         )
+    for name in ("lower", "upper"):
+        if not np.allclose(getattr(config, name), getattr(model.robot, name), atol=1e-6, rtol=0.0):
+            raise InvalidInputError(
+                f"{PART} was made with other {name} limits than its weights' robot; train it again"
+            )
     nodes = model.array(PART, "nodes", count, config.joint_dim)
     edges = model.parts[PART].get("edges")
     if edges is None or edges.shape != (config.n_edges, 2) or edges.dtype.kind not in "iu":

@@ -319,7 +319,7 @@ def test_the_command_line(tmp_path, capsys, data):
             "--out",
             out,
         ],
-        "train stage2 was removed: train published": ["train", "stage2", *common[2:6]],
+        "stage stage2 was removed: train published": ["train", "stage2", *common[2:6]],
         "cannot read": ["train", "stage1", "--config", str(tmp_path / "nowhere.json")],
     }.items():
         assert main(words) == 2

@@ -262,6 +262,8 @@ def test_weights_that_do_not_fit_are_refused(model, robot):
     nodes, edges = (model.parts["transformer"][name] for name in ("nodes", "edges"))
     config, own = model.config, model.config.transformer
     fewer = dataclasses.replace(config, transformer=dataclasses.replace(own, n_nodes=60))
+    wider = tuple(limit + 0.1 for limit in own.upper)
+    wider = dataclasses.replace(config, transformer=dataclasses.replace(own, upper=wider))
     refused = {
         r"no transformer, only dictionary; train one: cvqmpt train transformer": without,
         "transformer was trained on the codes of another dictionary": changed(
@@ -271,6 +273,7 @@ def test_weights_that_do_not_fit_are_refused(model, robot):
         r"edges is \(.*\) of float32, expected": changed(model, edges=edges.astype(np.float32)),
         "edges that do not join two of its 64 nodes": changed(model, edges=edges + 1),
         "is for 60 codes, the dictionary has 64": dataclasses.replace(model, config=fewer),
+        "was made with other upper limits": dataclasses.replace(model, config=wider),
         r"look.value.weight is \(16, 31\), expected": changed(
             model, look__value__weight=np.zeros((16, 31))
         ),
