@@ -28,7 +28,7 @@ LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": Roadm
 
 
 def run(args: argparse.Namespace) -> int:
-    """Generate what is missing."""
+    """Generate the shards that --out does not have yet."""
     families, robot = tuple(args.family.split(",")), robot_source(args) or PANDA
     more = {}
     if args.dictionary is not None:
@@ -55,29 +55,35 @@ def run(args: argparse.Namespace) -> int:
 
 OPTIONS: Options = {
     "action": option("generate", type=one_of("action", ("generate",))),
-    "--scenes": option("scenes in all", type=positive_int, required=True, metavar="N"),
+    "--scenes": option(
+        "number of scenes, of all families", type=positive_int, required=True, metavar="N"
+    ),
     "--paths-per-scene": option(
-        "paths tried per scene (50)", type=positive_int, default=50, metavar="M"
+        "pairs of start and goal tried per scene (50)", type=positive_int, default=50, metavar="M"
     ),
     "--family": option(
-        f"of {', '.join(FAMILIES)} (all, in turn)", default=",".join(FAMILIES), metavar="A,B"
+        f"families of scenes: {', '.join(FAMILIES)} (all in turn)",
+        default=",".join(FAMILIES),
+        metavar="A,B",
     ),
     "--labels": option(
-        f"{' or '.join(LABELS)}: near-shortest paths, or free nodes and edges of a roadmap, and "
+        f"{' or '.join(LABELS)}: near-shortest paths, or a roadmap's free nodes and edges and its "
         "shortest paths (paths)",
         type=one_of("kind of labels", LABELS),
         default="paths",
     ),
     "--dictionary --model": option(
-        "labels roadmap: --out of `cvqmpt train stage1` (the shipped; free configurations of "
-        "other arms)",
+        "dictionary of --labels roadmap: --out of `cvqmpt train stage1` (the shipped one; for "
+        "other arms free configurations)",
         metavar="DIR",
     ),
-    "--seed": option("another seed, other scenes and paths (0)", type=not_negative_int, default=0),
+    "--seed": option("seed of scenes and paths (0)", type=not_negative_int, default=0),
     "--jobs": option(
-        "processes (one a core)", type=positive_int, default=default_jobs(), metavar="J"
+        "processes (one per core)", type=positive_int, default=default_jobs(), metavar="J"
     ),
-    "--out": option("folder; continued if it exists", type=Path, required=True, metavar="DIR"),
+    "--out": option(
+        "folder of the data; continued if it exists", type=Path, required=True, metavar="DIR"
+    ),
     "another robot than the Panda": ROBOT,
 }
 COMMANDS = {"data": (run, OPTIONS)}

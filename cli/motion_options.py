@@ -1,4 +1,4 @@
-"""Start, goals and constraint on the command line, as in a problem file."""
+"""Options that describe one motion as a problem file does: start, goals and constraint."""
 
 import argparse
 from functools import partial
@@ -21,18 +21,19 @@ from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach
 from cvqmpt_lab.sensing.scan import Arm, Scan, refuse_touching
 
 MOTION: Options = {
-    "a motion through what --cloud shows, instead of a suite or a file": {
+    "one motion among the obstacles of --cloud or --scene, instead of a suite or a problem file": {
         "--start": option("configuration, numbers separated by commas [rad or m]", metavar="Q"),
         "--goal": option(
-            "configuration to reach; repeatable: any of them", metavar="Q", **REPEATED
+            "goal configuration; repeatable: the path ends at any of them", metavar="Q", **REPEATED
         ),
         "--goal-pose": option(
-            "end-effector pose to reach instead: [m], roll, pitch, yaw [rad]",
+            "end-effector pose to reach instead: x, y, z [m], roll, pitch, yaw [rad]",
             type=partial(pose_region, "--goal-pose"),
             metavar="X,Y,Z,R,P,Y",
         ),
         "--constraint": option(
-            f"{', '.join(NAMED)} (the first two as at the start), or a region as json; repeatable",
+            f"{', '.join(NAMED)} (the first two keep how the end effector is "
+            "oriented at the start), or a region as json; repeatable",
             metavar="NAME[=VALUE]|JSON",
             **REPEATED,
         ),
@@ -46,7 +47,7 @@ def motion_given(args: argparse.Namespace) -> bool:
 
 
 def motion_problem(args: argparse.Namespace) -> PlanningProblem:
-    """The problem of the options: from --start to --goal through --cloud or --scene."""
+    """The problem of the options: from --start to --goal, obstacles from --cloud or --scene."""
     if args.start is None or not (args.goal or args.goal_pose):
         raise InvalidInputError("a motion needs --start Q, and --goal Q or --goal-pose X,Y,Z,R,P,Y")
     if bool(args.cloud) == bool(args.scene):
@@ -77,7 +78,7 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
 
 
 def scanned(args: argparse.Namespace, arm: Arm) -> Scan:
-    """The scan of --cloud; its report goes to standard error."""
+    """Make a scan of the files of --cloud, and write its report to standard error."""
     made = scan_of(args, args.cloud, arm)
     log("\n".join(scan_report(made, args.cloud)))
     return made
@@ -89,19 +90,19 @@ def arm_of(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Arm:
 
 
 def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
-    """A region by name, with a value for its first field or without, or as json."""
+    """A region from NAME, NAME=VALUE with a value for the region's first field, or json."""
     if text.lstrip().startswith("{"):
         return from_plain(Region, json_object(text, "--constraint"), "--constraint")
     name, _, value = text.partition("=")
     if name not in NAMED:
         raise UnknownChoiceError("--constraint", name, NAMED)
-    said: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     if name == "upright":
-        said["axis"] = upper_axis(robot.pose(start))
+        fields["axis"] = upper_axis(robot.pose(start))
     if name == "fixed-orientation":
-        from scipy.spatial.transform import Rotation  # a third of a second to import
+        from scipy.spatial.transform import Rotation  # takes 0.3 s to import
 
-        said["rpy"] = Rotation.from_matrix(robot.pose(start)[:3, :3]).as_euler("xyz").tolist()
+        fields["rpy"] = Rotation.from_matrix(robot.pose(start)[:3, :3]).as_euler("xyz").tolist()
     if value:
-        said[next(iter(field_kinds(NAMED[name])))] = numbers("--constraint", value, ("VALUE",))[0]
-    return from_plain(Region, {name: said}, "--constraint")
+        fields[next(iter(field_kinds(NAMED[name])))] = numbers("--constraint", value, ("VALUE",))[0]
+    return from_plain(Region, {name: fields}, "--constraint")

@@ -122,7 +122,7 @@ OPTIONS: Options = {
     **BUDGET,
     **optimize_option(),
     ONE_OF: {
-        "--jobs": option("processes (one a core)", type=positive_int, metavar="J"),
+        "--jobs": option("processes (one per core)", type=positive_int, metavar="J"),
         "--dask": option("a Dask scheduler that runs it: tcp://HOST:8786", metavar="ADDRESS"),
     },
     "--out": option("where results go (runs/SUITE)", type=Path, metavar="DIR"),

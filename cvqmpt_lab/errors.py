@@ -1,6 +1,7 @@
-"""Errors of one line: wrong value, valid choices, what to do; the command line exits with 2.
+"""Errors with a message of one line: the wrong value, valid choices, what to do.
 
-Failing to plan is a result (`PlanStatus`), never an exception.
+The command line prints the message and exits with code 2. That a planner finds no path is a result
+(`PlanStatus`), not an exception.
 """
 
 import contextlib
@@ -17,7 +18,7 @@ LONGEST_LINE = 1200  # characters of a message
 
 
 def shown(value: object) -> str:
-    """A value for a message: one short line, whatever it is."""
+    """Any value as one short line, for a message."""
     short = reprlib.Repr()
     short.maxlist = short.maxtuple = short.maxdict = 8
     short.maxstring = short.maxlong = short.maxother = 80
@@ -26,14 +27,14 @@ def shown(value: object) -> str:
 
 
 def nearest(value: object, choices: Iterable[object]) -> str:
-    """The most similar choice, as "; did you mean 'x'?", or nothing."""
+    """The most similar choice, as "; did you mean 'x'?", or "" if none is similar."""
     plain = {str(choice).lower(): str(choice) for choice in choices}
     found = difflib.get_close_matches(str(value)[:LONGEST].lower(), plain, 1)
     return f"; did you mean {plain[found[0]]!r}?" if found else ""
 
 
 def one_line(text: str) -> str:
-    """A message as one printable line, without its middle where it is very long."""
+    """A message as one printable line; of a very long one the middle is left out."""
     line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
     if len(line) <= LONGEST_LINE:
         return line
@@ -59,7 +60,7 @@ class UnknownChoiceError(CvqmptError):
         self._asked = kind, value, names
 
     def __reduce__(self) -> tuple:
-        """Pickle it by its arguments, for the process that waits for a worker."""
+        """Pickle by the constructor's arguments, to send it from a worker to the main process."""
         return UnknownChoiceError, self._asked
 
 
@@ -76,7 +77,7 @@ class RunStoreError(InvalidInputError):
 
 
 def whole_number(what: str, value: object, least: int = 0, most: int | None = None) -> int:
-    """A whole number from least to most (None: any); InvalidInputError calls it `what`."""
+    """Return a whole number from least to most (None: no bound); errors call it `what`."""
     number = (
         int(value) if isinstance(value, Integral) and not isinstance(value, bool) else least - 1
     )
@@ -115,12 +116,12 @@ def unique(names: Iterable[str], where: str) -> None:
 
 
 def at(where: str, field: str) -> str:
-    """The place of a field for errors, as `object.field`."""
+    """Where a field is, for error messages: `object.field`."""
     return f"{where}.{field}" if where and not where.endswith(" ") else f"{where}{field}"
 
 
 def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
-    """Return a json object; refuse anything else, naming its fields."""
+    """Return a value that is a json object; errors name the fields that it should have."""
     if not isinstance(value, Mapping):
         must = f"an object with {fields}" if fields else "an object"
         raise InvalidInputError(f"{where or 'this'} is {shown(value)}; it must be {must}")
@@ -128,14 +129,14 @@ def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
 
 
 def install_command(extra: str) -> str:
-    """What installs an extra: from the checkout if the package lies in one, as no index has it."""
+    """Command that installs an extra; in a checkout from there, since no package index has it."""
     if (Path(__file__).parents[1] / "constraints.txt").is_file():
         return f".venv/bin/pip install -c constraints.txt -e '.[{extra}]'"
     return f"pip install 'cvqmpt-lab[{extra}]'"
 
 
 def require_torch(what: str) -> None:
-    """Raise InvalidInputError if torch, which `what` needs, is not installed; imports nothing."""
+    """Raise InvalidInputError if torch, which `what` needs, is not installed; do not import it."""
     if importlib.util.find_spec("torch") is None:
         raise InvalidInputError(
             f"{what} needs torch, which is not installed: {install_command('train')}"

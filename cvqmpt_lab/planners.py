@@ -1,6 +1,7 @@
-"""Planners by name: columns of the paper's tables, ours, and controls that isolate one part each.
+"""Planners by name: those of the paper's tables, ours, and controls.
 
-Each is up to four stages, see `search.planner_interface`, made and loaded when first used.
+A control differs from a planner in one part, to measure what this part contributes. A planner
+consists of up to four stages, see `search.planner_interface`, that are made when they are used.
 """
 
 from collections.abc import Callable
@@ -32,32 +33,32 @@ VQ_MPT = "vq_mpt"  # the shipped weights
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """A planner by name."""
+    """A named planner: how its stages are made, and what it needs."""
 
     name: str
-    # makes the stages for a problem's robot and attachments, and a model
+    # makes stages from a problem (its robot and attachments) and a model's name or folder
     build: Callable[[PlanningProblem, str], Stages]
     weights: str | None = None  # kind of weights it needs, a key of `vqmpt.weights.SHIPPED`
-    # whether it needs charts of the manifold, and so more joints than bounded rows
+    # whether it needs charts of the manifold, which exist only with more joints than bounded rows
     needs_charts: bool = False
     model: str | None = None  # name or folder of its weights; None for the shipped ones
-    sampler: SamplerChoice | None = None  # of a learned sampler under the paper's search
-    external: str = ""  # of an external planner: its distributions and their versions
+    sampler: SamplerChoice | None = None  # of a learned sampler, else None
+    external: str = ""  # of an external planner: its Python distributions and versions
 
     @staticmethod
     def simple(name: str, **stages: Any) -> "Method":
-        """A planner without weights, its stages given as they are."""
+        """A planner without weights that has the same stages for every problem."""
         fixed = Stages(**stages)
         return Method(name, lambda problem, model: fixed)
 
     def with_model(self, model: str) -> "Method":
-        """The same on other weights; InvalidInputError when it uses none."""
+        """The same planner with other weights; InvalidInputError if it uses none."""
         if self.weights is None:
             raise InvalidInputError(f"{self.name} uses no weights: leave --model {model} out")
         return replace(self, model=model)
 
     def with_cloud(self, points: np.ndarray) -> "Method":
-        """The same on points (p, 3) [m, base frame]; InvalidInputError if it uses no cloud."""
+        """The same planner on points (p, 3) [m, base frame]; InvalidInputError if it uses none."""
 
         def build(problem: PlanningProblem, model: str) -> Stages:
             stages = self.build(problem, model)
@@ -69,7 +70,7 @@ class Method:
         return replace(self, build=build)
 
     def incompatibility(self, problem: PlanningProblem) -> str:
-        """Why the planner cannot serve a problem, or ""."""
+        """Why the planner cannot solve problems of this kind; "" if it can."""
         rows = sum(len(region.bounded_rows) for region in problem.constraint)
         if self.needs_charts and rows >= problem.robot.dof:
             return (
@@ -78,13 +79,13 @@ class Method:
             )
         if self.weights is None:
             return ""
-        from cvqmpt_lab.vqmpt import weights  # reads weights
+        from cvqmpt_lab.vqmpt import weights  # imports safetensors
 
         robot = weights.robot_signature(problem.robot)
         return weights.incompatibility(self.model or self.weights, self.weights, robot)
 
     def stages(self, problem: PlanningProblem) -> Stages:
-        """The stages for the robot and attachments of a problem that it can serve."""
+        """The stages for a problem's robot and attachments; `incompatibility` must be ""."""
         return self.build(problem, self.model or self.weights or "")
 
 
@@ -101,7 +102,7 @@ def _learned(planner: str, builder: str, weights: str = VQ_MPT, **options: Any) 
     """A planner whose stages are made by a function of `vqmpt.learned_sampler`."""
 
     def build(problem: PlanningProblem, model: str) -> Stages:
-        from cvqmpt_lab.vqmpt import learned_sampler  # reads weights
+        from cvqmpt_lab.vqmpt import learned_sampler  # imports safetensors
 
         return getattr(learned_sampler, builder)(problem.robot, model, **options)
 
@@ -115,9 +116,14 @@ def _roadmap(
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs,
     oracle: bool = False,
 ) -> Method:
-    """A roadmap of the dictionary's nodes if it has weights, else of nodes spread evenly.
+    """A planner on a roadmap: of the dictionary's nodes if weights are given, else evenly spread.
 
-    draw: seed of independent nodes instead.
+    Args:
+        name: of the planner.
+        weights: kind of weights, a key of `vqmpt.weights.SHIPPED`.
+        draw: seed of nodes drawn independently, in place of evenly spread ones.
+        costs: makes the edge costs in a space.
+        oracle: whether blocked nodes and edges are known at no cost.
     """
 
     def build(problem: PlanningProblem, model: str) -> Stages:
@@ -125,7 +131,7 @@ def _roadmap(
         if weights is None:
             roadmap = spread_roadmap(robot, load, draw)
         else:
-            from cvqmpt_lab.vqmpt.learned_sampler import free_dictionary  # reads weights
+            from cvqmpt_lab.vqmpt.learned_sampler import free_dictionary  # imports safetensors
 
             roadmap = free_dictionary(model, robot, load)
         return Stages(
@@ -137,7 +143,7 @@ def _roadmap(
 
 
 def _product(name: str, choice: SamplerChoice) -> Method:
-    """A learned sampler under the paper's search."""
+    """A planner with a learned sampler, as `choice` composes it, and the paper's search."""
     return replace(_learned(name, "learned", name=name, choice=choice), sampler=choice)
 
 
@@ -151,13 +157,13 @@ PLANNERS = _by_name(
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),
     _learned("mpnet", "mpnet", weights="mpnet"),  # the paper's MPNet (w/ proj)
-    _learned("mpnet-bridged", "mpnet", weights="mpnet", bridged=True),  # trees join its sides too
+    _learned("mpnet-bridged", "mpnet", weights="mpnet", bridged=True),  # and tree growth
     *(_product(name, choice) for name, choice in NAMED.items() if choice.predictor != "published"),
     _roadmap("roadmap"),
     _roadmap("roadmap-cvq", VQ_MPT),
 )
 
-# controls that were products of the factorial under another name
+# former names of controls, and the `SamplerChoice` that gives the same planner
 _RENAMED = {
     "true-codes": "oracle+wide",
     "random-codes": "random+wide",
@@ -173,7 +179,7 @@ CONTROLS = _by_name(
         "straight-line-only",
         predict=AroundPath("straight-line-only", uniform_share=0.0).straight_line,
     ),
-    # three draws of independent nodes show the variance among roadmaps
+    # three sets of random nodes show how much results vary between roadmaps
     *(_roadmap(f"roadmap-uniform-{draw}", draw=draw) for draw in range(3)),
     _roadmap("roadmap-wrong-scene", VQ_MPT, costs=other_costs),
     _roadmap("roadmap-no-scene", VQ_MPT, costs=no_costs),
@@ -181,7 +187,7 @@ CONTROLS = _by_name(
     Method.simple("solved-paths", predict=AroundPath("solved-paths", std=0.25).solved_paths),
 )
 
-# on weights of the authors' architecture, imported or trained: none ship
+# need weights of the authors' architecture, which are imported or trained, not shipped
 PUBLISHED = _by_name(_product("cvq-published", NAMED["cvq-published"]))
 
 WITHOUT_WEIGHTS = tuple(
@@ -190,12 +196,12 @@ WITHOUT_WEIGHTS = tuple(
 
 
 def is_removed(name: str) -> bool:
-    """Whether a planner of that name existed once; committed rows have it."""
+    """Whether a planner of that name was removed; old committed rows may still contain the name."""
     return name == "graph-cvq" or name.startswith(f"{PREFIX}graph") or name in _RENAMED
 
 
 def planner_named(name: str, model: str | None = None) -> Method:
-    """The planner or control of that name, or an external one, see `cvqmpt_lab.external`.
+    """The planner or control of that name, also an external one, see `cvqmpt_lab.external`.
 
     model: name or folder of its weights; None for the shipped ones.
     """
@@ -223,7 +229,7 @@ def planner_named(name: str, model: str | None = None) -> Method:
 
 
 def default_planner(problem: PlanningProblem) -> tuple[str, str]:
-    """The planner for a problem where none is named, and the reason."""
+    """The planner for a problem if the user names none, and the reason."""
     if any(isinstance(region, TaskSpaceRegionChain) for region in problem.constraint):
         return "birrt", "the hand holds a mechanism, for which no roadmap was measured"
     return (
@@ -233,7 +239,7 @@ def default_planner(problem: PlanningProblem) -> tuple[str, str]:
 
 
 def require_fit(method: Method, problem: PlanningProblem) -> None:
-    """InvalidInputError if a planner cannot serve a problem: why, and which planners can."""
+    """Raise InvalidInputError if a planner cannot serve a problem: why, and which planners can."""
     reason = method.incompatibility(problem)
     if reason:
         others = [

@@ -1,6 +1,7 @@
-"""Table regression: a tiny profile compared with committed values.
+"""Regression test of result rows: a few short runs are compared with committed values.
 
-Budgets are iterations: a run depends only on code, versions and the processor of the kernels.
+Budgets are iterations, not seconds, so that results depend only on the code, the versions of
+packages and the processor that runs the compiled kernels.
 """
 
 import json
@@ -31,11 +32,12 @@ SCHEMA = "cvqmpt-expectations/1"
 SUITE = "place-task"
 COUNTS = ("n_iterations", "n_projections", "n_newton_iterations", "n_state_checks", "vertices")
 COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256", "g_sampled")
-# the other counts have no bounds worth stating
+# the other counts differ too much between processors for useful bounds
 BOUNDED_COUNTS = ("n_projections", "n_state_checks")
-COUNT_FACTOR = 5.0  # between the geometric means over a planner's runs
-LENGTH_SHARE = 0.5  # between the mean lengths over a planner's runs
-WHAT_DECIDES = ("coal", "example-robot-data", "numba", "numpy", "ompl", "pin", "scipy")
+COUNT_FACTOR = 5.0  # largest ratio of geometric means over a planner's runs
+LENGTH_SHARE = 0.5  # largest relative change of the mean length over a planner's runs
+# packages whose versions may change results
+NUMERICAL_PACKAGES = ("coal", "example-robot-data", "numba", "numpy", "ompl", "pin", "scipy")
 
 
 class Case(NamedTuple):
@@ -54,7 +56,7 @@ class Case(NamedTuple):
 
 Values = Mapping[str, Any]  # COLUMNS of a run, None where undefined
 CASES: tuple[Case, ...] = (
-    Case("birrt", 5, 0, 2),  # too few: a failure is an expectation too
+    Case("birrt", 5, 0, 2),  # too few iterations: the failure must stay the same, too
     *(
         Case(planner, problem, seed, 20_000, suite)
         for planner, problems, suite in (
@@ -72,7 +74,7 @@ CASES: tuple[Case, ...] = (
             ("cvq:transformer+wide+projected+no-cloud", (5,), "factorial"),
             ("cvq:random+decoded+algorithm-2+uniform=0.15", (5,), "factorial"),
             ("cvq:oracle+wide+algorithm-2", (2,), "factorial-constraints"),
-            ("birrt", (1,), "sensor"),  # from rendered images, through filters, in a map
+            ("birrt", (1,), "sensor"),  # obstacles: a map of filtered rendered images
             ("roadmap-cvq", (1,), "sensor"),
         )
         for problem in problems
@@ -88,7 +90,7 @@ class Expectations(NamedTuple):
     outcomes: Mapping[Case, Values]
 
     def save(self, path: Path) -> None:
-        """Write the json file at once or not at all."""
+        """Write the json file atomically."""
         rows = [
             {**case._asdict(), "expected": dict(values)} for case, values in self.outcomes.items()
         ]
@@ -97,7 +99,7 @@ class Expectations(NamedTuple):
 
     @staticmethod
     def load(path: Path) -> "Expectations":
-        """Read what `save` wrote; InvalidInputError names the file and the cure."""
+        """Read a file of `save`; InvalidInputError names it and the command that writes it."""
         try:
             record = read_json_object(path, "expectations")
             if record["schema"] != SCHEMA:
@@ -114,24 +116,24 @@ class Expectations(NamedTuple):
 
 
 def made_with() -> dict[str, str | None]:
-    """What must be equal for equal bits: processor and instructions, system, Python, versions."""
+    """What must be equal for bit-for-bit equal results: processor, system, Python, packages."""
     record = provenance()
     return {
         "system": platform.system(),
         "machine": platform.machine(),
         "cpu_model": record["cpu_model"],
-        # virtual machines name different processors alike, and OpenBLAS rounds differently on them
+        # virtual machines give one name to processors on which OpenBLAS rounds differently
         "cpu_ids": " ".join(cpu_facts(r"^(?:cpu family|model|stepping)\s*: (\d+)")[:3]),
         "instructions": " ".join(np.show_config(mode="dicts")["SIMD Extensions"]["found"]),
         "python": ".".join(platform.python_version_tuple()[:2]),
-        **{name: record["versions"][name] for name in WHAT_DECIDES},
+        **{name: record["versions"][name] for name in NUMERICAL_PACKAGES},
     }
 
 
 @lru_cache(maxsize=8)
 def _problem(suite: str, index: int) -> PlanningProblem:
     problem = suite_named(suite).solvable(index)
-    assert isinstance(problem, PlanningProblem), f"{suite} is of tasks"
+    assert isinstance(problem, PlanningProblem), f"{suite} is a suite of tasks"
     return with_sampled_goals(problem)[0]
 
 
@@ -154,9 +156,10 @@ def measure(
 def compare(
     expected: Expectations, outcomes: Mapping[Case, Values], here: Mapping[str, str | None]
 ) -> tuple[str, list[str]]:
-    """How outcomes were compared, and their differences, a line each; here: of `made_with`.
+    """Compare outcomes with expectations: how it was done, and a line for each difference.
 
-    Equality on the platform and versions of the expectations, stated bounds elsewhere.
+    Values must be equal on the platform and versions of the expectations, and within the bounds
+    above elsewhere. here: `made_with` of this machine.
     """
     pairs = [
         (case, expected.outcomes[case], new)
@@ -164,7 +167,7 @@ def compare(
         if case in expected.outcomes
     ]
     missing = sorted(outcomes.keys() ^ expected.outcomes.keys())
-    differences = [f"{case}: not in both, committed and run" for case in missing]
+    differences = [f"{case}: either committed or run, but not both" for case in missing]
     other = [name for name in here if here[name] != expected.made_with.get(name)]
     if not other:
         mode = "exactly: same processor and versions as the expectations"
@@ -178,7 +181,7 @@ def compare(
 
 
 def _unequal(pairs: Sequence[tuple[Case, Values, Values]], columns: Sequence[str]) -> list[str]:
-    """A line for each run that differs, with its first different column."""
+    """A line for each run that differs, on the first of `columns` that does."""
     found = []
     for case, old, new in pairs:
         changed = [name for name in columns if old[name] != new[name]]
@@ -187,7 +190,7 @@ def _unequal(pairs: Sequence[tuple[Case, Values, Values]], columns: Sequence[str
 
 
 def _out_of_bounds(pairs: Sequence[tuple[Case, Values, Values]]) -> list[str]:
-    """Planners whose typical count or length is outside the stated bounds."""
+    """A line for each mean of a planner, over runs solved both times, that is out of bounds."""
     found = []
     solved = [
         (case.planner, (old, new))

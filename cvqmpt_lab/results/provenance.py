@@ -24,9 +24,11 @@ _PACKAGES = (
     *("ompl", "pin", "rerun-sdk", "scipy", "torch"),
 )
 DIGESTS = ("weights", "problem_files", "planners")
-"""Digests of a session by name (of external planners, what made them); later ones must be equal."""
-# What the fields of a session are, and of a configuration, that others read.
-_FORMS: Mapping[str, Any] = {
+"""Fields of a session that map names to digests; `planners`: external planners to versions.
+
+Later sessions of a directory must have equal values for equal names."""
+# Types of the fields that `ProvenanceFile.read` checks, of a session and of the configuration.
+_SESSION_TYPES: Mapping[str, Any] = {
     **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),
     "git_dirty": bool | None,
     "cpu_count": int | None,
@@ -34,7 +36,11 @@ _FORMS: Mapping[str, Any] = {
     **dict.fromkeys(DIGESTS, Mapping[str, Any]),
 }
 SESSIONS = tuple[Mapping[str, Any], ...]
-_BUDGET: Mapping[str, Any] = {"suite": str, "cutoff_s": float | None, "iterations": int | None}
+_CONFIGURATION_TYPES: Mapping[str, Any] = {
+    "suite": str,
+    "cutoff_s": float | None,
+    "iterations": int | None,
+}
 _THREAD_VARIABLES = (
     "MKL_NUM_THREADS",
     "NUMBA_NUM_THREADS",
@@ -51,11 +57,12 @@ def provenance(
     problems: Mapping[str, str] | None = None,
     planners: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Describe one session of runs, ready for json; unknown facts are None and nothing here fails.
+    """Describe one session of runs as a dict for json; facts that cannot be found are None.
 
-    weights: digest of each model in use, by the model's name. processes: how many ran side by side.
-    problems: digest of each problem that was read from a file, by its name. planners: distributions
-        and versions of each external planner, by its name.
+    command: words of the command line. seeds: of the runs. weights: digest of each model in use, by
+        the model's name. processes: number of runs at the same time. problems: digest of each
+        problem that was read from a file, by its name. planners: Python distributions and versions
+        of each external planner, by its name.
     """
     commit, dirty = _git_state(Path(__file__).resolve().parents[2])
     cpus = cpu_facts(r"^model name\s*: (.*)$")
@@ -81,7 +88,7 @@ def provenance(
 def _git_state(checkout: Path) -> tuple[str | None, bool | None]:
     """Commit, and whether there are uncommitted changes; (None, None) outside a checkout."""
     top = _git(checkout, "rev-parse", "--show-toplevel")
-    # e.g. installed in an environment inside another repository
+    # the package may be installed in a virtual environment inside another repository
     if top is None or Path(top) != checkout:
         return None, None
     changes = _git(checkout, "status", "--porcelain")
@@ -106,7 +113,7 @@ def _version(package: str) -> str | None:
 
 
 def cpu_facts(pattern: str) -> list[str]:
-    """What a pattern finds in Linux's description of the processors; nothing elsewhere."""
+    """All matches of a regular expression in /proc/cpuinfo; none on systems other than Linux."""
     with contextlib.suppress(OSError):
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
         return re.findall(pattern, text, re.MULTILINE)
@@ -114,7 +121,7 @@ def cpu_facts(pattern: str) -> list[str]:
 
 
 def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """All sessions of a record, the first one first."""
+    """All sessions of a record, the oldest first."""
     return [record, *record.get("continued", [])]
 
 
@@ -128,7 +135,7 @@ def digests_in(record: Mapping[str, Any], field: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class ProvenanceFile:
-    """``provenance.json`` of a results directory: the first session, later ones ``continued``."""
+    """``provenance.json`` of a results directory: first session, later ones under ``continued``."""
 
     directory: Path
 
@@ -138,7 +145,7 @@ class ProvenanceFile:
         return self.directory / PROVENANCE_FILE
 
     def read(self) -> dict[str, Any]:
-        """Return the whole record; InvalidInputError when it is missing, no json or malformed."""
+        """Return the whole record; InvalidInputError if it is missing, not json or malformed."""
         if not self.path.is_file():
             raise RunStoreError(
                 f"{self.directory} has no {PROVENANCE_FILE}, so its runs cannot be traced; use "
@@ -148,14 +155,14 @@ class ProvenanceFile:
         with located(f"{self.path}"):
             later = from_plain(SESSIONS, record.get("continued", []), "continued")
             for session in (record, *later):
-                for name in _FORMS.keys() & session.keys():
-                    from_plain(_FORMS[name], session[name], name)
+                for name in _SESSION_TYPES.keys() & session.keys():
+                    from_plain(_SESSION_TYPES[name], session[name], name)
                 for field in DIGESTS:
                     for name, digest in session.get(field, {}).items():
                         from_plain(str, digest, f"{field}.{name}")
             settings = from_plain(Mapping[str, Any], record.get("configuration"), "configuration")
-            for name in _BUDGET.keys() & settings.keys():
-                from_plain(_BUDGET[name], settings[name], name)
+            for name in _CONFIGURATION_TYPES.keys() & settings.keys():
+                from_plain(_CONFIGURATION_TYPES[name], settings[name], name)
         return record
 
     def create(self, configuration: Mapping[str, object], session: Mapping[str, object]) -> None:
@@ -163,7 +170,7 @@ class ProvenanceFile:
         self._write({**session, "configuration": dict(configuration)})
 
     def require_same(self, configuration: Mapping[str, object], session: Mapping[str, Any]) -> None:
-        """Raise RunStoreError if the configuration or a digest of both sessions differs."""
+        """Raise RunStoreError if the configuration, or a digest in file and session, differs."""
         record = self.read()
         then, now = dict(record["configuration"]), json.loads(json.dumps(configuration))
         for field in DIGESTS:
@@ -185,9 +192,9 @@ class ProvenanceFile:
         self._write({**record, "continued": [*record.get("continued", []), dict(session)]})
 
     def add_wall_clock(self, seconds: float) -> None:
-        """Say how long the last session took [s]."""
+        """Write into the file how long the last session took [s]."""
         record = self.read()
-        last: Any = sessions(record)[-1]  # a part of the record
+        last: Any = sessions(record)[-1]  # a dict inside record, changed in place
         last["wall_s"] = round(seconds, 1)
         self._write(record)
 

@@ -1,7 +1,7 @@
-"""A directory of runs that survives interruption and can be continued.
+"""A results directory whose finished runs survive an interruption, and that can be continued.
 
-The paths of its rows lie beside them: ``paths.npz``, arrays of states by the hash that stands in
-the row. Read one with ``numpy.load("paths.npz")[row.path_sha256]``.
+Beside the rows, ``paths.npz`` has the states of their paths, each array under the hash in the row's
+column `path_sha256`. Read one with ``numpy.load("paths.npz")[row.path_sha256]``.
 """
 
 import contextlib
@@ -34,23 +34,24 @@ from cvqmpt_lab.results.row import (
 PARTIAL_FILE = "runs.partial.csv"
 PATHS_FILE = "paths.npz"
 PARTIAL_PATHS = "paths.partial.npy"
+# what numpy raises on a damaged file
 BROKEN = (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error)
 
 
 class RunStore:
     """A directory with ``runs.csv``, ``paths.npz`` and ``provenance.json`` that grows run by run.
 
-    One process appends (its workers hand it their rows). Before `append` returns, the paths of a
-    run and then its rows are on disk, the rows in ``runs.partial.csv`` with an empty line after
-    them. Leaving the ``with`` block of `open`, for any reason, merges them into ``runs.csv`` and
-    ``paths.npz``. After a kill the next `open` merges what was left, without a run whose rows were
-    cut short.
+    Only one process appends (workers send it their rows). `append` writes the paths of a run to
+    ``paths.partial.npy`` and then its rows to ``runs.partial.csv``; the empty line after them marks
+    the run as complete. Leaving the ``with`` block of `open`, for any reason, merges both into
+    ``paths.npz`` and ``runs.csv``. If the process was killed, the next `open` merges them, without
+    a run whose rows are incomplete.
     """
 
     def __init__(self, directory: Path, later_session: Mapping[str, object] | None) -> None:
-        """Use `RunStore.open`."""
+        """Called by `RunStore.open` only."""
         self.directory = directory
-        self._later_session = later_session  # of a continuation, written with its first row
+        self._later_session = later_session  # written with the first row of a continuation
         self._appended = False
         self._rows: dict[RowKey, ResultRow] = {}
 
@@ -66,11 +67,11 @@ class RunStore:
 
         Args:
             configuration: every setting that must not change within one table (suite, cutoff, ...).
-            session: of `provenance`; a continued store lists it when it adds a row.
+            session: from `provenance`; a continued store writes it with the first row that it adds.
 
         InvalidInputError: the directory cannot be made, or is in use. RunStoreError: it is
         read-only, was made with another configuration or other weights (the message names which),
-        or holds runs without provenance or with foreign columns.
+        or holds runs without provenance or with other columns.
         """
         directory = make_folder(directory)
         if not os.access(directory, os.R_OK | os.W_OK):
@@ -95,7 +96,7 @@ class RunStore:
     def _recover(self) -> None:
         """Load the merged rows, and merge what an interrupted session left behind."""
         merged, partial = self.directory / RUNS_FILE, self.directory / PARTIAL_FILE
-        stored_paths(self.directory)  # refused before hours of work, not after
+        stored_paths(self.directory)  # a damaged file is refused now, not after hours of work
         if merged.is_file():
             self._rows = {row.key: row for row in read_rows(merged)}
         if partial.is_file():
@@ -106,11 +107,11 @@ class RunStore:
             self._merge()
 
     def _merge(self) -> None:
-        """Merge the partial files; of paths those that stand in rows are kept."""
+        """Merge the partial files into the final ones; paths that no row refers to are dropped."""
         partial = self.directory / PARTIAL_PATHS
         if partial.is_file():
             known: dict[str, Any] = stored_paths(self.directory)
-            known |= {states_hash(states): states for states in _whole_arrays(read_bytes(partial))}
+            known |= {states_hash(states): states for states in _intact_arrays(read_bytes(partial))}
             wanted = sorted(known.keys() & {row.path_sha256 for row in self._rows.values()})
             buffer = io.BytesIO()
             np.savez_compressed(buffer, **{name: known[name] for name in wanted})
@@ -136,7 +137,7 @@ class RunStore:
             ProvenanceFile(self.directory).add_continuation(self._later_session)
             self._later_session = None
         self._appended = True
-        # before they are on disk: an interrupt in between merges these and drops the partial file
+        # before writing: if an interrupt comes in between, `_merge` still has these rows
         self._rows |= {row.key: row for row in rows}
         arrays, text = io.BytesIO(), csv_text(rows, header=False) + "\n"
         for states in paths:
@@ -146,7 +147,7 @@ class RunStore:
         self._append_to(PARTIAL_FILE, text.encode("utf-8"))
 
     def _append_to(self, name: str, data: bytes) -> None:
-        """Append to a file and wait until it is on the disk; `_recover` drops what is cut short."""
+        """Append to a file and wait until it is on the disk; `_recover` drops an incomplete end."""
         try:
             with (self.directory / name).open("ab") as handle:
                 handle.write(data)
@@ -162,9 +163,9 @@ def states_hash(states: np.ndarray) -> str:
 
 
 def stored_paths(directory: Path) -> dict[str, np.ndarray]:
-    """States (m, n) [rad or m] of ``paths.npz`` by their hash; none where there is no such file.
+    """States (m, n) [rad or m] of ``paths.npz`` by their hash; empty if there is no such file.
 
-    RunStoreError: the file is damaged, or an array has another hash.
+    RunStoreError: the file is damaged, or an array's hash is not its name.
     """
     path = Path(directory) / PATHS_FILE
     if not path.exists():
@@ -176,14 +177,12 @@ def stored_paths(directory: Path) -> dict[str, np.ndarray]:
         raise RunStoreError(f"{path} is damaged: {error}; run again into another folder") from error
     for sha256, states in found.items():
         if states_hash(states) != sha256:
-            raise RunStoreError(
-                f"{path} is damaged: what it holds as path {sha256} has another hash"
-            )
+            raise RunStoreError(f"{path} is damaged: its path {sha256} has another hash")
     return found
 
 
-def _whole_arrays(data: bytes) -> Iterator[np.ndarray]:
-    """The arrays in a file of them, up to one that a kill or a full disk has cut short."""
+def _intact_arrays(data: bytes) -> Iterator[np.ndarray]:
+    """Arrays that `numpy.save` wrote one after the other, without an incomplete last one."""
     stream = io.BytesIO(data)
     while stream.tell() < len(data):
         try:

@@ -14,26 +14,27 @@ from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.values import FloatArray
 
-# [m] pieces this close to the moving object are its casing; obstacles if they overlap deeper
+# [m] fixed objects closer than REST_GAP to the moving object become its casing, but stay obstacles
+# if the moving object penetrates them deeper than DEEPEST
 REST_GAP, DEEPEST = 1e-3, 1e-4
 
 
 class TakenOut(NamedTuple):
-    """A scene without a door or drawer and its casing, and these two as an object for a robot."""
+    """A scene without a door or drawer and its casing; both as an `ArticulatedObject`."""
 
     scene: Scene
     articulated: ArticulatedObject
 
 
 def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ()) -> TakenOut:
-    """Take the articulation `name` out of a scene, at any value.
+    """Take the articulation `name` out of a scene, whatever its value is.
 
-    A closed door stands between the boards of its cabinet with half a millimetre of play: less
-    than planners keep from obstacles. Such boards become the object's casing, which is checked
-    against the robot only. A fixed obstacle belongs to the casing if somewhere on the object's
-    whole path it is closer than `REST_GAP`, and nowhere penetrated deeper than `DEEPEST`. Anything
-    else stays an obstacle for the moving object too, e.g. a box in its path and its neighbour
-    doors.
+    A closed door is half a millimetre from the boards of its cabinet: less than the distance that
+    planners keep from obstacles. Such boards become the object's casing, which is checked against
+    the robot, but not against the door. A fixed obstacle belongs to the casing if, over the joint's
+    whole range, it comes closer than `REST_GAP` to the object and is never penetrated deeper than
+    `DEEPEST`. All others stay obstacles for the moving object, too, e.g. a box in its path or
+    other doors.
 
     may_touch: (robot piece, part) pairs that may touch, see `ArticulatedObject`.
     """
@@ -51,7 +52,7 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
     T_joint_world = np.linalg.inv(joint.T_world_joint @ joint.motion(joint.value))
     heights = [(T_joint_world @ item.T_world_object)[2, 3] for item in movers]
     middle = pose((0.0, 0.0, float(np.mean(heights))))
-    T_world_joint = joint.T_world_joint @ middle  # its links stay close to it
+    T_world_joint = joint.T_world_joint @ middle  # so that its origin is near its links
     T_joint_world = np.linalg.inv(T_world_joint @ joint.motion(joint.value))
     articulated = ArticulatedObject(
         name=name,
@@ -67,21 +68,23 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
 
 
 def _part(item: SceneObject, T: FloatArray) -> Part:
-    """The polytope around an object's shape; round shapes are circumscribed."""
+    """An object as a part: a convex polytope that contains its shape."""
     return Part(item.name, T, hull_vertices(coal_shape(item.shape)))
 
 
 def _rests_against(
-    joint: Articulation, movers: Sequence[SceneObject], item: SceneObject, creep: float = 1e-3
+    joint: Articulation, movers: Sequence[SceneObject], item: SceneObject, least_step: float = 1e-3
 ) -> bool:
-    """Whether an object comes close to a fixed one on its path without penetrating it.
+    """Whether movers come close to a fixed item in the joint's range, but do not penetrate it.
 
     A change of the joint by d moves no point by more than J d, with J the largest norm of a point's
-    Jacobian. So the next check is (distance - REST_GAP) / J further, at least creep [m] / J.
+    Jacobian. So the next check is at a value larger by (distance - REST_GAP) / J, or by
+    least_step [m] / J if that is more.
     """
     shape = coal_shape(item.shape)
     close = False
     for mover in movers:
+        # speed: J, which is 1 for a slider, largest distance from the axis [m] for a hinge
         moving, speed = coal_shape(mover.shape), 1.0
         if joint.kind == "hinge":
             T = np.linalg.inv(joint.T_world_joint) @ mover.T_world_object
@@ -96,5 +99,5 @@ def _rests_against(
             close = close or distance < REST_GAP
             if value >= joint.upper:
                 break
-            value = min(joint.upper, value + max(distance - REST_GAP, creep) / speed)
+            value = min(joint.upper, value + max(distance - REST_GAP, least_step) / speed)
     return close

@@ -1,4 +1,4 @@
-"""Boxes that hold point clouds and occupancy maps, for the compiled checker and for coal."""
+"""Boxes that contain point clouds and occupancy maps, for both collision checkers."""
 
 from typing import NamedTuple
 
@@ -7,12 +7,13 @@ import numpy as np
 from cvqmpt_lab.scene.shapes import Measured, OccupancyMap, PointCloud, require_resolution
 from cvqmpt_lab.values import FloatArray
 
-MOST_BALLS = 1000  # larger clouds are checked as boxes that hold their balls
-CELL = np.sqrt(2.0)  # edge of a cloud's cells, in radii of its balls
+MOST_BALLS = 1000  # clouds of more points are checked as boxes that contain their balls
+# edge of a cloud's cells, in radii of its balls; larger: fewer boxes, but more free space in them
+CELL = np.sqrt(2.0)
 
 
 class Blocks(NamedTuple):
-    """Boxes along the axes of a shape's frame, each inflated by the same radius."""
+    """Axis-aligned boxes in a shape's frame, all inflated by the same radius."""
 
     low: np.ndarray  # (b, 3) least corners [m]
     high: np.ndarray  # (b, 3) greatest corners [m]
@@ -20,25 +21,27 @@ class Blocks(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """Boxes of cells of a grid, and the bounds of their points."""
+    """Boxes of one or more grid cells, and the bounds of the points in each box."""
 
-    low: np.ndarray  # (b, 3) int64, index of the first cell in each
-    high: np.ndarray  # (b, 3) int64, index after the last
-    least: np.ndarray  # (b, 3), corner of the smallest box around the points in each [m]
-    most: np.ndarray  # (b, 3), the opposite corner [m]
+    low: np.ndarray  # (b, 3) int64, index (i, j, k) of the first cell of each box
+    high: np.ndarray  # (b, 3) int64, index one after its last cell, on each axis
+    least: np.ndarray  # (b, 3), least corner of the bounds of its points [m]
+    most: np.ndarray  # (b, 3), greatest corner of these bounds [m]
 
 
 def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf) -> Blocks:
-    """Boxes that together hold a map or the balls of a cloud, near the parent's origin.
+    """Boxes that together contain the cells of a map, or the balls of a cloud.
 
-    Boxes of a map are its cells. Boxes of a small cloud are its points: inflated, they are its
-    balls. Points of a large cloud are gathered in cells, each box bounding its points: inflated,
-    the boxes hold every ball, and no point of a box is farther than sqrt(3) `CELL` radii from one.
+    Map: each box is a block of occupied cells. Cloud of up to `MOST_BALLS` points: each box is one
+    point, which inflated by the radius is its ball. Larger cloud: its points are sorted into cells
+    of edge `CELL` radii, and each box bounds the points of a block of cells. Inflated by the
+    radius, these boxes contain every ball; before that, no point of a box is farther than
+    sqrt(3) `CELL` radii from a point of the cloud.
 
     Args:
         shape: a cloud or a map.
         T_parent_shape: (4, 4), its pose [m].
-        reach: [m] from the parent's origin; boxes beyond it may be left out.
+        reach: distance from the parent's origin [m]; boxes farther away may be left out.
     """
     if isinstance(shape, PointCloud):
         points, edge, half, padding = shape.points, CELL * shape.radius, 0.0, shape.radius
@@ -47,7 +50,7 @@ def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf
     else:
         points, edge, padding = shape.centres, shape.resolution, shape.padding
         half = 0.5 * edge
-    columns = np.ascontiguousarray(points.T)  # by coordinate: many times as fast as by rows
+    columns = np.ascontiguousarray(points.T)  # (3, m): faster than (m, 3)
     if reach < np.inf:
         away = T_parent_shape[:3, :3] @ columns + T_parent_shape[:3, 3:]
         farthest = reach + np.sqrt(3.0) * half + padding
@@ -59,9 +62,10 @@ def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf
 
 
 def cells_with(columns: np.ndarray, edge: float, most_across: int = 60_000) -> Cells:
-    """The cells of an edge [m] that hold points (3, m), m >= 1 [m], each once and in order.
+    """Grid cells of an edge [m] that contain points (3, m), m >= 1 [m]; each once, by i, j, k.
 
-    Cells are larger if there would be more than most_across along an edge of the cloud.
+    The edge is increased if the cloud would span more than most_across cells along an axis, so that
+    the int64 keys of cells cannot overflow.
     """
     first = columns.min(axis=1)
     edge = max(edge, float(np.ptp(columns, axis=1).max()) / most_across)
@@ -77,7 +81,7 @@ def cells_with(columns: np.ndarray, edge: float, most_across: int = 60_000) -> C
 
 
 def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -> OccupancyMap:
-    """The cells of the grid through the origin that hold some of points (m, 3), m >= 1 [m]."""
+    """Grid cells that contain points (m, 3), m >= 1 [m]; cell (0, 0, 0) starts at the origin."""
     require_resolution(resolution)
     place = np.floor(points / resolution)
     first = place.min(axis=0)
@@ -85,7 +89,10 @@ def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -
 
 
 def distinct(index: np.ndarray, dense: int = 1 << 26) -> np.ndarray:
-    """Sorted distinct rows (k, 3) of indices (m, 3) >= 0; by a grid up to `dense` bytes."""
+    """Sorted distinct rows (k, 3) of indices (m, 3) >= 0.
+
+    They are marked in a boolean grid if it has up to `dense` bytes, which is faster than sorting.
+    """
     across = tuple(index.max(axis=0) + 1)
     keys = np.ravel_multi_index(tuple(index.T), across)
     if np.prod(across) <= dense:
@@ -101,7 +108,7 @@ def merged(cells: Cells) -> Cells:
     """Merge ordered cells into few boxes: neighbours of equal extent along z, then y, then x."""
     boxes = _joined(cells, 2)
     for axis in (1, 0):
-        # those that follow each other along the axis stand beside each other
+        # sorted so that boxes that touch along this axis are consecutive rows
         columns = [*(k for k in range(3) if k != axis), axis]
         across = tuple(boxes.high[:, columns].max(axis=0))
         order = np.argsort(np.ravel_multi_index(tuple(boxes.low[:, columns].T), across))
@@ -110,7 +117,7 @@ def merged(cells: Cells) -> Cells:
 
 
 def _joined(boxes: Cells, axis: int) -> Cells:
-    """Merge boxes that follow each other along an axis and have equal extents along the others."""
+    """Merge consecutive boxes that touch along an axis and have equal extents along the others."""
     low, high, least, most = boxes
     follows = low[1:, axis] == high[:-1, axis]
     for k in range(3):
@@ -124,10 +131,14 @@ def _joined(boxes: Cells, axis: int) -> Cells:
 
 
 def seen_points(shape: Measured) -> FloatArray:
-    """Points (p, 3) [m, shape's frame] of a cloud, or centres of a map's outermost cells."""
+    """Points (p, 3) [m, shape's frame] that a camera could see.
+
+    All points of a cloud; of a map, centres of cells that share a face with a cell not occupied.
+    """
     if isinstance(shape, PointCloud):
         return shape.points
     index = shape.cells.astype(np.int64)
+    # a border of one free cell, so that key + step is the neighbour's key for every cell
     from_one = index - index.min(axis=0) + 1
     across = tuple(from_one.max(axis=0) + 2)
     keys = np.ravel_multi_index(tuple(from_one.T), across)

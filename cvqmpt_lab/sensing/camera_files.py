@@ -16,7 +16,7 @@ from cvqmpt_lab.values import Array, FloatArray
 
 
 def read_intrinsics(path: Path | str) -> Intrinsics:
-    """Read our own fields, ROS's camera_info, Open3D's, or a matrix K; errors name the file."""
+    """Read fields of `Intrinsics`, of ROS or Open3D, or a matrix K; errors name the file."""
     data = _read_settings(path, "intrinsics")
     with located(f"intrinsics {path}"):
         return _intrinsics(data)
@@ -40,12 +40,13 @@ def _intrinsics(data: Any) -> Intrinsics:
         Array((None,)).read(_listed(distortion), "distortion") != 0.0
     ):
         raise InvalidInputError(
-            "it says that the lens distorts; give rectified images and their intrinsics"
+            "the lens distorts (distortion is not 0); give rectified images and their intrinsics"
         )
     listed = np.ravel(np.asarray(_listed(fields[name]), dtype=object)).tolist()
     K = Array((9,), "numbers, row after row").read(listed, name).reshape(3, 3)
     if name == "intrinsic_matrix" and K[2, 0] != 0.0:
-        K = K.T  # Open3D writes column after column
+        K = K.T  # Open3D writes K column by column
+    # the product has the entries that must be 0
     if (
         not np.array_equal(K * [[0, 1, 0], [1, 0, 0], [1, 1, 0]], np.zeros((3, 3)))
         or K[2, 2] != 1.0
@@ -62,8 +63,8 @@ def _intrinsics(data: Any) -> Intrinsics:
 def read_extrinsics(path: Path | str) -> FloatArray:
     """Read T_world_camera (4, 4), alone or under the key "T_world_camera"; errors name the file.
 
-    A 4x4 matrix (if rounded, it is made orthonormal), {xyz, quaternion}, {xyz, rpy}, or ROS's
-    {translation, rotation}.
+    Forms: a 4x4 matrix (a rounded rotation is made orthonormal), {xyz, quaternion}, {xyz, rpy}, or
+    ROS's {translation, rotation}.
     """
     data = _read_settings(path, "extrinsics")
     if isinstance(data, Mapping) and set(data) == {"T_world_camera"}:
@@ -73,7 +74,7 @@ def read_extrinsics(path: Path | str) -> FloatArray:
 
 
 def _rigid(data: Any) -> Any:
-    """A pose as `Pose` takes it."""
+    """A pose in any form of `read_extrinsics`, as a value that `Pose` reads."""
     if isinstance(data, Mapping):
         if "translation" not in data:
             return data
@@ -85,17 +86,17 @@ def _rigid(data: Any) -> Any:
         return from_plain(Placement, named, "T_world_camera").matrix
     T = np.array(MATRIX.read(data, "T_world_camera"))
     R = T[:3, :3]
-    # three digits may have been written down
+    # entries written with three decimals only
     rounded = np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() <= 1e-3
     if rounded and np.linalg.det(R) > 0.0:
-        from scipy.spatial.transform import Rotation  # a third of a second to import
+        from scipy.spatial.transform import Rotation  # takes 0.3 s to import
 
         T[:3, :3] = Rotation.from_matrix(R).as_matrix()
     return T
 
 
 def _listed(value: Any) -> Any:
-    """ROS writes a matrix as {rows, cols, data}."""
+    """The entries of a matrix, which ROS writes as {rows, cols, data}."""
     return value.get("data") if isinstance(value, Mapping) else value
 
 

@@ -1,6 +1,7 @@
-"""Visible bodies of a scene, robot, solution or task, with a mesh, a colour and poses.
+"""Bodies to draw of a scene, robot, solution or task, each with a mesh, a colour and poses.
 
-Pictures, films, web pages and recordings show them without knowing planners or constraints.
+Pictures, films, web pages and recordings draw only these, so they need not know what a planner or
+constraint is.
 """
 
 import re
@@ -33,11 +34,12 @@ from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase
 from cvqmpt_lab.tasks.world import Load, World
 
+# red, green, blue in [0, 1]; GHOST: poses between start and goal; TRACE: path of the hand
 ROBOT, GHOST, GOAL = (0.90, 0.90, 0.92), (0.25, 0.50, 0.90), (0.16, 0.68, 0.38)
 LOAD, TRACE, CONSTRAINT = (0.86, 0.24, 0.20), (0.96, 0.55, 0.05), (0.60, 0.25, 0.72)
-# x, y, z
+# of the x, y and z axis of a frame
 AXES: tuple[Colour, ...] = ((0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85))
-# of scene objects with a word that begins so; the first that fits counts
+# of scene objects, by the beginning of a word in their name; the first match is used
 KIND_COLOURS: Mapping[str, Colour] = {
     "floor": (0.88, 0.87, 0.85),
     "wall": (0.93, 0.92, 0.89),
@@ -53,19 +55,19 @@ KIND_COLOURS: Mapping[str, Colour] = {
     "mustard": (0.93, 0.78, 0.22),
     "can": (0.86, 0.24, 0.20),
 }
-HIDDEN = ("walls/right",)  # objects between the usual viewpoint and the robot
+HIDDEN = ("walls/right",)  # objects not drawn: they hide the robot from the usual viewpoint
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
     """A mesh in one colour, and its pose at every state."""
 
-    group: str  # what it is, in legends
-    layer: str  # what is drawn together: "scene", "goals/0", "path"
+    group: str  # its name in legends
+    layer: str  # bodies drawn together: "scene", "goals/0", "path"
     name: str
     mesh: Mesh  # in its own frame
     colour: Colour
-    # (m, 4, 4) in the world [m], or (1, 4, 4) of what stands still
+    # T_world_body (m, 4, 4) [m] at m states, or (1, 4, 4) if it does not move
     poses: np.ndarray = field(default_factory=lambda: np.eye(4)[None])
     opacity: float = 1.0
     behind: float = 0.0  # opacity where something solid is in front of it
@@ -80,30 +82,30 @@ class Seen:
     """Everything that is shown of a problem, a solution or a task."""
 
     title: str
-    scene: Sequence[Body]  # what stands still
+    scene: Sequence[Body]  # bodies that do not move
     ground: float | None  # height of the highest floor [m]
-    moving: Sequence[Body]  # the robot, and what it moves: m poses each
+    moving: Sequence[Body]  # the robot and what it moves, with m poses each
     over: Sequence[Body]  # start, goals, trace, constraint and axes, drawn over the rest
-    labels: Sequence[str]  # one a state
+    labels: Sequence[str]  # one per state
     times: np.ndarray | None = None  # (m,) of a task's states [s]
     plots: Sequence[Plot] = ()
-    lines: Sequence[str] = ()  # of text
+    lines: Sequence[str] = ()  # of text, below the drawing of a web page
 
     @property
     def floor(self) -> list[Body]:
-        """A square whose top has the ground's height."""
+        """A square plate whose top is at height `ground`; none without ground."""
         if self.ground is None:
             return []
         mesh, T = shape_mesh(Box((5.0, 5.0, 0.02))), pose((0.0, 0.0, self.ground - 0.01))
         return [Body("floor", "scene", "floor", mesh, colour_of("floor"), T[None])]
 
     def bodies(self, *names: str) -> list[Body]:
-        """Scene, floor, what moves, and the bodies of `layers`."""
+        """Scene, floor, moving bodies, and those of `over` in the named layers, see `layers`."""
         over = [body for layer in self.layers(*names).values() for body in layer]
         return [*self.scene, *self.floor, *self.moving, *over]
 
     def layers(self, *names: str) -> dict[str, list[Body]]:
-        """The bodies of `over` by their layer, of layers whose first word is among the names."""
+        """Bodies of `over` by layer, for layers whose part before "/" is among the names."""
         found: dict[str, list[Body]] = {}
         for body in self.over:
             if body.layer.split("/")[0] in names:
@@ -112,14 +114,14 @@ class Seen:
 
 
 def colour_of(name: str, other: Colour = (0.87, 0.77, 0.62)) -> Colour:
-    """Colour of a scene object, by its name."""
+    """Colour of a scene object by its name; `other` if no word of `KIND_COLOURS` matches."""
     words = re.split("[^a-z]+", name.lower())
     fits = (kind for kind in KIND_COLOURS if any(word.startswith(kind) for word in words))
     return KIND_COLOURS.get(next(fits, ""), other)
 
 
 def scene_bodies(scene: Scene, hidden: Sequence[str] = HIDDEN) -> list[Body]:
-    """The scene's objects but floors (boxes that are no obstacles) and those named in `hidden`."""
+    """The scene's objects without `hidden` ones and floors (boxes that are no obstacles)."""
     return [
         Body(
             "scene",
@@ -135,7 +137,7 @@ def scene_bodies(scene: Scene, hidden: Sequence[str] = HIDDEN) -> list[Body]:
 
 
 def ground_height(scene: Scene) -> float | None:
-    """Top of the highest floor [m]; None without one."""
+    """Height of the top of the highest floor [m]; None without a floor."""
     tops = [
         item.T_world_object[2, 3] + 0.5 * item.shape.size[2]
         for item in scene
@@ -152,7 +154,7 @@ def robot_bodies(
     layer: str = "robot",
     opacity: float = 1.0,
 ) -> list[Body]:
-    """The robot's hulls and what it carries at states (m, n)."""
+    """Convex hulls of the robot's links, and attached objects, at states (m, n) [rad or m]."""
     states = np.ascontiguousarray(states, dtype=float)
     rotations, translations = link_poses(problem.robot.kinematics, states)
     T_world_link = np.tile(np.eye(4), (*translations.shape[:2], 1, 1))
@@ -185,15 +187,15 @@ def seen_of_problem(
 
     Args:
         problem: what is shown.
-        path: that is shown.
-        carried: load in the hand if the problem does not model it.
-        most_states: of the path; a longer one is sampled evenly. None: its own states.
-        ghosts: number of poses shown between start and goal.
+        path: that is shown; None: only start and goals.
+        carried: objects shown in the hand if the problem has no attachments.
+        most_states: a path of more states is resampled evenly; None: it is shown as it is.
+        ghosts: number of translucent robots shown between start and goal.
         goals: number of goals shown at most if there is no path.
         hidden: objects of the scene that are not shown.
-        plots: whether a path has plots.
-        verdict: said in the title.
-        lines: of text.
+        plots: whether there are plots along the path.
+        verdict: last part of the title, e.g. "not solved".
+        lines: of text, below the drawing of a web page.
     """
     loaded = replace(problem, attachments=problem.attachments or tuple(carried))
     states = problem.start[None] if path is None else path.states
@@ -263,7 +265,7 @@ def seen_of_solution(
 
 
 class Frame(NamedTuple):
-    """A moment of a task: time [s], the phase it belongs to, the world."""
+    """A moment of a task: time [s], name of the phase, state of the world."""
 
     time: float
     phase: str
@@ -275,8 +277,8 @@ def frames(solution: TaskSolution, period: float = 0.1, pause: float = 0.5) -> l
 
     Args:
         solution: of the task.
-        period: between two moments [s].
-        pause: for fingers that open or close [s].
+        period: time between two moments of a motion [s].
+        pause: time for opening or closing the fingers [s].
     """
     outcomes = {outcome.phase.name: outcome for outcome in solution.outcomes if outcome.solved}
     world, time, found = World.before(solution.task), 0.0, []
@@ -299,7 +301,7 @@ def frames(solution: TaskSolution, period: float = 0.1, pause: float = 0.5) -> l
 
 
 def shown(world: World) -> PlanningProblem:
-    """A problem to draw a world by: the arm alone, and a door it holds in the scene."""
+    """A problem that shows a world: the arm, and in the scene also a door that the arm holds."""
     carried = (world.held.attachment,) if isinstance(world.held, Load) else ()
     return PlanningProblem(
         "shown", world.arm, world.scene, world.q, world.q[None], attachments=carried
@@ -311,7 +313,7 @@ def seen_of_task(
 ) -> Seen:
     """What is shown of a task with at most `most` moments, up to the phase that failed.
 
-    Raises InvalidInputError if nothing was done.
+    Raises InvalidInputError if its first phase failed, so that there is no moment.
     """
     moments = frames(solution)
     if not moments:
