@@ -61,7 +61,7 @@ def make_folder(path: Path) -> Path:
 
 
 def require_regular_file(path: Path, what: str = "file", use: str = "read") -> Path:
-    """Refuse a path to no regular file: of a pipe, for example, a reader would wait."""
+    """Refuse pipes, for which a reader would wait, and devices, which may have no end."""
     path = Path(path)
     try:
         odd = path.exists() and not path.is_file() and not path.is_dir()
@@ -100,10 +100,8 @@ def locked(folder: Path) -> Iterator[None]:
 
 def read_bytes(path: Path, what: str = "file") -> bytes:
     """Read a file; errors call it `what` and name its path."""
-    path = Path(path)
+    path = require_regular_file(path, what)
     try:
-        if path.is_char_device() or path.is_block_device():  # /dev/zero has no end
-            raise InvalidInputError(f"cannot read {what} {path}: it is a device, no file")
         return path.read_bytes()
     except OSError as error:
         raise InvalidInputError(f"cannot read {what} {path}: {error.strerror}") from error

@@ -47,9 +47,7 @@ def test_a_link_is_followed_and_what_is_no_file_is_not_replaced(tmp_path):
     write_bytes(tmp_path / "link", b"new")
     assert (tmp_path / "link").is_symlink() and (tmp_path / "target").read_bytes() == b"new"
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(
-        InvalidInputError, match=r"cannot write file .*/pipe: it is not a regular file"
-    ):
+    with pytest.raises(InvalidInputError, match=r"write file .*/pipe: it is not a regular file"):
         write_bytes(tmp_path / "pipe", b"new")
 
 
@@ -82,7 +80,7 @@ def test_who_locks_a_folder_clears_what_killed_writers_left_in_it_and_nothing_el
         (lambda p: make_folder(p / "latin"), "cannot make folder .*/latin: File exists"),
         (
             lambda p: read_json_object("/dev/zero", "scene"),
-            "cannot read scene /dev/zero: it is a device",
+            "scene /dev/zero: it is not a regular file",
         ),
         (lambda p: json_value('{"a": 1, "a": {}}', "x"), "key 'a' occurs twice"),
         (lambda p: json_value(r'{"a": ["\uD800"]}', "x"), r"x is not json: .*surrogates"),

@@ -171,7 +171,7 @@ def stored_paths(directory: Path) -> dict[str, np.ndarray]:
     if not path.exists():
         return {}
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as arrays:
             found = dict(arrays)
     except BROKEN as error:
         raise RunStoreError(f"{path} is damaged: {error}; run again into another folder") from error

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import stat
 import sys
 import time
 import xml.etree.ElementTree as ElementTree
@@ -191,7 +192,7 @@ def _digest(path: str, stamp: tuple[int, ...]) -> str:
 
 
 def content_digest(path: str, settled: float = 1e8) -> str:
-    """sha256 of what a file holds, "" if there is none.
+    """sha256 of what a regular file holds, "" if there is none.
 
     Read again only if its times or size have changed, or less than `settled` [ns] ago: another
     change could then leave the same time.
@@ -199,6 +200,8 @@ def content_digest(path: str, settled: float = 1e8) -> str:
     try:
         # a Path takes 20 us
         status = os.stat(path)  # noqa: PTH116
+        if not stat.S_ISREG(status.st_mode):
+            return ""
         stamp = status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
         fresh = time.time_ns() - max(stamp[:2]) <= settled
         return (_digest.__wrapped__ if fresh else _digest)(path, stamp)

@@ -94,9 +94,7 @@ def read_by_suffix(
     Raises InvalidInputError or UnknownChoiceError, in one line that names the file.
     """
     reader = readers[kind_of(path, readers, what)]
-    if path.exists() and not path.is_file():
-        raise InvalidInputError(f"cannot read {what} {path}: it is no regular file")
-    if path.exists() and path.stat().st_size > most:
+    if path.is_file() and path.stat().st_size > most:
         raise InvalidInputError(
             f"cannot read {what} {path}: more than {most} bytes; make it smaller"
         )

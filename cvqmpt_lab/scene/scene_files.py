@@ -13,7 +13,7 @@ from typing import Any
 
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import located
-from cvqmpt_lab.files import read_json_object, require_regular_file
+from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.robot.source import seen_from
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.scene import Scene
@@ -53,7 +53,7 @@ def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
 def read_scene(path: Path | str) -> Scene:
     """The scene of a json file of its own; errors name the file."""
     path = Path(path)
-    data = _scene(read_json_object(require_regular_file(path, "scene"), "scene"), path.parent)
+    data = _scene(read_json_object(path, "scene"), path.parent)
     with located(f"scene {path}"):
         return from_plain(Scene, data)
 

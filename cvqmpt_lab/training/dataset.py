@@ -15,7 +15,7 @@ import numpy as np
 
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.files import read_bytes, read_json_object, require_regular_file
+from cvqmpt_lab.files import read_bytes, read_json_object
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     FULL_SCALE,
@@ -267,7 +267,7 @@ def _header(folder: Path) -> dict[str, Any]:
         raise InvalidInputError(
             f"no dataset in {folder}: it has no {DESCRIPTION_FILE}; generate one there first"
         )
-    description = read_json_object(require_regular_file(path))
+    description = read_json_object(path)
     if description.get("schema") != SCHEMA:
         raise InvalidInputError(
             f"{path}: schema is {description.get('schema')!r}; this version reads {SCHEMA}"

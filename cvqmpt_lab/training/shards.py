@@ -22,7 +22,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import read_bytes, read_text, require_regular_file, write_bytes, write_text
+from cvqmpt_lab.files import read_bytes, read_text, write_bytes, write_text
 
 DESCRIPTION_FILE = "dataset.json"
 INDEX_FILE = "shards.csv"
@@ -147,7 +147,7 @@ def read_shards(
     index or each other.
     """
     path, header = folder / INDEX_FILE, ",".join(IndexRow._fields)
-    first, *lines = read_text(require_regular_file(path)).splitlines(keepends=True) or [""]
+    first, *lines = read_text(path).splitlines(keepends=True) or [""]
     if first != f"{header}\n":
         raise InvalidInputError(f"{path}: the first line must be {header}")
     if not lines:
@@ -168,7 +168,7 @@ def _read_shard(
     folder: Path, row: IndexRow, columns: Mapping[str, Column], sizes: Mapping[str, int]
 ) -> dict[str, np.ndarray]:
     path = folder / SHARDS_FOLDER / row.file
-    data = read_bytes(require_regular_file(path))
+    data = read_bytes(path)
     if hashlib.sha256(data).hexdigest() != row.sha256:
         raise InvalidInputError(f"{path} is damaged (sha256); fetch or generate it again")
     arrays = _arrays(path, data)
@@ -321,7 +321,7 @@ class RoadmapGraph:
     def read(cls, folder: Path) -> Self:
         """What `write` wrote; InvalidInputError where it is missing or damaged."""
         path = folder / ROADMAP_FILE
-        arrays = _arrays(path, read_bytes(require_regular_file(path)))
+        arrays = _arrays(path, read_bytes(path))
         try:
             return cls(**{name: arrays[name] for name in cls.__annotations__})
         except KeyError as error:

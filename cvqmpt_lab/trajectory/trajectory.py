@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
-from cvqmpt_lab.files import json_object, read_text, require_regular_file, write_text
+from cvqmpt_lab.files import json_object, read_text, write_text
 from cvqmpt_lab.values import numbers
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def read_motion(path: Path) -> Motion:
     ending = path.suffix.lower()
     if ending not in readers:
         raise UnknownChoiceError(f"file type of {path}:", ending, readers)
-    text = read_text(require_regular_file(path, "motion"), "motion")
+    text = read_text(path, "motion")
     try:
         motion = readers[ending](text)
     except InvalidInputError as error:
