@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, shown
-from cvqmpt_lab.files import read_text, require_regular_file
+from cvqmpt_lab.files import read_text
 from cvqmpt_lab.values import TURN, scalar
 
 
@@ -104,7 +104,7 @@ class Urdf:
 def read_urdf(path: Path) -> Urdf:
     """Read a URDF file; InvalidInputError if its links and joints are no tree."""
     try:
-        root = ElementTree.fromstring(read_text(require_regular_file(path, "URDF"), "URDF"))
+        root = ElementTree.fromstring(read_text(path, "URDF"))
     except ElementTree.ParseError as error:
         raise InvalidInputError(f"cannot read URDF {path}: {error}") from error
     invalid = f"{path} does not contain a valid URDF"
@@ -118,7 +118,8 @@ def read_urdf(path: Path) -> Urdf:
     return Urdf(path, root, links, {joint.name: joint for joint in joints})
 
 
-def _joint(element: ElementTree.Element, path: Path) -> Joint:
+def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> Joint:
+    """The joint of an element; beyond most_turn [rad] sines lose digits."""
     # stands for elements that the file leaves out: it has no attributes
     nothing = ElementTree.Element("nothing")
     parts = {part.tag: part for part in reversed(element)}
@@ -143,7 +144,7 @@ def _joint(element: ElementTree.Element, path: Path) -> Joint:
                 )
         # the format's default of a <limit> without lower or upper
         unstated = math.nan if limit is nothing else 0.0
-        return Joint(
+        joint = Joint(
             name=element.get("name", ""),
             kind=element.get("type", ""),
             parent=parent.get("link", ""),
@@ -154,6 +155,13 @@ def _joint(element: ElementTree.Element, path: Path) -> Joint:
             multiplier=number(mimic, "multiplier", 1.0),
             offset=number(mimic, "offset", 0.0),
         )
+        turns = [abs(end) for end in (joint.lower, joint.upper) if math.isfinite(end)]
+        if joint.kind == "revolute" and max(turns, default=0.0) > most_turn:
+            raise InvalidInputError(
+                f"it turns to {max(turns):g} rad, at most {most_turn:g}; state its limits, or make "
+                "it continuous"
+            )
+        return joint
 
 
 def _refuse_no_tree(file: str, links: Sequence[str], joints: Sequence[Joint]) -> None:

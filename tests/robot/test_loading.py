@@ -202,6 +202,7 @@ CYLINDER = '<cylinder radius="0.04" length="0.3"/>'
         ('upper="0.7"', 'upper="70"', "joint 'rail' slides to 70 m: at most 10 m"),
         ('upper="0.7"', 'upper="1e308"', "joint 'rail' slides to 1e.308 m"),
         ('upper="0.7"', 'upper="inf"', "'rail' has limits"),
+        ('lower="-2" upper="2"', 'lower="-1e308" upper="1e308"', r"'lift'.* turns to 1e\+308 rad"),
         ('xyz="0 0 0.15" rpy="0 0.4 0"', 'xyz="0 0 150"', "reaches 1.* m.*links or base"),
         ('size="0.2 0.2 0.1"', 'size="1e308 1e308 1e308"', "base.* beyond 10000: give metres"),
         # bodies that the parser of URDF files would leave out
