@@ -90,8 +90,8 @@ def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> tuple[str, list[st
         "bodies": [_body(body) for body in bodies],
         "plots": [_plot(plot) for plot in seen.plots],
     }
-    # else a name could end the script
-    text = json.dumps(data, allow_nan=False).replace("</", "<\\/")
+    # else a name could end the script, or begin another in it
+    text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
     return TEMPLATE.read_text(encoding="utf-8").replace(PLACE, PLACE.replace("{}", text)), note
 
 
