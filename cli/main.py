@@ -6,6 +6,7 @@ import io
 import os
 import re
 import sys
+import traceback
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NoReturn
@@ -179,11 +180,23 @@ def _silence() -> None:
 
 
 def entry_point() -> None:
-    """Console script; letters outside the terminal's encoding are escaped."""
+    """Console script; letters outside the terminal's encoding are escaped.
+
+    Exit code 2, not Python's 1, after an error that is a fault of this package: 1 is a verdict.
+    """
+    if sys.stderr is None:  # closed
+        sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
+    if sys.stdout is None:
+        print("cvqmpt: standard output is closed; give one, such as /dev/null", file=sys.stderr)
+        sys.exit(2)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except Exception:
+        traceback.print_exc()
+        sys.exit(2)
 
 
 if __name__ == "__main__":
