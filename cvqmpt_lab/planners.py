@@ -157,7 +157,8 @@ PLANNERS = _by_name(
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),
     _learned("mpnet", "mpnet", weights="mpnet"),  # the paper's MPNet (w/ proj)
-    _learned("mpnet-bridged", "mpnet", weights="mpnet", bridged=True),  # and tree growth
+    # the same; tree growth connects rollouts that the network does not connect
+    _learned("mpnet-bridged", "mpnet", weights="mpnet", bridged=True),
     *(_product(name, choice) for name, choice in NAMED.items() if choice.predictor != "published"),
     _roadmap("roadmap"),
     _roadmap("roadmap-cvq", VQ_MPT),
