@@ -8,9 +8,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import pytest
 from compiled_kernels import from_python
+from refusals import refused
 
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, upright
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import check_arrays, entry, forget_unused, kernel
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.search import birrt, lazy_roadmap, motion, shortcut
@@ -60,17 +60,14 @@ def test_right_arrays_pass_and_compiled_callers_see_the_kernel_itself():
     ],
 )
 def test_what_does_not_fit_is_named(arguments, message):
-    with pytest.raises(InvalidInputError, match=message):
-        first_entry(*arguments)
+    refused(message, first_entry, *arguments)
 
 
 def test_a_space_whose_arrays_do_not_fit_each_other_is_refused(problem, slider_arm):
     arrays = ConstrainedSpace(problem).arrays
     check_arrays(arrays)
-    with pytest.raises(InvalidInputError, match=r"Space.*n = 7"):
-        check_arrays(arrays._replace(state=np.zeros(4)))
-    with pytest.raises(InvalidInputError, match=r"Space"):
-        check_arrays(arrays._replace(kinematics=slider_arm.kinematics))
+    refused(r"Space.*n = 7", check_arrays, arrays._replace(state=np.zeros(4)))
+    refused(r"Space", check_arrays, arrays._replace(kinematics=slider_arm.kinematics))
 
 
 SIX = np.zeros((3, 6))
@@ -101,8 +98,7 @@ SIX = np.zeros((3, 6))
 def test_six_joints_never_reach_a_kernel_of_seven(problem, call):
     space = ConstrainedSpace(problem)
     trees = birrt.plant(problem.start, problem.goals, 64)
-    with pytest.raises(InvalidInputError, match=r"7|n = 6"):
-        call(space, trees)
+    refused(r"7|n = 6", call, space, trees)
 
 
 def test_machine_code_of_versions_long_unused_is_removed_and_nothing_else(tmp_path):

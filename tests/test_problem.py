@@ -224,10 +224,8 @@ def test_files_of_before_still_load(tmp_path):
     old, problem = json.loads(path.read_text()), PlanningProblem.load(path)
     assert problem.goals.tolist() == old["goals"] and problem.start.tolist() == old["start"]
     for item, was in zip(problem.scene, old["scene"]["objects"], strict=True):
-        assert (
-            item.T_world_object.tolist() == was["T_world_object"]
-            and item.obstacle == was["obstacle"]
-        )
+        assert item.T_world_object.tolist() == was["T_world_object"]
+        assert item.obstacle == was["obstacle"]
     assert [region.T0_w.tolist() for region in problem.constraint] == [
         r["T0_w"] for r in old["constraint"]
     ]

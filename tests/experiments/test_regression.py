@@ -164,9 +164,8 @@ def test_a_tampered_table_is_named_by_cell(results, name, old, new, words):
     directory = results / "place-task"
     tampered(directory / name, old, new)
     (line,) = differing_cells(directory)
-    assert line.startswith(f"{directory / name}, line ") and line.endswith(
-        f"cvqmpt table {directory}"
-    )
+    assert line.startswith(f"{directory / name}, line ")
+    assert line.endswith(f"cvqmpt table {directory}")
     assert all(word in line for word in words), line
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from command_line import start
 from made_rows import differences
+from refusals import refused
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError, UnknownChoiceError
 from cvqmpt_lab.results.provenance import ProvenanceFile
@@ -77,11 +78,8 @@ def test_an_interrupted_run_keeps_its_rows_and_continues_without_duplicates(four
 def test_a_larger_experiment_adds_to_the_rows_and_another_budget_is_refused(tmp_path):
     first = run(ONE, tmp_path)
     both = run(replace(ONE, seeds=(0, 1)), tmp_path)
-    assert (
-        len(first) == 1
-        and both[0] == first[0]
-        and keys(both) == [("2", "birrt", 0), ("2", "birrt", 1)]
-    )
+    assert len(first) == 1 and both[0] == first[0]
+    assert keys(both) == [("2", "birrt", 0), ("2", "birrt", 1)]
     with pytest.raises(RunStoreError, match=r"iterations was 20000, now 7.*another --out"):
         run(replace(ONE, budget=Budget(iterations=7)), tmp_path)
     assert read_rows(tmp_path / RUNS_FILE) == both
@@ -110,8 +108,7 @@ def test_an_error_in_a_worker_is_the_error_of_the_run(tmp_path, monkeypatch):
         raise InvalidInputError("weights are for another robot")
 
     monkeypatch.setattr(runner, "outcome_of", refuse)
-    with pytest.raises(InvalidInputError, match="another robot"):
-        run(FOUR, tmp_path, jobs=2)
+    refused("another robot", run, FOUR, tmp_path, jobs=2)
 
 
 @pytest.mark.parametrize(
@@ -124,8 +121,7 @@ def test_an_error_in_a_worker_is_the_error_of_the_run(tmp_path, monkeypatch):
     ],
 )
 def test_bad_experiments_are_refused_by_name(values, error, words):
-    with pytest.raises(error, match=words):
-        replace(FOUR, **values)
+    refused(words, replace, FOUR, error=error, **values)
 
 
 @pytest.mark.slow
@@ -163,6 +159,5 @@ def test_a_run_is_not_continued_with_other_weights(tmp_path, monkeypatch):
     rows = run(few, tmp_path)
     assert ProvenanceFile(tmp_path).read()["weights"] == weights_of(few.planners)
     monkeypatch.setattr(runner, "weights_of", lambda planners, model: {"vq_mpt": "f" * 64})
-    with pytest.raises(RunStoreError, match=rf'weights.vq_mpt was "\w+", now "{"f" * 64}"'):
-        run(few, tmp_path)
+    refused(rf'weights.vq_mpt was "\w+", now "{"f" * 64}"', run, few, tmp_path, error=RunStoreError)
     assert read_rows(tmp_path / RUNS_FILE) == rows

@@ -5,8 +5,8 @@ from collections import Counter
 
 import pytest
 from made_rows import a_results_folder
+from refusals import refused
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.judging import Ruling
@@ -43,27 +43,21 @@ def test_the_readme_counts_its_verdicts():
 
 
 @pytest.mark.parametrize(
-    ("ompl", "mpnet", "expected"),
+    ("ompl", "mpnet", "expected", "decided"),
     [
-        (3.0, 3.0, Ruling.HOLDS),
-        (3.0, 1.0, Ruling.FAILS),
-        (1.0, 3.0, Ruling.FAILS),
-        (3.0, None, Ruling.TOO_FEW),
+        (3.0, 3.0, Ruling.HOLDS, "ompl-projected"),
+        (3.0, 1.0, Ruling.FAILS, "mpnet"),
+        (1.0, 3.0, Ruling.FAILS, "ompl-projected"),
+        (3.0, None, Ruling.TOO_FEW, "mpnet"),
     ],
 )
-def test_a_claim_holds_against_all_planners_that_the_paper_names(tmp_path, ompl, mpnet, expected):
+def test_a_claim_holds_against_all_planners_named(tmp_path, ompl, mpnet, expected, decided):
     """A third of the time of all planners; of all but one; no problem that both solved."""
     others = {"atlas_rrt": 3.0, "tb_rrt": 3.0, "mpnet": mpnet, "birrt": 0.1}
     results = a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=ompl, **others)
     found = by_title(results)["twice as fast"]
-    assert found.ruling is expected
+    assert found.ruling is expected and found.deciding.baseline == decided
     assert "birrt" not in {verdict.baseline for verdict in found.verdicts}
-    decided = (
-        {3.0: "ompl-projected", 1.0: "mpnet", None: "mpnet"}[mpnet]
-        if ompl == 3.0
-        else "ompl-projected"
-    )
-    assert found.deciding.baseline == decided
 
 
 def test_claims_without_rows_say_so_and_what_cannot_be_compared_too(tmp_path):
@@ -90,17 +84,19 @@ def test_a_small_profile_is_named(tmp_path):
     results = a_results_folder(tmp_path, opt_cvq_mpt=1.0, **others)
     path = next(results.glob(f"*/{PROVENANCE_FILE}"))
     record = json.loads(path.read_text())
-    for profile, warned in (("small", True), ("full", False)):
+    for profile, ruling in (("small", Ruling.TOO_FEW), ("full", Ruling.HOLDS)):
         command = ["cvqmpt", "reproduce", "all", "--profile", profile]
         path.write_text(json.dumps({**record, "command": command}))
         found = evidence_below(results)
-        assert ("--profile small" in page_text(found, judged_claims(found), results)) is warned
-        assert by_title(results)["twice as fast"].ruling is (
-            Ruling.TOO_FEW if warned else Ruling.HOLDS
-        )
-        assert ("--profile small" in report_html(evidence_of(results))) is warned
+        assert by_title(results)["twice as fast"].ruling is ruling
+        for page in (
+            page_text(found, judged_claims(found), results),
+            report_html(evidence_of(results)),
+        ):
+            assert ("--profile small" in page) is (profile == "small")
 
 
 def test_a_readme_without_the_marks_of_the_summary_is_refused():
-    with pytest.raises(InvalidInputError, match="put them where"):
-        with_part("a README without the marks of the summary", "verdicts", "")
+    refused(
+        "put them where", with_part, "a README without the marks of the summary", "verdicts", ""
+    )

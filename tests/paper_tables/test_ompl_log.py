@@ -12,11 +12,11 @@ from cli.main import main
 from cvqmpt_lab.results.store import RunStore
 
 SCRIPT = Path(sys.executable).parent / "ompl_benchmark_statistics"
+TIMES = {"t_total_s": 2.5, "t_simplify_s": 0.5}
+COUNTS = {"t_total_s": 1.0, "n_projections": 7, "n_state_checks": 9, "min_clearance_m": -0.001}
 ROWS = (
-    a_row(
-        t_total_s=2.5, t_simplify_s=0.5, path_length_raw_rad=9.0, path_length_rad=8.0, vertices=40
-    ),
-    a_row(problem="a; b", t_total_s=1.0, n_projections=7, n_state_checks=9, min_clearance_m=-0.001),
+    a_row(**TIMES, path_length_raw_rad=9.0, path_length_rad=8.0, vertices=40),
+    a_row(problem="a; b", **COUNTS),
     a_failure(planner="mpnet", t_total_s=10.0),
     a_failure(planner="mpnet", problem="p2", fail_reason="uncertified_collision"),
 )
@@ -25,19 +25,14 @@ ROWS = (
 @pytest.fixture
 def database(tmp_path):
     """Output of the script for ROWS."""
-    session = {
-        "platform": "Linux-6 of a lab",
-        "date_utc": "2026-01-02T03:04:05+00:00",
-        "versions": {},
-    }
+    session = {"platform": "Linux-6 of a lab", "date_utc": "2026-01-02T03:04:05+00:00"}
     configuration = {"suite": "place", "cutoff_s": 10.0, "iterations": None}
-    with RunStore.open(tmp_path / "run", configuration, session) as store:
+    run, log, made = (tmp_path / f"run{ending}" for ending in ("", ".log", ".db"))
+    with RunStore.open(run, configuration, {**session, "versions": {}}) as store:
         store.append(ROWS)
-    assert main(["table", str(tmp_path / "run"), "--ompl-log", str(tmp_path / "run.log")]) == 0
-    subprocess.run(
-        [SCRIPT, "-d", tmp_path / "run.db", tmp_path / "run.log"], check=True, capture_output=True
-    )
-    with sqlite3.connect(tmp_path / "run.db") as connection:
+    assert main(["table", str(run), "--ompl-log", str(log)]) == 0
+    subprocess.run([SCRIPT, "-d", made, log], check=True, capture_output=True)
+    with sqlite3.connect(made) as connection:
         yield connection
 
 

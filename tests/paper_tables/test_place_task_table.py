@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 from made_rows import a_failure, a_row
+from refusals import refused
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.statistics import wilson_interval
 from paper_tables.layouts import place_table
 from paper_tables.statements import read_published
@@ -66,8 +66,7 @@ def test_the_same_runs_again_under_other_seeds_make_nothing_surer():
 
 @pytest.mark.parametrize("rows", [[], [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")]])
 def test_a_table_is_of_one_suite(rows):
-    with pytest.raises(InvalidInputError, match="one suite"):
-        place_table(rows, PAPER)
+    refused("one suite", place_table, rows, PAPER)
 
 
 def test_the_share_by_rollouts_alone_stands_where_a_planner_says_it():

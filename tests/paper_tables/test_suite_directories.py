@@ -3,8 +3,8 @@
 import json
 from itertools import product
 
-import pytest
 from made_rows import a_row
+from refusals import refused
 
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.results.row import write_rows
@@ -31,11 +31,8 @@ def test_a_directory_is_rendered_beside_its_runs(tmp_path):
     title, _, head, *_ = written.texts["table.md"].splitlines()
     assert title == f"# {SUITES['place-task'].title}"
     assert written.brief[0] == f"{SUITES['place-task'].title}: 10 problems, cutoff 10 s"
-    machine = "machine Fast CPU, 2 cores"
-    assert head.startswith(
-        f"cutoff 10 s · commit {'a' * 12} · weights mpnet {'f' * 12} · {machine}"
-    )
-    assert head.endswith("20 rows")
+    traced = f"commit {'a' * 12} · weights mpnet {'f' * 12} · machine Fast CPU, 2 cores"
+    assert head.startswith(f"cutoff 10 s · {traced}") and head.endswith("20 rows")
     assert render_directory(tmp_path) == written
     store(tmp_path, rows(count=11)[10:11], git_commit="b" * 40, git_dirty=True)
     head = render_directory(tmp_path).texts["table.md"].splitlines()[2]
@@ -43,17 +40,16 @@ def test_a_directory_is_rendered_beside_its_runs(tmp_path):
 
 
 def test_directories_without_runs_say_what_to_do(tmp_path):
-    def refused(message, directory=tmp_path):
-        with pytest.raises(RunStoreError, match=message):
-            render_directory(directory)
+    def directory_refused(message, directory=tmp_path):
+        refused(message, render_directory, directory, error=RunStoreError)
 
-    refused(r"not a directory; run an experiment with --out", tmp_path / "absent")
-    refused(r"no runs\.csv; run an experiment")
+    directory_refused(r"not a directory; run an experiment with --out", tmp_path / "absent")
+    directory_refused(r"no runs\.csv; run an experiment")
     (tmp_path / PARTIAL_FILE).write_text("")
-    refused("interrupted run; repeat its command")
+    directory_refused("interrupted run; repeat its command")
     write_rows(tmp_path / "runs.csv", [])
-    refused("no rows")
+    directory_refused("no rows")
     write_rows(tmp_path / "runs.csv", rows())
-    refused(r"no provenance\.json")
+    directory_refused(r"no provenance\.json")
     (tmp_path / "provenance.json").write_text(json.dumps({"configuration": {}}))
     assert "cutoff not recorded · commit unknown" in render_directory(tmp_path).texts["table.md"]

@@ -25,9 +25,8 @@ def phases(planner, task, planning, execution, solved=True, **values):
         shared = {"suite": "multi-sequence", "t_total_s": planning, **values}
         reason = "timeout" if k == 1 else "not_reached"
         own = {"execution_time_s": execution} if solved else {"fail_reason": reason}
-        rows.append(
-            (a_row if solved else a_failure)(f"{task}/{k}-{name}", planner, **shared, **own)
-        )
+        make = a_row if solved else a_failure
+        rows.append(make(f"{task}/{k}-{name}", planner, **shared, **own))
     return rows
 
 
@@ -42,11 +41,7 @@ def test_times_of_tasks_sum_the_papers_phases():
     assert ours["total_time_of_all_phases_mean", "opt-cvq-mpt"] == pytest.approx(5 * 9.5)
     assert ours["solved", "ompl-projected"] == pytest.approx(600 / 7)
     assert ours["solved_in_carry", "ompl-projected"] == 100.0, "of the six that reached it"
-    assert table.sections["Failures"][1:] == [
-        ["ompl-projected", "reach-handle: timeout", "–", "1 of 7"]
-    ]
-    assert (
-        "| 19.71" in table.markdown
-        and r"\toprule" in table.latex
-        and max(map(len, table.brief)) <= 100
-    )
+    failures = [["ompl-projected", "reach-handle: timeout", "–", "1 of 7"]]
+    assert table.sections["Failures"][1:] == failures
+    assert "| 19.71" in table.markdown and r"\toprule" in table.latex
+    assert max(map(len, table.brief)) <= 100

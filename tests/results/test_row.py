@@ -1,5 +1,6 @@
 import pytest
 from made_rows import a_row
+from refusals import refused
 
 from cvqmpt_lab.errors import CvqmptError, RunStoreError
 from cvqmpt_lab.results.row import COLUMNS, one_line, read_rows, write_rows
@@ -14,8 +15,7 @@ def test_files_from_before_the_last_columns_are_read(tmp_path):
         assert read_rows(path) == [row]
     lines = path.read_text().splitlines()
     path.write_text("".join(line.rpartition(",")[0] + "\n" for line in lines))
-    with pytest.raises(RunStoreError, match="column 31: expected path_sha256, found nothing"):
-        read_rows(path)
+    refused("column 31: expected path_sha256, found nothing", read_rows, path, error=RunStoreError)
 
 
 @pytest.mark.parametrize(
@@ -39,8 +39,7 @@ def test_files_from_before_the_last_columns_are_read(tmp_path):
     ],
 )
 def test_bad_values_are_refused_by_name(values, word):
-    with pytest.raises(CvqmptError, match=word):
-        a_row(**values)
+    refused(word, a_row, error=CvqmptError, **values)
 
 
 TEXTS = {"two\n lines\x1b": "two lines", "=1+1": "'=1+1", "-3 off": "'-3 off", " \t": None}

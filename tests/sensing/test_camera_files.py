@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import CvqmptError
@@ -121,5 +122,4 @@ def test_bad_files_are_refused_by_field_in_one_line(read, name, text, message, t
 
 
 def test_another_suffix_is_refused(tmp_path):
-    with pytest.raises(CvqmptError, match=r"suffix '\.xml'"):
-        read_intrinsics(tmp_path / "cam.xml")
+    refused(r"suffix '\.xml'", read_intrinsics, tmp_path / "cam.xml", error=CvqmptError)

@@ -4,8 +4,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from refusals import refused
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.sensing.filters import near_robot, outliers, voxel_means
 
@@ -58,5 +58,4 @@ def test_voxels_keep_means_and_cells(voxel):
     np.testing.assert_allclose(
         means, [np.mean(cells[key], axis=0) for key in sorted(cells)], atol=1e-12
     )
-    with pytest.raises(InvalidInputError, match="voxel of 1e-07 m is too small"):
-        voxel_means(900.0 * points, 1e-7)
+    refused("voxel of 1e-07 m is too small", voxel_means, 900.0 * points, 1e-7)

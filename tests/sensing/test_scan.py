@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.spatial import cKDTree
 
 from cvqmpt_lab.collision.exact import CollisionChecker
@@ -72,8 +73,7 @@ def test_the_table_becomes_a_box_or_goes(files, capture, plane):
 
 
 def test_scans_without_sense_are_refused(capture):
-    with pytest.raises(InvalidInputError, match="nothing of the scan is left"):
-        cleaned(capture, crop=BoxCrop((5, 5, 5), (6, 6, 6)))
+    refused("nothing of the scan is left", cleaned, capture, crop=BoxCrop((5, 5, 5), (6, 6, 6)))
     with pytest.raises(InvalidInputError, match="2 captures cannot be levelled"):
         scan([capture, capture], ScanSettings(level=True), np.random.default_rng(0))
 

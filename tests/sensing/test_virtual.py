@@ -4,10 +4,10 @@ from itertools import compress
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from cvqmpt_lab.benchmarks.objects import CAN
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import random_scene
@@ -73,8 +73,7 @@ CLOUD = Scene("s", (SceneObject("scan", PointCloud(np.eye(3), 0.01), np.eye(4)),
     ],
 )
 def test_settings_and_scenes_are_checked(make, message):
-    with pytest.raises(InvalidInputError, match=message):
-        make()
+    refused(message, make)
 
 
 def test_the_arm_is_seen_where_it_stands():

@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from refusals import refused
 from small_models import random_checkpoint
 
 from cli.main import main
@@ -46,21 +47,25 @@ def update(problem):
 
 
 def test_an_update_needs_samples():
-    with pytest.raises(InvalidInputError, match="samples of the update 0"):
-        UpdateSettings(samples=0)
+    refused("samples of the update 0", UpdateSettings, samples=0)
 
 
 @pytest.mark.parametrize(("when", "planner"), [("before", "cvq-mpt"), ("after", "opt-cvq-mpt")])
 def test_the_mixtures_are_those_that_the_planners_sample(update, when, planner):
-    stages = planner_named(planner).stages(update.problem)
-    rng = np.random.default_rng(np.random.SeedSequence(0).spawn(1)[0])
-    query = Query.of(ConstrainedSpace(update.problem), Budget(seconds=60.0), rng)
+    stages, rng = (
+        planner_named(planner).stages(update.problem),
+        np.random.SeedSequence(0).spawn(1)[0],
+    )
+    query = Query.of(
+        ConstrainedSpace(update.problem), Budget(seconds=60.0), np.random.default_rng(rng)
+    )
     proposal = stages.predict(query, Observation(update.cloud))
     if stages.update is not None:
         proposal = stages.update(query, proposal)
-    for name in ("means", "covariances"):
-        expected = getattr(proposal.distribution, name)
-        np.testing.assert_array_equal(getattr(getattr(update, when), name), expected)
+    np.testing.assert_array_equal(getattr(update, when).means, proposal.distribution.means)
+    np.testing.assert_array_equal(
+        getattr(update, when).covariances, proposal.distribution.covariances
+    )
     sampled = proposal.distribution.sample(np.random.default_rng(1), 20_000)
     drawn = np.concatenate([update.draws(when, i) for i in range(len(update.before.means))])
     g = [squared_residual(update.problem.manifold, q).mean() for q in (sampled, drawn)]
@@ -78,12 +83,16 @@ def test_codes_are_the_decoders_and_move_towards_the_constraint_goals_do_not(pro
 
 def test_rows_and_bins_count_every_draw(update):
     rows, bins = update.rows(), histogram_rows([update, update])
-    goals = ["goal"] * (len(rows) - len(update.codes))
-    assert [row["code"] for row in rows] == [*update.codes, *goals]
+    assert [row["code"] for row in rows] == [
+        *update.codes,
+        *["goal"] * (len(rows) - len(update.codes)),
+    ]
     for what, gaussians in (("codes", len(update.codes)), ("all", len(rows))):
         for when in ("before", "after"):
-            counted = sum(row[when] for row in bins if row["of"] == what)
-            assert counted == 2 * gaussians * SETTINGS.samples
+            assert (
+                sum(row[when] for row in bins if row["of"] == what)
+                == 2 * gaussians * SETTINGS.samples
+            )
     near = [np.sqrt(update.g("after")) < row["to"] for row in bins[:1]]
     assert bins[len(bins) // 2]["after"] == 2 * near[0].sum()
 
@@ -96,8 +105,14 @@ def test_a_problem_counts_once_in_the_claim(tmp_path):
     assert effect.means.estimate == pytest.approx(1.0 - (2.5 + 0.5) / (4.0 + 1.0))
 
 
-def test_a_hand_that_keeps_the_constraint_is_not_tilted(problem):
-    assert HandPoses.of(problem.robot, problem.start[None]).tilt[0] < 1e-4
+def test_hands_by_another_kinematics(update, problem):
+    after = HandPoses.of(problem.robot, update.draws("after", 1)[:20])
+    for i, q in enumerate(after.q):
+        T = problem.robot.pose(q)
+        np.testing.assert_allclose(after.positions[i], T[:3, 3], atol=1e-9)
+        assert np.cos(after.tilt[i]) == pytest.approx(T[2, 0], abs=1e-9)
+    upright = HandPoses.of(problem.robot, problem.start[None])
+    assert upright.tilt[0] < 1e-4
 
 
 def test_figures_repeat_byte_for_byte(update):

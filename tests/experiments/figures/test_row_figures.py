@@ -5,8 +5,8 @@ import json
 
 import pytest
 from made_rows import a_row
+from refusals import refused
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import RUNS_FILE, write_rows
 from experiments.figures.row_figures import OURS, draw_cost, draw_training
 
@@ -38,8 +38,7 @@ def test_trainings_are_drawn_from_their_folders_and_from_the_table(tmp_path):
     run, other = tmp_path / "runs" / "published-0", tmp_path / "again"
     run.mkdir(parents=True)
     other.mkdir()
-    with pytest.raises(InvalidInputError, match="no curves of cvqmpt train"):
-        draw_training(other, other)
+    refused("no curves of cvqmpt train", draw_training, other, other)
     profile = {"published": {"scenes": 4, "paths": 96}}
     (run / "training.json").write_text(json.dumps({"stage": "published", "profile": profile}))
     names = [
