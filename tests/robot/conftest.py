@@ -1,8 +1,6 @@
-"""URDF files made from the slider arm, and a check of their errors."""
+"""URDF files made from the slider arm."""
 
 import pytest
-
-from cvqmpt_lab.errors import CvqmptError
 
 
 @pytest.fixture
@@ -19,15 +17,3 @@ def edited(slider_arm_urdf, tmp_path):
         return path
 
     return write
-
-
-@pytest.fixture
-def refused():
-    """Asserts that loading fails with one line that matches a pattern."""
-
-    def check(pattern, load, *args, **kwargs):
-        with pytest.raises(CvqmptError, match=pattern) as caught:
-            load(*args, **kwargs)
-        assert "\n" not in str(caught.value)
-
-    return check

@@ -10,7 +10,7 @@ from cvqmpt_lab.benchmarks.door_task import BAR, GRIP, bar_pose, door_problem, d
 from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import CvqmptError, UnknownChoiceError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -19,7 +19,7 @@ from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_objec
 from cvqmpt_lab.scene.articulation import DEEPEST, take_out
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, PointCloud
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -78,29 +78,20 @@ def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
     whole = kitchen()
     joint = whole.articulation(name)
     scene, robot = mechanism(panda, whole, name)
-    spaces = [space_of(robot, scene, backend) for backend in ("compiled", "exact")]
+    q = np.append(AWAY, 0.0)
+    problem = PlanningProblem("test", robot, scene, q, q[None])
+    spaces = [ConstrainedSpace(problem, backend) for backend in ("compiled", "exact")]
     casing = [whole[n] for n in whole.names if n not in scene.names and n not in joint.moves]
     for value in np.linspace(joint.lower, joint.upper, 40):
         assert all(space.valid(np.append(AWAY, value)) for space in spaces), value
         there = whole.with_joint(name, float(value))
+        moved = [(coal_shape(there[n].shape), there[n].T_world_object) for n in joint.moves]
         for item in casing:
-            depth = min(
-                shape_distance(
-                    coal_shape(there[part].shape),
-                    there[part].T_world_object,
-                    coal_shape(item.shape),
-                    item.T_world_object,
-                )
-                for part in joint.moves
-            )
+            at_rest = coal_shape(item.shape), item.T_world_object
+            depth = min(shape_distance(*part, *at_rest) for part in moved)
             assert depth > -DEEPEST, (item.name, value, depth)
     start, end = (np.append(AWAY, value) for value in (joint.lower, joint.upper))
     assert motion_free(spaces[0].arrays, start, end)
-
-
-def space_of(robot, scene, backend="compiled"):
-    q = np.append(AWAY, 0.0)
-    return ConstrainedSpace(PlanningProblem("test", robot, scene, q, q[None]), backend)
 
 
 def test_only_the_named_contact_is_allowed(panda, grasp):
@@ -115,57 +106,47 @@ def test_only_the_named_contact_is_allowed(panda, grasp):
     gone = set(strict.self_collision_pairs) - set(robot.self_collision_pairs)
     assert {(strict.links[i].name, strict.links[k].name) for i, k in gone} == allowed
     assert len(gone) == 2
-    scene, wide = door_world(0.04)
-    assert CollisionChecker(wide, scene).clearance(grasp) > 5e-4, (
-        "open fingers are clear of the bar"
-    )
+    scene, open_hand = door_world(0.04)
+    assert CollisionChecker(open_hand, scene).clearance(grasp) > 5e-4
 
 
 def test_a_load_is_checked_against_door_and_casing(world, grasp):
-    from cvqmpt_lab.scene.scene import Attachment
-
-    _, robot = world
     rod = Attachment("rod", Box((0.02, 0.02, 0.6)), pose((0.0, 0.0, 0.4)))
-    checker = CollisionChecker(robot, Scene("nothing", ()), (rod,))
+    nothing, ends = Scene("nothing", ()), (grasp, grasp[None])
+    problem = PlanningProblem("rod", world[1], nothing, *ends, attachments=(rod,))
+    checker = problem.collision_checker()
     assert checker.colliding_pair(grasp).first.startswith((DOOR, "dagger"))
-    assert checker.in_collision(grasp)
-    problem = PlanningProblem(
-        "rod", robot, Scene("nothing", ()), grasp, grasp[None], attachments=(rod,)
-    )
-    assert not ConstrainedSpace(problem).valid(grasp)
+    assert checker.in_collision(grasp) and not ConstrainedSpace(problem).valid(grasp)
 
 
-def test_a_door_of_measured_points_is_refused():
+def test_what_is_no_door_or_measured_or_an_angle_outside_its_range_is_refused(grasp):
     scene = kitchen()
+    refused(r"'fridge'.*dagger_door_left", take_out, scene, "fridge", error=UnknownChoiceError)
     part = scene.articulation(DOOR).moves[0]
     measured = replace(scene[part], shape=PointCloud(np.zeros((3, 3)), 0.01))
-    spoilt = replace(
-        scene, objects=tuple(measured if item.name == part else item for item in scene.objects)
-    )
-    refused(f"'{part}', a part of '{DOOR}', is measured points", take_out, spoilt, DOOR)
-
-
-def test_what_is_no_door_or_an_angle_outside_its_range_is_refused(grasp):
-    refused(r"'fridge'.*dagger_door_left", take_out, kitchen(), "fridge", error=UnknownChoiceError)
+    objects = tuple(measured if item.name == part else item for item in scene.objects)
+    told = f"'{part}', a part of '{DOOR}', is measured points"
+    refused(told, take_out, replace(scene, objects=objects), DOOR)
+    problem, told = door_problem(0), f"start is outside the limits: {DOOR} by"
     for angle in (-1.6, 0.1):
         refused(rf"value {angle} of hinge '{DOOR}'.*\[-1.57, 0.0\] rad", bar_pose, angle)
-        with pytest.raises(InvalidInputError, match=f"start is outside the limits: {DOOR} by"):
-            replace(door_problem(0), start=np.append(grasp[:7], angle))
+        refused(told, replace, problem, start=np.append(grasp[:7], angle))
 
 
 def test_bad_objects_are_refused(panda, world):
-    _, robot = world
+    robot = world[1]
     item = from_plain(ArticulatedObject, robot.source["articulated"])
-    data = to_plain(item)
+    data, at = to_plain(item), {"name": "p", "T": np.eye(4).tolist()}
     refused("has an articulated object already", with_articulated_object, robot, item)
-    with pytest.raises(UnknownChoiceError, match=r"'palm'.*panda_hand_0"):
-        with_articulated_object(panda, replace(item, may_touch=(("palm", BAR),)))
-    with pytest.raises(UnknownChoiceError, match=f"'knob'.*{BAR}"):
-        with_articulated_object(panda, replace(item, may_touch=(("panda_hand_0", "knob"),)))
-    with pytest.raises(InvalidInputError, match="'panda_hand' already"):
-        with_articulated_object(panda, replace(item, name="panda_hand"))
+    for changes, message in (
+        ({"may_touch": (("palm", BAR),)}, r"'palm'.*panda_hand_0"),
+        ({"may_touch": (("panda_hand_0", "knob"),)}, f"'knob'.*{BAR}"),
+        ({"name": "panda_hand"}, "'panda_hand' already"),
+    ):
+        bad = replace(item, **changes)
+        refused(message, with_articulated_object, panda, bad, error=CvqmptError)
     flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
-    for changes, message in [
+    for changes, message in (
         ({"kind": "ball"}, "'ball'.*hinge, slider"),
         ({"lower": 0.0}, r"range \[0.0, 0.0\]"),
         ({"upper": None}, "articulated.upper is None"),
@@ -174,14 +155,11 @@ def test_bad_objects_are_refused(panda, world):
         ({"T_world_joint": [[1.0]]}, "T_world_joint has shape"),
         ({"may_touch": ["x"]}, "may_touch.*must be a list"),
         ({"casing": data["parts"]}, "occurs twice"),
-        ({"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": [[0, 0, 0]]}]}, "m thick"),
-        (
-            {"parts": [{"name": "p", "T": np.eye(4).tolist(), "vertices": flat}], "may_touch": []},
-            "0 m thick",
-        ),
-        ([1], "must be an object"),
+        ({"parts": [at | {"vertices": [[0, 0, 0]]}]}, "m thick"),
+        ({"parts": [at | {"vertices": flat}], "may_touch": []}, "0 m thick"),
         ({"name": "door", "kind": None}, "kind"),
-    ]:
-        with pytest.raises((InvalidInputError, UnknownChoiceError), match=message):
-            wrong = data | changes if isinstance(changes, dict) else changes
-            robot_from_source({**panda.source, "articulated": wrong})
+    ):
+        wrong = {**panda.source, "articulated": data | changes}
+        refused(message, robot_from_source, wrong, error=CvqmptError)
+    wrong = {**panda.source, "articulated": [1]}
+    refused("must be an object", robot_from_source, wrong)

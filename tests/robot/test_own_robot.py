@@ -38,9 +38,8 @@ def slider_problem(slider_arm):
     start, goal = (middle_of_it.project(q) for q in rough)
     middle = slider_arm.pose(0.5 * (start + goal))[:3, 3]
     ball = SceneObject("ball", Sphere(0.06), pose(middle))
-    return PlanningProblem(
-        "slide", slider_arm, Scene("ball", (ball,)), start, goal[None], (region,)
-    )
+    scene = Scene("ball", (ball,))
+    return PlanningProblem("slide", slider_arm, scene, start, goal[None], (region,))
 
 
 @pytest.mark.parametrize("name", ["birrt", "guided-birrt", "ompl-projected"])
@@ -60,13 +59,13 @@ ONE_JOINT = """<robot name="one"><link name="base"/><link name="arm">\
 <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
 
 
+CAN = Attachment("can", Box((0.05, 0.05, 0.1)), pose((0.6, 0.0, 0.3)))
+WALLS = {"revolute": (0.0, 0.5, 0.3), "prismatic": (0.4, 0.0, 1.0)}
+
+
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
-@pytest.mark.parametrize(
-    "carried", [(), (Attachment("can", Box((0.05, 0.05, 0.1)), pose((0.6, 0.0, 0.3))),)]
-)
-@pytest.mark.parametrize(
-    ("kind", "wall"), [("revolute", (0.0, 0.5, 0.3)), ("prismatic", (0.4, 0.0, 1.0))]
-)
+@pytest.mark.parametrize("carried", [(), (CAN,)])
+@pytest.mark.parametrize(("kind", "wall"), WALLS.items())
 def test_robots_of_one_joint_are_planned_for(tmp_path, kind, wall, carried, backend):
     (tmp_path / "one.urdf").write_text(ONE_JOINT.format(kind=kind))
     robot = load_robot(tmp_path / "one.urdf", "arm", acceleration_limits=[1.0])
@@ -81,20 +80,14 @@ def test_robots_of_one_joint_are_planned_for(tmp_path, kind, wall, carried, back
     refused("1 joints and 6 entries", solve, problem, planner_named("atlas-rrt"), ENOUGH, seed=0)
 
 
-@pytest.fixture
-def bulky_urdf(slider_arm_urdf, tmp_path):
-    """The slider arm with a tool so large that it always overlaps the upper arm."""
-    path = tmp_path / "bulky.urdf"
-    path.write_text(slider_arm_urdf.read_text().replace(TOOL_BOX, 'size="0.9 0.9 0.9"'))
-    return path
-
-
-def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(bulky_urdf, tmp_path):
-    """The SRDF decides which pairs are skipped; pairs that then overlap are named."""
-    (tmp_path / "bulky.srdf").write_text('<?xml version="1.0"?>\n<robot name="slider_arm"/>\n')
-    robot = load_robot(bulky_urdf, "tool", srdf=tmp_path / "bulky.srdf")
+def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(slider_arm_urdf, tmp_path):
+    """The SRDF decides which pairs are skipped; a tool of 0.9 m always overlaps the upper arm."""
+    urdf, srdf = tmp_path / "bulky.urdf", tmp_path / "bulky.srdf"
+    urdf.write_text(slider_arm_urdf.read_text().replace(TOOL_BOX, 'size="0.9 0.9 0.9"'))
+    srdf.write_text('<?xml version="1.0"?>\n<robot name="slider_arm"/>\n')
+    robot = load_robot(urdf, "tool", srdf=srdf)
     assert robot.left_out_pairs == ()
     problem = PlanningProblem("bulky", robot, NOTHING, np.zeros(4), [[0.1, 0.05, -0.1, 0.2]])
-    with pytest.raises(InvalidProblemError, match=r"start is in collision: .*_0 and tool_0"):
-        check_problem(problem)
+    told = r"start is in collision: .*_0 and tool_0"
+    refused(told, check_problem, problem, error=InvalidProblemError)
     assert not ConstrainedSpace(problem).valid(problem.start)

@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numba import njit
+from refusals import refused
 
 from cvqmpt_lab.collision.motion_bounds import Sweep
 from cvqmpt_lab.robot.hulls import hull_vertices
@@ -32,10 +33,8 @@ def test_kernel_poses_equal_pinocchio_s(name, request):
         np.testing.assert_allclose(T[link] @ T_link_hand, robot.pose(q), atol=1e-12)
         pin.updateGeometryPlacements(robot.model, data, robot.collision_model, geometry_data, q)
         for piece, placement in zip(robot.links, geometry_data.oMg, strict=True):
-            T_world_piece = T[piece.link] @ piece.T_link_geometry
-            np.testing.assert_allclose(
-                T_world_piece, placement.homogeneous, atol=1e-12, err_msg=piece.name
-            )
+            found, expected = T[piece.link] @ piece.T_link_geometry, placement.homogeneous
+            np.testing.assert_allclose(found, expected, atol=1e-12, err_msg=piece.name)
 
 
 def test_four_threads_get_the_poses_of_one(panda, four_threads):
@@ -44,7 +43,7 @@ def test_four_threads_get_the_poses_of_one(panda, four_threads):
     assert all((poses == alone).all() for poses in four_threads(panda.poses, 64 * [configurations]))
 
 
-def test_finger_opening_moves_the_fingers_within_its_range(refused):
+def test_finger_opening_moves_the_fingers_within_its_range():
     robot = load_panda(0.013)
     for finger, sign in (("panda_leftfinger", 1.0), ("panda_rightfinger", -1.0)):
         T_hand_finger = np.linalg.inv(robot.pose(HOME)) @ robot.pose(HOME, finger)
@@ -53,21 +52,14 @@ def test_finger_opening_moves_the_fingers_within_its_range(refused):
         refused(rf"finger opening {opening} m.*0 to 0\.04", load_panda, opening)
 
 
-def test_the_kinematics_digest_names_what_moves_how(panda, slider_arm, slider_arm_urdf, edited):
+def test_the_kinematics_digest_names_what_moves_how(panda, slider_arm, edited):
     """Limit, axis and placement change it, the hand does not; all processes get the same digest."""
-    assert (
-        panda.kinematics_digest
-        == load_panda(0.01).kinematics_digest
-        != slider_arm.kinematics_digest
-    )
-    changes = (
-        ('upper="0.7"', 'upper="0.8"'),
-        ("0.6 0 0.8", "0.8 0 0.6"),
-        ("0 0.02 0.35", "0 0.02 0.36"),
-    )
-    for change in changes:
-        assert load_robot(edited(change), "tool").kinematics_digest != slider_arm.kinematics_digest
-    assert slider_arm.kinematics_digest == "ccce46299e68f03c312831aa827b204d"
+    digest = slider_arm.kinematics_digest
+    assert digest == "ccce46299e68f03c312831aa827b204d"
+    assert panda.kinematics_digest == load_panda(0.01).kinematics_digest != digest
+    changes = {'upper="0.7"': 'upper="0.8"', "0.6 0 0.8": "0.8 0 0.6", "0 0.02 0.35": "0 0 0.36"}
+    for change in changes.items():
+        assert load_robot(edited(change), "tool").kinematics_digest != digest
 
 
 @njit
@@ -87,9 +79,8 @@ def of(angles):
 def test_sine_and_cosine_are_numpys():
     """Also at multiples of pi / 4 and the doubles next to them, where the quadrant changes."""
     exact, rng = np.arange(-12_000, 12_001) * (np.pi / 4.0), np.random.default_rng(0)
-    spread = [
-        rng.uniform(-largest, largest, 100_000) for largest in (1e-8, 1.0, np.pi, 100.0, 1e4, 1e5)
-    ]
+    widths = 1e-8, 1.0, np.pi, 100.0, 1e4, 1e5
+    spread = [rng.uniform(-width, width, 100_000) for width in widths]
     beside = np.nextafter(exact, np.inf), np.nextafter(exact, -np.inf)
     for angles in (*spread, exact, *beside, np.zeros(1)):
         for value, expected in zip(of(angles), (np.sin(angles), np.cos(angles)), strict=True):

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from refusals import refused
 
 from cvqmpt_lab.benchmarks.door_task import door_world
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
@@ -50,9 +51,8 @@ def least_distances(robot, left_out, samples, steps):
         best = np.minimum(best, distance)
     for n in range(len(best)):
         for scale in np.geomspace(1.0, 0.01, steps):
-            q = np.clip(
-                states[n] + scale * rng.standard_normal(robot.dof), robot.lower, robot.upper
-            )
+            step = scale * rng.standard_normal(robot.dof)
+            q = np.clip(states[n] + step, robot.lower, robot.upper)
             pin.updateGeometryPlacements(robot.model, data, geometry, found, q)
             if (distance := pin.computeDistance(geometry, found, n).min_distance) < best[n]:
                 best[n], states[n] = distance, q
@@ -65,23 +65,17 @@ def test_pairs_that_are_not_checked_stay_apart(request):
     words = (FIXED, ADJACENT, FROM_SRDF, OVERLAP)
     for name in ARMS if request.config.getoption("--long") else ("tiago-no-hand", "z1"):
         robot = robot_from_source({"name": name})
-        left_out = {
-            (p.first, p.second) for p in robot.left_out_pairs if not p.reason.startswith(words)
-        }
+        pairs = [pair for pair in robot.left_out_pairs if not pair.reason.startswith(words)]
+        left_out = {(pair.first, pair.second) for pair in pairs}
         assert least_distances(robot, left_out, 500, 100).min(initial=np.inf) > GAP, name
 
 
 @pytest.mark.slow
 def test_mirrored_arms_leave_out_the_same_overlaps():
     """Of a wrist 1.3 mm deep in the link before last, coal saw 99.95 % left and 0.1 % right."""
-    left, right = (
-        {
-            (p.first, p.second)
-            for p in robot_from_source({"name": name}).left_out_pairs
-            if OVERLAP in p.reason
-        }
-        for name in ("tiago-dual-left", "tiago-dual-right")
-    )
+    arms = (robot_from_source({"name": f"tiago-dual-{side}"}) for side in ("left", "right"))
+    overlaps = ([pair for pair in arm.left_out_pairs if OVERLAP in pair.reason] for arm in arms)
+    left, right = ({(pair.first, pair.second) for pair in pairs} for pairs in overlaps)
     assert ("arm_right_6_link", "wrist_right_ft_link") in right
     assert {tuple(name.replace("left", "right") for name in pair) for pair in left} == right
 
@@ -110,9 +104,8 @@ def test_levers_bound_how_fast_distances_change(which, slider_arm):
 
 
 def sheared(by):
-    return np.array(
-        [(x + by * z, y, z) for x, y, z in product((-0.1, 0.1), (-0.05, 0.05), (-0.1, 0.1))]
-    )
+    corners = product((-0.1, 0.1), (-0.05, 0.05), (-0.1, 0.1))
+    return np.array([(x + by * z, y, z) for x, y, z in corners])
 
 
 AXIS, OTHER_AXIS = '<axis xyz="0.6 0 0.8"/>', '<axis xyz="0.8 0 0.6"/>'
@@ -153,6 +146,6 @@ def test_a_spoilt_or_foreign_file_is_made_anew(slider_arm_urdf, edited, cache, s
 @pytest.mark.parametrize(
     ("text", "pattern"), [("<robot", "cannot read SRDF"), ("<a/>", "root <a>")]
 )
-def test_a_file_that_is_no_srdf_is_named(slider_arm_urdf, tmp_path, refused, text, pattern):
+def test_a_file_that_is_no_srdf_is_named(slider_arm_urdf, tmp_path, text, pattern):
     (tmp_path / "bad.srdf").write_text(text)
     refused(pattern, load_robot, slider_arm_urdf, "tool", srdf=tmp_path / "bad.srdf")
