@@ -55,7 +55,6 @@ def test_voxels_keep_means_and_cells(voxel):
     cells = {}
     for point in points:
         cells.setdefault(tuple(np.floor((point - low) / voxel).astype(int)), []).append(point)
-    np.testing.assert_allclose(
-        means, [np.mean(cells[key], axis=0) for key in sorted(cells)], atol=1e-12
-    )
+    expected = [np.mean(cells[key], axis=0) for key in sorted(cells)]
+    np.testing.assert_allclose(means, expected, atol=1e-12)
     refused("voxel of 1e-07 m is too small", voxel_means, 900.0 * points, 1e-7)

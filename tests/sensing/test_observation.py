@@ -1,12 +1,13 @@
 """Input clouds of networks: the scene's own, the cameras' view of shapes, or a given cloud."""
 
+from unittest.mock import Mock
+
 import numpy as np
-import pytest
+from refusals import refused
 from scipy.spatial import cKDTree
 
 from cvqmpt_lab import caches as kept
 from cvqmpt_lab.caches import cached_arrays
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -26,12 +27,14 @@ def seen(*objects):
     return Observer()(Scene("s", objects))
 
 
-def test_a_scene_with_a_cloud_is_seen_as_it_is():
+def test_a_scene_with_a_cloud_is_seen_as_it_is_and_of_nothing_two_points_under_the_base():
     cloud = seen(SCAN)
     world = POINTS @ SCAN.T_world_object[:3, :3].T + SCAN.T_world_object[:3, 3]
     assert cloud.shape == (1024, 3) and not cloud.flags.writeable
     assert cKDTree(world).query(cloud)[0].max() < VOXEL
     assert cKDTree(cloud).query(world)[0].mean() < 2 * VOXEL
+    nothing = seen()
+    assert nothing.shape == (2, 3) and (nothing[:, 2] < -0.5).all()
 
 
 def test_a_scene_of_shapes_is_looked_at_by_cameras():
@@ -40,42 +43,29 @@ def test_a_scene_of_shapes_is_looked_at_by_cameras():
     assert len(cloud) == 1024 and np.abs(distances - 0.1).max() < VOXEL
 
 
-def test_of_nothing_networks_see_two_points_under_the_base():
-    cloud = seen()
-    assert cloud.shape == (2, 3) and (cloud[:, 2] < -0.5).all()
-
-
-def test_a_given_cloud_wins_over_the_scenes(problem):
-    """For every kind of observation."""
+def test_a_given_cloud_wins_over_the_scenes_where_it_is_used_and_near(problem):
     method = Method("looks", lambda robot, weights: Stages(observe=Observer()))
     measured = POINTS + (0.4, 0.0, 0.3)
     cloud = method.with_cloud(measured).stages(problem).observe(Scene("s", (SCAN,)))
     assert cloud.shape == (1024, 3) and cKDTree(measured).query(cloud)[0].max() < VOXEL
-
-
-def test_a_cloud_elsewhere_or_for_a_method_that_does_not_look_is_refused(problem):
-    blind = Method.simple("blind")
-    with pytest.raises(InvalidInputError, match="blind uses no cloud"):
-        blind.with_cloud(POINTS).stages(problem)
-    with pytest.raises(InvalidInputError, match="none of the cloud's 5000 points"):
-        Observer().of_points(POINTS + 9.0)
+    blind = Method.simple("blind").with_cloud(POINTS)
+    refused("blind uses no cloud", blind.stages, problem)
+    refused("none of the cloud's 5000 points", Observer().of_points, POINTS + 9.0)
 
 
 def test_a_rendered_cloud_is_kept_on_disk_and_the_same_from_there(tmp_path, monkeypatch, problem):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    rendered = []
-    count = lambda *given: rendered.append(given) or camera_cloud(*given)  # noqa: E731
-    monkeypatch.setattr(observation, "camera_cloud", count)
+    rendered = Mock(side_effect=camera_cloud)
+    monkeypatch.setattr(observation, "camera_cloud", rendered)
     first, again = Observer()(problem.scene), Observer()(problem.scene)
     np.testing.assert_array_equal(first, again)
-    assert len(rendered) == 1 and not again.flags.writeable
+    assert rendered.call_count == 1 and not again.flags.writeable
     changed = problem.scene.without(problem.scene.names[0])
-    assert len(Observer()(changed)) and len(Observer(seed=1)(problem.scene)) and len(rendered) == 3
+    assert len(Observer()(changed)) and len(Observer(seed=1)(problem.scene))
+    assert rendered.call_count == 3
 
 
-def test_of_cached_arrays_the_oldest_are_deleted_and_without_a_cache_they_are_made(
-    tmp_path, monkeypatch
-):
+def test_the_oldest_cached_arrays_are_deleted_and_without_a_cache_made(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for key in (b"a", b"b", b"c"):
         cached_arrays("things", key, lambda key=key: {"x": np.frombuffer(key, np.uint8)}, most=2)

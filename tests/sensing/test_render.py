@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -13,10 +14,9 @@ from cvqmpt_lab.sensing.virtual import solids_of
 OCTAHEDRON = ConvexMesh(0.2 * np.concatenate([np.eye(3), -np.eye(3)]))
 
 
-def tilted(xyz, yaw, roll):
+def tilted(xyz, yaw=0.0, roll=0.0):
     T = pose(xyz, yaw)
-    c, s = np.cos(roll), np.sin(roll)
-    T[:3, :3] = T[:3, :3] @ [[1, 0, 0], [0, c, -s], [0, s, c]]
+    T[:3, :3] @= Rotation.from_euler("x", roll).as_matrix()
     return T
 
 
@@ -27,12 +27,12 @@ def mixed():
         "box": (Box((0.3, 0.5, 0.2)), tilted((0.1, 0.2, 0.1), 0.4, 0.7)),
         "cylinder": (Cylinder(0.15, 0.5), tilted((-0.2, -0.1, 0.3), 1.0, 1.1)),
         "flat": (Cylinder(0.3, 0.02), tilted((0.2, -0.4, -0.2), 0.0, 0.2)),
-        "sphere": (Sphere(0.2), tilted((0.4, -0.2, 0.4), 0.0, 0.0)),
+        "sphere": (Sphere(0.2), tilted((0.4, -0.2, 0.4))),
         "mesh": (OCTAHEDRON, tilted((0.3, 0.5, -0.2), 0.3, 0.5)),
-        "wall": (Box((0.1, 3.0, 3.0)), tilted((1.2, 0.0, 0.0), 0.0, 0.0)),
+        "wall": (Box((0.1, 3.0, 3.0)), tilted((1.2, 0.0, 0.0))),
         "rim": (Box((0.2, 0.2, 0.2)), tilted((0.0, 0.9, 0.0), 0.2, 0.0)),
-        "close": (Sphere(0.1), tilted((-1.7, 0.1, 0.15), 0.0, 0.0)),
-        "ground": (Box((50.0, 50.0, 9.0)), tilted((0.0, 0.0, -5.2), 0.0, 0.0)),
+        "close": (Sphere(0.1), tilted((-1.7, 0.1, 0.15))),
+        "ground": (Box((50.0, 50.0, 9.0)), tilted((0.0, 0.0, -5.2))),
     }
     return Scene("mixed", tuple(SceneObject(name, *parts) for name, parts in shapes.items()))
 
