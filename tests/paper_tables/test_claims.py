@@ -89,14 +89,9 @@ def test_a_small_profile_is_named(tmp_path):
         path.write_text(json.dumps({**record, "command": command}))
         found = evidence_below(results)
         assert by_title(results)["twice as fast"].ruling is ruling
-        for page in (
-            page_text(found, judged_claims(found), results),
-            report_html(evidence_of(results)),
-        ):
-            assert ("--profile small" in page) is (profile == "small")
+        pages = page_text(found, judged_claims(found), results), report_html(evidence_of(results))
+        assert all(("--profile small" in page) is (profile == "small") for page in pages)
 
 
 def test_a_readme_without_the_marks_of_the_summary_is_refused():
-    refused(
-        "put them where", with_part, "a README without the marks of the summary", "verdicts", ""
-    )
+    refused("put them where", with_part, "a README without marks", "verdicts", "")

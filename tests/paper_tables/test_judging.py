@@ -1,6 +1,7 @@
 """Rules of verdicts, on made rows with a known verdict."""
 
 import math
+from itertools import product
 
 import pytest
 from made_rows import a_failure, a_row
@@ -22,6 +23,7 @@ from paper_tables.judging import (
 from paper_tables.measures import Pair, paired, work
 from paper_tables.statements import CLAIMS, Claim, PublishedValue
 
+H, F, T, N = Ruling.HOLDS, Ruling.FAILS, Ruling.TOO_FEW, Ruling.INCOMPARABLE
 HALF = Claim("time", 0.5, ("ompl-projected",))
 SPREAD = (0.9, 1.1, 1.0, 0.95, 1.05, 1.02, 0.98, 1.0, 0.93, 1.07)
 
@@ -43,16 +45,7 @@ def with_p(p, above=True, claim=HALF):
     return Verdict(claim, "x", None, nothing, nothing, p, above)
 
 
-@pytest.mark.parametrize(
-    ("ratio", "expected"),
-    [
-        (0.3, "holds"),
-        (0.5, "holds"),
-        (0.55, Ruling.TOO_FEW),
-        (0.7, Ruling.FAILS),
-        (1.4, Ruling.FAILS),
-    ],
-)
+@pytest.mark.parametrize(("ratio", "expected"), [(0.3, H), (0.5, H), (0.55, T), (0.7, F), (1.4, F)])
 def test_a_stated_half_is_tested_at_nine_tenths_of_itself(ratio, expected):
     """45 % less is a ratio of 0.55: below it the claim holds, above it fails, at it is open."""
     effect = reduction(HALF, "ompl-projected", pairs(ratio))
@@ -63,42 +56,32 @@ def test_a_stated_half_is_tested_at_nine_tenths_of_itself(ratio, expected):
 
 def test_two_problems_are_too_few_and_so_is_a_wide_spread():
     few = reduction(HALF, "ompl-projected", pairs(0.1)[:2])
-    assert few.p is None and rulings([few]) == [Ruling.TOO_FEW] and few.note == "2 problems"
+    assert few.p is None and rulings([few]) == [T] and few.note == "2 problems"
     wide = [Pair(str(k), [(ratio, 1.0)]) for k, ratio in enumerate((0.05, 3.0, 0.2, 1.5))]
-    assert rulings([reduction(HALF, "ompl-projected", wide)]) == [Ruling.TOO_FEW]
+    assert rulings([reduction(HALF, "ompl-projected", wide)]) == [T]
 
 
 def test_where_the_statistics_disagree_it_says_what_decides():
     """Nine problems take a third, one very long problem takes as long: so does the mean."""
     others = [1.0] * 9 + [1000.0]
-    found = [
-        Pair(str(k), [(other * 0.3 * s, other)])
-        for k, (other, s) in enumerate(zip(others[:9], SPREAD, strict=False))
-    ]
-    found.append(Pair("long", [(1000.0, 1000.0)]))
+    found = pairs(0.3, others)[:9] + [Pair("long", [(1000.0, 1000.0)])]
     effect = reduction(HALF, "ompl-projected", found)
     assert effect.paired.estimate > 0.5 and effect.means.estimate < 0.1
-    assert effect.p == 1.0 and rulings([effect]) == [Ruling.TOO_FEW]
+    assert effect.p == 1.0 and rulings([effect]) == [T]
     assert "paired: holds, means: too few runs to tell" in effect.note
     assert effect.note.endswith("problem long alone is 100 % of the mean of opt-cvq-mpt")
 
 
 def test_holm_compares_sorted_p_with_growing_levels_and_stops_at_the_first_above():
     """0.01 <= 0.05/3, 0.02 <= 0.05/2, but 0.06 > 0.05; without the first, 0.03 > 0.05/2 stops."""
-    assert rulings([with_p(0.06), with_p(0.01), with_p(0.02, above=False)]) == [
-        Ruling.TOO_FEW,
-        Ruling.HOLDS,
-        Ruling.FAILS,
-    ]
-    assert rulings([with_p(0.03), with_p(0.04)]) == [Ruling.TOO_FEW] * 2
-    assert rulings([with_p(0.05)]) == [Ruling.HOLDS], "the level itself is significant"
+    assert rulings([with_p(0.06), with_p(0.01), with_p(0.02, above=False)]) == [T, H, F]
+    assert rulings([with_p(0.03), with_p(0.04)]) == [T, T]
+    assert rulings([with_p(0.05)]) == [H], "the level itself is significant"
     other = Claim("vertices", 0.0, ("x",), incomparable="counted otherwise")
-    found = rulings([reduction(other, "x", pairs(0.1)), with_p(0.04)])
-    assert found == [Ruling.INCOMPARABLE, Ruling.HOLDS]
+    assert rulings([reduction(other, "x", pairs(0.1)), with_p(0.04)]) == [N, H]
 
 
 def test_a_claim_holds_where_all_hold_and_does_not_where_one_does_not():
-    H, F, T, N = Ruling.HOLDS, Ruling.FAILS, Ruling.TOO_FEW, Ruling.INCOMPARABLE
     cases = {(H, H): H, (H, T): T, (H, F): F, (T, F): F, (N, N): N, (H, N): N, (): Ruling.NO_ROWS}
     verdicts = {said: [with_p(None)._replace(ruling=ruling) for ruling in said] for said in cases}
     assert {said: overall(found) for said, found in verdicts.items()} == cases
@@ -112,10 +95,10 @@ def test_tests_against_values_by_hand():
 
 
 def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
-    assert ratio_of_means_interval([(1.0, 1.0), (3.0, 1.0)])[:1] == (2.0,)
-    assert ratio_of_means_interval([(1.0, 2.0)] * 5)[:3] == (0.5, 0.5, 0.5)
-    assert ratio_of_means_interval([]).n == 0
-    assert ratio_of_means_interval([(1.0, 4.0)])[:2] == (0.25, None)
+    interval = ratio_of_means_interval
+    assert interval([(1.0, 1.0), (3.0, 1.0)]).estimate == 2.0 and interval([]).n == 0
+    assert interval([(1.0, 2.0)] * 5)[:3] == (0.5,) * 3
+    assert interval([(1.0, 4.0)])[:2] == (0.25, None)
     two_seeds = Pair("p", [(1.0, 1.0), (4.0, 1.0)])
     assert (two_seeds.own, two_seeds.other, two_seeds.ratio) == (2.5, 1.0, pytest.approx(2.0))
     rows = {
@@ -125,10 +108,10 @@ def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
         ]
         for name, values in {"a": (10, 30), "b": (5, 5)}.items()
     }
-    failed = a_failure("q", "b", n_projections=1, n_state_checks=1)
-    (pair,) = paired(
-        [*rows["a"], a_row("q", "a", n_projections=1, n_state_checks=1)], [*rows["b"], failed], work
-    )
+    counts = {"n_projections": 1, "n_state_checks": 1}
+    rows["a"].append(a_row("q", "a", **counts))
+    rows["b"].append(a_failure("q", "b", **counts))
+    (pair,) = paired(rows["a"], rows["b"], work)
     assert (pair.own, pair.other) == (20.0, 5.0) and pair.ratio == pytest.approx(math.sqrt(12.0))
 
 
@@ -147,19 +130,15 @@ def test_the_cutoff_is_the_time_within_which_the_papers_cbirrt_has_solved_as_muc
 def test_a_baseline_without_rows_and_runs_that_one_alone_failed_are_told():
     """Ten problems, two seeds; one planner fails the second seed of 3, the other of 2 others."""
     failing = {("a", 0), ("a", 1), ("a", 2), ("b", 3), ("b", 4)}
-    rows = [
-        at(name, k, None if seed and (name, k) in failing else 0.1, seed=seed)
-        for name in "ab"
-        for k in range(10)
-        for seed in range(2)
-    ]
+    runs = list(product("ab", range(10)))
+    rows = [at(*run, None if run in failing else 0.1, seed=1) for run in runs]
+    rows += [at(*run, 0.1) for run in runs]
     known, missing = verdicts_of(Claim("time", 0.0, ("b", "c"), "a"), rows, ())
     assert known.note == "left out of 20 runs: 3 that a alone failed and 2 that b alone failed"
     assert known.paired.n == 10 and missing.note == "0 problems"
-    assert missing.p is None and rulings([missing]) == [Ruling.TOO_FEW]
+    assert missing.p is None and rulings([missing]) == [T]
 
 
-H, F, T = Ruling.HOLDS, Ruling.FAILS, Ruling.TOO_FEW
 CBIRRT = PublishedValue("I", "place", "ompl-projected", "CBiRRT", "accuracy", "93.65", "%", "")
 
 
@@ -178,11 +157,8 @@ def test_what_is_solved_in_time_is_more_than_the_papers_cbirrt_solves(published,
 
 
 def test_statements_name_planners_that_ran_and_reductions_are_signed_changes():
-    rows = [
-        at(name, k, t)
-        for k in range(8)
-        for name, t in (("opt-cvq-mpt", 0.1), ("ompl-projected", 0.4))
-    ]
+    times = {"opt-cvq-mpt": 0.1, "ompl-projected": 0.4}
+    rows = [at(name, k, time) for k in range(8) for name, time in times.items()]
     found = verdicts_of(Claim("time", 0.5, ("ompl-projected", "mpnet")), rows, ())
     pairs_of = [(effect.baseline, effect.paired.n) for effect in found]
     assert pairs_of == [("ompl-projected", 8), ("mpnet", 0)]

@@ -38,15 +38,12 @@ def test_planners_that_do_not_fit_side_by_side_make_tables_of_their_own():
     assert r"my\_50\%\_\#1" in escaped and escaped.isascii()
 
 
-@pytest.mark.skipif(
-    COMPILER is None, reason="no pdflatex (Debian: apt install texlive-latex-recommended)"
-)
+@pytest.mark.skipif(COMPILER is None, reason="no pdflatex (apt: texlive-latex-recommended)")
 def test_committed_tables_compile_and_fit_on_pages(tmp_path):
     tables = "\n\\clearpage\n".join(path.read_text(encoding="utf-8") for path in TABLES)
     (tmp_path / "tables.tex").write_text(DOCUMENT % tables, encoding="utf-8")
     words = [COMPILER, "-halt-on-error", "-interaction=nonstopmode", "tables.tex"]
-    done = subprocess.run(
-        words, cwd=tmp_path, capture_output=True, text=True, timeout=120, errors="replace"
-    )
+    how = {"capture_output": True, "text": True, "timeout": 120, "errors": "replace"}
+    done = subprocess.run(words, cwd=tmp_path, **how)
     assert done.returncode == 0, done.stdout[-2000:]
     assert "Overfull" not in done.stdout and "too large" not in done.stdout

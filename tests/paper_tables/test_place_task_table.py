@@ -22,14 +22,12 @@ def run(planner, problem, time=None, **values):
 
 
 def some_rows():
-    rows = [
-        run("birrt", i, 0.1 * (i + 1), path_length_rad=5.0 + i, vertices=10 + i) for i in range(10)
-    ]
-    rows += [
-        run("ompl-projected", i, 0.4 * (i + 1), path_length_rad=8.0, vertices=40) for i in range(8)
-    ]
-    failures = {"detail": "no path"}, {"fail_reason": "uncertified_goal"}
-    return rows + [run("ompl-projected", 8 + i, **values) for i, values in enumerate(failures)]
+    counts = [{"path_length_rad": 5.0 + i, "vertices": 10 + i} for i in range(10)]
+    rows = [run("birrt", i, 0.1 * (i + 1), **values) for i, values in enumerate(counts)]
+    values = {"path_length_rad": 8.0, "vertices": 40}
+    rows += [run("ompl-projected", i, 0.4 * (i + 1), **values) for i in range(8)]
+    rows.append(run("ompl-projected", 8, detail="no path"))
+    return [*rows, run("ompl-projected", 9, fail_reason="uncertified_goal")]
 
 
 def found(rows):
@@ -72,13 +70,9 @@ def test_a_table_is_of_one_suite(rows):
 def test_the_share_by_rollouts_alone_stands_where_a_planner_says_it():
     title = "Solved by rollouts alone"
     assert title not in place_table(some_rows(), PAPER).markdown
+    alone = "solved by rollouts alone"
     trees = "solved by rollouts and trees: 1 of 3 pairs joined by tree growth"
-    details = [
-        "solved by rollouts alone",
-        trees,
-        trees,
-        "solved by rollouts alone; exact checks near start",
-    ]
+    details = [alone, trees, trees, f"{alone}; exact checks near start"]
     rows = [run("mpnet", i, 0.1, detail=text) for i, text in enumerate(details)]
     rows.append(run("mpnet", 9, detail="all 10 of 10 rollouts failed: 10 whose sides did not meet"))
     made = place_table([*some_rows(), *rows], PAPER)
@@ -91,17 +85,12 @@ def test_the_share_by_rollouts_alone_stands_where_a_planner_says_it():
 
 def test_the_first_table_has_six_columns_and_no_table_is_wider_than_a_page():
     work = {"n_projections": 10, "n_state_checks": 90, "path_length_rad": 4.0, "vertices": 3}
-    rows = [
-        run(name, i, 0.1, **work)
-        for i in range(6)
-        for name in ("birrt", "opt-cvq-mpt", "ompl-projected")
-    ]
-    made = place_table(rows, PAPER)
+    names = "birrt", "opt-cvq-mpt", "ompl-projected"
+    made = place_table([run(name, i, 0.1, **work) for i in range(6) for name in names], PAPER)
     first = next(iter(made.sections.values()))
     assert first[0] == ["planner", "solved [%]", "time [s]", "work", "length [rad]", "work / birrt"]
-    assert [line for line in first if line[0] == "birrt"] == [
-        ["birrt", "100", "0.100", "100", "4.00", "–"]
-    ]
+    (birrt,) = (line for line in first if line[0] == "birrt")
+    assert birrt == ["birrt", "100", "0.100", "100", "4.00", "–"]
     tables = [line for line in made.markdown.splitlines() if line.startswith("|")]
     assert max(map(len, [*tables, *made.brief])) <= 100
     assert "Opt-CVQ-MPT" in made.markdown and "11.03" in made.markdown

@@ -36,14 +36,8 @@ def page(results):
 
 
 def test_a_report_holds_verdicts_plots_rows_and_where_they_come_from(page):
-    for text in (
-        "Does the paper hold?",
-        "not comparable",
-        "Solved against time",
-        "Where time goes",
-    ):
-        assert text in page
-    assert "Provenance" in page
+    texts = "Does the paper hold?", "not comparable", "Solved against time", "Where time goes"
+    assert all(text in page for text in (*texts, "Provenance"))
     assert page.count("<svg") == 6 and "cvqmpt plan place-task --problem PROBLEM" in page
     assert 'href="#rows/0/opt-cvq-mpt"' in page, "a number leads to its rows"
 

@@ -6,6 +6,7 @@ import os
 import numpy as np
 import pytest
 from made_rows import CONFIGURATION, a_failure, a_row, names
+from refusals import refused
 
 from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in
@@ -30,6 +31,10 @@ def row(seed, **values):
 
 def opened(folder, **session):
     return RunStore.open(folder, CONFIGURATION, session)
+
+
+def open_refused(words, folder, error=RunStoreError, **session):
+    refused(words, opened(folder, **session).__enter__, error=error)
 
 
 def killed_after(folder, *runs):
@@ -110,13 +115,11 @@ def test_a_damaged_store_is_refused_by_name_and_stops_a_run_before_it_begins(sto
         data = bytearray(good)
         data[int(where * len(data))] ^= 0xFF
         (store / PATHS_FILE).write_bytes(bytes(data))
-        with pytest.raises(RunStoreError, match=r"paths\.npz is damaged.*another folder"):
-            opened(store).__enter__()
+        open_refused(r"paths\.npz is damaged.*another folder", store)
     forged = path(1)
     forged[0, 0] += 1e-15
     np.savez_compressed(store / PATHS_FILE, **{states_hash(path(1)): forged})
-    with pytest.raises(RunStoreError, match=r"paths\.npz is damaged.*another hash"):
-        stored_paths(store)
+    refused(r"paths\.npz is damaged.*another hash", stored_paths, store, error=RunStoreError)
 
 
 def test_other_weights_are_refused_by_both_digests_and_further_models_are_added(tmp_path):
@@ -125,58 +128,49 @@ def test_other_weights_are_refused_by_both_digests_and_further_models_are_added(
     with opened(tmp_path, weights={"mpnet": "aaa"}) as store:
         store.append([a_row("p1", "mpnet")])
     assert digests_in(ProvenanceFile(tmp_path).read(), "weights") == {"mpnet": "aaa"}
-    with pytest.raises(RunStoreError, match=r'weights.mpnet was "aaa", now "bbb".*--out'):
-        opened(tmp_path, weights={"mpnet": "bbb"}).__enter__()
+    told = r'weights.mpnet was "aaa", now "bbb".*--out'
+    open_refused(told, tmp_path, weights={"mpnet": "bbb"})
     for weights in ({"vq_mpt": "ccc"}, {}):
         with opened(tmp_path, weights=weights):
             pass
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
+def test_another_configuration_is_refused_by_setting(tmp_path):
+    with opened(tmp_path) as store:
+        store.append([a_row()])
+    for change, words in (
         ({"cutoff_s": 20.0}, "cutoff_s was 10.0, now 20.0"),
         ({"tolerance": {"rad": 0.2}}, "tolerance.rad was 0.1, now 0.2"),
         ({"range": 2}, "range was null, now 2"),
-    ],
-)
-def test_another_configuration_is_refused_by_setting(tmp_path, change, words):
-    with opened(tmp_path) as store:
-        store.append([a_row()])
-    with pytest.raises(RunStoreError, match=words) as caught:
-        RunStore.open(tmp_path, {**CONFIGURATION, **change}).__enter__()
-    assert "--out" in str(caught.value) and "suite" not in str(caught.value)
+    ):
+        other = RunStore.open(tmp_path, {**CONFIGURATION, **change})
+        line = refused(words, other.__enter__, error=RunStoreError)
+        assert "--out" in line and "suite" not in line
     # equal by value, and not left locked
     with RunStore.open(tmp_path, {**CONFIGURATION, "cutoff_s": 10}):
         pass
 
 
 def test_runs_without_provenance_or_with_foreign_columns_are_refused(tmp_path):
-    def refused(words, directory=tmp_path):
-        with pytest.raises(InvalidInputError, match=words):
-            opened(directory).__enter__()
-
     with opened(tmp_path / "new"):
         pass
     (tmp_path / "new" / PARTIAL_FILE).write_text("1,place,rubbish\n\n")
-    refused(r"runs\.partial\.csv, line 1", tmp_path / "new")
+    open_refused(r"runs\.partial\.csv, line 1", tmp_path / "new")
     write_rows(tmp_path / RUNS_FILE, [a_row()])
-    refused(r"no provenance\.json.*--out")
+    open_refused(r"no provenance\.json.*--out", tmp_path)
     for broken in ("not json", "[]", '{"configuration": 3}', "[" * 100_000):
         (tmp_path / "provenance.json").write_text(broken)
-        refused(r"provenance\.json")
+        open_refused(r"provenance\.json", tmp_path, error=InvalidInputError)
     (tmp_path / "provenance.json").write_text(json.dumps({"configuration": CONFIGURATION}))
     (tmp_path / RUNS_FILE).write_text("problem,time\n1,2\n")
-    refused(r"line 1, column 1: expected schema, found problem")
+    open_refused("line 1, column 1: expected schema, found problem", tmp_path)
 
 
 def test_directories_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(InvalidInputError, match="cannot make folder"):
-            opened(path).__enter__()
-    with opened(tmp_path / "new"), pytest.raises(InvalidInputError, match="in use"):
-        opened(tmp_path / "new").__enter__()
+        open_refused("cannot make folder", path, error=InvalidInputError)
+    with opened(tmp_path / "new"):
+        open_refused("in use", tmp_path / "new", error=InvalidInputError)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with pytest.raises(RunStoreError, match="read-only"):
-        opened(tmp_path / "sealed").__enter__()
+    open_refused("read-only", tmp_path / "sealed")
