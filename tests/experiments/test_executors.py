@@ -1,5 +1,6 @@
 """Executors: results and errors reach the caller; a lost process costs only its own task."""
 
+import ctypes
 import os
 import signal
 import time
@@ -8,8 +9,9 @@ from functools import partial
 import pebble
 import pytest
 from made_rows import untimed
+from refusals import refused
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.search.result import Budget
 from experiments import executors
@@ -29,6 +31,8 @@ def perform(mark, task):
     if task == "hangs":
         mark.with_suffix(".pid").write_text(str(os.getpid()))
         os.kill(os.getpid(), signal.SIGSTOP)  # does not hear SIGTERM either
+    if task == "holds the interpreter lock":
+        ctypes.PyDLL(None).sleep(600)  # as compiled code that never returns
     if task == "too much memory":
         raise MemoryError("Unable to allocate")
     return os.getpid()
@@ -37,23 +41,23 @@ def perform(mark, task):
 @pytest.mark.parametrize("count", [1, 2])
 def test_what_dies_hangs_or_eats_memory_costs_its_own_task_only(tmp_path, monkeypatch, count):
     monkeypatch.setattr(pebble.CONSTS, "term_timeout", 0.2)
-    tasks = ["answers", "dies", "too much memory", "hangs", "dies once", "answers", "answers"]
+    tasks = ["answers", "dies", "too much memory", "hangs", "holds the interpreter lock"]
+    tasks += ["dies once", "answers", "answers"]
     with local_processes(count, lambda task: 1.0) as executor:
         found = list(executor.results(partial(perform, tmp_path / "mark"), tasks))
     assert sorted(task for task, _ in found) == sorted(tasks)
     lost = {task: result for task, result in found if isinstance(result, Lost)}
+    killed = "its process was ended by SIGKILL; perhaps memory ran out, twice"
+    hung = FailReason.WORKER_HUNG, "no answer in 1 s; its process was ended"
     assert lost == {
-        "dies": (
-            FailReason.WORKER_DIED,
-            "its process was ended by SIGKILL; perhaps memory ran out, twice",
-        ),
-        "hangs": (FailReason.WORKER_HUNG, "no answer in 1 s; its process was ended"),
+        "dies": (FailReason.WORKER_DIED, killed),
+        "hangs": hung,
+        "holds the interpreter lock": hung,
         "too much memory": (FailReason.OUT_OF_MEMORY, "Unable to allocate"),
     }
     assert os.getpid() not in [result for task, result in found if task not in lost]
-    hung = int((tmp_path / "mark.pid").read_text())
     with pytest.raises(ProcessLookupError):
-        os.kill(hung, 0)
+        os.kill(int((tmp_path / "mark.pid").read_text()), 0)
 
 
 def process_id(_):
@@ -86,10 +90,9 @@ def rows_of(out, executor, on_progress=lambda *_: None):
 def test_a_cluster_makes_the_rows_of_one_process_though_a_worker_is_killed(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     killed = []
+    size = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None
-        ) as machines,
+        distributed.LocalCluster(**size) as machines,
         executor_for(FOUR, 1, machines.scheduler_address) as executor,
     ):
         assert executor.size == 2
@@ -102,10 +105,8 @@ def test_a_cluster_makes_the_rows_of_one_process_though_a_worker_is_killed(tmp_p
 
         there = rows_of(tmp_path / "there", executor, kill_one)
         monkeypatch.setattr(runner, "weights_of", lambda *_: {"vq_mpt": "f" * 64})
-        with pytest.raises(
-            InvalidInputError, match="has other weights; install the same cvqmpt-lab there"
-        ):
-            executor_for(FOUR, 1, machines.scheduler_address).__enter__()
+        other = executor_for(FOUR, 1, machines.scheduler_address)
+        refused("has other weights; install the same cvqmpt-lab there", other.__enter__)
     monkeypatch.undo()
     with executor_for(FOUR, 2) as executor:
         here = rows_of(tmp_path / "here", executor)
@@ -116,11 +117,9 @@ def test_a_cluster_makes_the_rows_of_one_process_though_a_worker_is_killed(tmp_p
 def test_what_is_no_cluster_is_refused_in_one_line(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(executors, "CONNECT_S", 0.3)
+    cluster = partial(dask_cluster, "tcp://127.0.0.1:9", lambda task: 1.0, dict)
     told = r"no Dask scheduler answers at tcp://127.0.0.1:9: .*start one"
-    with pytest.raises(InvalidInputError, match=told):
-        dask_cluster("tcp://127.0.0.1:9", lambda task: 1.0, dict).__enter__()
+    refused(told, cluster().__enter__)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(
-        InvalidInputError, match=r"not installed: .venv/bin/pip install -c .*'\.\[dask\]'"
-    ):
-        dask_cluster("tcp://127.0.0.1:9", lambda task: 1.0, dict).__enter__()
+    told = r"not installed: .venv/bin/pip install -c .*'\.\[dask\]'"
+    refused(told, cluster().__enter__)

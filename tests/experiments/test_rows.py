@@ -2,6 +2,8 @@
 
 import time
 from dataclasses import replace
+from itertools import chain
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -43,9 +45,8 @@ def test_every_part_is_in_its_column_and_the_total_is_their_sum(problem):
     assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (0.07, 0.11, 0.13)
     assert row.t_plan_s == solution.plan.search_seconds < solution.plan.seconds - 0.309
     assert row.t_total_s == pytest.approx(sum(getattr(row, part) for part in PARTS))
-    assert row.t_total_s == pytest.approx(
-        0.25 + solution.plan.seconds + solution.simplified.seconds
-    )
+    total = 0.25 + solution.plan.seconds + solution.simplified.seconds
+    assert row.t_total_s == pytest.approx(total)
 
 
 def test_parts_that_a_planner_does_not_have_stay_empty(problem):
@@ -55,6 +56,11 @@ def test_parts_that_a_planner_does_not_have_stay_empty(problem):
     assert not failed.solved and failed.t_simplify_s is None
     assert failed.t_total_s == pytest.approx(0.25 + solution.plan.seconds)
     assert failed.t_total_s > 0.28
+
+
+def test_timings_are_seconds():
+    for value in (-1.0, float("nan"), float("inf")):
+        refused("timing 'predict'", Timings, predict=value)
 
 
 def test_g_is_that_of_what_is_sampled(problem):
@@ -72,11 +78,6 @@ def test_g_is_that_of_what_is_sampled(problem):
     row, solution = row_of(problem, Timings(), budget=1)
     assert row.g_sampled == pytest.approx(expected, rel=0.2)
     assert result_row(RUN, replace(solution, distribution=None), 0.0).g_sampled is None
-
-
-@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
-def test_timings_are_seconds(value):
-    refused("timing 'predict'", Timings, predict=value)
 
 
 def test_every_way_to_fail_has_its_reason():
@@ -117,28 +118,22 @@ def test_a_task_that_failed_as_a_whole_still_has_all_its_rows():
 
 
 def test_committed_rows_load_and_add_up(part):
-    files = [
-        folder / "runs.csv" for folder in committed_directories() if (folder / "runs.csv").is_file()
-    ]
+    files = [path for folder in committed_directories() for path in folder.glob("runs.csv")]
     assert len(files) >= 5
-    for path in part(files, 6):
-        for row in read_rows(path):
-            assert (row.t_total_s or 0.0) == pytest.approx(
-                sum(getattr(row, part) or 0.0 for part in PARTS)
-            )
+    for row in chain.from_iterable(map(read_rows, part(files, 6))):
+        parts = sum(getattr(row, part) or 0.0 for part in PARTS)
+        assert (row.t_total_s or 0.0) == pytest.approx(parts)
 
 
 @pytest.mark.parametrize("suite", ["family-shelves", "place-task"])
 def test_every_run_is_charged_for_the_encoding_of_its_scene(monkeypatch, suite):
-    clouds, group = [], scene_predictor.compiled_groups
-    monkeypatch.setattr(
-        scene_predictor, "compiled_groups", lambda *given: clouds.append(given) or group(*given)
-    )
+    grouped = Mock(side_effect=scene_predictor.compiled_groups)
+    monkeypatch.setattr(scene_predictor, "compiled_groups", grouped)
     item, found = with_sampled_goals(suite_named(suite).solvable(0))[0], []
     for name in ("cvq-mpt", "opt-cvq-mpt", "cvq-wide"):
-        before = len(clouds)
+        grouped.reset_mock()
         runs = Experiment(suite, (0,), (name,), (0,), Budget(iterations=1)).runs
         (row,) = outcome_of(runs[0], item, 0.0).rows
         assert row.scene_new
-        found.append(len(clouds) - before)
+        found.append(grouped.call_count)
     assert found[1:] == [1, 1]

@@ -3,10 +3,10 @@
 import csv
 import json
 import xml.etree.ElementTree as ET
+from itertools import product
 
 import numpy as np
 import pytest
-from refusals import refused
 from small_models import random_checkpoint
 
 from cli.main import main
@@ -52,20 +52,15 @@ def test_an_update_needs_samples():
 
 @pytest.mark.parametrize(("when", "planner"), [("before", "cvq-mpt"), ("after", "opt-cvq-mpt")])
 def test_the_mixtures_are_those_that_the_planners_sample(update, when, planner):
-    stages, rng = (
-        planner_named(planner).stages(update.problem),
-        np.random.SeedSequence(0).spawn(1)[0],
-    )
-    query = Query.of(
-        ConstrainedSpace(update.problem), Budget(seconds=60.0), np.random.default_rng(rng)
-    )
+    stages = planner_named(planner).stages(update.problem)
+    rng = np.random.default_rng(np.random.SeedSequence(0).spawn(1)[0])
+    query = Query.of(ConstrainedSpace(update.problem), Budget(seconds=60.0), rng)
     proposal = stages.predict(query, Observation(update.cloud))
     if stages.update is not None:
         proposal = stages.update(query, proposal)
-    np.testing.assert_array_equal(getattr(update, when).means, proposal.distribution.means)
-    np.testing.assert_array_equal(
-        getattr(update, when).covariances, proposal.distribution.covariances
-    )
+    drawn_from, sampled_from = getattr(update, when), proposal.distribution
+    np.testing.assert_array_equal(drawn_from.means, sampled_from.means)
+    np.testing.assert_array_equal(drawn_from.covariances, sampled_from.covariances)
     sampled = proposal.distribution.sample(np.random.default_rng(1), 20_000)
     drawn = np.concatenate([update.draws(when, i) for i in range(len(update.before.means))])
     g = [squared_residual(update.problem.manifold, q).mean() for q in (sampled, drawn)]
@@ -81,18 +76,16 @@ def test_codes_are_the_decoders_and_move_towards_the_constraint_goals_do_not(pro
     assert update.g("after")[:c].mean() < 0.8 * update.g("before")[:c].mean()
 
 
-def test_rows_and_bins_count_every_draw(update):
+def test_rows_and_bins_count_every_draw_and_figures_repeat_byte_for_byte(update):
     rows, bins = update.rows(), histogram_rows([update, update])
-    assert [row["code"] for row in rows] == [
-        *update.codes,
-        *["goal"] * (len(rows) - len(update.codes)),
-    ]
-    for what, gaussians in (("codes", len(update.codes)), ("all", len(rows))):
-        for when in ("before", "after"):
-            assert (
-                sum(row[when] for row in bins if row["of"] == what)
-                == 2 * gaussians * SETTINGS.samples
-            )
+    codes = len(update.codes)
+    assert [row["code"] for row in rows] == [*update.codes, *["goal"] * (len(rows) - codes)]
+    for what, when in product(("codes", "all"), ("before", "after")):
+        gaussians = codes if what == "codes" else len(rows)
+        counted = sum(row[when] for row in bins if row["of"] == what)
+        assert counted == 2 * gaussians * SETTINGS.samples
+    first, again = (figure_bytes(histogram_figure([update]), "svg") for _ in range(2))
+    assert first == again and b"<svg" in first
     near = [np.sqrt(update.g("after")) < row["to"] for row in bins[:1]]
     assert bins[len(bins) // 2]["after"] == 2 * near[0].sum()
 
@@ -115,11 +108,6 @@ def test_hands_by_another_kinematics(update, problem):
     assert upright.tilt[0] < 1e-4
 
 
-def test_figures_repeat_byte_for_byte(update):
-    first, again = (figure_bytes(histogram_figure([update]), "svg") for _ in range(2))
-    assert first == again and b"<svg" in first
-
-
 def test_no_codes_is_said(problem, panda, tmp_path):
     save_checkpoint(tmp_path / "silent", random_checkpoint(panda, goal_bias=-1e6))
     with pytest.raises(InvalidInputError, match="predicted no codes"):
@@ -127,17 +115,15 @@ def test_no_codes_is_said(problem, panda, tmp_path):
 
 
 def rows_of(path):
-    with path.open(newline="") as handle:
-        return list(csv.DictReader(handle))
+    return list(csv.DictReader(path.read_text().splitlines()))
 
 
 def test_the_command_writes_the_histogram(tmp_path, model, capsys):
     out = tmp_path / "histogram"
     words = ["figure", "histogram", "--problems", "2", "--model", str(model), "--out", str(out)]
     assert main(words) == 0
-    assert {path.name for path in out.iterdir()} == {
-        "histogram.png", "histogram.svg", "histogram.csv", "values.csv", "provenance.json"
-    }  # fmt: skip
+    files = {f"histogram.{ending}" for ending in ("png", "svg", "csv")}
+    assert {path.name for path in out.iterdir()} == files | {"values.csv", "provenance.json"}
     assert ET.parse(out / "histogram.svg").getroot().tag.endswith("svg")
     assert {row["problem"] for row in rows_of(out / "values.csv")} == {"0", "1"}
     record = json.loads((out / "provenance.json").read_text())
@@ -166,14 +152,14 @@ def test_files_of_others_are_left_alone(tmp_path, model, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["histogram", "--planners", "birrt"], "unknown arguments: --planners birrt"),
-        (["equal-time"], "equal-time was removed: its last numbers are in docs/training_log.md"),
-        (["pie"], "unknown figure 'pie'; valid choices: histogram, concept"),
-        (["histogram", "--seed", "-1"], "argument --seed: '-1' is not a whole number"),
-        (["concept", "--problem", "150"], "unknown problem 150"),
-        (["histogram", "--model", "/nowhere"], "/nowhere"),
+        ("histogram --planners birrt", "unknown arguments: --planners birrt"),
+        ("equal-time", "equal-time was removed: its last numbers are in docs/training_log.md"),
+        ("pie", "unknown figure 'pie'; valid choices: histogram, concept"),
+        ("histogram --seed -1", "argument --seed: '-1' is not a whole number"),
+        ("concept --problem 150", "unknown problem 150"),
+        ("histogram --model /nowhere", "/nowhere"),
     ],
 )
 def test_wrong_options_are_one_line(tmp_path, capsys, words, said):
-    assert main(["figure", *words, "--out", str(tmp_path / "out")]) == 2
+    assert main(["figure", *words.split(), "--out", str(tmp_path / "out")]) == 2
     assert said in capsys.readouterr().err.splitlines()[-1]

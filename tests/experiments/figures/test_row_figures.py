@@ -2,6 +2,7 @@
 
 import csv
 import json
+from itertools import product
 
 import pytest
 from made_rows import a_row
@@ -14,14 +15,11 @@ from experiments.figures.row_figures import OURS, draw_cost, draw_training
 def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
     """100 checks + 1 ms of networks against 1100 checks: equal at 1 us more per check."""
     shared = {"n_projections": 0, "t_goals_s": 0.0}
+    runs = ("birrt", 1100, 0.002), ("learned", 100, 0.003), ("dear", 2000, 0.003)
     rows = [
-        row
+        a_row(f"p{k}", planner, n_state_checks=checks, t_total_s=time, **shared)
         for k in range(4)
-        for row in (
-            a_row(f"p{k}", n_state_checks=1100, t_total_s=0.002, **shared),
-            a_row(f"p{k}", "learned", n_state_checks=100, t_total_s=0.003, **shared),
-            a_row(f"p{k}", "dear", n_state_checks=2000, t_total_s=0.003, **shared),
-        )
+        for planner, checks, time in runs
     ]
     write_rows(tmp_path / RUNS_FILE, rows)
     written = draw_cost(tmp_path, tmp_path)
@@ -41,11 +39,8 @@ def test_trainings_are_drawn_from_their_folders_and_from_the_table(tmp_path):
     refused("no curves of cvqmpt train", draw_training, other, other)
     profile = {"published": {"scenes": 4, "paths": 96}}
     (run / "training.json").write_text(json.dumps({"stage": "published", "profile": profile}))
-    names = [
-        f"validation_{p}cross_entropy_{w}"
-        for p in ("", "wrong_cloud_", "no_cloud_")
-        for w in ("all", "ways")
-    ]
+    parts = product(("", "wrong_cloud_", "no_cloud_"), ("all", "ways"))
+    names = [f"validation_{cloud}cross_entropy_{which}" for cloud, which in parts]
     (run / "curves.csv").write_text(f"step,seconds,{','.join(names)}\n400,9.5,4,1,5,2,6,3\n")
     *_, table = draw_training(run.parent, run.parent)
     assert table.read_text().splitlines()[1] == "published-0,published,153600,9.5,1,4,2,5,3,6"
