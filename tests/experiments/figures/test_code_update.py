@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from refusals import refused
 from small_models import random_checkpoint
 
 from cli.main import main
