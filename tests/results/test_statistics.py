@@ -71,12 +71,13 @@ def test_jointly_solved_needs_every_planner_and_the_same_seed():
 
 
 def test_nonsense_is_refused():
-    for counts in ((3, 2), (-1, 2)):
-        refused("", wilson_interval, *counts)
-    for statistic, *nonsense in (
-        (median_interval, [1.0, math.nan], [[1.0]]),
-        (geometric_mean_interval, [1.0, 0.0], [1.0, INF]),
-        (mean_of_solved, [math.nan]),
+    for successes in (3, -1):
+        refused("successes must lie in 0..n", wilson_interval, successes, 2)
+    for statistic, values, told in (
+        (median_interval, [1.0, math.nan], "with NaN or not one-dimensional"),
+        (median_interval, [[1.0]], "with NaN or not one-dimensional"),
+        (mean_of_solved, [math.nan], "with NaN or not one-dimensional"),
+        (geometric_mean_interval, [1.0, 0.0], "give finite positive values"),
+        (geometric_mean_interval, [1.0, INF], "give finite positive values"),
     ):
-        for values in nonsense:
-            refused("", statistic, values)
+        refused(told, statistic, values)

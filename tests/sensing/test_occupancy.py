@@ -78,7 +78,7 @@ def test_maps_that_cannot_be_are_refused():
     for settings, seen, message in (
         (MapSettings(), captures, "no point is left"),
         (ROOM, [], "captures with their cameras"),
-        (replace(ROOM, resolution=1e-3, upper=huge), [], "smaller box or larger"),
+        (replace(ROOM, resolution=1e-3, upper=huge), captures, "smaller box or larger"),
     ):
         refused(message, occupancy_map, np.empty((0, 3)), settings, seen)
 
