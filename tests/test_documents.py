@@ -18,13 +18,8 @@ from cvqmpt_lab.trajectory.trajectory import save_trajectory
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "notebooks" / "examples").glob("*.py"))
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-QUICK = (
-    ("plan", "place-task"),
-    ("robot", "ur5"),
-    ("problems", "new"),
-    ("plan", "--problem-file"),
-    ("model", "info"),
-)
+QUICK = ("plan", "place-task"), ("robot", "ur5"), ("problems", "new"), ("model", "info")
+QUICK += (("plan", "--problem-file"),)
 """First words of what is run here. Left out are films, tasks of several phases, scans of the
 reader's own, what takes minutes (`reproduce`, `make`), what writes into the checkout (`claims`),
 and `report` and `compare`, which tests of their own run on smaller folders.

@@ -41,22 +41,20 @@ def test_right_arrays_pass_and_compiled_callers_see_the_kernel_itself():
     assert from_python(twice_first_entry)(a_pair(), np.ones(2)) == 4.0
 
 
+UNEVEN = Pair(np.ones((3, 2)), np.zeros(4, int))
+NEEDED = r"needed: \(n = 2\) of float64"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            (a_pair(), np.ones(3), 1.0),
-            r"first_entry: q has shape \(3,\) of float64; needed: \(n = 2\) of float64",
-        ),
+        ((a_pair(), np.ones(3), 1.0), rf"first_entry: q has shape \(3,\) of float64; {NEEDED}"),
         ((a_pair(), np.ones(2, dtype=np.float32), 1.0), r"q has shape \(2,\) of float32"),
         ((a_pair(), np.ones((1, 2)), 1.0), r"q has shape \(1, 2\)"),
-        ((a_pair(), [1.0, 1.0], 1.0), r"q is a list; needed: \(n = 2\) of float64"),
+        ((a_pair(), [1.0, 1.0], 1.0), f"q is a list; {NEEDED}"),
         ((a_pair(), np.ones(4)[::2], 1.0), r"not contiguous"),
         ((a_pair(dtype=np.int32), np.ones(2), 1.0), r"first_entry\.pair: parent .* of int32"),
-        (
-            (Pair(np.ones((3, 2)), np.zeros(4, int)), np.ones(2), 1.0),
-            r"parent .* needed: \(rows = 3\)",
-        ),
+        ((UNEVEN, np.ones(2), 1.0), r"parent .* needed: \(rows = 3\)"),
     ],
 )
 def test_what_does_not_fit_is_named(arguments, message):
@@ -142,24 +140,14 @@ def project(tmp_path):
     """Runs PROJECT after other code with a cache folder; gives shape, entries, folder, warnings."""
 
     def run(before=""):
-        environment = os.environ | {
-            "NUMBA_CACHE_DIR": str(tmp_path / "warm"),
-            "TMPDIR": str(tmp_path),
-        }
-        command = [
-            sys.executable,
-            "-c",
-            before.replace("WARM", repr(str(tmp_path / "warm"))) + PROJECT,
-        ]
+        warm = str(tmp_path / "warm")
+        environment = os.environ | {"NUMBA_CACHE_DIR": warm, "TMPDIR": str(tmp_path)}
+        command = [sys.executable, "-c", before.replace("WARM", repr(warm)) + PROJECT]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
         shape, used = done.stdout.splitlines()
         count, place = used.split(" ", 1)
-        return (
-            shape,
-            int(count),
-            place,
-            [line for line in done.stderr.splitlines() if "Warning" in line],
-        )
+        warnings = [line for line in done.stderr.splitlines() if "Warning" in line]
+        return shape, int(count), place, warnings
 
     return run
 

@@ -44,9 +44,8 @@ def closure(wanted):
         for requirement in map(Requirement, requires(name) or ()):
             marker = requirement.marker
             if marker is None or any(marker.evaluate({"extra": extra}) for extra in ("", *extras)):
-                left.append(
-                    (canonicalize_name(requirement.name), tuple(sorted(requirement.extras)))
-                )
+                needed = canonicalize_name(requirement.name), tuple(sorted(requirement.extras))
+                left.append(needed)
     return {name for name, _ in found}
 
 
@@ -82,14 +81,14 @@ def test_the_licence_of_all_that_ships_or_is_installed_is_listed():
     assert [name for name, licence in listed.items() if licence == "UNKNOWN"] == ["cmeel-qhull"]
 
 
-INSTALLING = (
+INSTALLING = [
     "Makefile",
     "Dockerfile",
     ".ci/run",
     "constraints.txt",
     "locked.txt",
     "pyproject.toml",
-)
+]
 
 
 @pytest.mark.parametrize("name", INSTALLING)
@@ -110,9 +109,8 @@ def test_the_container_has_a_supported_python_and_runs_as_a_user():
 def linted(arguments, tmp_path):
     lint = Path(sys.executable).parent / "lint-imports"
     command = [lint, "--no-logo", "--cache-dir", tmp_path / "cache", *arguments]
-    return subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, env={**os.environ, "COLUMNS": "200"}
-    )
+    how = {"cwd": ROOT, "env": {**os.environ, "COLUMNS": "200"}}
+    return subprocess.run(command, **how, capture_output=True, text=True)
 
 
 def test_layers_and_doors_are_kept(tmp_path):

@@ -60,15 +60,10 @@ def test_seconds_left_are_used_and_hardly_more(problem):
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
 def test_a_clearance_is_planned_for_and_certified(problem, backend):
     """To all kinds of shapes, not between links; a path planned without it is refused."""
-    shapes = (
-        Sphere(0.03),
-        Cylinder(0.02, 0.1),
-        PointCloud(np.zeros((1, 3)), 0.02),
-        ConvexMesh(np.eye(4, 3) * 0.1),
-    )
-    more = [
-        SceneObject(f"more {k}", s, pose((0.6, 0.2 * k - 0.3, 0.75))) for k, s in enumerate(shapes)
-    ]
+    shapes = Sphere(0.03), Cylinder(0.02, 0.1), PointCloud(np.zeros((1, 3)), 0.02)
+    shapes += (ConvexMesh(np.eye(4, 3) * 0.1),)
+    placed = [(shape, pose((0.6, 0.2 * k - 0.3, 0.75))) for k, shape in enumerate(shapes)]
+    more = [SceneObject(f"more {k}", *each) for k, each in enumerate(placed)]
     world = replace(problem, scene=problem.scene.with_objects(*more), goals=problem.goals[:0])
     plain = solve(world, "birrt", ENOUGH, seed=0, backend=backend)
     clear = solve(replace(world, clearance=0.02), "birrt", ENOUGH, seed=0, backend=backend)
@@ -116,9 +111,8 @@ def test_four_threads_find_the_paths_and_verdicts_of_one(four_threads, number, p
     problem, _ = with_sampled_goals(place_problem(number))
 
     def planned(seed):
-        return solve(
-            problem, planner, ENOUGH, seed, backend=backend, clearance=False
-        ).simplified.path
+        how = {"backend": backend, "clearance": False}
+        return solve(problem, planner, ENOUGH, seed, **how).simplified.path
 
     alone = [planned(seed) for seed in range(3)]
     together = four_threads(planned, 2 * [0, 1, 2])
@@ -142,11 +136,7 @@ def test_objects_of_a_wrong_type_are_refused_by_their_type(problem, task):
         (solve, (problem, 3), "method is a int, 3; it must be a Method: or the name of a planner"),
         (solve_many, (problem, "birrt"), "problems is a PlanningProblem, .*a list of problems"),
         (solve_many, ([problem, None], "birrt"), rf"problems\[1\] is a NoneType, None; {loads}"),
-        (
-            solve_task,
-            (problem, "birrt"),
-            "task is a PlanningProblem, .*must be a Task: .*for solve",
-        ),
+        (solve_task, (problem, "birrt"), "task is a PlanningProblem, .*a Task: .*for solve"),
         (solve_task, (task, None), "method is a NoneType"),
     ):
         refused(told, call, *given, ENOUGH, 0)

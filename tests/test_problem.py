@@ -62,33 +62,26 @@ MISSPELT = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "path", ["name", "robot", "scene", "constraint.0.Bw", "attachments.0.shape"]
-)
-def test_missing_fields_are_named(data, path):
-    refused(rf"{entry(path)[-1]} is missing; fields: ", changed(data, path, None))
+def test_missing_fields_are_named(data):
+    for path in ("name", "robot", "scene", "constraint.0.Bw", "attachments.0.shape"):
+        refused(rf"{entry(path)[-1]} is missing; fields: ", changed(data, path, None))
 
 
 @pytest.mark.parametrize(("path", "misspelt"), MISSPELT.items())
 def test_a_misspelt_field_is_refused_with_the_nearest_known_one(data, path, misspelt):
     folder, _, field = path.rpartition(".")
-    refused(
-        f"{misspelt} is unknown; did you mean '{field}'",
-        changed(data, f"{folder}.{misspelt}".lstrip("."), 0),
-    )
+    wrong = changed(data, f"{folder}.{misspelt}".lstrip("."), 0)
+    refused(f"{misspelt} is unknown; did you mean '{field}'", wrong)
 
 
 MIRRORED = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
 FAR, HERE = pose((1e300, 0.0, 0.0)).tolist(), np.eye(4).tolist()
+FAR_OFF = r"is no rigid pose: its position is 1e\+300 m off"
+HUGE = {"type": "sphere", "radius": 1e300}
 FAR_CLOUD = {"type": "point_cloud", "points": [[1e300, 0.0, 0.0]], "radius": 0.01}
 LEAF = {"name": "leaf", "T": HERE, "vertices": shape_vertices(Box((1.0, 1.0, 1.0))).tolist()}
-DOOR_OF_FAR_CASING = {
-    "name": "door",
-    "kind": "hinge",
-    "T_world_joint": HERE,
-    "lower": 0.0,
-    "upper": 1.0,
-} | {"parts": [LEAF], "casing": [LEAF | {"name": "post", "T": FAR}]}
+HINGE = {"name": "door", "kind": "hinge", "T_world_joint": HERE, "lower": 0.0, "upper": 1.0}
+FAR_CASING = HINGE | {"parts": [LEAF], "casing": [LEAF | {"name": "post", "T": FAR}]}
 
 
 @pytest.mark.parametrize(
@@ -106,23 +99,11 @@ DOOR_OF_FAR_CASING = {
         ("constraint", {}, "constraint.T0_w is missing"),
         ("constraint.0.Bw", [[0, 1]] * 5, "must be 6 rows"),
         ("attachments.0.T_hand_object", MIRRORED, "mirrored"),
-        ("attachments.0.T_hand_object", FAR, r"no rigid pose: its position is 1e\+300 m off"),
-        (
-            "attachments.0.shape",
-            {"type": "sphere", "radius": 1e300},
-            "positive length, up to 1e\\+06",
-        ),
-        (
-            "attachments.0.shape",
-            FAR_CLOUD,
-            r"shape.points holds 1e\+300, more than 1e\+06; give metres",
-        ),
-        (
-            "constraint.0.Tw_e",
-            FAR,
-            r"constraint\[0\].Tw_e is no rigid pose: its position is 1e\+300 m off",
-        ),
-        ("robot.articulated", DOOR_OF_FAR_CASING, r"casing\[0\].T is no rigid pose: its position"),
+        ("attachments.0.T_hand_object", FAR, FAR_OFF),
+        ("attachments.0.shape", HUGE, r"positive length, up to 1e\+06"),
+        ("attachments.0.shape", FAR_CLOUD, r"points holds 1e\+300, more than 1e\+06; give metres"),
+        ("constraint.0.Tw_e", FAR, rf"constraint\[0\].Tw_e {FAR_OFF}"),
+        ("robot.articulated", FAR_CASING, r"casing\[0\].T is no rigid pose: its position"),
         ("name", "two\nlines", "printable"),
     ],
 )
@@ -195,19 +176,13 @@ def with_brick(problem, T):
 
 
 def test_a_start_region_gives_a_start_free_of_collision_that_keeps_the_constraint(data):
-    start = {
-        "pose": {
-            "at": {"xyz": [0.4, 0.2, 0.6], "rpy": [np.pi, -np.pi / 2, 0]},
-            "position": 0.05,
-            "yaw": 3.2,
-        }
-    }
+    at = {"xyz": [0.4, 0.2, 0.6], "rpy": [np.pi, -np.pi / 2, 0]}
+    start = {"pose": {"at": at, "position": 0.05, "yaw": 3.2}}
     asked = changed(changed(data, "start", None), "start_region", start)
     problem = PlanningProblem.from_dict(asked)
     check_problem(problem)
-    np.testing.assert_allclose(
-        problem.robot.pose(problem.start)[:3, 3], (0.4, 0.2, 0.6), atol=0.05001
-    )
+    reached = problem.robot.pose(problem.start)[:3, 3]
+    np.testing.assert_allclose(reached, at["xyz"], atol=0.05001)
     np.testing.assert_array_equal(PlanningProblem.from_dict(asked).start, problem.start)
     # the file that is written holds the start alone
     again = PlanningProblem.from_dict(problem.to_dict())
@@ -226,9 +201,8 @@ def test_files_of_before_still_load(tmp_path):
     for item, was in zip(problem.scene, old["scene"]["objects"], strict=True):
         assert item.T_world_object.tolist() == was["T_world_object"]
         assert item.obstacle == was["obstacle"]
-    assert [region.T0_w.tolist() for region in problem.constraint] == [
-        r["T0_w"] for r in old["constraint"]
-    ]
+    for region, was in zip(problem.constraint, old["constraint"], strict=True):
+        assert region.T0_w.tolist() == was["T0_w"]
     problem.save(tmp_path / "now.json")
     assert PlanningProblem.load(tmp_path / "now.json") == problem
     assert len((tmp_path / "now.json").read_text().splitlines()) < 130
@@ -245,29 +219,21 @@ def test_millimetres_and_degrees_are_suspected(data, caplog):
     own = changed(changed(own, "goals", []), "constraint", [{"upright": 0.1}])
     PlanningProblem.from_dict(own)
     assert not caplog.messages
-    refused(
-        "'shelf', is 600 m large.*no metres",
-        changed(own, "scene.objects.0.shape.size", [300, 600, 20]),
-    )
-    refused(
-        "'shelf', is 67\\d.* m off.*no metres",
-        changed(own, "scene.objects.0.T_world_object.xyz", [600, 0, 300]),
-    )
     goal = {"pose": {"at": {"xyz": [0.5, 0, 0.3], "rpy": [3.14, 0, 0]}}}
-    refused(
-        "goal_region: its frame is 500 m off",
-        changed(own, "goal_region", {"plane": {"normal": [1, 0, 0], "point": [500, 0, 0]}}),
-    )
-    own = changed(own, "goal_region", goal)
-    refused(
-        "'rpy' holds 180, more than 2 pi: degrees",
-        changed(own, "goal_region.pose.at.rpy", [180, 0, 0]),
-    )
-    refused("tilt is 10.0; .*degrees", changed(own, "constraint", {"upright": 10}))
-    refused(
-        "start is outside the limits: panda_joint4 by .*; degrees",
-        changed(own, "start", [0, -45, 0, -135, 0, 90, 45]),
-    )
+    far = {"plane": {"normal": [1, 0, 0], "point": [500, 0, 0]}}
+    in_degrees = [0, -45, 0, -135, 0, 90, 45]
+    aimed = changed(own, "goal_region", goal)
+    size, xyz = "scene.objects.0.shape.size", "scene.objects.0.T_world_object.xyz"
+    for given, path, value, told in (
+        (own, size, [300, 600, 20], "'shelf', is 600 m large.*no metres"),
+        (own, xyz, [600, 0, 300], "'shelf', is 67\\d.* m off.*no metres"),
+        (own, "goal_region", far, "goal_region: its frame is 500 m off"),
+        (aimed, "goal_region.pose.at.rpy", [180, 0, 0], "'rpy' holds 180, more than 2 pi: degrees"),
+        (aimed, "constraint", {"upright": 10}, "tilt is 10.0; .*degrees"),
+        (aimed, "start", in_degrees, "start is outside the limits: panda_joint4 by .*; degrees"),
+    ):
+        refused(told, changed(given, path, value))
+    own = aimed
     PlanningProblem.from_dict(changed(own, "scene.objects.0.T_world_object.xyz", [6, 0, 3]))
     assert "the arm can touch nothing of it: 'shelf' is nearest, 6" in caplog.text
 
@@ -276,22 +242,16 @@ def test_configurations_by_joint_and_by_the_srdf(problem):
     plain, names = problem.to_dict(), problem.robot.joint_names
     values = dict(zip(names, problem.start.tolist(), strict=True))
     backwards = dict(reversed(values.items()))
-    found = PlanningProblem.from_dict(
-        {**plain, "start": backwards, "goals": [backwards, "default"]}
-    )
+    given = {**plain, "start": backwards, "goals": [backwards, "default"]}
+    found = PlanningProblem.from_dict(given)
     np.testing.assert_array_equal(found.start, problem.start)
     np.testing.assert_array_equal(found.goals[0], problem.start)
-    np.testing.assert_array_equal(
-        found.goals[1], [group_states(problem.robot)["default"][name] for name in names]
-    )
-    refused(
-        "unknown group_state of start 'redy'; valid choices: default", {**plain, "start": "redy"}
-    )
-    refused(
-        "unknown joint of start 'joint1'.*did you mean",
-        {**plain, "start": {**values, "joint1": 0.0}},
-    )
-    refused(
-        "start has no value for panda_joint7; give",
-        {**plain, "start": dict(list(values.items())[:6])},
-    )
+    default = group_states(problem.robot)["default"]
+    np.testing.assert_array_equal(found.goals[1], [default[name] for name in names])
+    first_six = dict(list(values.items())[:6])
+    for start, told in (
+        ("redy", "unknown group_state of start 'redy'; valid choices: default"),
+        ({**values, "joint1": 0.0}, "unknown joint of start 'joint1'.*did you mean"),
+        (first_six, "start has no value for panda_joint7; give"),
+    ):
+        refused(told, {**plain, "start": start})

@@ -27,60 +27,37 @@ def site(tmp_path_factory):
     words = f"wheel --no-deps --no-build-isolation --wheel-dir {folder} {folder}/tree".split()
     subprocess.run([*pip, *words], check=True)
     (wheel,) = folder.glob("cvqmpt_lab-*.whl")
-    subprocess.run(
-        [*pip, "install", "--no-deps", "--target", str(folder / "site"), str(wheel)], check=True
-    )
+    words = f"install --no-deps --target {folder}/site {wheel}".split()
+    subprocess.run([*pip, *words], check=True)
     return folder / "site"
+
+
+def run(site, folder, words):
+    """Python with these words in a folder, with the installed wheel."""
+    how = {"cwd": folder, "env": os.environ | {"PYTHONPATH": str(site)}}
+    return subprocess.run([sys.executable, *words], **how, capture_output=True, text=True)
 
 
 def test_it_holds_every_module_and_all_data(site):
     for name in PACKAGES:
-        wanted = {
-            path
-            for pattern in DATA
-            for path in (ROOT / name).rglob(pattern)
-            if "results" not in path.parts[-3:-1]
-        }
-        missing = [path for path in wanted if not (site / path.relative_to(ROOT)).is_file()]
-        assert wanted and missing == []
-        assert all(
-            filecmp.cmp(path, site / path.relative_to(ROOT), shallow=False) for path in wanted
-        )
+        found = (path for pattern in DATA for path in (ROOT / name).rglob(pattern))
+        wanted = [p.relative_to(ROOT) for p in found if "results" not in p.parts[-3:-1]]
+        assert wanted and [path for path in wanted if not (site / path).is_file()] == []
+        assert all(filecmp.cmp(ROOT / path, site / path, shallow=False) for path in wanted)
 
 
 def test_it_plans_from_an_empty_folder(site, tmp_path):
-    words = [
-        "plan",
-        "place-task",
-        "--problem",
-        "7",
-        "--planner",
-        "roadmap-cvq",
-        "--iterations",
-        "2000",
-    ]
-    environment = os.environ | {"PYTHONPATH": str(site)}
-    done = subprocess.run(
-        [sys.executable, site / "bin" / "cvqmpt", *words],
-        cwd=tmp_path, env=environment, capture_output=True, text=True,
-    )  # fmt: skip
+    options = "--problem 7 --planner roadmap-cvq --iterations 2000"
+    done = run(site, tmp_path, f"{site}/bin/cvqmpt plan place-task {options}".split())
     assert done.returncode == 0, done.stderr
     assert "status      solved" in done.stdout and "certificate valid" in done.stdout
     assert list(tmp_path.iterdir()) == []
-    where = [sys.executable, "-c", "import cli.main, cvqmpt_lab; print(cvqmpt_lab.__file__)"]
-    found = subprocess.run(
-        where, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-    )
+    found = run(site, tmp_path, ["-c", "import cli.main, cvqmpt_lab; print(cvqmpt_lab.__file__)"])
     assert Path(found.stdout.strip()) == site / "cvqmpt_lab" / "__init__.py"
 
 
 @pytest.mark.parametrize("command", ["check-tables", "check-tables --update", "claims"])
-def test_what_compares_with_committed_results_says_that_it_needs_a_checkout(
-    site, tmp_path, command
-):
-    done = subprocess.run(
-        [sys.executable, site / "bin" / "cvqmpt", *command.split()],
-        cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(site)}, capture_output=True, text=True,
-    )  # fmt: skip
+def test_comparing_with_committed_results_needs_a_checkout(site, tmp_path, command):
+    done = run(site, tmp_path, [site / "bin" / "cvqmpt", *command.split()])
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
     assert "needs a checkout" in done.stderr and not list((site / "paper_tables").glob("*.md"))
