@@ -11,7 +11,7 @@ import numpy as np
 from cli.options import EXACTLY_ONE_OF, FLAG, SEED, Options, option, positive_int
 from cli.problem_options import pose_region
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, find_in_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError, located, mapping
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         middle = 0.5 * (robot.lower + robot.upper)  # stands for a start that may still be missing
         given = {**data, "start": middle, "start_region": None, "goals": [], "goal_region": region}
         problem = PlanningProblem.from_dict(given)
-    found = sample_region(
+    found = find_in_region(
         problem.robot,
         region,
         problem.collision_checker(SAMPLE_MARGIN),

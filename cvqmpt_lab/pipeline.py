@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.certificate import Certificate, certify
-from cvqmpt_lab.constraints.inverse_kinematics import GoalSample
+from cvqmpt_lab.constraints.inverse_kinematics import GoalSample, reaches_no_pose
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
 from cvqmpt_lab.errors import require_kind, whole_number
 from cvqmpt_lab.planners import Method, planner_named, require_fit
@@ -216,7 +216,7 @@ def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float
         return problem, 0.0
     began = time.perf_counter()
     found = drawn_goals(problem).configurations
-    kept = found[np.linalg.norm(problem.manifold.residual(found), axis=1) <= TOLERANCE]
+    kept = found[_on_manifold(problem, found)]
     posed = problem.changed(goals=kept if len(kept) else found)
     return posed, time.perf_counter() - began
 
@@ -226,8 +226,23 @@ def drawn_goals(problem: PlanningProblem) -> GoalSample:
 
     They depend on the problem's start alone: all planners and seeds get the same. Where the hand
     holds a door, goals have the door where the hand takes it, and an arm posture like the start's:
-    most others require letting go.
+    most others require letting go. Configurations are projected onto region and constraint where
+    the robot `reaches_no_pose` or no goal for a pose keeps the constraint.
     """
-    rng = problem.random_stream()
-    held = [region for region in problem.constraint if isinstance(region, TaskSpaceRegionChain)]
-    return sample_goals(problem, rng, MAX_GOALS, within=held, near=problem.start if held else None)
+    rng, region = problem.random_stream(), problem.goal_region
+    assert region is not None
+    held = [part for part in problem.constraint if isinstance(part, TaskSpaceRegionChain)]
+    sampled = partial(sample_goals, problem, rng, MAX_GOALS, near=problem.start if held else None)
+    drawn = None
+    if not reaches_no_pose(problem.robot):
+        drawn = sampled(within=held)
+        # a region of one pose has no other
+        if _on_manifold(problem, drawn.configurations).any() or not np.ptp(region.Bw, axis=1).any():
+            return drawn
+    projected = sampled(within=problem.constraint, project=True)
+    return projected if drawn is None or len(projected.configurations) else drawn
+
+
+def _on_manifold(problem: PlanningProblem, states: np.ndarray) -> np.ndarray:
+    """Which of states (k, n) keep the constraint."""
+    return np.linalg.norm(problem.manifold.residual(states), axis=1) <= TOLERANCE

@@ -33,7 +33,7 @@ import numpy as np
 
 from cvqmpt_lab.codec import Document, OneOrMore
 from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region, why_none
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, find_in_region, why_none
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements
 from cvqmpt_lab.constraints.task_space_region import (
@@ -199,7 +199,7 @@ class PlanningProblem(Document):
         """The configuration (n,) in the start region and constraint, always the same one."""
         assert self.start_region is not None
         checker, rng = self.collision_checker(SAMPLE_MARGIN), np.random.default_rng(0)
-        found = sample_region(
+        found = find_in_region(
             self.robot, self.start_region, checker, rng, count=1, within=self.constraint
         )
         if len(found.configurations) == 0:

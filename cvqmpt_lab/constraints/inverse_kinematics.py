@@ -1,12 +1,14 @@
 """Inverse kinematics as projection, and the reasons why a region of poses has no configuration.
 
 A pose is a task-space region with bounds of zero. Newton's method from random configurations, the
-planners' projection (paper, Algorithm 1), works for any serial robot.
+planners' projection (paper, Algorithm 1), works for any serial robot. A hand that less than six
+joints move gets to hardly any pose that is drawn: configurations are projected onto the region.
 """
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +30,13 @@ ATTEMPTS = 12  # random configurations Newton's method starts from, per pose
 NEAR = 0.3  # [rad] standard deviation of starts around a given configuration
 POSES = 25  # drawn at once
 SAMPLE_MARGIN = 1e-3  # [m] kept from obstacles by sampled starts and goals
+INSIDE = 1e-3  # [m, rad] or a tenth of the width, inside bounds: where projected samples end
 ONE_POSE = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
+
+
+def reaches_no_pose(robot: Robot) -> bool:
+    """Whether the hand has less than six joints: most poses that are drawn are out of its reach."""
+    return int(robot.kinematics.moves[:, robot.end_effector_link[0]].sum()) < 6
 
 
 def solve_poses(
@@ -36,6 +44,7 @@ def solve_poses(
     poses: np.ndarray,
     guesses: np.ndarray,
     within: Sequence[TaskSpaceRegion] = (),
+    anywhere: TaskSpaceRegion | None = None,
 ) -> list[np.ndarray]:
     """Configurations inside the limits that reach end-effector poses, by Newton's method.
 
@@ -44,12 +53,16 @@ def solve_poses(
         poses: (k, 4, 4) in the base frame [m].
         guesses: (k, a, n), where Newton's method starts; overwritten [rad or m].
         within: regions kept at the same time.
+        anywhere: a region of poses, anywhere in which they end instead.
 
     Returns:
         k arrays (at most a, n).
     """
     # the reference frame of the first region is written for each pose
     regions = stack_regions(robot, (ONE_POSE, *within))
+    if anywhere is not None:
+        regions = stack_regions(robot, (anywhere, *within), INSIDE)
+        poses = np.broadcast_to(anywhere.T0_w, poses.shape)
     reached = np.empty(guesses.shape[:2], dtype=np.int64)
     reach_poses(
         robot.kinematics,
@@ -100,12 +113,15 @@ def sample_region(
     max_poses: int = 100,
     within: Sequence[TaskSpaceRegion] = (),
     near: np.ndarray | None = None,
+    project: bool = False,
 ) -> GoalSample:
     """Up to count collision-free configurations with the end effector in a region, one per pose.
 
     within: regions kept at the same time; the region of a held handle moves its door to the hand.
     near: configuration (n,) that Newton's method starts around, `NEAR` away, instead of anywhere.
+    project: onto the region, not onto poses drawn in it; always if the robot `reaches_no_pose`.
     """
+    anywhere = region if project or reaches_no_pose(robot) else None
     found: list[np.ndarray] = []
     unreachable = colliding = tried = 0
     while len(found) < count and tried < max_poses:
@@ -114,7 +130,9 @@ def sample_region(
         # as many poses at once as configurations are wanted: no more than needed are solved
         few = (slice(first, first + count) for first in range(0, len(poses), count))
         for candidates in (
-            one for part in few for one in solve_poses(robot, poses[part], guesses[part], within)
+            one
+            for part in few
+            for one in solve_poses(robot, poses[part], guesses[part], within, anywhere)
         ):
             tried += 1
             free = next((q for q in candidates if not checker.in_collision(q)), None)
@@ -129,6 +147,12 @@ def sample_region(
     return GoalSample(configurations, tried, unreachable, colliding)
 
 
+def find_in_region(*args: Any, **options: Any) -> GoalSample:
+    """`sample_region`, by projection onto the region where none of the poses is reached."""
+    found = sample_region(*args, **options)
+    return found if len(found.configurations) else sample_region(*args, **options, project=True)
+
+
 def why_none(
     robot: Robot,
     region: TaskSpaceRegion,
@@ -138,11 +162,13 @@ def why_none(
     """The reasons: out of reach, against the constraint, in collision; "" if none is known."""
     rng = np.random.default_rng(0)
     T = region.sample_poses(rng, POSES)
-    found = solve_poses(robot, T, first_guesses(robot, rng, len(T)))
+    anywhere = region if reaches_no_pose(robot) else None
+    found = solve_poses(robot, T, first_guesses(robot, rng, len(T)), anywhere=anywhere)
     missed = T[[len(rows) == 0 for rows in found]]
     reasons = [_reach(robot, missed, rng)] if len(missed) else []
     for member in constraint:
-        if not isinstance(member, TaskSpaceRegionChain):
+        # few drawn poses say nothing of turns that are all free
+        if (region.bounded_rows > 2).any() and not isinstance(member, TaskSpaceRegionChain):
             broken = broken_bound(member, displaced(member, T, member.T0_w[None]))
             reasons += [f"every pose breaks {broken}"] if broken else []
     reasons.append(_collisions(checker, np.concatenate(found)))

@@ -12,6 +12,7 @@ from cvqmpt_lab.collision.exact import reach_with
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.inverse_kinematics import (
     ATTEMPTS,
+    INSIDE,
     MAX_ITERATIONS,
     NEAR,
     ONE_POSE,
@@ -156,6 +157,7 @@ def sample_goals(
     max_poses: int = 100,
     within: Sequence[TaskSpaceRegion] = (),
     near: np.ndarray | None = None,
+    project: bool = False,
 ) -> GoalSample:
     """Up to count collision-free configurations in a problem's goal region, one per pose.
 
@@ -169,16 +171,21 @@ def sample_goals(
         max_poses: at most so many poses are drawn.
         within: regions kept at the same time; that of a held handle puts its door at the hand.
         near: configuration (n,) around which Newton's method starts, instead of anywhere.
+        project: onto the region itself, not onto poses drawn in it.
     """
     robot, region = problem.robot, problem.goal_region
     assert region is not None
-    regions = stack_regions(robot, (ONE_POSE, *within))
     if near is None:
         seeds = _seeds_anywhere(robot)
     else:
         scattered = near + NEAR * rng.standard_normal((512, robot.dof))
         seeds = _seeds(robot, np.clip(scattered, robot.lower, robot.upper))
-    T = region.sample_poses(rng, max_poses)
+    T, look = region.sample_poses(rng, max_poses), LOOK
+    regions = stack_regions(robot, (ONE_POSE, *within))
+    if project:
+        # no pose is the one to start near to
+        T[:], look = region.T0_w, 1
+        regions = stack_regions(robot, (region, *within), INSIDE)
     poses = Poses(
         np.ascontiguousarray(T[:, :3, :3]),
         np.ascontiguousarray(T[:, :3, 3]),
@@ -193,11 +200,12 @@ def sample_goals(
         scene_arrays(problem.scene, reach_with(robot, problem.attachments), problem.clearance),
         SAMPLE_MARGIN,
         seeds,
-        rng.integers(len(seeds.configurations) - LOOK + 1, size=(ATTEMPTS, max_poses)),
-        LOOK,
+        rng.integers(len(seeds.configurations) - look + 1, size=(ATTEMPTS, max_poses)),
+        look,
         TOLERANCE,
         MAX_ITERATIONS,
-        near is None,  # from a given posture progress may be slow
+        # from a given posture, or along limits and bounds, progress may be slow
+        near is None and not project,
         projection_scratch(robot.dof, regions),
         count,
         poses,

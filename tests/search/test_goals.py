@@ -12,6 +12,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.goals import sample_goals
@@ -83,6 +84,51 @@ def test_half_of_the_goals_of_joints_with_more_than_a_turn_are_at_most_half_a_tu
     assert away[::2].max() <= np.pi < away[1::2].max()
     assert_inside(problem, goals)
     assert ((goals >= problem.robot.lower) & (goals <= problem.robot.upper)).all()
+
+
+YAW_FREE, POSITION_ONLY = [0.05, 0.05, np.pi], [np.inf] * 3
+
+
+@pytest.fixture(scope="module")
+def five_joints():
+    """An arm of five joints between two configurations on a manifold, the second one's pose."""
+    arm = robot_from_source({"name": "so-arm101"})
+    start, end = np.array([[0.0, -0.8, 0.6, 0.2, 0.0], [0.8, -0.2, 0.4, 0.0, 0.5]])
+    kept = (TaskSpaceRegion(np.eye(4), arm.pose(start), bounds([np.inf] * 3 + [0.3, 0.3, np.inf])),)
+    problem = PlanningProblem("five", arm, Scene("empty", ()), start, end[None], kept)
+    return replace(problem, goals=problem.manifold.project(end)[None])
+
+
+def bounds(most):
+    return np.stack([np.negative(most), most], axis=1)
+
+
+@pytest.mark.parametrize("turns", [YAW_FREE, POSITION_ONLY])
+@pytest.mark.parametrize("constrained", [False, True])
+def test_an_arm_of_five_joints_gets_goals_in_a_region_with_freedom(five_joints, turns, constrained):
+    """Whole poses are drawn from the region, hardly any within its reach: there was no goal."""
+    T, there = five_joints.robot.pose(five_joints.goals[0]), np.eye(4)
+    there[:3, 3], T[:3, 3] = T[:3, 3], 0.0
+    region = TaskSpaceRegion(there, T, bounds([0.005] * 3 + turns))
+    asked = replace(five_joints, goals=np.empty((0, 5)), goal_region=region)
+    asked = asked if constrained else replace(asked, constraint=())
+    solution = solve(asked, "birrt", Budget(iterations=20_000), seed=0)
+    assert solution.solved and len(solution.problem.goals) == 20
+    assert_inside(asked, solution.problem.goals)
+    drawn = asked.changed(start=np.empty(0), start_region=region)
+    start = PlanningProblem.from_dict(drawn.to_dict()).start
+    assert_inside(asked, start[None])
+
+
+def test_goals_of_a_region_of_all_turns_are_turned_as_the_constraint_asks(problem):
+    """None of the poses that were drawn kept it: "'goal_region' leaves the constraint"."""
+    region = TaskSpaceRegion(
+        pose(problem.robot.pose(problem.goals[0])[:3, 3]),
+        np.eye(4),
+        bounds([0.0] * 3 + [np.inf] * 3),
+    )
+    asked = replace(problem, goals=np.empty((0, 7)), goal_region=region)
+    assert solve(asked, "birrt", Budget(iterations=20_000), seed=0).solved
 
 
 HALF = 0.85  # [m] from the base to the walls
