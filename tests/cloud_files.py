@@ -76,16 +76,19 @@ GOOD = {
     "a.ply": ply(POINTS, "ascii"),
     "b.ply": ply(POINTS),
     "big.ply": ply(POINTS, "binary_big_endian"),
+    "edges.ply": ply(POINTS, "ascii", tail="element edge 1\nproperty int vertex1\n") + b"\n3\n",
     "mesh.ply": ply(POINTS, tail="element face 1\nproperty list uchar int vertex_indices\n")
     + bytes([3])
     + bytes(12),
     "a.npy": npy(POINTS),
     "single.npy": npy(POINTS.astype("f4")),
-    "image.npy": npy(np.dstack([POINTS.reshape(8, 5, 3), np.zeros((8, 5))])),
+    "image.npy": npy(POINTS.reshape(8, 5, 3)),
     "columns.npy": npy(np.asfortranarray(POINTS)),
     "named.npy": npy(
         np.rec.fromarrays([POINTS[:, 0], np.zeros(40), *POINTS[:, 1:].T], names="x,c,y,z")
     ),
     "a.xyz": xyz(POINTS),
     "a.csv": xyz(POINTS, ","),
+    "remark.xyz": b"# x, y, z\n\n" + xyz(POINTS).replace(b"255\n", b"255 # dark, near\n"),
+    "b.csv": xyz(POINTS, "; "),
 }

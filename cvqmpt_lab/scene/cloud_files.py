@@ -181,22 +181,29 @@ def read_array(data: bytes) -> np.ndarray:
 
 
 def _read_npy(data: bytes) -> np.ndarray:
-    """An array (m, 3 or more), (height, width, 3 or more), or with fields x, y, z."""
+    """An array (m, 3), (height, width, 3), or with fields x, y, z."""
     array = read_array(data)
     if array.dtype.names is not None:
         names = array.dtype.names
         columns = [array[names[k]].reshape(-1) for k in _axes_among(names)]
         return np.stack(columns, axis=1).astype(np.float64)
-    if array.dtype.kind not in "fiu" or array.ndim < 2 or array.shape[-1] < 3:
+    if array.dtype.kind not in "fiu" or array.ndim < 2 or array.shape[-1] != 3:
+        cause = ": transposed?" if array.ndim == 2 and len(array) == 3 else ""
         raise InvalidInputError(
-            f"it has shape {array.shape} of {array.dtype}; give numbers of shape (m, 3)"
+            f"it has shape {array.shape} of {array.dtype}; give numbers of shape (m, 3){cause}"
         )
-    return array.reshape(-1, array.shape[-1])[:, :3]
+    return array.reshape(-1, 3)
 
 
 def _read_lines(data: bytes) -> np.ndarray:
-    """Lines of numbers between blanks, commas or semicolons; the first three count."""
-    return _numbers(data.decode("utf-8").replace(",", " ").replace(";", " "), range(3))
+    """Lines of numbers between blanks, commas or semicolons, as in the first; three count."""
+    text = data.decode("utf-8")
+    first = re.search(r"^\s*[^#/\s][^#/\n]*", text, re.MULTILINE)
+    between = next((mark for mark in ";," if first is not None and mark in first[0]), None)
+    try:
+        return _numbers(text, range(3), between)
+    except ValueError as error:
+        raise InvalidInputError(f"{error} write decimal points, x, y, z in each line") from error
 
 
 def _read_pcd(data: bytes) -> np.ndarray:
@@ -228,7 +235,7 @@ def _read_pcd(data: bytes) -> np.ndarray:
     if form == "ascii":
         if any(n != 1 for n in repeats):
             raise InvalidInputError("it is ascii with a COUNT other than 1; write it as binary")
-        points = _numbers(body.decode("ascii"), axes)
+        points = _rows(body.decode("ascii"), len(names))[:, axes]
     elif form == "binary":
         points = _from_rows(body, row, axes, count)
     elif form == "binary_compressed":
@@ -247,9 +254,7 @@ def _from_rows(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> n
             f"its header says {count} points, the file holds {len(body) // max(1, row.itemsize)}: "
             "cut short?"
         )
-    # PCL fills the last page of a file with zeros
-    if body[count * row.itemsize :].strip(b"\0\n"):
-        raise InvalidInputError(f"its header says {count} points, but the file holds more")
+    _refuse_more(body[count * row.itemsize :], count)
     rows = np.frombuffer(body, row, count)
     return np.concatenate([rows[str(k)].astype(np.float64) for k in axes], axis=1)
 
@@ -263,6 +268,7 @@ def _unpacked(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np
             f"its header says {count} points of {row.itemsize} bytes, its compressed part "
             f"{unpacked} bytes in {packed} of {len(body) - 8}"
         )
+    _refuse_more(body[8 + packed :], count)
     raw = lzf.decompress(body[8 : 8 + packed], unpacked) if unpacked else b""
     if raw is None or len(raw) != unpacked:
         raise InvalidInputError("its compressed points cannot be unpacked")
@@ -272,15 +278,37 @@ def _unpacked(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np
     return np.stack(found, axis=1).astype(np.float64)
 
 
+def _refuse_more(rest: bytes, count: int, page: int = 4096) -> None:
+    """Refuse what follows the last point, but zeros, with which PCL fills a page of memory."""
+    if len(rest) >= page or rest.strip(b"\0"):
+        raise InvalidInputError(
+            f"its header says {count} points, but the file holds more: {len(rest)} bytes"
+        )
+
+
 def _read_ply(data: bytes) -> np.ndarray:
     """Points (m, 3) of the element "vertex" of a PLY file, which must hold nothing but numbers."""
+    top = re.match(
+        rb"ply\s+format (ascii|binary_little_endian|binary_big_endian) "
+        rb"(?s:.{0,999999}?)^end_header\r?\n",
+        data,
+        re.MULTILINE,
+    )
+    elements: list[tuple[str, int, list[str]]] = []  # name, count, properties, "" for a list
+    for line in top[0].decode("utf-8").splitlines() if top else ():
+        words = line.split()
+        if words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            elements[-1][2].append(words[-1] if len(words) == 3 else "")
+    counts = [count for name, count, _ in elements if name == "vertex"]
+    if top is None or len(counts) != 1:
+        raise InvalidInputError("it does not begin with a PLY header of ascii or binary vertices")
+    if top[1] == b"ascii":
+        return _ascii_vertices(data[top.end() :].decode("ascii"), elements)
     # it takes a second to import, which other clouds need not pay
     import trimesh
 
-    form = re.match(rb"ply\s+format (ascii|binary_little_endian|binary_big_endian) ", data)
-    said = re.search(rb"element vertex (-?\d+)\s(?s:.{0,999999}?)end_header", data[:1_000_000])
-    if form is None or said is None:
-        raise InvalidInputError("it does not begin with a PLY header of ascii or binary vertices")
     try:
         loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
         points = np.asarray(getattr(loaded, "vertices", np.empty((0, 3))), dtype=np.float64)
@@ -288,11 +316,22 @@ def _read_ply(data: bytes) -> np.ndarray:
         raise InvalidInputError(
             f"its vertices x, y, z cannot be read ({error}): cut short, or no plain numbers?"
         ) from error
-    if len(points) != int(said[1]):
-        raise InvalidInputError(
-            f"its header says {int(said[1])} points, the file holds {len(points)}"
-        )
+    if len(points) != counts[0]:
+        raise InvalidInputError(f"its header says {counts[0]} points, the file holds {len(points)}")
     return points
+
+
+def _ascii_vertices(text: str, elements: Sequence[tuple[str, int, list[str]]]) -> np.ndarray:
+    """Points (m, 3) of the element "vertex": names, counts, properties, a line for each."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    if sum(count for _, count, _ in elements) != len(lines):
+        said = ", ".join(f"{count} {name}" for name, count, _ in elements)
+        raise InvalidInputError(f"its header says {said}, the file holds {len(lines)} lines")
+    k = [name for name, _, _ in elements].index("vertex")
+    before = sum(count for _, count, _ in elements[:k])
+    _, count, properties = elements[k]
+    rows = _rows("\n".join(lines[before : before + count]), len(properties))
+    return rows[:, _axes_among(properties)]
 
 
 def _axes_among(names: Sequence[str]) -> list[int]:
@@ -305,12 +344,23 @@ def _axes_among(names: Sequence[str]) -> list[int]:
     return [list(names).index(axis) for axis in "xyz"]
 
 
-def _numbers(text: str, chosen: Sequence[int]) -> np.ndarray:
-    """Some columns of lines of numbers (m, k)."""
+def _rows(text: str, width: int) -> np.ndarray:
+    """Lines of so many numbers each (m, width)."""
+    found = _numbers(text)
+    if found.size and found.shape[1] != width:
+        raise InvalidInputError(f"it has {found.shape[1]} numbers a line, its header says {width}")
+    return found.reshape(-1, width)
+
+
+def _numbers(
+    text: str, chosen: Sequence[int] | None = None, between: str | None = None
+) -> np.ndarray:
+    """All or some columns of lines of numbers (m, k) between blanks or a mark."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that there is no data, which callers say themselves
-        found = np.loadtxt(io.StringIO(text), usecols=chosen, ndmin=2, comments=("#", "//"))
-    return found.reshape(-1, len(chosen))
+        return np.loadtxt(
+            io.StringIO(text), usecols=chosen, ndmin=2, comments=("#", "//"), delimiter=between
+        )
 
 
 READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {  # of points (m, 3), by the file's suffix

@@ -43,11 +43,17 @@ def read_triangles(path: Path) -> FloatArray:
 
 def _triangles(kind: str, data: bytes) -> FloatArray:
     if kind == "obj":
-        data = data.decode("utf-8", errors="replace").encode()  # may have another encoding
+        # may have another encoding; trimesh passes over lines with tabs or blanks in front
+        lines = data.decode("utf-8", errors="replace").splitlines()
+        data = "\n".join(" ".join(line.split()) for line in lines).encode()
     mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False)
     faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
     if len(faces) == 0:
         raise InvalidInputError("it has no triangle: cut short?")
+    # of the text form, from which trimesh leaves out what follows the end of a solid
+    stated = data.lower().count(b"endfacet") if kind == "stl" else 0
+    if stated not in (0, len(faces)):
+        raise InvalidInputError(f"{len(faces)} of its {stated} triangles belong to a solid")
     if len(faces) > MOST_TRIANGLES:
         raise InvalidInputError(
             f"it has {len(faces)} triangles; {MOST_TRIANGLES} at most: simplify it"

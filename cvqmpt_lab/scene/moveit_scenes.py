@@ -97,13 +97,13 @@ class _Lines:
     """
 
     def __init__(self, text: str) -> None:
-        self._left = [line.strip() for line in text.splitlines() if line.strip()][::-1]
+        self.left = [line.strip() for line in text.splitlines() if line.strip()][::-1]
 
     def next(self, what: str) -> str:
         """The next line, which holds `what`."""
-        if not self._left:
+        if not self.left:
             raise InvalidInputError(f"it ends where {what} is expected: cut short?")
-        return self._left.pop()
+        return self.left.pop()
 
     def count(self, what: str) -> int:
         """A line of one whole number."""
@@ -144,7 +144,7 @@ class _Lines:
 
     def object(self, of: str) -> Iterator[Placed]:
         """The shapes of one object, read from the lines after its "* ID"."""
-        newer = bool(self._left) and len(self._left[-1].split()) == 3
+        newer = bool(self.left) and len(self.left[-1].split()) == 3
         T_object = self.pose("the object") if newer else np.eye(4)
         for _ in range(self.count("the number of shapes")):
             shapes = list(self.shapes())
@@ -164,6 +164,8 @@ def _from_text(text: str, path: Path) -> tuple[str, str, list[Placed]]:
             raise InvalidInputError(f"{shown(line)} where '* ID' of an object, or '.', is expected")
         with located(f"object {shown(line[1:].strip())}"):
             found += lines.object(line[1:].strip())
+    if lines.left:
+        raise InvalidInputError(f"{shown(lines.next('an object'))} follows '.', which ends it")
     return name, "", found
 
 

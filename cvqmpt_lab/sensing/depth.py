@@ -113,7 +113,10 @@ def _read_png(data: bytes, lens: Intrinsics) -> np.ndarray:
             raise InvalidInputError(
                 "its header says more pixels than the file can hold: cut short?"
             )
-        return np.asarray(image, dtype=np.uint16)
+        pixels = np.asarray(image, dtype=np.uint16)
+    if data.partition(b"IEND\xaeB`\x82")[2]:
+        raise InvalidInputError("the file goes on after its image; give one image a file")
+    return pixels
 
 
 def _read_npy(data: bytes, lens: Intrinsics) -> np.ndarray:

@@ -13,7 +13,7 @@ from cvqmpt_lab.scene.convex import (
     of_few_vertices,
     spread_points,
 )
-from cvqmpt_lab.scene.mesh_files import read_mesh
+from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
 from cvqmpt_lab.scene.shapes import ConvexMesh
 
 
@@ -148,6 +148,13 @@ BAD = {
     "empty.stl": (b"", "cut short"),
     "billion.stl": (bytes(80) + (10**9).to_bytes(4, "little") + bytes(50), "cut short"),
     "cut.stl": (box((1, 1, 1)).export(file_type="stl")[:-70], "cut short"),
+    "more.stl": (
+        box((1, 1, 1)).export(file_type="stl_ascii").encode()
+        + b"\nfacet normal 0 0 1\nouter loop\n"
+        + b"vertex 9 9 9\n" * 3
+        + b"endloop\nendfacet\n",
+        "12 of its 13 triangles belong to a solid",
+    ),
     "page.dae": (b"<!DOCTYPE html><html></html>", "dae"),
     "none.dae": (b"<?xml version='1.0'?><COLLADA version='1.4.1'/>", "dae"),
 }
@@ -160,6 +167,16 @@ def test_bad_meshes_are_refused_by_name_in_one_line(name, tmp_path):
     with pytest.raises(InvalidInputError, match=message) as caught:
         read_mesh(tmp_path / name)
     assert "\n" not in str(caught.value) and name in str(caught.value)
+
+
+def test_blanks_before_and_between_words_leave_no_triangle_out(tmp_path):
+    data = box((0.1, 0.2, 0.3)).export(file_type="obj").encode()
+    indented = data.replace(b"\nf ", b"\n  f\t", 6)
+    (tmp_path / "a.obj").write_bytes(data)
+    (tmp_path / "b.obj").write_bytes(indented)
+    expected, found = (read_triangles(tmp_path / f"{name}.obj") for name in "ab")
+    assert indented != data
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_names_in_another_encoding_do_not_matter(tmp_path):

@@ -129,6 +129,11 @@ def test_a_scene_without_something_is_refused(tmp_path):
         read_moveit_scene(tmp_path / "a.xml")
 
 
+def test_objects_after_the_end_are_not_passed_over(tmp_path):
+    with pytest.raises(InvalidInputError, match=r"'\* late' follows '\.'"):
+        read(tmp_path, OLDER + "* late\n")
+
+
 def test_damaged_text_is_refused_in_one_line(tmp_path):
     rng = random.Random(0)
     for text in (OLDER, NEWER):

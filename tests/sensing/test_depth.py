@@ -52,6 +52,12 @@ def cut(path):
     path.write_bytes(path.read_bytes()[:30_000])
 
 
+def twice(path):
+    """An image after another."""
+    write_depth(path, np.ones((160, 200)))
+    path.write_bytes(2 * path.read_bytes())
+
+
 def picture(mode, size=(200, 160)):
     return lambda path: Image.new(mode, size).save(path, format="PNG")
 
@@ -64,6 +70,7 @@ def picture(mode, size=(200, 160)):
         (picture("I;16", (100, 80)), "100 x 80 pixels"),
         (lying_png, "32000 x 32000 pixels|exceeds limit"),
         (cut, "truncated"),
+        (twice, "goes on after its image"),
         (lambda path: path.write_text("<!DOCTYPE html>"), "cannot identify"),
         (lambda path: write_depth(path, np.zeros((160, 200)), 0.001), "saw nothing, every pixel"),
     ],
