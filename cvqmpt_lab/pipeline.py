@@ -23,6 +23,7 @@ from cvqmpt_lab.search.planner_interface import Observation, Query, SamplingDist
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.search.shortcut import Simplified, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.values import frozen
 
 MAX_GOALS = 20
 NEAR_GOALS = 5  # that are tried first where joints turn more than once
@@ -217,7 +218,7 @@ def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float
     began = time.perf_counter()
     found = drawn_goals(problem).configurations
     kept = found[_on_manifold(problem, found)]
-    posed = problem.changed(goals=kept if len(kept) else found)
+    posed = problem.changed(goals=frozen(kept if len(kept) else found))
     return posed, time.perf_counter() - began
 
 

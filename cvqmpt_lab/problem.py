@@ -47,7 +47,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
 from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.scene.units import refuse_far, refuse_far_poses, report_out_of_reach
-from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name
+from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name, frozen
 
 MOST_REGIONS = 32  # of one constraint
 MOST_CLEARANCE = 0.2  # [m]
@@ -207,9 +207,7 @@ class PlanningProblem(Document):
             raise InvalidProblemError(
                 f"{self.name}: no start in 'start_region': {found.outcome}; {why}"
             )
-        start = found.configurations[0]
-        start.setflags(write=False)
-        return start
+        return frozen(found.configurations[0])
 
     def labelled_configurations(self) -> Iterator[tuple[str, np.ndarray]]:
         """("start", q), ("goal 0", q), ..."""

@@ -5,16 +5,27 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from cvqmpt_lab.errors import InvalidInputError, shown
 
+Kept = TypeVar("Kept")
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 TURN = 2.0 * np.pi  # [rad]; larger angles are degrees
 LARGEST = 1e6  # [m] of a length or a coordinate: more is a misplaced unit, whose powers overflow
+
+
+def frozen(value: Kept) -> Kept:
+    """The value itself; arrays that it or its tuples hold can no longer be written to."""
+    if isinstance(value, np.ndarray):
+        value.setflags(write=False)
+    elif isinstance(value, tuple):
+        for part in value:
+            frozen(part)
+    return value
 
 
 def scalar(kind: type, value: Any, where: str) -> Any:
@@ -89,8 +100,7 @@ class Array:
             raise InvalidInputError(
                 f"{where} holds {most:.3g}, more than {self.largest:g}; give metres"
             )
-        array.setflags(write=False)
-        return array
+        return frozen(array)
 
     def write(self, value: FloatArray) -> list:
         """Nested lists."""

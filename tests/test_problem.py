@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cvqmpt_lab.benchmarks.door_task import door_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
+from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
 from cvqmpt_lab.pipeline import with_sampled_goals
@@ -255,3 +257,36 @@ def test_configurations_by_joint_and_by_the_srdf(problem):
         (first_six, "start has no value for panda_joint7; give"),
     ):
         refused(told, {**plain, "start": start})
+
+
+def arrays_of(value, where, seen):
+    """Every array that is reached from a value, with the way to it."""
+    if id(value) in seen or isinstance(value, str | bytes | type):
+        return
+    seen[id(value)] = value
+    if isinstance(value, np.ndarray):
+        yield where, value
+    parts = enumerate(value) if isinstance(value, tuple | list) else vars_of(value).items()
+    for name, part in parts:
+        yield from arrays_of(part, f"{where}.{name}", seen)
+
+
+def vars_of(value):
+    if isinstance(value, dict):
+        return value
+    return vars(value) if type(value).__module__.startswith("cvqmpt_lab") else {}
+
+
+@pytest.mark.parametrize("with_door", [False, True])
+def test_nothing_that_problems_share_can_be_written_to(with_door):
+    problem = door_problem(0) if with_door else place_problem(0, with_can=True)
+    problem = with_sampled_goals(problem)[0]
+    _ = problem.robot.turning, problem.manifold.regions, problem.robot.kinematics_digest
+    robot, load = problem.robot, problem.attachments
+    cached = robot_arrays(robot, load), robot_swing(robot, load), scene_arrays(problem.scene, 1.0)
+    found = dict(arrays_of((problem, cached), "problem", {}))
+    assert len(found) > 60
+    assert [where for where, array in found.items() if array.flags.writeable] == []
+    with pytest.raises(ValueError, match="read-only"):
+        lower = problem.robot.lower
+        lower -= 0.5

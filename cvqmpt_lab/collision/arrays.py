@@ -28,6 +28,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, Shape, Sphere
+from cvqmpt_lab.values import frozen
 
 
 @lru_cache(maxsize=8)
@@ -63,7 +64,7 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
 
     found = cached_arrays("robot_geometry", b"".join(made_of), arrays)
     pieces = ConvexShapes(*(found.pop(name) for name in ConvexShapes._fields))
-    return RobotGeometry(pieces=pieces, largest=float(found.pop("largest")), **found)
+    return frozen(RobotGeometry(pieces=pieces, largest=float(found.pop("largest")), **found))
 
 
 def _require_few_pieces(name: str, spec: ShapeSpec, most: int = 2000) -> None:
@@ -91,7 +92,7 @@ def robot_swing(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> np.nd
         step = np.linalg.norm(kinematics.translation[j]) + slides[j]
         up = kinematics.parent[j]
         extent[up] = max(extent[up], step + extent[j + 1])
-    return np.where(kinematics.prismatic, 1.0, extent[1:])
+    return frozen(np.where(kinematics.prismatic, 1.0, extent[1:]))
 
 
 @lru_cache(maxsize=8)
@@ -119,7 +120,7 @@ def scene_arrays(
             else:
                 specs.append(spec._replace(inflation=spec.inflation + clearance))
     cell = max(CELL, 2.0 * reach / most_cells)
-    return scene_geometry(specs, clouds, reach, cell)
+    return frozen(scene_geometry(specs, clouds, reach, cell))
 
 
 # kind, size and vertices of `ShapeSpec`

@@ -15,7 +15,7 @@ from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.errors import InvalidInputError, shown
 from cvqmpt_lab.poses import Pose, rotation_matrices
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.values import TURN, Angle, FloatArray, Name, numbers
+from cvqmpt_lab.values import TURN, Angle, FloatArray, Name, frozen, numbers
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 TOLERANCE = 1e-4  # on |F|, OMPL's default
@@ -60,8 +60,7 @@ class BoundsForm:
                 f"{where} bounds a rotation by {most:g} rad, more than 2 pi: degrees? 10 degrees "
                 "are 0.1745 rad"
             )
-        Bw.setflags(write=False)
-        return Bw
+        return frozen(Bw)
 
     def write(self, value: FloatArray) -> list:
         """Rows, infinite bounds as null."""
@@ -97,7 +96,7 @@ class TaskSpaceRegion(Checked):
         """Indices (m,) of the entries of Bw that can be violated."""
         lower, upper = self.Bw.T
         limit = np.array([np.inf] * 3 + [np.pi] * 3)
-        return np.flatnonzero((lower > -limit) | (upper < limit))
+        return frozen(np.flatnonzero((lower > -limit) | (upper < limit)))
 
     def sample_poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Poses T0_w T(x) Tw_e (count, 4, 4), x uniform in the bounds; free turns in +-pi."""
@@ -236,7 +235,7 @@ class RegionConstraint:
     @cached_property
     def regions(self) -> Regions:
         """Plain arrays of all members."""
-        return stack_regions(self.robot, self.members)
+        return frozen(stack_regions(self.robot, self.members))
 
 
 def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: float = 0.0) -> Regions:

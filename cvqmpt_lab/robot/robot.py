@@ -16,6 +16,7 @@ import pinocchio as pin
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.urdf import HeldJoint
+from cvqmpt_lab.values import frozen
 
 
 class LeftOut(NamedTuple):
@@ -40,6 +41,9 @@ class LinkGeometry:
     link: int  # pose row that carries it: 0 is the world, j + 1 joint j
     T_link_geometry: np.ndarray  # (4, 4)
     vertices: np.ndarray  # (n, 3) corners of the hull in the geometry frame [m]
+
+    def __post_init__(self) -> None:
+        frozen((self.T_link_geometry, self.vertices))
 
     @property
     def vertices_in_link(self) -> np.ndarray:
@@ -100,8 +104,7 @@ def positive_per_joint(
             raise InvalidInputError(
                 f"{what} limit {value} of joint {name!r}: give a finite number above 0 [{unit}]"
             )
-    array.flags.writeable = False
-    return array
+    return frozen(array)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +129,10 @@ class Robot:
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
     acceleration_limits: np.ndarray | None = None  # (n,) [rad/s^2 or m/s^2], or None if not given
     files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each file that it was built from
+
+    def __post_init__(self) -> None:
+        # problems share robots
+        frozen((self.kinematics, self.end_effector_link, self.acceleration_limits))
 
     def __repr__(self) -> str:
         return (
@@ -157,7 +164,7 @@ class Robot:
     @cached_property
     def turning(self) -> np.ndarray:
         """Which joints turn more than once, (n,) bool."""
-        return ~self.kinematics.prismatic & (self.upper - self.lower > 2.0 * np.pi)
+        return frozen(~self.kinematics.prismatic & (self.upper - self.lower > 2.0 * np.pi))
 
     @property
     def joint_limits(self) -> JointLimits:

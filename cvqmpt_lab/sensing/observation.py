@@ -14,6 +14,7 @@ from cvqmpt_lab.scene.cells import seen_points
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud, thinned, visible_points
+from cvqmpt_lab.values import frozen
 
 
 class Observer:
@@ -47,8 +48,7 @@ class Observer:
             )
         measured = replace(self.settings, noise=0.0)  # it has its own
         cloud = thinned(near, measured, np.random.default_rng(self.seed))
-        cloud.setflags(write=False)
-        return cloud
+        return frozen(cloud)
 
     def _look(self, scene: Scene) -> np.ndarray:
         clouds = [item for item in scene.objects if isinstance(item.shape, Measured)]
@@ -74,8 +74,7 @@ class Observer:
         # networks need two points: under the base
         if len(cloud) < 2:
             cloud = np.concatenate([cloud, [[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]]])
-        cloud.setflags(write=False)
-        return cloud
+        return frozen(cloud)
 
 
 @cache
