@@ -1,94 +1,174 @@
-"""External planners: found by name, called under a time limit, their answers checked.
+"""External planners: found by name, called in a process of their own, their answers checked.
 
 An external planner is a function (problem, budget, seed), or a class without arguments whose
 instances are called so. It returns a path, an array (m, n) from the start to one of the goals
 [rad or m], straight between its rows; None where it found none; or a
-`search.planner_interface.Proposal`, from which the search of this package goes on.
+`search.planner_interface.Proposal`, from which the search of this package goes on. Only its answer
+comes into this process (`external_process`): it cannot change what it is judged by.
 """
 
-import contextlib
-import importlib
-import os
-import signal
-import sys
-import tempfile
-import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from hashlib import sha256
+from functools import lru_cache, partial
 from importlib import metadata
-from inspect import isclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, shown
-from cvqmpt_lab.search.planner_interface import Observation, Proposal, Query
+from cvqmpt_lab.errors import InvalidInputError, one_line
+from cvqmpt_lab.external_process import NoAnswer, PlannerProcess
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.search.planner_interface import (
+    GaussianMixture,
+    Observation,
+    Proposal,
+    Query,
+    Stages,
+    Uniform,
+)
 from cvqmpt_lab.search.result import JointPath, PlanStatus
 
 GROUP = "cvqmpt.planners"  # of entry points
 
 
-class _Interrupted(BaseException):
-    """Raised in a planner whose time is over; not an Exception, which planners catch."""
-
-
 @dataclass(frozen=True)
 class ExternalPlanner:
-    """The stage `predict` of an external planner: all of its planning.
+    """An external planner: all of its planning is the stage `predict`.
 
-    It is late after 1.1 times its seconds and 0.1 s, and interrupted after twice its seconds and
-    0.5 s.
+    It is late after 1.1 times its seconds and 0.1 s; after twice its seconds and 0.5 s its process
+    is ended.
     """
 
-    planner: Callable[..., Any]
+    process: PlannerProcess
     made_by: str  # distributions and their versions, or the module's file
 
-    def __call__(self, query: Query, observation: Observation) -> Proposal:
-        """Propose a path, or the reason of a failure, for a query's problem, budget and seed."""
+    def stages(self, problem: PlanningProblem, model: str = "") -> Stages:
+        """Hand a problem over to the planner's process; not timed."""
+        reason = ""
+        try:
+            self.process.hand_over(problem)
+        except NoAnswer as error:
+            reason = str(error)
+        return Stages(predict=partial(self._predict, reason))
+
+    def _predict(self, reason: str, query: Query, observation: Observation) -> Proposal:
+        """Its path or proposal, or a failure; reason: why it did not get the problem, or ""."""
         budget, seconds = query.deadline.budget, query.deadline.budget.seconds
-        interrupt_after = None if seconds is None else 2.0 * seconds + 0.5
-        answer, failure, detail = None, None, ""
-        with _redirected_output() as output:
-            try:
-                with _interrupted_after(interrupt_after):
-                    answer = self.planner(query.space.problem, budget, query.seed)
-            except _Interrupted:
-                failure, detail = PlanStatus.OVERTIME, "interrupted"
-            except MemoryError:
-                raise
-            except (Exception, SystemExit) as error:
-                failure, detail = PlanStatus.PLANNER_ERROR, f"{type(error).__name__}: {error}"
-        if seconds is not None and failure is not PlanStatus.PLANNER_ERROR:
-            took = query.deadline.seconds
-            if failure is not None or took > 1.1 * seconds + 0.1:
+        failure: PlanStatus | None = None
+        detail, proposal = "", Proposal(replace(query.uniform, name=self.made_by), as_is=True)
+        try:
+            if reason:
+                raise NoAnswer(reason)
+            limit = None if seconds is None else 2.0 * seconds + 0.5
+            words, arrays = self.process.plan(budget, query.seed, seconds=limit)
+            if "error" in words:
+                raise NoAnswer(str(words["error"]))
+            if seconds is not None and query.deadline.seconds > 1.1 * seconds + 0.1:
                 failure = PlanStatus.OVERTIME
-                late = f"{took:.3g} s where {seconds:g} s were given"
-                detail = "; ".join(filter(None, (late, detail)))
-        path = None
-        if failure is None and isinstance(answer, Proposal):
-            return replace(answer, detail="; ".join(filter(None, (answer.detail, *output))))
-        if failure is None and answer is None:
-            failure = query.deadline.spent() or PlanStatus.NO_PATH
-        elif failure is None:
-            try:
-                path = JointPath(_states(answer, query.space.robot.dof))
-            except InvalidInputError as error:
-                failure, detail = PlanStatus.MALFORMED_PATH, str(error)
+            elif "none" in words:
+                failure = query.deadline.spent() or PlanStatus.NO_PATH
+            else:
+                proposal = answered(words, arrays, query.space.robot, proposal)
+        except NoAnswer as error:
+            failure = PlanStatus.OVERTIME if error.late else PlanStatus.PLANNER_ERROR
+            detail = str(error)
+        except InvalidInputError as error:
+            failure, detail = PlanStatus.MALFORMED_PATH, str(error)
+        late = ""
+        if failure is PlanStatus.OVERTIME:
+            late = f"{query.deadline.seconds:.3g} s where {seconds:g} s were given"
+        told = filter(None, (late, detail or proposal.detail, self.process.note()))
+        failure = failure or proposal.failure
+        return replace(proposal, failure=failure, detail=one_line("; ".join(told)))
+
+
+def answered(
+    words: dict[str, Any], arrays: dict[str, np.ndarray], robot: Robot, path_alone: Proposal
+) -> Proposal:
+    """The proposal of an answer (see `external_worker.Worker.plan`).
+
+    path_alone: the proposal of a path, without it. InvalidInputError: what it returned is no path
+    and no proposal; NoAnswer: it cannot be read.
+    """
+    try:
+        if "malformed" in words:
+            raise InvalidInputError(str(words["malformed"]))
+        path = JointPath(path_states(arrays["path"], robot)) if "path" in arrays else None
+        if "name" not in words:
+            return replace(path_alone, path=path)
+        name, uniform = one_line(str(words["name"])), None
+        if "lower" in arrays:
+            bounds = np.stack((arrays["lower"], arrays["upper"]))
+            uniform = Uniform(*near_limits(np.sort(bounds, axis=0), robot, "bounds"), name)
+        drawn: Any = uniform
+        if "means" in arrays:
+            means = near_limits(arrays["means"], robot, "means")
+            rest = arrays["covariances"], arrays["weights"], uniform, float(words["share"])
+            drawn = GaussianMixture(means, *rest, name)
         return Proposal(
-            replace(query.uniform, name=self.made_by),
-            detail="; ".join(filter(None, (detail, *output))),
+            drawn,
+            detail=str(words["detail"]),
+            fallback=one_line(str(words["fallback"])),
             path=path,
-            failure=failure,
-            as_is=True,
+            failure=words["failure"] and PlanStatus(words["failure"]),
         )
+    except (KeyError, TypeError, ValueError) as error:
+        raise NoAnswer(f"its answer cannot be read: {one_line(str(error))}") from error
+
+
+def near_limits(rows: np.ndarray, robot: Robot, what: str, farthest: float = 100.0) -> np.ndarray:
+    """Rows (k, n) that are finite, at most farthest [rad or m] outside the joint limits, as float.
+
+    what: they are, for InvalidInputError.
+    """
+    if rows.ndim != 2 or rows.shape[1] != robot.dof or len(rows) == 0:
+        raise InvalidInputError(
+            f"it returned {what} of shape {rows.shape}: give (m, {robot.dof}) [rad or m]"
+        )
+    rows = rows.astype(float)
+    finite = np.isfinite(rows).all(axis=1)
+    if not finite.all():
+        raise InvalidInputError(
+            f"row {finite.argmin()} of {len(rows)} of the {what} that it returned is not finite"
+        )
+    excess = np.maximum(robot.lower - rows, rows - robot.upper).max(axis=1)
+    if excess.max() > farthest:
+        worst = excess.argmax()
+        raise InvalidInputError(
+            f"row {worst} of {len(rows)} of the {what} that it returned is {excess[worst]:.4g} rad "
+            f"or m outside the joint limits; more than {farthest:g} is no configuration"
+        )
+    return rows
+
+
+def path_states(
+    given: np.ndarray, robot: Robot, longest_step: float = 0.1, most: int = 50_000
+) -> np.ndarray:
+    """States (m, n) of a path, some added, at most longest_step [rad or m] apart.
+
+    Raises InvalidInputError for what is no path, and for one of more than `most` states.
+    """
+    states = near_limits(given, robot, "states")
+    if len(states) < 2:
+        raise InvalidInputError("it returned one state: give (m, n), m at least 2")
+    steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
+    parts = np.maximum(1, np.ceil(steps / longest_step)).astype(int)
+    if parts.sum() >= most:
+        raise InvalidInputError(
+            f"it returned a path of {parts.sum() + 1} states, at most {longest_step:g} rad or m "
+            f"apart; at most {most} are judged"
+        )
+    dense = [
+        a + (b - a) * np.arange(k)[:, None] / k
+        for a, b, k in zip(states, states[1:], parts, strict=False)
+    ]
+    return np.concatenate([*dense, states[-1:]])
 
 
 @lru_cache(maxsize=32)
 def external_planner(name: str) -> ExternalPlanner:
-    """The external planner of that name, made once a process.
+    """The external planner of that name; its process is started once, and again where it ended.
 
     Args:
         name: ``package.module:planner``, or the name of an entry point of a distribution.
@@ -104,28 +184,11 @@ def external_planner(name: str) -> ExternalPlanner:
                 f"planner {name!r} is of {len(entries)} distributions, {who}: keep one of them"
             )
         address, distribution = entries[0].value, _distribution(entries[0])
-    module_name, _, attribute = address.partition(":")
-    module = _imported(name, module_name)
-    if not hasattr(module, attribute):
-        public = {key: value for key, value in vars(module).items() if not key.startswith("_")}
-        choices = [key for key, value in public.items() if callable(value)]
-        raise UnknownChoiceError(f"planner of {module_name}", attribute, choices)
-    planner = getattr(module, attribute)
-    if isclass(planner):
-        try:
-            planner = planner()
-        except Exception as error:
-            raise InvalidInputError(
-                f"planner {name}: making it without arguments raises {type(error).__name__}: "
-                f"{error}"
-            ) from error
-    if not callable(planner):
-        raise InvalidInputError(
-            f"planner {name} is {shown(planner)}: give a function (problem, budget, seed), or a "
-            "class of such"
-        )
-    made_by = getattr(module, "MADE_BY", "") or distribution or _origin(module_name)
-    return ExternalPlanner(planner, made_by)
+    module, _, attribute = address.partition(":")
+    process = PlannerProcess(name, module, attribute)
+    words = process.start()
+    made_by = words.get("made_by") or distribution or words.get("origin")
+    return ExternalPlanner(process, one_line(str(made_by)))
 
 
 def is_external(name: str) -> bool:
@@ -156,117 +219,3 @@ def _entry_points() -> tuple[metadata.EntryPoint, ...]:
 
 def _distribution(entry: metadata.EntryPoint) -> str:
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an unknown distribution"
-
-
-def _imported(name: str, module: str) -> Any:
-    """A module; one in the folder from which the command was started is found, too."""
-    here = str(Path.cwd())
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
-    try:
-        return importlib.import_module(module)
-    except CvqmptError:
-        # an adapter that says itself what is not installed
-        raise
-    except ModuleNotFoundError as error:
-        if error.name is not None and f"{module}.".startswith(f"{error.name}."):
-            raise InvalidInputError(
-                f"planner {name}: there is no module {error.name!r}; install it, or start in its "
-                "folder"
-            ) from error
-        raise InvalidInputError(
-            f"planner {name}: {module} needs {error.name!r}; install it"
-        ) from error
-    except Exception as error:
-        raise InvalidInputError(
-            f"planner {name}: importing {module} raises {type(error).__name__}: {error}"
-        ) from error
-
-
-def _origin(module: str) -> str:
-    """Distribution and version of a module; the digest of its file where it is of none."""
-    top = module.partition(".")[0]
-    owners = sorted(set(metadata.packages_distributions().get(top, ())))
-    if owners:
-        return ", ".join(f"{owner} {metadata.version(owner)}" for owner in owners)
-    path = Path(sys.modules[module].__file__ or "")
-    if not path.is_file():
-        return module
-    return f"{path.name} sha256 {sha256(path.read_bytes()).hexdigest()[:16]}"
-
-
-def _states(answer: Any, n: int, longest_step: float = 0.1) -> np.ndarray:
-    """States (m, n) of an answer, some added, at most longest_step [rad or m] apart.
-
-    Raises InvalidInputError for what is no path.
-    """
-    try:
-        states = np.array(answer, dtype=float)
-    except (TypeError, ValueError):
-        raise InvalidInputError(f"it returned {shown(answer)}: give an array (m, {n})") from None
-    if states.ndim != 2 or states.shape[1] != n or len(states) < 2:
-        raise InvalidInputError(f"it returned an array {states.shape}: give (m, {n}), m at least 2")
-    finite = np.isfinite(states).all(axis=1)
-    if not finite.all():
-        raise InvalidInputError(
-            f"row {finite.argmin()} of {len(states)} that it returned is not finite"
-        )
-    steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
-    parts = np.maximum(1, np.ceil(steps / longest_step)).astype(int)
-    dense = [
-        a + (b - a) * np.arange(k)[:, None] / k
-        for a, b, k in zip(states, states[1:], parts, strict=False)
-    ]
-    return np.concatenate([*dense, states[-1:]])
-
-
-@contextlib.contextmanager
-def _interrupted_after(seconds: float | None, again_s: float = 0.2) -> Iterator[None]:
-    """Raise `_Interrupted` after seconds, then every again_s; only in the main thread.
-
-    Python alone can be interrupted. Compiled code that never returns ends with its process
-    (`experiments.executors`).
-    """
-    if seconds is None or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(number: int, frame: Any) -> None:
-        raise _Interrupted
-
-    before = signal.signal(signal.SIGALRM, interrupt)
-    try:
-        signal.setitimer(signal.ITIMER_REAL, seconds, again_s)
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-
-
-@contextlib.contextmanager
-def _redirected_output(first_characters: int = 60) -> Iterator[list[str]]:
-    """Send standard output, that of compiled code too, to standard error.
-
-    The list gets one sentence about it where something was written.
-    """
-    notes: list[str] = []
-    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as kept:
-        sys.stdout.flush()
-        own = os.dup(1)  # the file descriptor of standard output
-        os.dup2(kept.fileno(), 1)
-        try:
-            with contextlib.redirect_stdout(kept):
-                yield notes
-        finally:
-            kept.flush()
-            os.dup2(own, 1)
-            os.close(own)
-            size = kept.seek(0, os.SEEK_END)
-            kept.seek(0)
-            written = kept.read()
-            if written:
-                first = " ".join(written[:first_characters].split())
-                notes.append(
-                    f"wrote {size} bytes to standard output, shown on standard error: {first!r}"
-                )
-                sys.stderr.write(written)

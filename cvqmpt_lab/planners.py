@@ -221,7 +221,7 @@ def planner_named(name: str, model: str | None = None) -> Method:
         found = _product(name, SamplerChoice.of(name.removeprefix(PREFIX)))
     elif is_external(name):
         planner = external_planner(name)
-        found = replace(Method.simple(name, predict=planner), external=planner.made_by)
+        found = Method(name, planner.stages, external=planner.made_by)
     if found is None:
         others = [*entry_point_names(), "package.module:planner"]
         known = [*ours, f"{PREFIX}random+wide, ...", *others]

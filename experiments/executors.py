@@ -3,12 +3,10 @@
 A cluster is `dask scheduler` on one machine and `dask worker --nthreads 1` on many.
 """
 
-import contextlib
 import faulthandler
 import importlib.util
 import multiprocessing
 import os
-import resource
 import signal
 import sys
 import time
@@ -18,12 +16,11 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, install_command
-from cvqmpt_lab.processes import end_with_parent
+from cvqmpt_lab.processes import end_with_parent, limit_memory
 from cvqmpt_lab.results.row import FailReason
 
 CONNECT_S = 10  # for a scheduler to answer [s]
@@ -135,11 +132,7 @@ def _prepare_worker(parent: int) -> None:
     """End with the parent or on SIGTERM; limit memory, and be killed first when it runs out."""
     end_with_parent(parent)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # compiled code runs no handlers of Python
-    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    with contextlib.suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
-    with contextlib.suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text("1000")
+    limit_memory(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
 
 
 @contextmanager

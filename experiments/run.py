@@ -10,6 +10,7 @@ from pathlib import Path
 
 from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.external import external_planner
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
@@ -23,7 +24,6 @@ from experiments.experiment import Experiment, Run, externals_of, weights_of
 from experiments.rows import Outcome, failed_rows, outcome_of
 
 WARM_UP_S = 5.0  # given to a planner to warm up [s]
-_WARM: set[str] = set()  # external planners that this process has called
 
 
 def executor_for(
@@ -99,9 +99,8 @@ def _run_in_worker(one_run_a_planner: tuple[Run, ...], run: Run) -> Outcome:
     _warm_up(tuple(one for one in one_run_a_planner if not one.method.external))
     item, seconds = _item(run.experiment.suite, run.item)
     try:
-        if run.method.external and run.planner not in _WARM:
-            # in its own run: it may hang
-            _WARM.add(run.planner)
+        # in its own run: it may hang
+        if run.method.external and not external_planner(run.planner).process.has_planned:
             _run_shortly(run)
         return outcome_of(run, item, seconds)
     except (CvqmptError, MemoryError):

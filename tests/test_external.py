@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import FailReason
+from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.experiment import Experiment
@@ -24,10 +24,10 @@ from experiments.run import executor_for, run_experiment
 PLANNERS = """
 import os, time
 import numpy as np
-from cvqmpt_lab import Budget, solve
 from cvqmpt_lab.search.planner_interface import Proposal, Uniform
 
 def good(problem, budget, seed):
+    from cvqmpt_lab import solve
     path = solve(problem, "birrt", budget, seed).simplified
     return None if path is None else path.path.states
 
@@ -46,10 +46,26 @@ def raising(problem, budget, seed):
 def leaving(problem, budget, seed):
     raise SystemExit(3)
 
+def ending(problem, budget, seed):
+    os._exit(0)
+
+def cheating(problem, budget, seed):
+    lower, time.perf_counter = problem.robot.lower, lambda: -1e4
+    lower.setflags(write=True)
+    lower -= 0.5
+    return [problem.start, lower, problem.goals[0]]
+
 nan = lambda problem, budget, seed: np.full((4, 7), np.nan)
 flat = lambda problem, budget, seed: problem.start
 text = lambda problem, budget, seed: "a path"
 nothing = lambda problem, budget, seed: None
+far = lambda problem, *_: [problem.start, problem.start + 1e7, problem.goals[0]]
+long = lambda problem, *_: np.linspace(problem.start, problem.goals[0], 60_000)
+
+class Own:
+    name = "own"
+
+own = lambda *_: Proposal(Own())
 
 def late(problem, budget, seed):
     time.sleep(1.4 * budget.seconds)
@@ -71,6 +87,7 @@ class Counting:
 
 number = 3
 """
+ENTRY_POINTS = "[cvqmpt.planners]\nlucky = their_planners:good\ntb-rrt = their_planners:good\n"
 METADATA = "Metadata-Version: 2.1\nName: their-planners\nVersion: 1.2\n"
 
 
@@ -79,20 +96,22 @@ def compiled():
     compile_kernels(lambda _: None)
 
 
-@pytest.fixture
-def theirs(tmp_path, monkeypatch):
+@pytest.fixture(scope="module", autouse=True)
+def theirs(tmp_path_factory):
     """A package of planners with entry points, as pip would install it."""
-    (tmp_path / "their_planners.py").write_text(PLANNERS)
-    about = tmp_path / "their_planners-1.2.dist-info"
+    folder = tmp_path_factory.mktemp("theirs")
+    (folder / "their_planners.py").write_text(PLANNERS)
+    about = folder / "their_planners-1.2.dist-info"
     about.mkdir()
     (about / "METADATA").write_text(METADATA)
     (about / "top_level.txt").write_text("their_planners\n")
-    monkeypatch.syspath_prepend(tmp_path)
+    (about / "entry_points.txt").write_text(ENTRY_POINTS)
     caches = (external.external_planner, external._entry_points)
-    for cache in caches:
-        cache.cache_clear()
-    yield about
-    sys.modules.pop("their_planners", None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        for cache in caches:
+            cache.cache_clear()
+        yield
     for cache in caches:
         cache.cache_clear()
 
@@ -101,14 +120,14 @@ def solved_by(name, seconds=20.0, seed=0):
     return solve(single_goal_problem(5), f"their_planners:{name}", Budget(seconds=seconds), seed)
 
 
-def test_a_path_of_others_is_certified_as_it_is_and_its_work_is_not_counted(theirs):
+def test_a_path_of_others_is_certified_as_it_is_and_its_work_is_not_counted():
     ours = solve(single_goal_problem(5), "birrt", Budget(seconds=20.0), 0)
     found = solved_by("good")
     assert found.solved and found.plan.sampler == "their-planners 1.2" and found.plan.as_is
     np.testing.assert_array_equal(found.simplified.path.states, ours.simplified.path.states)
 
 
-def test_straight_segments_are_divided_and_not_moved(theirs):
+def test_straight_segments_are_divided_and_not_moved():
     found, problem = solved_by("sparse"), single_goal_problem(5)
     states = found.simplified.path.states
     corners = np.array([problem.start, problem.robot.upper, problem.goals[0]])
@@ -118,7 +137,7 @@ def test_straight_segments_are_divided_and_not_moved(theirs):
     assert not found.solved and found.certificate.reasons
 
 
-def test_our_search_goes_on_from_a_proposal(theirs):
+def test_our_search_goes_on_from_a_proposal():
     solution = solved_by("proposal")
     assert solution.solved and solution.plan.sampler == "theirs"
     assert solution.plan.counters.projections > 0
@@ -129,21 +148,29 @@ def test_our_search_goes_on_from_a_proposal(theirs):
     [
         ("raising", PlanStatus.PLANNER_ERROR, "RuntimeError: no luck today"),
         ("leaving", PlanStatus.PLANNER_ERROR, "SystemExit: 3"),
-        ("nan", PlanStatus.MALFORMED_PATH, "row 0 of 4 that it returned is not finite"),
-        ("flat", PlanStatus.MALFORMED_PATH, r"an array \(7,\): give \(m, 7\)"),
+        ("ending", PlanStatus.PLANNER_ERROR, "its process ended with 0"),
+        ("far", PlanStatus.MALFORMED_PATH, r"row 1 of 3 .* 1e\+07 rad or m outside the joint"),
+        ("long", PlanStatus.MALFORMED_PATH, "a path of 60000 states"),
+        ("own", PlanStatus.MALFORMED_PATH, "a Proposal that draws from a Own: give Uniform or"),
+        (
+            "nan",
+            PlanStatus.MALFORMED_PATH,
+            "row 0 of 4 of the states that it",
+        ),
+        ("flat", PlanStatus.MALFORMED_PATH, r"states of shape \(7,\): give \(m, 7\)"),
         ("text", PlanStatus.MALFORMED_PATH, "it returned 'a path'"),
         ("nothing", PlanStatus.NO_PATH, ""),
         ("Counting", PlanStatus.PLANNER_ERROR, "call 1, seed 0"),
     ],
 )
-def test_what_is_no_path_has_a_reason(theirs, name, status, word):
+def test_what_is_no_path_has_a_reason(name, status, word):
     plan = solved_by(name).plan
     assert plan.status is status and plan.path is None
     assert re.search(word, plan.detail)
     assert FailReason(plan.status)
 
 
-def test_one_that_is_late_or_hangs_is_over_time(theirs):
+def test_one_that_is_late_or_hangs_is_over_time():
     hanging = solved_by("hanging", seconds=0.2).plan
     assert 0.9 < hanging.seconds < 3.0
     assert hanging.status is PlanStatus.OVERTIME
@@ -152,22 +179,26 @@ def test_one_that_is_late_or_hangs_is_over_time(theirs):
     assert late.status is PlanStatus.OVERTIME and late.path is None
 
 
-def test_what_it_prints_is_kept_off_standard_output(theirs, capfd):
+def test_what_it_prints_is_kept_off_standard_output(capfd):
     solution = solved_by("printing")
     written = capfd.readouterr()
     assert solution.solved and written.out == "" and "a word" in written.err
     assert "wrote 31 bytes to standard output" in solution.plan.detail
 
 
-def test_rows_say_what_happened_and_who_made_the_planner(theirs, tmp_path):
-    names = tuple(f"their_planners:{name}" for name in ("good", "raising", "nan", "printing"))
-    experiment = Experiment("place-task-single-goal", (5,), names, (0,), Budget(seconds=20.0))
+def test_rows_say_what_happened_and_who_made_the_planner(tmp_path):
+    names = tuple(f"their_planners:{name}" for name in ("cheating", "ending", "raising", "good"))
+    planners = (*names, "birrt")
+    experiment = Experiment("place-task-single-goal", (5,), planners, (0,), Budget(seconds=20.0))
     with executor_for(experiment, 1) as executor:
         rows = run_experiment(experiment, tmp_path / "out", executor, ["test"], lambda *_: None)
-    by_name = {row.planner.partition(":")[2]: row for row in rows}
+    by_name = {row.planner.removeprefix("their_planners:"): row for row in rows}
     reasons = {name: row.fail_reason for name, row in by_name.items()}
-    failed = {"raising": "planner_error", "nan": "malformed_path"}
-    assert reasons == {"good": None, "printing": None, **failed}
+    failed = {"raising": "planner_error", "ending": "planner_error"}
+    assert reasons == {"good": None, "birrt": None, **failed, "cheating": "uncertified_limits"}
+    ours = solve(single_goal_problem(5), "birrt", Budget(seconds=20.0), 0)
+    assert by_name["birrt"].path_sha256 == states_hash(ours.simplified.path.states)
+    assert by_name["birrt"].certified and not by_name["cheating"].certified
     good = by_name["good"]
     assert good.certified and good.n_projections is None and good.vertices is None
     assert good.t_wall_s >= good.t_plan_s > 0.0 and good.sampler_used == "their-planners 1.2"
@@ -175,24 +206,21 @@ def test_rows_say_what_happened_and_who_made_the_planner(theirs, tmp_path):
     assert recorded == dict.fromkeys(names, "their-planners 1.2")
 
 
-def test_an_entry_point_is_a_name_and_ours_are_refused(theirs):
-    (theirs / "entry_points.txt").write_text(
-        "[cvqmpt.planners]\nlucky = their_planners:good\ntb-rrt = their_planners:good\n"
-    )
+def test_an_entry_point_is_a_name_and_ours_are_refused():
     assert planner_named("lucky").external == "their-planners 1.2"
     solution = solve(single_goal_problem(5), "lucky", Budget(seconds=20.0), 0)
     assert solution.solved, solution
     refused(r"'tb-rrt' of their-planners 1.2 has the name of one of ours", planner_named, "tb-rrt")
 
 
-def test_a_planner_that_is_not_there_is_refused_in_one_line(theirs):
+def test_a_planner_that_is_not_there_is_refused_in_one_line():
     refused("there is no module 'no_such_module'", planner_named, "no_such_module:plan")
     refused("is 3: give a function", planner_named, "their_planners:number")
-    for name, told in (("their_planners:godo", "did you mean 'good'"), ("lucky", "module:planner")):
-        refused(told, planner_named, name, error=UnknownChoiceError)
+    refused("did you mean 'good'", planner_named, "their_planners:godo")
+    refused("module:planner", planner_named, "unlucky", error=UnknownChoiceError)
 
 
-def test_the_command_plans_with_it_and_keeps_json_clean(theirs, capfd):
+def test_the_command_plans_with_it_and_keeps_json_clean(capfd):
     words = ["plan", "place-task-single-goal", "--problem", 5, "--cutoff", 30, "--planner"]
     run_here([*words, "their_planners:printing", "--json"])
     told = json.loads(capfd.readouterr().out)

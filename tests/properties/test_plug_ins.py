@@ -1,0 +1,41 @@
+"""External planners that attack: none is certified falsely, and no other planner's result changes.
+
+What they try stands in `hostile_planners`. All are called from one process, this one.
+"""
+
+import numpy as np
+import pytest
+from properties.hostile_planners import HOSTILE
+
+from cvqmpt_lab import external
+from cvqmpt_lab.benchmarks.place_task import single_goal_problem
+from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.search.result import Budget
+
+SECONDS = 1.0  # given to each
+
+
+def ours():
+    """What a planner of ours finds, all that does not depend on the clock."""
+    found = solve(single_goal_problem(5), "birrt", Budget(iterations=300), 0)
+    assert found.solved
+    counts = found.plan.counters, found.plan.vertices, found.certificate
+    return *counts, found.simplified.path.states.tobytes()
+
+
+@pytest.mark.promise(
+    "no planner of others is certified falsely or changes another's row",
+    "hostile planners",
+    ci=4,
+    long=len(HOSTILE),
+)
+def test_hostile_planners_change_nothing(trials):
+    before, limits = ours(), single_goal_problem(5).robot.upper.copy()
+    for name in HOSTILE[:trials]:
+        planner = f"properties.hostile_planners:{name}"
+        found = solve(single_goal_problem(5), planner, Budget(seconds=SECONDS), 0)
+        assert not found.solved, name
+        assert found.certificate is not None or found.plan.detail, name
+        assert 0.0 <= found.plan.seconds < 10.0, name
+        assert ours() == before and np.array_equal(single_goal_problem(5).robot.upper, limits)
+        external.external_planner.cache_clear()
