@@ -150,7 +150,9 @@ def sample_region(
 def find_in_region(*args: Any, **options: Any) -> GoalSample:
     """`sample_region`, by projection onto the region where none of the poses is reached."""
     found = sample_region(*args, **options)
-    return found if len(found.configurations) else sample_region(*args, **options, project=True)
+    if len(found.configurations):
+        return found
+    return sample_region(*args, **{**options, "project": True})
 
 
 def why_none(
