@@ -100,7 +100,8 @@ def answered(
         name, uniform = one_line(str(words["name"])), None
         if "lower" in arrays:
             bounds = np.stack((arrays["lower"], arrays["upper"]))
-            uniform = Uniform(*near_limits(np.sort(bounds, axis=0), robot, "bounds"), name)
+            lower, upper = near_limits(np.sort(bounds, axis=0), robot, "bounds")
+            uniform = Uniform(lower, upper, name)
         drawn: Any = uniform
         if "means" in arrays:
             means = near_limits(arrays["means"], robot, "means")

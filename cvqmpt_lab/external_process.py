@@ -172,13 +172,13 @@ class PlannerProcess:
 
     def _output(self) -> tuple[Any, ...]:
         """Its standard output, while it is open."""
-        stream = self._process and self._process.stdout
+        stream = self._process.stdout if self._process is not None else None
         return () if stream is None or stream.closed else (stream,)
 
     def _read_output(self, most_parts: int = 16) -> None:
         """Show what it has written to standard output on standard error."""
         for _ in range(most_parts):
-            ready = wait(self._output(), 0.0) if self._output() else ()
+            ready: Any = wait(self._output(), 0.0) if self._output() else ()
             for stream in ready:
                 part = os.read(stream.fileno(), 2**16)
                 if not part:

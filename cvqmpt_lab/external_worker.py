@@ -124,7 +124,8 @@ class Worker:
 def of_proposal(proposal: Proposal) -> Answer:
     """What of a proposal can be sent: distributions of ours, path and words."""
     drawn = proposal.distribution
-    words = {"name": drawn.name, "detail": proposal.detail, "fallback": proposal.fallback}
+    words: dict[str, Any] = {"name": drawn.name, "detail": proposal.detail}
+    words["fallback"] = proposal.fallback
     words["failure"] = proposal.failure and proposal.failure.value
     arrays = {} if proposal.path is None else {"path": proposal.path.states}
     if type(drawn) is GaussianMixture:
