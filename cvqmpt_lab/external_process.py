@@ -16,8 +16,6 @@ import weakref
 from multiprocessing.connection import wait
 from typing import Any
 
-import safetensors.numpy
-
 from cvqmpt_lab.errors import InvalidInputError, one_line
 from cvqmpt_lab.external_worker import LENGTH, MOST_BYTES, Answer
 from cvqmpt_lab.problem import PlanningProblem
@@ -109,6 +107,8 @@ class PlannerProcess:
 
     def ask(self, *message: Any, seconds: float | None = START_S) -> Answer:
         """Answer to a message; without one, NoAnswer, and the process is ended."""
+        import safetensors.numpy  # planning without external planners does not need it
+
         if self._process is None:
             raise NoAnswer("its process has ended")
         try:

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import safetensors.numpy
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, one_line, shown
 from cvqmpt_lab.jit import compile_all
@@ -38,6 +37,9 @@ MOST_MEMORY = 2**33  # bytes of this process; half of the machine's where that i
 
 def main(connection: int, parent: int) -> None:
     """Answer the messages of process `parent`, which come through a socket."""
+    # here, because planning without external planners imports this file and does not need it
+    import safetensors.numpy
+
     end_with_parent(parent, signal.SIGKILL)
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     limit_memory(min(MOST_MEMORY, machine // 2))

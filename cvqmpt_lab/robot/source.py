@@ -55,8 +55,12 @@ def seen_from(folder: Path, source: Any) -> Any:
     """A robot's source with paths made absolute from a folder; other json unchanged."""
     if not isinstance(source, Mapping):
         return source
-    named = [name for name in ("urdf", "srdf") if isinstance(source.get(name), str)]
-    files: dict[str, Any] = {name: str((folder / source[name]).absolute()) for name in named}
+    files: dict[str, Any] = {
+        name: str((folder / source[name]).absolute())
+        for name in ("urdf", "srdf")
+        # an empty name stands for what is not given
+        if isinstance(source.get(name), str) and source[name]
+    }
     folders = source.get("package_dirs")
     if isinstance(folders, list) and all(isinstance(path, str) for path in folders):
         files["package_dirs"] = [str((folder / path).absolute()) for path in folders]
