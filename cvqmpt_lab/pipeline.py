@@ -146,7 +146,7 @@ def solve(
     if space.doubtful:
         exact = f"exact checks near {', '.join(space.doubtful)}"
         plan = replace(plan, detail="; ".join(filter(None, (plan.detail, exact))))
-    sampled = stages.search is None and proposal.path is None and not proposal.as_is
+    sampled = isinstance(tree_search, BiRRT) and proposal.path is None and not proposal.as_is
     shorter = certificate = improvement = None
     if plan.path is not None:
         # the path of an external planner is not post-processed

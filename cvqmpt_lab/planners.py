@@ -4,6 +4,7 @@ A control differs from a planner in one part, to measure what this part contribu
 consists of up to four stages, see `search.planner_interface`, that are made when they are used.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,6 +17,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.external import entry_point_names, external_planner, is_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import informed_roadmap_path
+from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.controls import AroundPath, no_costs, other_costs
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import Stages
@@ -153,6 +155,8 @@ def _by_name(*methods: Method) -> dict[str, Method]:
 
 PLANNERS = _by_name(
     Method.simple("birrt"),
+    # Algorithm 3 without a limit of extensions, as it is printed; `birrt` has the best tuning
+    Method.simple("birrt-printed", search=BiRRT(reach=math.inf)),
     _ompl("ompl-projected", "projected"),
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),

@@ -8,9 +8,11 @@
             return Path(T_a, q_a, T_b, q_b)
         Swap(T_a, T_b)
 
-Samples come from any distribution; with the uniform one this is CBiRRT. Every state is projected
-(F(q) = 0, paper, Algorithm 1) and checked. A path found is checked finely; a motion that hits
-an obstacle between its states is cut out of its tree, and the search goes on.
+Samples come from any distribution; with the uniform one this is CBiRRT. A draw is projected
+(F(q) = 0, paper, Algorithm 1) before the trees extend towards it, as the paper does ("Generating
+samples"). One that cannot be projected is drawn again. Every state of an extension is projected and
+checked, too. A path found is checked finely; a motion that hits an obstacle between its states is
+cut out of its tree, and the search goes on.
 """
 
 import time
@@ -19,6 +21,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.search.motion import (
     DEVIATION,
@@ -27,6 +30,8 @@ from cvqmpt_lab.search.motion import (
     STOPPED,
     Space,
     distance,
+    posed_state_valid,
+    project_state,
     step_towards,
 )
 from cvqmpt_lab.search.nearest import (
@@ -41,6 +46,10 @@ from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus, 
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 GROWING, CONNECTED, FULL = range(3)
+RAW, PROJECTED, FREE = range(3)
+DRAWS = {"raw": RAW, "projected": PROJECTED, "free": FREE}
+"""What is done with a draw before the trees extend towards it: nothing; it is projected (paper); it
+is projected, and drawn again if it collides."""
 REMOVED = 1e6  # [rad] where a removed node is put, so that it is never nearest
 
 
@@ -97,6 +106,16 @@ def extend(space, nodes, parent, size, which, origin, target, reach):
             return node, False
 
 
+@kernel(inline="source")
+def usable(space, q, draws):
+    """Make a draw q (n,) a sample, in place, see DRAWS; False: it must be drawn again."""
+    if draws == RAW:
+        return True
+    if not project_state(space, q):
+        return False
+    return draws == PROJECTED or posed_state_valid(space, q, 0.0)
+
+
 @entry
 def grow(
     space: Space,
@@ -104,19 +123,32 @@ def grow(
     samples: Annotated[np.ndarray, "count n"],
     first: int,
     reach: float,
+    draws: int,
 ):
-    """Grow both trees towards samples[first:] (m, n), by `reach` [rad] at most, until they meet.
+    """Grow both trees towards samples[first:] (m, n) until they meet.
+
+    Args:
+        space: the planning space; each draw counts as an iteration, also one that is drawn again.
+        trees: from the start and from the goals.
+        samples: draws [rad or m]; those used are projected in place.
+        first: index of the first to use.
+        reach: of extensions towards a sample, at most [rad].
+        draws: a value of DRAWS.
 
     Returns:
         GROWING (samples used up), CONNECTED (trees.meeting holds the nodes) or FULL (capacity used
-        up), and the index of the next unused sample.
+        up), the index of the next unused sample, and the number of draws that were used as samples.
     """
     reserve = trees.nodes.shape[1] // 4
     nodes, parent, size = trees.nodes, trees.parent, trees.size
+    used = 0
     for i in range(first, samples.shape[0]):
         if max(size[0], size[1]) + reserve >= nodes.shape[1]:
-            return FULL, i
+            return FULL, i, used
         space.counters[ITERATIONS] += 1
+        if not usable(space, samples[i], draws):
+            continue
+        used += 1
         a = trees.turn[0]
         b = 1 - a
         trees.turn[0] = b  # Swap
@@ -139,8 +171,8 @@ def grow(
         if met:
             trees.meeting[a] = node_a
             trees.meeting[b] = node_b
-            return CONNECTED, i + 1
-    return GROWING, samples.shape[0]
+            return CONNECTED, i + 1, used
+    return GROWING, samples.shape[0], used
 
 
 @entry
@@ -203,8 +235,19 @@ class BiRRT:
 
     # [rad] between neighbouring nodes; a found path is refined to the space's own step
     step: float = 0.15
-    # [rad] longest extension towards a sample; chosen on the tuning environments
+    # [rad] longest extension towards a sample. Algorithm 3 has no limit (inf); 1 is best for
+    # uniform samples on the tuning environments
     reach: float = 1.0
+    draws: str = "projected"  # a key of DRAWS
+
+    def __post_init__(self) -> None:
+        if self.draws not in DRAWS:
+            raise UnknownChoiceError("draws of a tree search", self.draws, DRAWS)
+        if not self.reach > 0.0:
+            raise InvalidInputError(
+                f"reach {self.reach}: give the longest extension towards a sample [rad], above 0; "
+                "inf is no limit, as the paper prints it"
+            )
 
     def search(
         self,
@@ -221,7 +264,7 @@ class BiRRT:
         before = space.counters
         trees = plant(start, goals, capacity=4096)
         status, path = PlanStatus.TIMEOUT, None
-        used, batch = 0, 16
+        used, batch, samples = 0, 16, 0
         while path is None:
             if time.perf_counter() >= deadline:
                 break
@@ -229,9 +272,10 @@ class BiRRT:
             if count <= 0:
                 status = PlanStatus.ITERATION_LIMIT
                 break
-            samples = distribution.sample(rng, count)
-            trees, path = self._use(space, trees, samples, deadline)
-            used, batch = used + count, min(2 * batch, 256)
+            # a copy: draws are projected in place
+            drawn = np.array(distribution.sample(rng, count), order="C")
+            trees, path, extended = self._use(space, trees, drawn, deadline)
+            used, batch, samples = used + count, min(2 * batch, 256), samples + extended
         return PlanResult(
             status=PlanStatus.SOLVED if path is not None else status,
             path=path,
@@ -239,21 +283,31 @@ class BiRRT:
             counters=space.counters_since(before),
             vertices=int(trees.size.sum()),
             sampler=distribution.name,
+            detail=f"none of {used} draws reached the constraint" if used and not samples else "",
             trees=tuple(
                 Tree(trees.nodes[k, :size], trees.parent[k, :size])
                 for k, size in enumerate(trees.size)
             ),
         )
 
-    def _use(self, space: ConstrainedSpace, trees: Trees, samples: np.ndarray, deadline: float):
-        """Grow with one batch; return the trees, and a path that passed the fine check or None."""
+    def _use(
+        self, space: ConstrainedSpace, trees: Trees, samples: np.ndarray, deadline: float
+    ) -> tuple[Trees, JointPath | None, int]:
+        """Grow with one batch of draws (b, n), which are projected in place.
+
+        Returns the trees, a path that passed the fine check or None, and the number of draws that
+        the trees extended towards.
+        """
         arrays = space.arrays._replace(step=self.step)
         # samples used before the clock is read
         most = len(samples) if deadline == np.inf else 16
-        first = 0
+        first = extended = 0
         while first < len(samples) and time.perf_counter() < deadline:
             part = samples[: first + most]
-            status, first = grow.unchecked(arrays, trees, part, first, self.reach)
+            status, first, used = grow.unchecked(
+                arrays, trees, part, first, self.reach, DRAWS[self.draws]
+            )
+            extended += used
             space.reraise()
             if status == FULL:
                 nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
@@ -264,8 +318,8 @@ class BiRRT:
                 path = checked_tree_path(space, trees)
                 space.reraise()
                 if path is not None:
-                    return trees, path
-        return trees, None
+                    return trees, path, extended
+        return trees, None, extended
 
 
 def checked_tree_path(space: ConstrainedSpace, trees: Trees) -> JointPath | None:

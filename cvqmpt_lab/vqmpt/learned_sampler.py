@@ -18,16 +18,18 @@ import numpy as np
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
+from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.controls import unconstrained_path
 from cvqmpt_lab.search.planner_interface import (
     GaussianMixture,
     Observation,
     Proposal,
     Query,
+    SamplingDistribution,
     Stages,
     widened,
 )
-from cvqmpt_lab.search.result import Timings
+from cvqmpt_lab.search.result import JointPath, Timings
 from cvqmpt_lab.search.roadmap import Roadmap, linked_roadmap
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings
@@ -66,6 +68,8 @@ class CodeProposal(Proposal):
 
     codes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))  # (c,)
     goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # (k, n) [rad or m]
+    # of each sequence: start, the nodes of its codes, goal, (s, n) [rad or m]
+    ways: tuple[np.ndarray, ...] = ()
 
 
 # proposes codes, and uniform samples until these are decoded
@@ -73,13 +77,18 @@ CodePredictor = Callable[[Query, Observation], CodeProposal]
 
 
 def network_codes(
-    predictor: SequencePredictor, all_beams: bool, query: Query, observation: Observation
+    predictor: SequencePredictor,
+    all_beams: bool,
+    nodes: np.ndarray,
+    query: Query,
+    observation: Observation,
 ) -> CodeProposal:
     """Codes of the sequences to the cheapest goals, by beam search (K = 3).
 
     Args:
         predictor: a sequence model.
         all_beams: take every hypothesis of the beam, not only the likeliest.
+        nodes: (N, n), a configuration for each code [rad or m].
         query: start and goals.
         observation: the cloud.
     """
@@ -90,14 +99,23 @@ def network_codes(
     goals = predictor.by_cost(scene, query.start, query.goals)[:GOALS]
     beams = predictor.hypotheses(scene, query.start, goals, every=all_beams)
     most = None if all_beams else 1
-    found = [sequence for beam in beams for sequence in beam[:most] if sequence.finished]
+    by_goal = [
+        (sequence, goal)
+        for beam, goal in zip(beams, goals, strict=True)
+        for sequence in beam[:most]
+        if sequence.finished
+    ]
+    found = [sequence for sequence, _ in by_goal]
+    ways = tuple(
+        np.vstack([query.start, nodes[list(sequence.codes)], goal]) for sequence, goal in by_goal
+    )
     listed = [code for sequence in found for code in sequence.codes]
     if predictor.each_code_once:
         listed = list(dict.fromkeys(listed))
     detail = f"{len(listed)} codes of {len(found)} sequences to {len(goals)} goals"
     timings = Timings(encode=encoded - began, predict=query.deadline.seconds - encoded)
     codes = np.array(listed, dtype=np.int64)
-    return CodeProposal(query.uniform, timings, detail, codes=codes, goals=goals)
+    return CodeProposal(query.uniform, timings, detail, codes=codes, goals=goals, ways=ways)
 
 
 def random_codes(
@@ -148,6 +166,12 @@ class LearnedSampler:
     smallest_std: float = 1e-4  # [rad] in any direction, so that covariances stay positive definite
     goal_std: float = 0.1  # of goals' Gaussians, share of each joint's range (published code)
     drift: float = 1.5  # [rad] that a projected mean may move; others are left out
+    # gives the codes (b,) of configurations (b, n) along a path
+    read: Callable[[np.ndarray], np.ndarray] | None = None
+    # [rad] between states of a path whose codes are read: 1 % of the Panda's space (published data)
+    waypoint_spacing: float = 0.13
+    along_spacing: float = 0.4  # [rad] between Gaussians along a sequence, from tuning
+    along_std: float = 0.9  # [rad] of these, from tuning
 
     def gaussians(
         self, codes: np.ndarray, z: np.ndarray | None = None
@@ -185,8 +209,40 @@ class LearnedSampler:
         found = self.predict(query, observation)
         if len(found.codes) == 0:
             return replace(found, fallback="no code sequence reached a goal")
+        if self.choice.gaussians == "along":
+            return replace(found, distribution=self.along(query, found.ways))
+        if self.choice.reading == "every-waypoint":
+            found = self.every_waypoint(query, found)
         mixture = self.mixture(query, found.goals, *self.gaussians(found.codes))
         return replace(found, distribution=mixture)
+
+    def along(self, query: Query, ways: tuple[np.ndarray, ...]) -> SamplingDistribution:
+        """Gaussians N(q, along_std^2 I) of equal weight at states q along polylines (s, n)."""
+        means = np.concatenate([JointPath(way).spaced(self.along_spacing) for way in ways])
+        covariance = self.along_std**2 * np.eye(means.shape[1])
+        share = self.choice.uniform_share
+        return GaussianMixture.equal(means, covariance, query.uniform, share, self.name)
+
+    def every_waypoint(self, query: Query, found: CodeProposal) -> CodeProposal:
+        """Codes of the states along each sequence's nodes, where runs of equal codes are one.
+
+        The authors encode every waypoint of interpolated paths, so that their sequences are read
+        off at this spacing; ours are trained on one code a node.
+        """
+        assert self.read is not None
+        began, listed = query.deadline.seconds, []
+        for way in found.ways:
+            codes = self.read(JointPath(way).spaced(self.waypoint_spacing))
+            changes = np.flatnonzero(np.diff(codes)) + 1
+            listed.append(codes[np.concatenate([[0], changes])])
+        codes = np.concatenate(listed)
+        predict = (found.timings.predict or 0.0) + query.deadline.seconds - began
+        return replace(
+            found,
+            codes=codes,
+            timings=replace(found.timings, predict=predict),
+            detail=f"{found.detail}, {len(codes)} of every waypoint",
+        )
 
     def moved(self, optimizer: LatentOptimizer, query: Query, proposal: Proposal) -> Proposal:
         """Codes moved by z <- z - eta dE[F^T F]/dz (paper, Algorithm 2), then decoded.
@@ -302,7 +358,8 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         predict = partial(oracle_codes, partial(codes_of, model_of(model), robot))
     else:
         predictor = sequence_predictor(model, robot, choice.predictor == "published")
-        predict = partial(network_codes, predictor, choice.sequences == "all-beams")
+        nodes = dictionary_roadmap(model, robot).nodes
+        predict = partial(network_codes, predictor, choice.sequences == "all-beams", nodes)
         clouds: dict[str, Callable[[Scene], np.ndarray]] = {
             "own-cloud": observer(),
             # controls, which see another scene or nothing
@@ -311,13 +368,15 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         }
         observe = clouds[choice.cloud]
     noise = code_noise(len(codebook.vectors), robot.dof)
-    sampler = LearnedSampler(predict, choice, name, codebook, robot, noise)
+    read = partial(codes_of, model_of(model), robot)
+    sampler = LearnedSampler(predict, choice, name, codebook, robot, noise, read=read)
     updates: dict[str, Callable[[Query, Proposal], Proposal] | None] = {
         "none": None,
         "algorithm-2": partial(sampler.moved, LatentOptimizer(codebook, LatentSettings())),
         "projected": sampler.projected,
     }
-    return Stages(predict=sampler.propose, observe=observe, update=updates[choice.update])
+    tree_search = BiRRT(reach=choice.reach, draws=choice.draws.removesuffix("-draws"))
+    return Stages(sampler.propose, tree_search, observe, updates[choice.update])
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:

@@ -3,31 +3,44 @@
     predictor   transformer: the scene transformer; published: the authors' architecture;
                 random: any codes; oracle: codes of a path that ignores the constraint
     Gaussians   decoded: g(z) = N(mu, Sigma) as the decoder has them;
-                wide: around each code's node of the roadmap, no direction narrower than 1.1 rad
+                wide: around each code's node of the roadmap, no direction narrower than 1.1 rad;
+                along: N(q, 0.9^2 I) every 0.4 rad along the sequence's nodes, from start to goal
+    reading     merged: the codes of a sequence as predicted;
+                every-waypoint: codes of all states, 0.13 rad apart, along the sequence's nodes, as
+                the authors encode paths; runs of equal codes are one
     update      none; algorithm-2: codes moved by gradient towards F(q) = 0;
                 projected: every mean is projected onto F(q) = 0
     sequences   likeliest: the best of the transformer's beams to each goal (paper);
                 all-beams: all three
     cloud       own-cloud: the scene's; other-cloud: that of another scene; no-cloud: no points
+    draws       projected-draws: onto F(q) = 0 before trees extend towards them (paper);
+                raw-draws: not; free-draws: projected, and drawn again where they collide
+    reach       of extensions towards a draw [rad]; inf as printed
 
 Sampled from is the mixture of the codes' Gaussians and one around each goal that was asked about,
-all equally likely (paper, eqn. sample_dist, and its code), and a uniform share.
+all equally likely (paper, eqn. sample_dist, and its code), and a uniform share. Gaussians `along`
+hold the goals already.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.search.birrt import DRAWS
 
 PREFIX = "cvq:"
 CHOICES = {
     "predictor": ("transformer", "published", "random", "oracle"),
-    "gaussians": ("decoded", "wide"),
+    "gaussians": ("decoded", "wide", "along"),
+    "reading": ("merged", "every-waypoint"),
     "update": ("none", "algorithm-2", "projected"),
     "sequences": ("likeliest", "all-beams"),
     "cloud": ("own-cloud", "other-cloud", "no-cloud"),
+    "draws": tuple(f"{name}-draws" for name in DRAWS),
 }
+NUMBERS = {"uniform_share": "uniform", "reach": "reach"}  # field, and its word before "="
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,14 +53,27 @@ class SamplerChoice:
     cloud: str = "own-cloud"
     uniform_share: float = 0.0  # of all samples; at 0 planners are not probabilistically complete
     sequences: str = "likeliest"  # of the transformer
+    reading: str = "merged"
+    draws: str = "projected-draws"
+    reach: float = math.inf  # of extensions towards a draw [rad]
 
     def __post_init__(self) -> None:
         for name, known in CHOICES.items():
             if getattr(self, name) not in known:
                 raise UnknownChoiceError(f"{name} of a learned sampler", getattr(self, name), known)
-        if self.sequences == "all-beams" and self.predictor != "transformer":
+        along = self.gaussians == "along"
+        for word, given in (
+            ("all-beams", self.sequences == "all-beams"),
+            ("every-waypoint", self.reading == "every-waypoint"),
+            ("along", along),
+        ):
+            if given and self.predictor != "transformer":
+                raise InvalidInputError(
+                    f"{word} goes with predictor transformer, not {self.predictor}"
+                )
+        if along and self.update != "none":
             raise InvalidInputError(
-                f"all-beams goes with predictor transformer, not {self.predictor}"
+                f"{self.update} moves codes: along has none; leave one of them out"
             )
         if not 0.0 <= self.uniform_share <= 1.0:
             raise InvalidInputError(
@@ -60,7 +86,8 @@ class SamplerChoice:
 
         Args:
             text: the predictor, then at most one word of each other kind.
-            wide_share: uniform share that wide Gaussians get where none is given.
+            wide_share: uniform share of wide Gaussians and of those along a sequence where none is
+                given.
 
         Raises:
             InvalidInputError: a word is unknown, or the second of its kind.
@@ -70,32 +97,32 @@ class SamplerChoice:
         kinds = {word: kind for word, kind in kinds.items() if kind != "predictor"}
         found: dict[str, Any] = {}
         for word in words:
-            name, is_share, share = word.partition("uniform=")
-            kind = "uniform_share" if is_share and not name else kinds.get(word)
+            name, is_number, number = word.partition("=")
+            numbers = [field for field, written in NUMBERS.items() if is_number and written == name]
+            kind = numbers[0] if numbers else kinds.get(word)
             if kind is None:
-                known = [*kinds, "uniform=0.15"]
+                known = [*kinds, "uniform=0.15", "reach=1"]
                 raise UnknownChoiceError(f"part of planner {PREFIX}{text}", word, known)
             if kind in found:
                 raise InvalidInputError(
                     f"planner {PREFIX}{text} has two parts of one kind, {word!r} is the second"
                 )
             found[kind] = word
-            if kind == "uniform_share":
+            if kind in NUMBERS:
                 try:
-                    found[kind] = float(share)
+                    found[kind] = float(number)
                 except ValueError as error:
-                    raise InvalidInputError(
-                        f"{word!r}: give a number from 0 to 1 behind 'uniform='"
-                    ) from error
-        if found.get("gaussians") == "wide":
+                    raise InvalidInputError(f"{word!r}: give a number behind '{name}='") from error
+        if found.get("gaussians") in ("wide", "along"):
             found.setdefault("uniform_share", wide_share)
         return cls(predictor=predictor, **found)
 
 
 NAMED: Mapping[str, SamplerChoice] = {
-    "cvq-mpt": SamplerChoice.of("transformer+decoded"),
-    "opt-cvq-mpt": SamplerChoice.of("transformer+decoded+algorithm-2"),
+    "cvq-mpt": SamplerChoice.of("transformer+decoded+every-waypoint"),
+    "opt-cvq-mpt": SamplerChoice.of("transformer+decoded+every-waypoint+algorithm-2"),
     "cvq-published": SamplerChoice.of("published+decoded"),
-    "cvq-wide": SamplerChoice.of("transformer+wide+projected+all-beams"),
+    "cvq-wide": SamplerChoice.of("transformer+wide+projected+all-beams+reach=1"),
+    "cvq-tuned": SamplerChoice.of("transformer+along+free-draws+reach=1"),
 }
-"""Products that planners are named after. The first three are the paper's, the last is ours."""
+"""Products that planners are named after. The first three are the paper's, the others are ours."""
