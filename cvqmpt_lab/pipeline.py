@@ -133,15 +133,21 @@ def solve(
     space, rng = ConstrainedSpace(problem, backend), problem.random_stream(seed)
 
     query = Query.of(space, budget, rng, seed)
-    proposal = stages.predict(query, Observation(cloud, use_cache))
-    if stages.update is not None:
-        proposal = stages.update(query, proposal)
-
-    _log.info("%s proposed after %.1f ms", proposal.distribution.name, 1e3 * query.deadline.seconds)
     tree_search = stages.search or BiRRT()
     near = NEAR_GOALS if near_goals_first and problem.robot.turning.any() else 0
-    plan = search(tree_search, query, proposal, near)
-    _log.info("search ended after %.1f ms: %s", 1e3 * plan.seconds, plan.status)
+    plan: PlanResult | None = None
+    for part in query.one_by_one() if stages.goals_apart else (query,):
+        # what was computed from the cloud for the first goal serves the others
+        proposal = stages.predict(part, Observation(cloud, use_cache or plan is not None))
+        if stages.update is not None:
+            proposal = stages.update(part, proposal)
+        proposed = 1e3 * query.deadline.seconds
+        _log.info("%s proposed after %.1f ms", proposal.distribution.name, proposed)
+        plan = search(tree_search, part, proposal, near).after(plan)
+        _log.info("search ended after %.1f ms: %s", 1e3 * plan.seconds, plan.status)
+        if plan.path is not None or query.deadline.spent() is not None:
+            break
+    assert plan is not None
 
     if space.doubtful:
         exact = f"exact checks near {', '.join(space.doubtful)}"

@@ -184,6 +184,7 @@ class Query:
     deadline: Deadline  # shared by prediction and search; its clock runs since the query was made
     rng: np.random.Generator
     seed: int = 0  # that `rng` came from, for planners with random numbers of their own
+    share: float = 1.0  # of the budget, for one search
 
     @classmethod
     def of(
@@ -193,6 +194,11 @@ class Query:
         return cls(
             space, space.problem.start, space.problem.goals, Deadline(budget, space), rng, seed
         )
+
+    def one_by_one(self) -> list["Query"]:
+        """A query for each goal, each with an equal share of the budget."""
+        share = 1.0 / len(self.goals)
+        return [replace(self, goals=goal[None], share=share) for goal in self.goals]
 
     @property
     def uniform(self) -> Uniform:
@@ -270,6 +276,8 @@ class Stages:
     update: Callable[[Query, Proposal], Proposal] | None = None
     # of shorter paths once there is one; None: restarts of the search
     path_source: PathSource | None = None
+    # whether goals are tried one after the other, each with a prediction of its own
+    goals_apart: bool = False
 
 
 def search(
@@ -293,7 +301,7 @@ def search(
                 query.start,
                 goals,
                 proposal.distribution,
-                deadline.rest(share),
+                deadline.rest(share * query.share),
                 query.rng,
             )
             vertices += result.vertices

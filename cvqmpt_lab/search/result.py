@@ -1,6 +1,6 @@
 """The result of a planning run: status, path, counts, times."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from numbers import Real
@@ -87,6 +87,16 @@ class Timings:
                     f"timing {name!r} is {value}; give seconds, 0 or more, or None"
                 )
 
+    def __add__(self, other: "Timings") -> "Timings":
+        """Sums of the parts; None where neither has one."""
+        pairs = {name: (value, vars(other)[name]) for name, value in vars(self).items()}
+        return Timings(
+            **{
+                name: None if a is b is None else (a or 0.0) + (b or 0.0)
+                for name, (a, b) in pairs.items()
+            }
+        )
+
     @property
     def total(self) -> float:
         """Sum of all parts [s]."""
@@ -140,6 +150,13 @@ class PlanResult:
     fallback: str = ""
     timings: Timings = field(default_factory=Timings)  # which of the seconds were not search
     as_is: bool = False  # the path of an external planner, certified as it is
+
+    def after(self, earlier: "PlanResult | None") -> "PlanResult":
+        """This result of a run that searched before; seconds and counters are of the whole run."""
+        if earlier is None:
+            return self
+        vertices, timings = earlier.vertices + self.vertices, earlier.timings + self.timings
+        return replace(self, vertices=vertices, timings=timings)
 
     @property
     def search_seconds(self) -> float:

@@ -40,6 +40,7 @@ class LatentSettings(Checked):
     # a code stops after a step shorter than this
     delta: Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")] = 1e-3
     check_samples: Count = 32  # draws per code on which a moved code must be better to be kept
+    put_back: bool = True  # whether a code that did not get better stays where it was
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ class LatentOptimizer:
     def optimize(
         self, z0: np.ndarray, constraint: RegionConstraint, rng: np.random.Generator
     ) -> Optimized:
-        """UpdateDistribution(z); codes that do not get better on fresh draws stay as they are.
+        """UpdateDistribution(z); with put_back, codes not better on fresh draws stay as they are.
 
         Args:
             z0: (c, code_dim), unit vectors.
@@ -82,7 +83,7 @@ class LatentOptimizer:
         moved = np.flatnonzero((z != z0).any(axis=1))
         if len(moved):
             after[moved] = self._objective.value(z[moved], constraint, fresh)
-        kept = ~(after < before)
+        kept = ~(after < before) & self.settings.put_back
         z, after = np.where(kept[:, None], z0, z), np.where(kept, before, after)
         return Optimized(z, before, after, kept, steps, time.perf_counter() - began)
 

@@ -373,10 +373,20 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
     updates: dict[str, Callable[[Query, Proposal], Proposal] | None] = {
         "none": None,
         "algorithm-2": partial(sampler.moved, LatentOptimizer(codebook, LatentSettings())),
+        "printed": partial(
+            sampler.moved,
+            LatentOptimizer(codebook, LatentSettings(method="gradient", put_back=False)),
+        ),
         "projected": sampler.projected,
     }
     tree_search = BiRRT(reach=choice.reach, draws=choice.draws.removesuffix("-draws"))
-    return Stages(sampler.propose, tree_search, observe, updates[choice.update])
+    return Stages(
+        sampler.propose,
+        tree_search,
+        observe,
+        updates[choice.update],
+        goals_apart=choice.goals == "goals-apart",
+    )
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:

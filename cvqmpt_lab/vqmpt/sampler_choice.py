@@ -9,6 +9,7 @@
                 every-waypoint: codes of all states, 0.13 rad apart, along the sequence's nodes, as
                 the authors encode paths; runs of equal codes are one
     update      none; algorithm-2: codes moved by gradient towards F(q) = 0;
+                printed: the same by plain gradient steps, where codes that got worse stay moved;
                 projected: every mean is projected onto F(q) = 0
     sequences   likeliest: the best of the transformer's beams to each goal (paper);
                 all-beams: all three
@@ -16,6 +17,9 @@
     draws       projected-draws: onto F(q) = 0 before trees extend towards them (paper);
                 raw-draws: not; free-draws: projected, and drawn again where they collide
     reach       of extensions towards a draw [rad]; inf as printed
+    goals       goals-together: the cheapest three are asked about, the search gets all;
+                goals-apart: one after the other, each with a query and an equal share of the budget
+                (paper: 20 goals, 2.5 s each)
 
 Sampled from is the mixture of the codes' Gaussians and one around each goal that was asked about,
 all equally likely (paper, eqn. sample_dist, and its code), and a uniform share. Gaussians `along`
@@ -35,10 +39,11 @@ CHOICES = {
     "predictor": ("transformer", "published", "random", "oracle"),
     "gaussians": ("decoded", "wide", "along"),
     "reading": ("merged", "every-waypoint"),
-    "update": ("none", "algorithm-2", "projected"),
+    "update": ("none", "algorithm-2", "printed", "projected"),
     "sequences": ("likeliest", "all-beams"),
     "cloud": ("own-cloud", "other-cloud", "no-cloud"),
     "draws": tuple(f"{name}-draws" for name in DRAWS),
+    "goals": ("goals-together", "goals-apart"),
 }
 NUMBERS = {"uniform_share": "uniform", "reach": "reach"}  # field, and its word before "="
 
@@ -56,6 +61,7 @@ class SamplerChoice:
     reading: str = "merged"
     draws: str = "projected-draws"
     reach: float = math.inf  # of extensions towards a draw [rad]
+    goals: str = "goals-together"
 
     def __post_init__(self) -> None:
         for name, known in CHOICES.items():
@@ -118,10 +124,11 @@ class SamplerChoice:
         return cls(predictor=predictor, **found)
 
 
+PRINTED = "decoded+every-waypoint+goals-apart"  # how the paper reads sequences and tries goals
 NAMED: Mapping[str, SamplerChoice] = {
-    "cvq-mpt": SamplerChoice.of("transformer+decoded+every-waypoint"),
-    "opt-cvq-mpt": SamplerChoice.of("transformer+decoded+every-waypoint+algorithm-2"),
-    "cvq-published": SamplerChoice.of("published+decoded"),
+    "cvq-mpt": SamplerChoice.of(f"transformer+{PRINTED}"),
+    "opt-cvq-mpt": SamplerChoice.of(f"transformer+{PRINTED}+algorithm-2"),
+    "cvq-published": SamplerChoice.of("published+decoded+goals-apart"),
     "cvq-wide": SamplerChoice.of("transformer+wide+projected+all-beams+reach=1"),
     "cvq-tuned": SamplerChoice.of("transformer+along+free-draws+reach=1"),
 }
