@@ -118,10 +118,8 @@ def solve(
     called = time.perf_counter()
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:
-        plan = no_plan(
-            PlanStatus.NO_GOAL, f"no goal: {drawn_goals(problem).outcome}; {problem.why_no_goal()}"
-        )
-        return Solution(problem, plan, goal_seconds=goal_seconds)
+        reason = f"no goal: {drawn_goals(problem).outcome}; {problem.why_no_goal()}"
+        return Solution(problem, no_plan(PlanStatus.NO_GOAL, reason), goal_seconds=goal_seconds)
     check_problem(problem)
     require_fit(method, problem)
     stages = method.stages(problem)
