@@ -31,7 +31,9 @@ def test_weights_of_the_panda_are_refused_for_another_arm(other, name):
     """A UR5 once crashed the process; an xArm7 was "solved" with the Panda's weights."""
     told = "weights are for robot 'panda', not"
     line = refused(told, solve, other, name, Budget(iterations=10), seed=0)
-    assert line.endswith("planners that can: birrt, ompl-projected, atlas-rrt, tb-rrt, roadmap")
+    assert line.endswith(
+        "planners that can: birrt, birrt-printed, ompl-projected, atlas-rrt, tb-rrt, roadmap"
+    )
 
 
 def test_methods_without_weights_serve_it(other):

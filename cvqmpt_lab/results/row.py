@@ -137,6 +137,11 @@ class ResultRow:
     n_clearances: int | None = None
     # Wall clock of `pipeline.solve` without goals, clouds, `t_improve_s` and certificate.
     t_wall_s: float | None = None
+    # Of learned samplers, like `predictor`.
+    reading: str | None = None
+    draws: str | None = None
+    goals: str | None = None
+    reach: float | None = None  # [rad] inf: no limit
 
     def __post_init__(self) -> None:
         for column in _COLUMNS:

@@ -18,7 +18,6 @@ import numpy as np
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
-from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.controls import unconstrained_path
 from cvqmpt_lab.search.planner_interface import (
     GaussianMixture,
@@ -379,10 +378,9 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         ),
         "projected": sampler.projected,
     }
-    tree_search = BiRRT(reach=choice.reach, draws=choice.draws.removesuffix("-draws"))
     return Stages(
         sampler.propose,
-        tree_search,
+        choice.tree_search,
         observe,
         updates[choice.update],
         goals_apart=choice.goals == "goals-apart",

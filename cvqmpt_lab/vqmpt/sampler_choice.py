@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.search.birrt import DRAWS
+from cvqmpt_lab.search.birrt import DRAWS, BiRRT
 
 PREFIX = "cvq:"
 CHOICES = {
@@ -45,7 +45,8 @@ CHOICES = {
     "draws": tuple(f"{name}-draws" for name in DRAWS),
     "goals": ("goals-together", "goals-apart"),
 }
-NUMBERS = {"uniform_share": "uniform", "reach": "reach"}  # field, and its word before "="
+# field: its word before "=", and what stands behind it
+NUMBERS = {"uniform_share": ("uniform", "0 to 1"), "reach": ("reach", "above 0 [rad], or inf")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +86,12 @@ class SamplerChoice:
             raise InvalidInputError(
                 f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1"
             )
+        _ = self.tree_search  # refuses a reach that is none
+
+    @property
+    def tree_search(self) -> BiRRT:
+        """Algorithm 3 with this reach and these draws."""
+        return BiRRT(reach=self.reach, draws=self.draws.removesuffix("-draws"))
 
     @classmethod
     def of(cls, text: str, wide_share: float = 0.15) -> Self:
@@ -104,7 +111,7 @@ class SamplerChoice:
         found: dict[str, Any] = {}
         for word in words:
             name, is_number, number = word.partition("=")
-            numbers = [field for field, written in NUMBERS.items() if is_number and written == name]
+            numbers = [field for field, (said, _) in NUMBERS.items() if is_number and said == name]
             kind = numbers[0] if numbers else kinds.get(word)
             if kind is None:
                 known = [*kinds, "uniform=0.15", "reach=1"]
@@ -118,7 +125,9 @@ class SamplerChoice:
                 try:
                     found[kind] = float(number)
                 except ValueError as error:
-                    raise InvalidInputError(f"{word!r}: give a number behind '{name}='") from error
+                    raise InvalidInputError(
+                        f"{word!r}: give a number, {NUMBERS[kind][1]}, behind '{name}='"
+                    ) from error
         if found.get("gaussians") in ("wide", "along"):
             found.setdefault("uniform_share", wide_share)
         return cls(predictor=predictor, **found)

@@ -15,12 +15,13 @@ from process_memory import in_use
 
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.errors import UnknownChoiceError
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.errors import CvqmptError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import PLANNERS, Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.store import states_hash
-from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.birrt import DRAWS, BiRRT, grow, plant
 from cvqmpt_lab.search.ompl_planners import STATE_SPACES, OmplSearch
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
@@ -175,6 +176,57 @@ def test_samples_outside_the_limits_are_clipped(problem):
     outside = Uniform(np.full(7, -9.0), np.full(7, 9.0), "outside")
     result = plan(problem, sampling(outside), ENOUGH, seed=1)
     assert result.sampler == "outside" and certify(problem, result.path, clearance=False).valid
+
+
+@pytest.mark.parametrize("draws", ["raw", "projected", "free"])
+def test_trees_extend_towards_what_is_made_of_draws(problem, draws):
+    """Raw draws stay; projected ones keep F(q) = 0; free ones are free of collision, too."""
+    space = ConstrainedSpace(problem)
+    trees = plant(problem.start, problem.goals, 4096)
+    drawn = Uniform(problem.robot.lower, problem.robot.upper).sample(np.random.default_rng(0), 60)
+    made = drawn.copy()
+    before = space.counters
+    _, used_to, used = grow(space.arrays, trees, made, 0, 0.2, DRAWS[draws])
+    off = np.linalg.norm(problem.manifold.residual(made[:used_to]), axis=1)
+    free = space.valid_batch(made[:used_to])
+    assert space.counters.iterations - before.iterations == used_to
+    if draws == "raw":
+        assert used == used_to and (made == drawn).all() and off.min() > 0.01
+    else:
+        assert (off < 1e-3).sum() >= used > 0
+        usable = (off < 1e-3) & (free | (draws == "projected"))
+        assert usable.sum() == used
+
+
+def test_draws_that_never_reach_the_constraint_end_with_that_reason(problem):
+    """A pose a kilometre away: nothing is projected onto it."""
+    away = np.eye(4)
+    away[0, 3] = 1000.0
+    region = TaskSpaceRegion(away, np.eye(4), np.zeros((6, 2)))
+    far = problem.changed(constraint=(region,))
+    result = BiRRT().search(
+        ConstrainedSpace(far),
+        problem.start,
+        problem.goals,
+        Uniform(problem.robot.lower, problem.robot.upper),
+        Budget(iterations=50),
+        np.random.default_rng(0),
+    )
+    assert result.status is PlanStatus.ITERATION_LIMIT and result.counters.iterations == 50
+    assert result.detail == "none of 50 draws reached the constraint"
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"draws": "some"}, "draws of a tree search 'some'; valid choices: raw, projected, free"),
+        ({"reach": 0.0}, "reach 0.0: give the longest extension"),
+        ({"reach": float("nan")}, "reach nan: give the longest extension"),
+    ],
+)
+def test_settings_of_the_tree_search_are_checked(settings, told):
+    with pytest.raises(CvqmptError, match=told):
+        BiRRT(**settings)
 
 
 def test_without_a_constraint(problem):

@@ -135,6 +135,15 @@ def test_codes_repeat_by_seed_and_move_alone_as_among_others(codebook, predicted
     )
 
 
+def test_as_printed_codes_that_got_worse_stay_moved(codebook, predicted, constraint):
+    settings = {"method": "gradient", "eta": 3.0, "steps": 1}
+    printed = optimized(codebook, predicted, constraint, put_back=False, **settings)
+    ours = optimized(codebook, predicted, constraint, **settings)
+    worse = printed.g_after >= printed.g_before
+    assert worse.any() and not printed.kept.any() and (ours.kept == worse).all()
+    np.testing.assert_array_equal(ours.z[~worse], printed.z[~worse])
+
+
 def test_short_steps_stop_a_code(codebook, predicted, constraint):
     def steps(**settings):
         return optimized(codebook, predicted, constraint, steps=6, **settings).steps

@@ -1,6 +1,8 @@
 """Learned samplers: their names, mixtures and updates; controls on the shipped weights."""
 
+import re
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -9,15 +11,17 @@ from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import CONTROLS, planner_named
+from cvqmpt_lab.planners import CONTROLS, Method, planner_named
 from cvqmpt_lab.search.planner_interface import Observation, Query, Uniform
-from cvqmpt_lab.search.result import Budget, PlanStatus
+from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.vqmpt.codebook import codes_of
 from cvqmpt_lab.vqmpt.learned_sampler import (
     CodeProposal,
     LearnedSampler,
     codebook_of,
     dictionary_roadmap,
+    model_of,
 )
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 
@@ -49,6 +53,17 @@ def proposed(problem, query):
     ("words", "choice"),
     [
         ("random", SamplerChoice(predictor="random")),
+        (
+            "transformer+along+free-draws+reach=1+goals-apart",
+            SamplerChoice(
+                predictor="transformer",
+                gaussians="along",
+                draws="free-draws",
+                reach=1.0,
+                goals="goals-apart",
+                uniform_share=0.15,
+            ),
+        ),
         ("transformer+algorithm-2", SamplerChoice(predictor="transformer", update="algorithm-2")),
         ("random+wide", SamplerChoice(predictor="random", gaussians="wide", uniform_share=0.15)),
         (
@@ -76,11 +91,16 @@ def test_words_say_the_product(words, choice):
         ("random+wide+decoded", "two parts of one kind, 'decoded'"),
         ("random+uniform=2", "uniform share 2.0 of a learned sampler: give 0 to 1"),
         ("random+all-beams", "all-beams goes with predictor transformer, not random"),
-        ("random+uniform=x", "give a number from 0 to 1 behind 'uniform='"),
+        ("random+uniform=x", "give a number, 0 to 1, behind 'uniform='"),
+        ("random+reach=near", "give a number, above 0 [rad], or inf, behind 'reach='"),
+        ("random+reach=0", "reach 0.0: give the longest extension towards a sample [rad], above 0"),
+        ("random+reach=1+reach=2", "two parts of one kind, 'reach=2'"),
+        ("random+every-waypoint", "every-waypoint goes with predictor transformer, not random"),
+        ("transformer+along+printed", "printed moves codes: along has none; leave one of them out"),
     ],
 )
 def test_other_words_are_refused(words, message):
-    with pytest.raises(CvqmptError, match=message.replace("+", r"\+")) as caught:
+    with pytest.raises(CvqmptError, match=re.escape(message)) as caught:
         planner_named(f"cvq:{words}")
     assert "\n" not in str(caught.value)
 
@@ -104,6 +124,50 @@ def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor)
         [np.diag((LearnedSampler.goal_std * span) ** 2)] * len(proposal.goals),
     )
     assert all((np.abs(problem.goals - goal).max(axis=1) < 1e-9).any() for goal in proposal.goals)
+
+
+def test_every_waypoint_is_read_along_the_nodes_of_sequences(problem, proposed):
+    """Codes of states 0.13 rad apart from the start over the nodes to the goal, runs as one."""
+    proposal = proposed("cvq:transformer+every-waypoint")
+    nodes = dictionary_roadmap("vq_mpt", problem.robot).nodes
+    listed = []
+    for way, goal in zip(proposal.ways, proposal.goals, strict=True):
+        np.testing.assert_array_equal(way[[0, -1]], [problem.start, goal])
+        assert all((node == nodes).all(axis=1).any() for node in way[1:-1])
+        read = codes_of(model_of("vq_mpt"), problem.robot, JointPath(way).spaced(0.13))
+        listed += [code for code, _ in groupby(read.tolist())]
+    assert proposal.codes.tolist() == listed and len(listed) > len(proposed("cvq-wide").codes) / 3
+    assert len(proposal.distribution.means) == len(listed) + len(proposal.goals)
+
+
+def test_gaussians_along_sequences_hold_start_and_goals(problem, proposed):
+    proposal = proposed("cvq-tuned")
+    mixture = proposal.distribution
+    for end in (problem.start, *proposal.goals):
+        assert (np.abs(mixture.means - end).max(axis=1) < 1e-12).any()
+    np.testing.assert_array_equal(mixture.covariances, [0.81 * np.eye(7)] * len(mixture.means))
+    length = sum(JointPath(way).length for way in proposal.ways)
+    assert length / 0.4 <= len(mixture.means) <= length / 0.4 + 2 * len(proposal.ways)
+
+
+def test_goals_are_tried_one_after_the_other(problem):
+    """Each with a query of its own; the first that is reached ends the run."""
+    asked = []
+    stages = planner_named("birrt").stages(problem)
+
+    def predict(query, observation):
+        asked.append(query.goals)
+        return stages.predict(query, observation)
+
+    apart = Method.simple("apart", predict=predict, goals_apart=True)
+    few = solve(problem, apart, Budget(iterations=len(problem.goals)), seed=0, clearance=False)
+    np.testing.assert_array_equal(np.concatenate(asked), problem.goals)
+    assert few.plan.status is PlanStatus.ITERATION_LIMIT
+    assert few.plan.counters.iterations == len(problem.goals)
+    asked.clear()
+    found = solve(problem, apart, Budget(iterations=40_000), seed=0)
+    np.testing.assert_array_equal(found.plan.path.states[-1], asked[-1][0])
+    assert found.solved and found.plan.vertices > few.plan.vertices
 
 
 def test_wide_gaussians_lie_at_the_nodes_of_the_roadmap(problem, proposed):
