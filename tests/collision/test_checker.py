@@ -200,10 +200,9 @@ def test_maps_are_the_same_to_both_checkers(panda, T, padding):
     compare(panda, scene, 2000, margin=1e-4)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_configurations_that_are_not_finite_collide(panda, value):
-    found = compiled_hits(panda, NOTHING, np.array([HOME, np.full(7, value)]))
-    assert found.tolist() == [False, True]
+def test_configurations_that_are_not_finite_collide(panda):
+    states = np.array([HOME, np.full(7, np.nan), np.full(7, np.inf)])
+    assert compiled_hits(panda, NOTHING, states).tolist() == [False, True, True]
 
 
 def test_obstacles_outside_the_grid_are_still_seen(panda):

@@ -33,6 +33,7 @@ def test_the_short_upright_is_the_papers_constraint():
     in_full = {"upright": {"tilt": 0.1, "axis": "x"}}
     assert region({"upright": 0.1}) == region(in_full) == upright(0.1)
     assert region(to_plain(upright(0.2), Region)) == upright(0.2)
+    np.testing.assert_array_equal(upright(0.2).Bw[4:], [[-0.2, 0.2]] * 2)
 
 
 @pytest.mark.parametrize("axis", ["x", "-x", "y", "-y", "z", "-z"])
