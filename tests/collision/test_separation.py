@@ -122,12 +122,8 @@ def test_balls_and_pieces_cover_the_shape(kind):
 def test_flat_shapes_are_cut_too():
     """A point, a segment, a square and points that coincide."""
     square = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]
-    for points in (
-        np.zeros((1, 3)),
-        np.outer([0.0, 1.0, 0.4], np.eye(3)[0]),
-        np.array(square),
-        np.zeros((4, 3)),
-    ):
+    segment = np.outer([0.0, 1.0, 0.4], np.eye(3)[0])
+    for points in (np.zeros((1, 3)), segment, np.array(square), np.zeros((4, 3))):
         corners = np.concatenate(cut_into_pieces(points))
         assert len(corners) < 2000
         for end in (np.min, np.max):

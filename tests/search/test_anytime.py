@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path, keep_informed
 from cvqmpt_lab.search.planner_interface import Deadline
@@ -33,11 +32,9 @@ def test_informed_samples_keep_detours_to_one_of_the_goals_short(lengths):
 
 def test_a_goal_where_the_start_is_leaves_a_ball():
     here = np.ones(7)
-    samples = InformedSamples(here, here[None], np.array([0.5]), LOWER, UPPER)
-    samples = samples.sample(np.random.default_rng(0), 100)
-    assert (
-        np.isfinite(samples).all() and np.linalg.norm(samples - here, axis=1).max() <= 0.25 + 1e-9
-    )
+    informed = InformedSamples(here, here[None], np.array([0.5]), LOWER, UPPER)
+    samples = informed.sample(np.random.default_rng(0), 100)
+    assert np.linalg.norm(samples - here, axis=1).max() <= 0.25 + 1e-9
 
 
 ENOUGH = Budget(iterations=20_000)
@@ -51,9 +48,8 @@ def first(problem):
 
 def test_draws_kept_are_free_on_the_manifold_and_in_the_informed_set(problem, first):
     space, length = ConstrainedSpace(problem), 1.2 * first.length
-    draws = first.spaced(0.02) + np.random.default_rng(0).normal(
-        scale=0.3, size=first.spaced(0.02).shape
-    )
+    spaced = first.spaced(0.02)
+    draws = spaced + np.random.default_rng(0).normal(scale=0.3, size=spaced.shape)
     draws = np.clip(draws, problem.robot.lower, problem.robot.upper)
     expected = []
     for q in draws.copy():
@@ -64,8 +60,6 @@ def test_draws_kept_are_free_on_the_manifold_and_in_the_informed_set(problem, fi
     kept = keep_informed(space.arrays, draws, problem.start, problem.goals, length)
     assert 0 < kept < len(draws)
     np.testing.assert_array_equal(draws[:kept], expected)
-    with pytest.raises(InvalidInputError, match="start"):
-        keep_informed(space.arrays, draws, problem.start[:3], problem.goals, length)
 
 
 def test_paths_that_cost_more_than_asked_are_not_looked_for(problem):
@@ -87,28 +81,15 @@ def test_paths_that_cost_more_than_asked_are_not_looked_for(problem):
 def test_informed_roadmaps_find_shorter_paths_that_repeat_and_a_straight_path_ends_the_search(
     problem, first
 ):
-    def better():
-        return improve(
-            ConstrainedSpace(problem),
-            partial(informed_roadmap_path, scene_costs),
-            first,
-            Budget(iterations=400),
-            np.random.default_rng(0),
-        )
+    def better(path):
+        search, rng = partial(informed_roadmap_path, scene_costs), np.random.default_rng(0)
+        return improve(ConstrainedSpace(problem), search, path, Budget(iterations=400), rng)
 
-    (path, made), (again, _) = better(), better()
+    (path, made), (again, _) = better(first), better(first)
     np.testing.assert_array_equal(path.states, again.states)
     assert path.length < first.length and made.searches > 3 and made.iterations >= 400
     space = ConstrainedSpace(problem)
     assert space.checked_path(path.states)[0] is not None
     assert max(np.abs(space.residual_and_jacobian(q)[0]).max() for q in path.states) < 1e-3
     nearest = problem.goals[np.linalg.norm(problem.goals - problem.start, axis=1).argmin()]
-    straight = JointPath(np.stack([problem.start, nearest]))
-    _, made = improve(
-        ConstrainedSpace(problem),
-        partial(informed_roadmap_path, scene_costs),
-        straight,
-        Budget(iterations=400),
-        np.random.default_rng(0),
-    )
-    assert made.searches == 0
+    assert better(JointPath(np.stack([problem.start, nearest])))[1].searches == 0

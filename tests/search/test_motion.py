@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from properties.test_differential import near_contact
 
 from cvqmpt_lab.collision.arrays import robot_swing
 from cvqmpt_lab.poses import pose
@@ -13,13 +14,10 @@ from cvqmpt_lab.search.motion import motion_free, states_valid
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+HEAD = ConvexMesh(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 3)))
 HAMMER = (
     Attachment("handle", Box((0.03, 0.04, 0.5)), pose((0.02, -0.01, 0.3), 0.4)),
-    Attachment(
-        "head",
-        ConvexMesh(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 3))),
-        pose((0.0, 0.2, 0.5)),
-    ),
+    Attachment("head", HEAD, pose((0.0, 0.2, 0.5))),
 )
 FINE = 0.002  # [rad]
 
@@ -38,10 +36,8 @@ def placed_points(robot, attachments, configurations):
     return np.concatenate(points, axis=1)
 
 
-@pytest.mark.parametrize(
-    ("name", "attachments"),
-    [("panda", ()), ("panda", HAMMER), ("slider_arm", ()), ("slider_arm", HAMMER)],
-)
+@pytest.mark.parametrize("name", ["panda", "slider_arm"])
+@pytest.mark.parametrize("attachments", [(), HAMMER])
 def test_no_point_moves_further_than_its_swing(request, name, attachments):
     robot = request.getfixturevalue(name)
     bound = robot_swing(robot, attachments)
@@ -55,9 +51,8 @@ def test_no_point_moves_further_than_its_swing(request, name, attachments):
     furthest = np.linalg.norm(moved, axis=2).max(axis=1)
     allowed = np.abs(after - before) @ bound
     assert (furthest <= allowed + 1e-12).all()
-    assert (furthest / allowed).max() > 0.8, (
-        "a bound this loose would make every motion slow to check"
-    )
+    # a looser bound would make every motion slow to check
+    assert (furthest / allowed).max() > 0.8
 
 
 @pytest.fixture(scope="module")
@@ -65,35 +60,15 @@ def kitchen_space(panda, open_kitchen):
     return ConstrainedSpace(PlanningProblem("kitchen", panda, open_kitchen, HOME, HOME[None]))
 
 
-def near_contact(problem, space, rng, count):
-    """Configurations (count, n) within 0.05 rad of first contacts, by bisection [rad]."""
-    found, missing = [np.empty((0, problem.robot.dof))], count
-    while missing > 0:
-        states = problem.robot.random_configurations(rng, max(2 * missing, 64))
-        valid = space.valid_batch(states)
-        pairs = min(int(valid.sum()), int((~valid).sum()), missing)
-        free, colliding = states[valid][:pairs], states[~valid][:pairs]
-        for _ in range(16):
-            middle = 0.5 * (free + colliding)
-            valid = space.valid_batch(middle)[:, None]
-            free, colliding = np.where(valid, middle, free), np.where(valid, colliding, middle)
-        direction = rng.normal(size=free.shape)
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        beside = free + direction * rng.uniform(0.0, 0.05, (pairs, 1))
-        found.append(np.clip(beside, problem.robot.lower, problem.robot.upper))
-        missing -= pairs
-    return np.concatenate(found)
-
-
 @pytest.fixture(scope="module")
 def motions(kitchen_space):
     """Free states a, b (k, n) up to 0.3 rad apart, on either side of a contact."""
     rng, robot = np.random.default_rng(0), kitchen_space.robot
-    contacts = np.repeat(near_contact(kitchen_space.problem, kitchen_space, rng, 1000), 30, axis=0)
+    free = near_contact(kitchen_space.problem, kitchen_space, rng, 1000)
+    contacts = np.repeat(free, 30, axis=0)
     away = rng.standard_normal((2, *contacts.shape))
-    away *= rng.uniform(0.0, 0.15, (2, len(contacts), 1)) / np.linalg.norm(
-        away, axis=2, keepdims=True
-    )
+    far = rng.uniform(0.0, 0.15, (2, len(contacts), 1))
+    away *= far / np.linalg.norm(away, axis=2, keepdims=True)
     a, b = np.clip(contacts + away, robot.lower, robot.upper)
     free = all_free(kitchen_space, np.stack([a, b], axis=1))
     return a[free], b[free]
@@ -102,9 +77,8 @@ def motions(kitchen_space):
 @pytest.fixture(scope="module")
 def answers(kitchen_space, motions):
     """motion_free of each motion, (k,)."""
-    return np.array(
-        [motion_free(kitchen_space.arrays, a, b) for a, b in zip(*motions, strict=True)]
-    )
+    arrays = kitchen_space.arrays
+    return np.array([motion_free(arrays, a, b) for a, b in zip(*motions, strict=True)])
 
 
 def all_free(space, states):
@@ -137,13 +111,6 @@ def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhe
     sampled = all_free(kitchen_space, along(motions, kitchen_space.arrays.resolution))
     assert (~sampled).sum() >= 30 and answers[~sampled].mean() <= 0.1
     assert (answers != sampled).mean() < 0.02
-
-
-def test_both_backends_judge_motions_alike(kitchen_space, motions, answers):
-    exact = ConstrainedSpace(kitchen_space.problem, "exact")
-    some = np.concatenate([np.flatnonzero(~answers)[:60], np.flatnonzero(answers)[:60]])
-    judged = [motion_free(exact.arrays, motions[0][k], motions[1][k]) for k in some]
-    assert (np.array(judged) != answers[some]).mean() <= 0.05
 
 
 def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):

@@ -37,26 +37,17 @@ def queries(rng, nodes, count):
 
 @pytest.mark.parametrize("count", [1, BLOCK - 1, BLOCK, BLOCK + 1, 5 * BLOCK + 77, 16 * BLOCK])
 def test_the_nearest_node_is_that_of_a_plain_search(count):
+    """Also after the index has grown."""
     rng = np.random.default_rng(count)
-    nodes, index = walks(rng, count), nearest_index(count, 7)
-    index_new_nodes(index, 1, nodes, count)
+    nodes, index = walks(rng, count), nearest_index(2 * BLOCK, 7)
+    for size in (*range(0, count, 128), count):
+        if size > index.order.shape[1]:
+            index = enlarged_index(index, 2 * index.order.shape[1])
+        index_new_nodes(index, 1, nodes, size)
     assert index.indexed.tolist() == [0, count // BLOCK * BLOCK]
     for target in queries(rng, nodes, 150):
         expected = int(((nodes - target) ** 2).sum(axis=1).argmin())
         assert nearest_node(index, 1, nodes, count, target) == expected
-
-
-def test_growing_node_by_node_and_growing_at_once_are_the_same():
-    rng = np.random.default_rng(0)
-    nodes = walks(rng, 7 * BLOCK)
-    at_once, slowly = nearest_index(len(nodes), 7), nearest_index(2 * BLOCK, 7)
-    index_new_nodes(at_once, 0, nodes, len(nodes))
-    for size in range(0, len(nodes) + 1, 128):
-        if size > slowly.order.shape[1]:
-            slowly = enlarged_index(slowly, 2 * slowly.order.shape[1])
-        index_new_nodes(slowly, 0, nodes, size)
-    np.testing.assert_array_equal(slowly.order[0, : len(nodes)], at_once.order[0, : len(nodes)])
-    assert sorted(at_once.order[0, : len(nodes)]) == list(range(len(nodes)))
 
 
 def test_of_equal_nodes_the_first_one_is_found():

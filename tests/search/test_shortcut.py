@@ -49,11 +49,13 @@ def test_one_seed_gives_one_path_with_either_backend(problem, solution):
     assert states_hash(other.states) != states_hash(one.states)
 
 
-@pytest.mark.parametrize("bound", ["attempts", "seconds"])
-def test_no_attempts_change_nothing(solution, space, bound):
-    result = simplified(space, solution.plan.path, **{bound: 0})
-    assert states_hash(result.path.states) == states_hash(solution.plan.path.states)
-    assert result.counters.projections == 0
+def test_no_attempts_and_paths_without_room_change_nothing(problem, solution, space):
+    still = (problem.start[None], np.array([problem.start, problem.start]))
+    cases = [(solution.plan.path.states, {bound: 0}) for bound in ("attempts", "seconds")]
+    for states, bounds in (*cases, *((states, {}) for states in still)):
+        result = simplified(space, JointPath(states), **bounds)
+        np.testing.assert_array_equal(result.path.states, states)
+        assert not bounds or result.counters.projections == 0
 
 
 def test_attempts_seconds_and_patience_bound_the_work(solution, space):
@@ -64,11 +66,6 @@ def test_attempts_seconds_and_patience_bound_the_work(solution, space):
     assert hurried.seconds < 1.0
     short = simplified(space, path).path
     assert simplified(space, short, attempts=10**6, patience=1, gain=0.5).seconds < 5.0
-
-
-def test_tiny_paths_pass_through(problem, space):
-    for states in (problem.start[None], np.array([problem.start, problem.start])):
-        np.testing.assert_array_equal(simplified(space, JointPath(states)).path.states, states)
 
 
 def test_a_detour_is_cut(problem, space):
