@@ -8,11 +8,12 @@ import pytest
 from cvqmpt_lab.benchmarks.templates import problem_template
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import Method
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, PointCloud
+from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.roadmap import NEIGHBOURS, NODES, TURN, RoadmapPath, spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace

@@ -6,6 +6,7 @@ import pickle
 import pytest
 import torch
 from published_files import CONTEXT, SEQUENCE, STAGE1
+from refusals import refused
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import (
@@ -45,12 +46,12 @@ def without(state, name):
     return {key: tensor for key, tensor in state.items() if key != name}
 
 
+CODES, POSITIONS = "embedding.weight", "position_enc.pos_table"
+VARIANCES = "batch_norm.running_var"
+
+
 def with_bias(bias):
     return lambda state: state | {"mu.0.bias": bias}
-
-
-def scaled(state):
-    return state | {"embedding.weight": 2 * state["embedding.weight"]}
 
 
 @pytest.mark.parametrize(
@@ -66,22 +67,15 @@ def scaled(state):
         ("decoder_state", with_bias(torch.zeros(7).to_sparse()), "mu.0.bias is sparse"),
         ("decoder_state", with_bias(torch.zeros(7, device="meta")), "bias is .*without data"),
         ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not that"),
-        (
-            "encoder_state",
-            lambda s: s | {"position_enc.pos_table": torch.zeros(1, 40, 512)},
-            "pos_table is not that of this model",
-        ),
-        ("quantizer_state", scaled, "not of unit length"),
-        (
-            "quantizer_state",
-            lambda s: s | {"batch_norm.running_var": -torch.ones(8)},
-            "negative variances",
-        ),
+        ("encoder_state", lambda s: s | {POSITIONS: torch.zeros(1, 40, 512)}, "pos_table is not"),
+        ("quantizer_state", lambda s: s | {CODES: 2 * s[CODES]}, "not of unit length"),
+        ("quantizer_state", lambda s: s | {VARIANCES: -torch.ones(8)}, "negative variances"),
     ],
 )
 def test_tensors_that_do_not_fit_are_listed(published, published_states, name, change, message):
-    with pytest.raises(InvalidInputError, match=message):
-        import_published(*published(**{name: change(published_states[name])}), ROBOT)
+    changed = published(**{name: change(published_states[name])})
+    with pytest.raises(InvalidInputError, match=message):  # a line for each tensor
+        import_published(*changed, ROBOT)
 
 
 @pytest.mark.parametrize(
@@ -92,21 +86,13 @@ def test_tensors_that_do_not_fit_are_listed(published, published_states, name, c
         ("ar_params", SEQUENCE, {"n_heads": "3"}, r"ar_params.json: n_heads is '3'"),
         ("cross_attn", CONTEXT, {"d_context": 6}, "6 is not the dictionary's c_space_dim 7"),
         ("ar_params", SEQUENCE, {"num_keys": 2}, "num_keys 2 has no codes"),
-        ("model_params", STAGE1, {"n_position": 10**12}, "is 1000000000000; it must be 1 to 65536"),
-        (
-            "model_params",
-            STAGE1,
-            {"dropout": 1.5},
-            "ar: dictionary.transformer.dropout is 1.5",
-        ),
-        ("cross_attn", CONTEXT, {"n_layers": 10**6}, r"n_layers is 1000000; it must be 1 to 64"),
+        ("model_params", STAGE1, {"dropout": 1.5}, "ar: dictionary.transformer.dropout is 1.5"),
         ("ar_params", SEQUENCE, {"d_model": 256}, "one latent width"),
         ("ar_params", SEQUENCE, {"num_keys": 1026}, r"is \(2048, 8\), expected \(1024, 8\)"),
     ],
 )
 def test_json_files_are_checked(published, file, base, changes, message):
-    with pytest.raises(InvalidInputError, match=message):
-        import_published(*published(**{file: base | changes}), ROBOT)
+    refused(message, import_published, *published(**{file: base | changes}), ROBOT)
 
 
 class Malicious:
@@ -125,11 +111,8 @@ def legacy(content, path):
 def test_a_pickle_that_wants_to_run_code_is_refused(published, tmp_path, save):
     folders = published()
     save({"encoder_state": Malicious(tmp_path / "ran")}, folders[0] / "best_model.pkl")
-    with pytest.raises(
-        InvalidInputError, match=r"is refused: it holds posix.mkdir, .* run code"
-    ) as caught:
-        import_published(*folders, ROBOT)
-    assert "\n" not in str(caught.value) and not (tmp_path / "ran").exists()
+    refused("is refused: it holds posix.mkdir, .* run code", import_published, *folders, ROBOT)
+    assert not (tmp_path / "ran").exists()
 
 
 @pytest.mark.filterwarnings("error")
@@ -144,14 +127,11 @@ def test_a_pickle_that_wants_to_run_code_is_refused(published, tmp_path, save):
 )
 def test_files_that_are_something_else_are_called_what_they_are(tmp_path, content, message):
     (tmp_path / "x.pkl").write_bytes(content)
-    with pytest.raises(InvalidInputError, match=rf"x\.pkl {message}") as caught:
-        read_tensors(tmp_path / "x.pkl")
-    assert "\n" not in str(caught.value)
+    refused(rf"x\.pkl {message}", read_tensors, tmp_path / "x.pkl")
 
 
 def test_files_that_hold_no_states_are_refused(tmp_path):
     torch.save([1], tmp_path / "list.pkl")
     os.mkfifo(tmp_path / "fifo.pkl")
     for name, message in (("list", "holds a list"), ("fifo", "regular"), ("none", "No such file")):
-        with pytest.raises(InvalidInputError, match=message):
-            read_tensors(tmp_path / f"{name}.pkl")
+        refused(message, read_tensors, tmp_path / f"{name}.pkl")

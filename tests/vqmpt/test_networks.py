@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import torch
 from published_files import waves
+from refusals import refused
 from torch.nn import functional as F
 
 from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.training.dictionary_stage import stage1_loss
 from cvqmpt_lab.vqmpt.beam_search import beam_search
 from cvqmpt_lab.vqmpt.config import (
@@ -100,8 +101,7 @@ def test_trajectory_encoder_uses_one_layer_norm_three_times():
     for layer in encoder.layer_stack:
         x = layer.pos_ffn(attention_by_hand(layer.slf_attn, x, x))
     torch.testing.assert_close(encoder(u), layer_norm(x, encoder.layer_norm))
-    with pytest.raises(InvalidInputError, match="31 waypoints"):
-        encoder(torch.rand(1, 31, 7))
+    refused("31 waypoints", encoder, torch.rand(1, 31, 7))
 
 
 def test_quantizer_takes_the_nearest_code_by_cosine_and_keeps_codes_unit():
@@ -131,8 +131,7 @@ def test_codes_restart_on_data():
     assert len(set(places.tolist())) == 5
     quantizer.restart_codes(dead & False, latents)
     torch.testing.assert_close(quantizer.embedding.weight.detach(), after)
-    with pytest.raises(InvalidInputError, match="0 latents"):
-        quantizer.restart_codes(dead, latents[:0])
+    refused("0 latents", quantizer.restart_codes, dead, latents[:0])
 
 
 def test_decoder_covariance_is_l_d_l_transposed_in_row_major_order():
@@ -151,9 +150,8 @@ def test_decoder_covariance_is_l_d_l_transposed_in_row_major_order():
         torch.testing.assert_close(gaussians.mean[i], mean)
         u = torch.rand(7)
         reference = torch.distributions.MultivariateNormal(mean, sigma)
-        torch.testing.assert_close(
-            gaussians.log_prob(u)[i], reference.log_prob(u), rtol=1e-4, atol=1e-4
-        )
+        log_prob = gaussians.log_prob(u)[i]
+        torch.testing.assert_close(log_prob, reference.log_prob(u), rtol=1e-4, atol=1e-4)
         torch.testing.assert_close(gaussians.entropy()[i], reference.entropy())
 
 
@@ -166,17 +164,13 @@ def test_stage1_loss_masks_padding():
     loss = stage1_loss(gaussians, quantized, u, visible, commitment=0.25)
     log_prob, entropies = gaussians.log_prob(u), gaussians.entropy()
     seen = [(b, t) for b in range(2) for t in range(6) if visible[b, t]]
-    nll, entropy = (
-        -sum(float(log_prob[at]) for at in seen),
-        sum(float(entropies[at]) for at in seen),
-    )
-    assert float(loss["reconstruction"]) == pytest.approx((nll - 0.1 * entropy) / 2, rel=1e-5)
+    nll = -sum(float(log_prob[at]) for at in seen)
+    reconstruction = (nll - 0.1 * sum(float(entropies[at]) for at in seen)) / 2
     distance = (quantized.latent - quantized.quantized).square().sum(-1)
-    assert float(loss["quantization"]) == pytest.approx(
-        1.25 * float(distance[visible].mean()), rel=1e-5
-    )
-    expected = (nll - 0.1 * entropy) / 2 + float(loss["quantization"])
-    assert float(loss["loss"]) == pytest.approx(expected, rel=1e-5)
+    quantization = 1.25 * float(distance[visible].mean())
+    assert float(loss["reconstruction"]) == pytest.approx(reconstruction, rel=1e-5)
+    assert float(loss["quantization"]) == pytest.approx(quantization, rel=1e-5)
+    assert float(loss["loss"]) == pytest.approx(reconstruction + quantization, rel=1e-5)
 
 
 @pytest.fixture
@@ -215,8 +209,8 @@ def test_context_tokens_ignore_each_other_and_padding(sequence_model):
     other_goal = sequence_model.encode_context(scene, start, torch.rand(4, 7))
     torch.testing.assert_close(other_goal[:, 0], together[:, 0])
     assert not torch.allclose(other_goal[:, 1], together[:, 1])
-    with pytest.raises(InvalidInputError, match="3 starts and goals for 2 scenes"):
-        sequence_model.encode_context(scene, start[:3], goal[:3])
+    told, three = "3 starts and goals for 2 scenes", (start[:3], goal[:3])
+    refused(told, sequence_model.encode_context, scene, *three)
 
 
 @torch.no_grad()
@@ -230,9 +224,8 @@ def test_beam_search_scores_what_the_model_says(sequence_model):
         expected, path = 0.0, [*sequence.codes] + [SMALL.goal_class] * sequence.finished
         for i, code in enumerate(path):
             prefix = torch.tensor([path[:i]], dtype=torch.int64)
-            logits = sequence_model.prefix_logits(
-                context[row : row + 1], prefix, dictionary.quantizer
-            )
+            own = context[row : row + 1]
+            logits = sequence_model.prefix_logits(own, prefix, dictionary.quantizer)
             odds = logits.softmax(1) if path[:i] else logits.log_softmax(1)
             expected += float(odds[0, code])
         assert sequence.score == pytest.approx(expected, abs=1e-4)
@@ -245,14 +238,9 @@ def test_beam_search_scores_what_the_model_says(sequence_model):
         ("joint_dim", "7", "model.joint_dim is '7'; it must be int"),
         ("joint_dim", -7, "cannot be negative"),
         ("joint_dim", 0, "joint_dim is 0; it must be 1 to 65536"),
-        ("dictionary.n_position", 10**12, "n_position is 1000000000000; it must be 1 to 65536"),
         ("dictionary.n_position", 10**400, r"n_position is 1000\S+; it must be 1 to 65536"),
         ("sequence.transformer.n_layers", 10**6, "n_layers is 1000000; it must be 1 to 64"),
-        (
-            "sequence.transformer.dropout",
-            1.5,
-            "dropout is 1.5; it must be 0 or more",
-        ),
+        ("sequence.transformer.dropout", 1.5, "dropout is 1.5; it must be 0 or more"),
         ("point_cloud.sa1.radius", -0.2, "radius is -0.2; it must be a positive length"),
         ("speed", 3, "model.speed is unknown"),
         ("dictionary.n_codes", None, "model.dictionary.n_codes is None"),
@@ -270,5 +258,4 @@ def test_config_names_the_wrong_field(path, value, message):
     for name in outer:
         inner = inner[name]
     inner[last] = value
-    with pytest.raises(CvqmptError, match=message):
-        from_plain(ModelConfig, data, "model", complete=True)
+    refused(message, from_plain, ModelConfig, data, "model", complete=True, error=CvqmptError)
