@@ -4,10 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
 from cli.main import main
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.labels import generation
 from cvqmpt_lab.labels.generation import generate
@@ -51,10 +51,8 @@ def test_paths_are_free_and_join_their_ends_among_the_shapes_of_their_scene(tiny
     robot, dataset = panda(), open_dataset(tiny)
     arrays = dataset.arrays
     assert len(arrays["path_scene"]) >= 8
-    for scene, (family, seed) in enumerate(
-        zip(arrays["family"], arrays["scene_seed"], strict=True)
-    ):
-        made = family_scene(dataset.families[family], int(seed))
+    for scene, seed in enumerate(arrays["scene_seed"].tolist()):
+        made = family_scene(dataset.families[arrays["family"][scene]], seed)
         poses = [item.T_world_object[:3] for item in made.obstacles]
         np.testing.assert_allclose(dataset.shapes(scene).pose, poses, atol=1e-6)
         checker = CollisionChecker(robot, made)
@@ -68,7 +66,7 @@ def test_paths_are_free_and_join_their_ends_among_the_shapes_of_their_scene(tiny
             assert not checker.in_collision_batch(q[[0, -1]]).any()
 
 
-@pytest.mark.parametrize("cut", [None, 3, 30, 200])
+@pytest.mark.parametrize("cut", [None, 3, 200])
 def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path, cut):
     """With a shard missing, or damaged and the index cut."""
     out = tmp_path / "d"
@@ -85,11 +83,10 @@ def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path, cut):
 
 
 def test_a_folder_that_another_run_writes_or_of_another_recipe_is_refused(tiny):
-    with locked(tiny), pytest.raises(InvalidInputError, match="in use by another run"):
-        make(tiny)
+    with locked(tiny):
+        refused("in use by another run", make, tiny)
     for change in ({"paths_per_scene": 3}, {"robot": {"name": "ur5"}}):
-        with pytest.raises(InvalidInputError, match="another recipe"):
-            make(tiny, replace(TINY, **change))
+        refused("another recipe", make, tiny, replace(TINY, **change))
 
 
 def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(slider_arm):

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
+from refusals import refused
 from torch.nn import functional as F
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import generate
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.training.profiles import PROFILES
@@ -68,5 +68,4 @@ def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):
 
 
 def test_fine_tuning_with_other_sizes_is_refused(labels):
-    with pytest.raises(InvalidInputError, match="fine_tune needs a --dictionary"):
-        stage_of(labels, "smoke", fine_tune=True)
+    refused("fine_tune needs a --dictionary", stage_of, labels, "smoke", fine_tune=True)
