@@ -1,0 +1,195 @@
+"""Figures: the update of codes as the planners sample, prices of checks, curves of trainings."""
+
+import csv
+import json
+import xml.etree.ElementTree as ET
+from itertools import product
+
+import numpy as np
+import pytest
+from made_rows import a_row
+from refusals import refused
+from small_models import random_checkpoint
+
+from cli.main import main
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.results.row import RUNS_FILE, write_rows
+from cvqmpt_lab.search.planner_interface import Observation, Query
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
+from cvqmpt_lab.vqmpt.weights import weights_digest
+from experiments.figures import paper
+from experiments.figures.code_update import (
+    UpdateSettings,
+    histogram_rows,
+    squared_residual,
+    update_codes,
+)
+from experiments.figures.drawing import figure_bytes
+from experiments.figures.paper import HandPoses, histogram_figure
+from experiments.figures.row_figures import OURS, draw_cost, draw_training
+from paper_tables.claims import updated_codes
+from paper_tables.statements import PREDICTED, Claim
+
+SETTINGS = UpdateSettings(samples=300)
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory, panda):
+    """A small model of the authors' architecture with random weights."""
+    folder = tmp_path_factory.mktemp("weights") / "model"
+    save_checkpoint(folder, random_checkpoint(panda))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def update(problem):
+    return update_codes(problem, None, SETTINGS)
+
+
+def test_an_update_needs_samples():
+    refused("samples of the update 0", UpdateSettings, samples=0)
+
+
+@pytest.mark.parametrize(("when", "planner"), [("before", "cvq-mpt"), ("after", "opt-cvq-mpt")])
+def test_the_mixtures_are_those_that_the_planners_sample(update, when, planner):
+    stages = planner_named(planner).stages(update.problem)
+    rng = np.random.default_rng(np.random.SeedSequence(0).spawn(1)[0])
+    query = Query.of(ConstrainedSpace(update.problem), Budget(seconds=60.0), rng)
+    proposal = stages.predict(query, Observation(update.cloud))
+    if stages.update is not None:
+        proposal = stages.update(query, proposal)
+    drawn_from, sampled_from = getattr(update, when), proposal.distribution
+    np.testing.assert_array_equal(drawn_from.means, sampled_from.means)
+    np.testing.assert_array_equal(drawn_from.covariances, sampled_from.covariances)
+    sampled = proposal.distribution.sample(np.random.default_rng(1), 20_000)
+    drawn = np.concatenate([update.draws(when, i) for i in range(len(update.before.means))])
+    g = [squared_residual(update.problem.manifold, q).mean() for q in (sampled, drawn)]
+    assert g[1] == pytest.approx(g[0], rel=0.1)
+
+
+def test_rows_and_bins_count_every_draw_and_figures_repeat_byte_for_byte(update):
+    rows, bins = update.rows(), histogram_rows([update, update])
+    codes = len(update.codes)
+    assert [row["code"] for row in rows] == [*update.codes, *["goal"] * (len(rows) - codes)]
+    for what, when in product(("codes", "all"), ("before", "after")):
+        gaussians = codes if what == "codes" else len(rows)
+        counted = sum(row[when] for row in bins if row["of"] == what)
+        assert counted == 2 * gaussians * SETTINGS.samples
+    first, again = (figure_bytes(histogram_figure([update]), "svg") for _ in range(2))
+    assert first == again and b"<svg" in first
+    near = [np.sqrt(update.g("after")) < row["to"] for row in bins[:1]]
+    assert bins[len(bins) // 2]["after"] == 2 * near[0].sum()
+
+
+def test_a_problem_counts_once_in_the_claim(tmp_path):
+    lines = ["problem,code,g_before,g_after", "a,1,4,1", "a,2,4,4", "a,goal,1,100", "b,3,1,0.5"]
+    (tmp_path / "values.csv").write_text("\n".join(lines))
+    effect = updated_codes(Claim("g", 0.0, (PREDICTED,)), tmp_path)
+    assert effect.paired[::3] == (pytest.approx(0.5), 2)
+    assert effect.means.estimate == pytest.approx(1.0 - (2.5 + 0.5) / (4.0 + 1.0))
+
+
+def test_hands_by_another_kinematics(update, problem):
+    after = HandPoses.of(problem.robot, update.draws("after", 1)[:20])
+    for i, q in enumerate(after.q):
+        T = problem.robot.pose(q)
+        np.testing.assert_allclose(after.positions[i], T[:3, 3], atol=1e-9)
+        assert np.cos(after.tilt[i]) == pytest.approx(T[2, 0], abs=1e-9)
+    upright = HandPoses.of(problem.robot, problem.start[None])
+    assert upright.tilt[0] < 1e-4
+
+
+def test_no_codes_is_said(problem, panda, tmp_path):
+    save_checkpoint(tmp_path / "silent", random_checkpoint(panda, goal_bias=-1e6))
+    with pytest.raises(InvalidInputError, match="predicted no codes"):
+        update_codes(problem.changed(goals=problem.goals[:1]), str(tmp_path / "silent"), SETTINGS)
+
+
+def rows_of(path):
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def test_the_command_writes_the_histogram(tmp_path, model, capsys):
+    out = tmp_path / "histogram"
+    words = ["figure", "histogram", "--problems", "2", "--model", str(model), "--out", str(out)]
+    assert main(words) == 0
+    files = {f"histogram.{ending}" for ending in ("png", "svg", "csv")}
+    assert {path.name for path in out.iterdir()} == files | {"values.csv", "provenance.json"}
+    assert ET.parse(out / "histogram.svg").getroot().tag.endswith("svg")
+    assert {row["problem"] for row in rows_of(out / "values.csv")} == {"0", "1"}
+    record = json.loads((out / "provenance.json").read_text())
+    assert record["weights"] == {"vq_mpt": weights_digest(model)} and record["seeds"] == [0]
+    assert main([*words, "--seed", "1"]) == 2  # another configuration
+    assert "update.seed was 0, now 1" in capsys.readouterr().err
+
+
+def test_the_command_writes_the_concept_figure(tmp_path, model, monkeypatch):
+    monkeypatch.setattr(paper, "PICTURE", (180, 138))
+    out = tmp_path / "concept"
+    assert main(["figure", "concept", "--model", str(model), "--out", str(out)]) == 0
+    rows = rows_of(out / "concept.csv")
+    assert {row["when"] for row in rows} == {"before", "after"} and rows[-1]["code"] == "goal"
+    for row in rows:
+        assert np.cos(float(row["tilt_rad"])) == pytest.approx(float(row["up_z"]), abs=1e-4)
+
+
+def test_files_of_others_are_left_alone(tmp_path, model, capsys):
+    (tmp_path / "thesis.tex").write_text("mine")
+    assert main(["figure", "histogram", "--model", str(model), "--out", str(tmp_path)]) == 2
+    assert "holds files without provenance.json" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("histogram --planners birrt", "unknown arguments: --planners birrt"),
+        ("equal-time", "equal-time was removed: its last numbers are in docs/training_log.md"),
+        ("pie", "unknown figure 'pie'; valid choices: histogram, concept"),
+        ("histogram --seed -1", "argument --seed: '-1' is not a whole number"),
+        ("concept --problem 150", "unknown problem 150"),
+        ("histogram --model /nowhere", "/nowhere"),
+    ],
+)
+def test_wrong_options_are_one_line(tmp_path, capsys, words, said):
+    assert main(["figure", *words.split(), "--out", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
+    """100 checks + 1 ms of networks against 1100 checks: equal at 1 us more per check."""
+    shared = {"n_projections": 0, "t_goals_s": 0.0}
+    runs = ("birrt", 1100, 0.002), ("learned", 100, 0.003), ("dear", 2000, 0.003)
+    rows = [
+        a_row(f"p{k}", planner, n_state_checks=checks, t_total_s=time, **shared)
+        for k in range(4)
+        for planner, checks, time in runs
+    ]
+    write_rows(tmp_path / RUNS_FILE, rows)
+    written = draw_cost(tmp_path, tmp_path)
+    assert [path.name for path in written] == ["cost.png", "cost.svg", "cost.csv"]
+    with written[-1].open() as file:
+        found = {line["planner"]: line for line in csv.DictReader(file)}
+    assert float(found["learned"]["break_even_us"]) == pytest.approx(1e6 * (OURS + 1e-6), rel=0.02)
+    assert float(found["learned"]["time_at_ours"]) == pytest.approx(1.5)
+    assert float(found["learned"]["work"]) == pytest.approx(1 / 11, rel=1e-5)
+    assert found["dear"]["break_even_us"] == "" and float(found["dear"]["time_at_papers"]) > 1.0
+
+
+def test_trainings_are_drawn_from_their_folders_and_from_the_table(tmp_path):
+    run, other = tmp_path / "runs" / "published-0", tmp_path / "again"
+    run.mkdir(parents=True)
+    other.mkdir()
+    refused("no curves of cvqmpt train", draw_training, other, other)
+    profile = {"published": {"scenes": 4, "paths": 96}}
+    (run / "training.json").write_text(json.dumps({"stage": "published", "profile": profile}))
+    parts = product(("", "wrong_cloud_", "no_cloud_"), ("all", "ways"))
+    names = [f"validation_{cloud}cross_entropy_{which}" for cloud, which in parts]
+    (run / "curves.csv").write_text(f"step,seconds,{','.join(names)}\n400,9.5,4,1,5,2,6,3\n")
+    *_, table = draw_training(run.parent, run.parent)
+    assert table.read_text().splitlines()[1] == "published-0,published,153600,9.5,1,4,2,5,3,6"
+    (other / "training.csv").write_text(table.read_text())
+    assert draw_training(other, other)[-1].read_text() == table.read_text()
