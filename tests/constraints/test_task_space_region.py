@@ -1,0 +1,260 @@
+"""Regions and chains against pinocchio, scipy: residual, Jacobian, logarithm, sampling."""
+
+import math
+
+import numpy as np
+import pytest
+from compiled_kernels import from_python
+from refusals import refused
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.benchmarks.place_task import DOOR
+from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.regions import log_map_factor, rotation_vector
+from cvqmpt_lab.constraints.task_space_region import (
+    RegionConstraint,
+    TaskSpaceRegion,
+    TaskSpaceRegionChain,
+    stack_regions,
+    upright,
+)
+from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.scene.articulation import take_out
+from cvqmpt_lab.scene.kitchen import kitchen
+
+KINK = 1e-3  # rows this close to a bound, or to angle pi, have no derivative
+FREE = (-np.inf, np.inf)
+ROBOTS = ("panda", "slider_arm", DOOR, "indigo_drawer_top")
+
+
+@pytest.fixture
+def robot_and_bases(request):
+    """A robot and base frames of regions; an arm with a door or drawer: its parts and a link."""
+    if request.param in ROBOTS[:2]:
+        return request.getfixturevalue(request.param), [None]
+    item = to_plain(take_out(kitchen(), request.param).articulated)
+    robot = robot_from_source({"name": "panda", "articulated": item})
+    parts = [frame for frame in robot.frame_names if frame.startswith(f"{request.param}/")]
+    return robot, [*parts, "panda_link3"]
+
+
+def random_pose(rng, spread=0.5):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    T[:3, 3] = rng.uniform(-spread, spread, 3)
+    return T
+
+
+def random_region(rng, base=None):
+    """Random frames and bounds; about a third of the rows free or bounded on one side only."""
+    centre, width = rng.uniform(-1, 1, 6), rng.uniform(0, 1, 6)
+    Bw = np.stack([centre - width, centre + width], axis=1)
+    Bw[rng.random((6, 2)) < 0.2] = np.inf
+    Bw[:, 0] = np.where(np.isinf(Bw[:, 0]), -np.inf, Bw[:, 0])
+    frames = random_pose(rng), random_pose(rng)
+    return TaskSpaceRegionChain(*frames, Bw, base) if base else TaskSpaceRegion(*frames, Bw)
+
+
+def box(half, **changes):
+    """A region of half width `half` about the world's axes."""
+    values = {"T0_w": np.eye(4), "Tw_e": np.eye(4), "Bw": np.tile((-half, half), (6, 1))}
+    return TaskSpaceRegion(**(values | changes))
+
+
+def displacement(region, T_world_e):
+    """Position and rotation vector (6,) of a pose in a region, by the definition."""
+    T = np.linalg.inv(region.T0_w) @ T_world_e @ np.linalg.inv(region.Tw_e)
+    return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+
+
+def of_hand(robot, region, q):
+    """The displacement (6,) of the hand at q, seen from the frame that the region hangs on."""
+    base = robot.pose(q, region.base) if isinstance(region, TaskSpaceRegionChain) else np.eye(4)
+    return displacement(region, np.linalg.inv(base) @ robot.pose(q))
+
+
+def outside(region, x):
+    """Signed distance of displacements (6,) outside the bounds, bounded rows only."""
+    lower, upper = region.Bw.T
+    return (np.minimum(x - lower, 0.0) + np.maximum(x - upper, 0.0))[region.bounded_rows]
+
+
+def differences(function, q, h=1e-6):
+    """Central differences (m, n) of a function of q."""
+    steps = h * np.eye(len(q))
+    return np.stack([(function(q + s) - function(q - s)) / (2 * h) for s in steps], axis=-1)
+
+
+def random_cases(robot, bases, count):
+    """(region, q) with the rotation away from angle pi."""
+    rng = np.random.default_rng(5)
+    while count:
+        region = random_region(rng, bases[count % len(bases)])
+        q = robot.random_configurations(rng, 1)[0]
+        if np.linalg.norm(of_hand(robot, region, q)[3:]) < np.pi - KINK:
+            count -= 1
+            yield region, q
+
+
+@pytest.mark.parametrize("robot_and_bases", ROBOTS, indirect=True)
+def test_residual_is_the_signed_distance_outside(robot_and_bases):
+    signs, robot = set(), robot_and_bases[0]
+    for region, q in random_cases(*robot_and_bases, 200):
+        residual = RegionConstraint(robot, (region,)).residual(q)
+        np.testing.assert_allclose(residual, outside(region, of_hand(robot, region, q)), atol=1e-9)
+        signs |= set(np.sign(residual))
+    assert signs == {-1.0, 0.0, 1.0}
+
+
+@pytest.mark.parametrize("robot_and_bases", ROBOTS, indirect=True)
+def test_jacobian_is_the_residual_s_derivative(robot_and_bases):
+    """Both forms against finite differences of an independent residual, without rows on a kink."""
+    compared, robot, columns = 0, robot_and_bases[0], 0.0
+    for region, q in random_cases(*robot_and_bases, 200):
+        constraint, rows = RegionConstraint(robot, (region,)), region.bounded_rows
+        lower, upper = region.Bw[rows].T
+        x = of_hand(robot, region, q)[rows]
+        smooth = np.minimum(abs(x - lower), abs(x - upper)) > KINK
+        expected = differences(lambda q, r=region: of_hand(robot, r, q)[r.bounded_rows], q)
+        np.testing.assert_allclose(
+            constraint.residual_and_jacobian(q, full=True)[1], expected, atol=2e-6
+        )
+        columns = np.maximum(columns, np.abs(expected).max(axis=0, initial=0.0))
+        active = (x < lower) | (x > upper)
+        expected = np.where(active[:, None], expected, 0.0)
+        found = constraint.residual_and_jacobian(q)[1]
+        np.testing.assert_allclose(found[smooth], expected[smooth], atol=2e-6)
+        compared += smooth.sum()
+    # every joint moves the hand, or the frame of the region
+    assert compared > 800 and columns.min() > 0.1
+
+
+def test_batches_and_intersections_stack_what_each_member_says_of_each_configuration(panda):
+    rng = np.random.default_rng(6)
+    members = random_region(rng), upright()
+    batch = panda.random_configurations(rng, 20)
+    both, *each = (
+        RegionConstraint(panda, regions) for regions in (members, members[:1], members[1:])
+    )
+    for full in (False, True):
+        together = both.residual_and_jacobian(batch, full)
+        alone = [[one.residual_and_jacobian(q, full) for one in each] for q in batch]
+        for k in range(2):
+            expected = [np.concatenate([answer[k] for answer in answers]) for answers in alone]
+            np.testing.assert_array_equal(together[k], expected)
+    residual, jacobian = RegionConstraint(panda, ()).residual_and_jacobian(np.zeros((3, 7)))
+    assert residual.shape == (3, 0) and jacobian.shape == (3, 0, 7)
+
+
+def test_bounded_rows_leave_out_what_cannot_be_violated():
+    turn = (-np.pi, np.pi)
+    Bw = np.array([FREE, (0, np.inf), (-np.inf, 1), turn, (-4, 4), (-np.pi, 3)])
+    np.testing.assert_array_equal(box(1, Bw=Bw).bounded_rows, [1, 2, 5])
+    np.testing.assert_array_equal(upright().bounded_rows, [4, 5])
+
+
+def test_shrunken_bounds_lie_inside(panda):
+    region = box(0.1, Bw=np.array([FREE, (0, 1), (2, np.inf), FREE, (0.5, 0.5), (0, 0.004)]))
+    arrays = stack_regions(panda, (region,), shrink=1e-3)
+    np.testing.assert_allclose(arrays.lower, [1e-3, 2.001, 0.5, 4e-4])
+    np.testing.assert_allclose(arrays.upper, [0.999, np.inf, 0.5, 3.6e-3])
+
+
+def test_sampled_poses_lie_inside():
+    rng = np.random.default_rng(8)
+    for _ in range(50):
+        centre, width = rng.uniform(-0.8, 0.8, 6), rng.uniform(0, 0.8, 6)
+        bounds = np.stack([centre - width, centre + width], axis=1)
+        region = TaskSpaceRegion(random_pose(rng), random_pose(rng), bounds)
+        x = np.array([displacement(region, T) for T in region.sample_poses(rng, 20)])
+        assert (x >= region.Bw[:, 0] - 1e-9).all() and (x <= region.Bw[:, 1] + 1e-9).all()
+        assert (np.ptp(x, axis=0) >= 0.5 * np.ptp(region.Bw, axis=1)).all()
+
+
+ROWS = "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [rad]; null = free"
+
+
+def bounds(*changed):
+    """Rows [0, 1], the first ones changed."""
+    return [*changed, *[[0, 1]] * (6 - len(changed))]
+
+
+INF = np.inf
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ([[0, 1]] * 5, f" has shape (5, 2); it must be {ROWS}"),
+        ([["a", 1]] * 6, f" is {[['a', 1]] * 6}; it must be {ROWS}"),
+        (5, f" has shape (); it must be {ROWS}"),
+        (bounds([np.nan, 1]), "[0], position x [m], is [nan, 1.0]; lower <= upper is needed"),
+        (bounds([0, 1], [0, 1], [0, 1], [0.2, 0.1]), "[3], rotation about x [rad], is [0.2, 0.1]"),
+        (bounds([0, 1], [0, 1], [INF, INF]), "[2], position z [m], is [inf, inf]; lower <= upper"),
+        (bounds([-INF, -INF]), "[0], position x [m], is [-inf, -inf]; lower <= upper"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_malformed_bounds_are_named_with_the_order_and_units_of_their_rows(value, message):
+    data = to_plain(upright()) | {"Bw": value}
+    assert refused("^region", from_plain, Region, data, "region").startswith(f"region.Bw{message}")
+
+
+def test_missing_fields_are_named_and_fields_are_read_only():
+    data = to_plain(upright())
+    for field in ("T0_w", "Tw_e", "Bw"):
+        rest = {key: value for key, value in data.items() if key != field}
+        refused(f"region.{field} is missing", from_plain, Region, rest, "region")
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(upright(), field)[0, 0] = 1.0
+
+
+def test_unbounded_positions_cannot_be_sampled():
+    refused("unbounded: bound Bw rows 0-2", upright().sample_poses, np.random.default_rng(0), 1)
+
+
+log_map_factor, rotation_vector = map(from_python, (log_map_factor, rotation_vector))
+
+
+BELOW_PI = np.pi - np.array([2e-4, 1e-6, 1e-9, 0.0])
+ANGLES = [0.0, 1e-12, 1e-7, 1e-5, 9e-4, 1.1e-3, 0.1, 1.0, 3.0, *BELOW_PI]
+
+
+def log(R):
+    return np.array(rotation_vector(*(tuple(column) for column in R.T)))
+
+
+def skew(e):
+    return np.array([[0.0, -e[2], e[1]], [e[2], 0.0, -e[0]], [-e[1], e[0], 0.0]])
+
+
+def inverse_left_jacobian(e):
+    factor, square = log_map_factor(tuple(e))
+    assert square == pytest.approx(e @ e, rel=1e-12)
+    return np.eye(3) - 0.5 * skew(e) + factor * skew(e) @ skew(e)
+
+
+def left_jacobian(e):
+    """Its power series, sum of [e]x^k / (k + 1)!, exact to double precision for |e| <= pi."""
+    power, total = np.eye(3), np.eye(3)
+    for k in range(1, 40):
+        power = power @ skew(e)
+        total = total + power / math.factorial(k + 1)
+    return total
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_log_and_inverse_left_jacobian_at_special_angles(angle):
+    """exp(log R) = R, either sign of the axis is right at pi; the inverse inverts the series."""
+    axes = np.random.default_rng(0).standard_normal((50, 3))
+    axes[:3] = np.eye(3)
+    for axis in axes / np.linalg.norm(axes, axis=1)[:, None]:
+        R = Rotation.from_rotvec(angle * axis).as_matrix()
+        e = log(R)
+        assert np.linalg.norm(e) == pytest.approx(angle, abs=1e-13)
+        np.testing.assert_allclose(Rotation.from_rotvec(e).as_matrix(), R, atol=2e-14)
+        if np.pi - angle > 1e-7:
+            np.testing.assert_allclose(e, angle * axis, atol=1e-12)
+        product = inverse_left_jacobian(angle * axis) @ left_jacobian(angle * axis)
+        np.testing.assert_allclose(product, np.eye(3), atol=1e-11)
