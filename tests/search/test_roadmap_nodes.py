@@ -94,12 +94,9 @@ def test_a_spoilt_or_foreign_file_of_the_cache_is_made_anew(cache, slider_arm, s
     np.testing.assert_array_equal(again.neighbours, made.neighbours)
 
 
-@pytest.mark.parametrize("fault", [(28, "No space left on device"), (30, "Read-only file system")])
-def test_a_full_or_read_only_cache_keeps_nothing_and_a_roadmap_is_made(
-    cache, slider_arm, monkeypatch, fault
-):
+def test_a_full_cache_keeps_nothing_and_a_roadmap_is_made(cache, slider_arm, monkeypatch):
     def refused(*arguments, **named):
-        raise OSError(*fault)
+        raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as broken:
         broken.setattr(np, "savez", refused)

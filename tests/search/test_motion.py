@@ -1,0 +1,199 @@
+"""Straight motions are free for coal; the index of nodes is that of a plain search."""
+
+import numpy as np
+import pytest
+from compiled_kernels import from_python
+from properties.test_differential import near_contact
+
+from cvqmpt_lab.collision.arrays import robot_swing
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.kinematics import link_poses
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere, shape_vertices
+from cvqmpt_lab.search.motion import motion_free, states_valid
+from cvqmpt_lab.search.nearest import (
+    BLOCK,
+    LEAF,
+    enlarged_index,
+    index_new_nodes,
+    nearest_index,
+    nearest_node,
+)
+from cvqmpt_lab.search.space import ConstrainedSpace
+
+HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+HEAD = ConvexMesh(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 3)))
+HAMMER = (
+    Attachment("handle", Box((0.03, 0.04, 0.5)), pose((0.02, -0.01, 0.3), 0.4)),
+    Attachment("head", HEAD, pose((0.0, 0.2, 0.5))),
+)
+FINE = 0.002  # [rad]
+
+
+def placed_points(robot, attachments, configurations):
+    """World positions (k, p, 3) of every vertex of the links and of what is carried."""
+    rotations, translations = link_poses(robot.kinematics, configurations)
+    hand, T_link_hand = robot.end_effector_link
+    solids = [(piece.link, piece.T_link_geometry, piece.vertices) for piece in robot.links]
+    solids += [(hand, T_link_hand @ a.T_hand_object, shape_vertices(a.shape)) for a in attachments]
+    points = [
+        (vertices @ T[:3, :3].T + T[:3, 3]) @ rotations[:, link].transpose(0, 2, 1)
+        + translations[:, link, None]
+        for link, T, vertices in solids
+    ]
+    return np.concatenate(points, axis=1)
+
+
+@pytest.mark.parametrize("name", ["panda", "slider_arm"])
+@pytest.mark.parametrize("attachments", [(), HAMMER])
+def test_no_point_moves_further_than_its_swing(request, name, attachments):
+    robot = request.getfixturevalue(name)
+    bound = robot_swing(robot, attachments)
+    rng = np.random.default_rng(0)
+    before = robot.random_configurations(rng, 1000)
+    change = 10.0 ** rng.uniform(-4.0, 0.3, (1000, 1)) * rng.standard_normal(before.shape)
+    # one joint at a time comes closest
+    change[:300] *= np.eye(robot.dof)[rng.integers(robot.dof, size=300)]
+    after = np.clip(before + change, robot.lower, robot.upper)
+    moved = placed_points(robot, attachments, after) - placed_points(robot, attachments, before)
+    furthest = np.linalg.norm(moved, axis=2).max(axis=1)
+    allowed = np.abs(after - before) @ bound
+    assert (furthest <= allowed + 1e-12).all()
+    # a looser bound would make every motion slow to check
+    assert (furthest / allowed).max() > 0.8
+
+
+@pytest.fixture(scope="module")
+def kitchen_space(panda, open_kitchen):
+    return ConstrainedSpace(PlanningProblem("kitchen", panda, open_kitchen, HOME, HOME[None]))
+
+
+@pytest.fixture(scope="module")
+def motions(kitchen_space):
+    """Free states a, b (k, n) up to 0.3 rad apart, on either side of a contact."""
+    rng, robot = np.random.default_rng(0), kitchen_space.robot
+    free = near_contact(kitchen_space.problem, kitchen_space, rng, 1000)
+    contacts = np.repeat(free, 30, axis=0)
+    away = rng.standard_normal((2, *contacts.shape))
+    far = rng.uniform(0.0, 0.15, (2, len(contacts), 1))
+    away *= far / np.linalg.norm(away, axis=2, keepdims=True)
+    a, b = np.clip(contacts + away, robot.lower, robot.upper)
+    free = all_free(kitchen_space, np.stack([a, b], axis=1))
+    return a[free], b[free]
+
+
+@pytest.fixture(scope="module")
+def answers(kitchen_space, motions):
+    """motion_free of each motion, (k,)."""
+    arrays = kitchen_space.arrays
+    return np.array([motion_free(arrays, a, b) for a, b in zip(*motions, strict=True)])
+
+
+def all_free(space, states):
+    """Whether the compiled checker calls all states of each row (k, s, n) free, (k,)."""
+    out = np.empty(states.shape[0] * states.shape[1], dtype=bool)
+    states_valid(space.arrays, np.ascontiguousarray(states.reshape(-1, states.shape[2])), out)
+    return out.reshape(states.shape[:2]).all(axis=1)
+
+
+def along(motions, spacing):
+    """States (k, s, n) of straight motions, all with as many as the longest one needs."""
+    a, b = motions
+    longest = np.linalg.norm(b - a, axis=1).max()
+    return np.linspace(a, b, 1 + int(np.ceil(longest / spacing)), axis=1)
+
+
+def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
+    """All states, not only those that were checked."""
+    checker = kitchen_space.problem.collision_checker()
+    a, b = (ends[answers] for ends in motions)
+    close = np.flatnonzero(~all_free(kitchen_space, along((a, b), FINE)))  # by less than the margin
+    rest = np.random.default_rng(0).choice(len(a), 300, replace=False)
+    motions = {k: along((a[k : k + 1], b[k : k + 1]), FINE)[0] for k in {*close, *rest}}
+    assert [k for k, states in motions.items() if checker.in_collision_batch(states).any()] == []
+
+
+def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(
+    kitchen_space, motions, answers
+):
+    sampled = all_free(kitchen_space, along(motions, kitchen_space.arrays.resolution))
+    assert (~sampled).sum() >= 30 and answers[~sampled].mean() <= 0.1
+    assert (answers != sampled).mean() < 0.02
+
+
+def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
+    """A finger sweeps past a small ball at its tip; with the ball below the tip, it is free."""
+    a, b = HOME - 0.1 * np.eye(7)[0], HOME + 0.1 * np.eye(7)[0]
+
+    def answer(depth):
+        place = panda.pose(HOME) @ pose((0.0, 0.05, depth))
+        scene = Scene("ball", (SceneObject("ball", Sphere(0.005), place),))
+        space = ConstrainedSpace(PlanningProblem("ball", panda, scene, a, b[None]))
+        return space.valid(a), space.valid(b), motion_free(space.arrays, a, b)
+
+    assert answer(0.1) == (True, True, False)
+    assert answer(0.13) == (True, True, True)
+
+
+def test_motions_of_no_length_and_to_a_collision(kitchen_space, motions):
+    a = motions[0][0]
+    assert motion_free(kitchen_space.arrays, a, a)
+    assert not motion_free(kitchen_space.arrays, a, np.full(7, np.nan))
+
+
+index_new_nodes, nearest_node = map(from_python, (index_new_nodes, nearest_node))
+
+
+def walks(rng, count, n=7):
+    """Nodes like those of trees: short walks from earlier nodes."""
+    nodes = np.zeros((count, n))
+    for k in range(1, count):
+        origin = nodes[k - 1] if k % 7 else nodes[rng.integers(k)]
+        nodes[k] = origin + 0.15 * rng.standard_normal(n)
+    return nodes
+
+
+def queries(rng, nodes, count):
+    """Near the nodes, between them, and far away."""
+    picks = nodes[rng.integers(len(nodes), size=(count, 2))]
+    spread = 10.0 ** rng.uniform(-4.0, 0.7, (count, 1))
+    # never half way, where two nodes are equally far but for rounding
+    share = rng.uniform(size=(count, 1))
+    between = picks[:, 0] + share * (picks[:, 1] - picks[:, 0])
+    return np.concatenate([picks[:, 0] + spread * rng.standard_normal(between.shape), between])
+
+
+@pytest.mark.parametrize("count", [1, BLOCK - 1, BLOCK, BLOCK + 1, 5 * BLOCK + 77, 16 * BLOCK])
+def test_the_nearest_node_is_that_of_a_plain_search(count):
+    """Also after the index has grown."""
+    rng = np.random.default_rng(count)
+    nodes, index = walks(rng, count), nearest_index(2 * BLOCK, 7)
+    for size in (*range(0, count, 128), count):
+        if size > index.order.shape[1]:
+            index = enlarged_index(index, 2 * index.order.shape[1])
+        index_new_nodes(index, 1, nodes, size)
+    assert index.indexed.tolist() == [0, count // BLOCK * BLOCK]
+    for target in queries(rng, nodes, 150):
+        expected = int(((nodes - target) ** 2).sum(axis=1).argmin())
+        assert nearest_node(index, 1, nodes, count, target) == expected
+
+
+def test_of_equal_nodes_the_first_one_is_found():
+    nodes = np.tile(walks(np.random.default_rng(1), 3 * LEAF), (100, 1))
+    index = nearest_index(len(nodes), 7)
+    index_new_nodes(index, 0, nodes, len(nodes))
+    for k in (0, 7, 3 * LEAF - 1):
+        assert nearest_node(index, 0, nodes, len(nodes), nodes[k]) == k
+
+
+def test_nodes_moved_away_later_are_never_found():
+    """A removed node is moved far away; the index is not told."""
+    rng = np.random.default_rng(2)
+    nodes, index = walks(rng, 3 * BLOCK), nearest_index(3 * BLOCK, 7)
+    index_new_nodes(index, 0, nodes, len(nodes))
+    gone = rng.choice(len(nodes), 1000, replace=False)
+    nodes[gone, 0] = 1e6
+    for target in queries(rng, nodes[:50], 50):
+        found = nearest_node(index, 0, nodes, len(nodes), np.clip(target, -5.0, 5.0))
+        assert found == int(((nodes - np.clip(target, -5.0, 5.0)) ** 2).sum(axis=1).argmin())
