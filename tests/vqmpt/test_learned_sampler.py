@@ -18,7 +18,6 @@ from cvqmpt_lab.vqmpt.learned_sampler import (
     CodeProposal,
     LearnedSampler,
     codebook_of,
-    dictionary_roadmap,
 )
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 
@@ -98,14 +97,6 @@ def test_sampled_is_the_mixture_of_codes_and_goals(problem, proposed, predictor)
     around = np.diag((LearnedSampler.goal_std * span) ** 2)
     np.testing.assert_allclose(mixture.covariances[c:], [around] * len(proposal.goals))
     assert all((np.abs(problem.goals - goal).max(axis=1) < 1e-9).any() for goal in proposal.goals)
-
-
-def test_wide_gaussians_lie_at_the_nodes_of_the_roadmap(problem, proposed):
-    proposal = proposed("cvq:random+wide")
-    c, nodes = len(proposal.codes), dictionary_roadmap("vq_mpt", problem.robot).nodes
-    np.testing.assert_allclose(proposal.distribution.means[:c], nodes[proposal.codes], atol=1e-4)
-    assert np.sqrt(np.linalg.eigvalsh(proposal.distribution.covariances[:c])).min() > 1.09
-    assert proposal.distribution.uniform_share == 0.15
 
 
 def test_updates_move_codes_towards_the_constraint(problem, proposed):
