@@ -23,8 +23,7 @@ from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.profiles import PROFILES, Profile
 from cvqmpt_lab.training.stage import OptimizerSettings, batch_seed
-from cvqmpt_lab.training.trainer import open_folder, run_training
-from cvqmpt_lab.vqmpt.beam_search import beam_search
+from cvqmpt_lab.training.trainer import run_training
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, save_checkpoint
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 
@@ -111,23 +110,19 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
     assert files == {"training.json", "state.pt", "curves.csv", "model"}
 
 
-@pytest.mark.parametrize("precision", ["float32", "bf16"])
-def test_the_authors_network_learns_from_paths(tmp_path, data, published_dictionary, precision):
-    profile = changed(PUBLISHED, {"published.precision": precision})
+def test_the_authors_network_learns_from_paths(tmp_path, data, published_dictionary):
+    """In half precision; in full precision it is the continued training below."""
+    profile = changed(PUBLISHED, {"published.precision": "bf16"})
     out = tmp_path / "out"
     go("published", data, out, profile, dictionary=published_dictionary, epochs=1)
     row = curves(out)[0]
     own = float(row["validation_cross_entropy_all"])
     assert own == float(row["validation_loss"])
     assert own != float(row["validation_wrong_cloud_cross_entropy_all"])
-    checkpoint = load_checkpoint(out / "model")
-    model, words = checkpoint.modules["sequence_model"], checkpoint.modules["dictionary"]
+    words = load_checkpoint(out / "model").modules["dictionary"]
     before = load_checkpoint(published_dictionary / "model").modules["dictionary"]
     for name, tensor in before.state_dict().items():
         assert torch.equal(words.state_dict()[name], tensor)
-    scene = model.encode_scene(torch.rand(1, 48, 3))
-    decoder = model.decoder(words, scene, torch.rand(1, 7), torch.rand(1, 7))
-    assert len(beam_search(decoder, published=True)) == 1
 
 
 @pytest.mark.parametrize(
@@ -241,15 +236,6 @@ def test_damaged_states_and_losses_that_are_not_finite_are_named(tmp_path, data)
     refused(told, go, "mpnet", data, tmp_path / "a", changed(TINY, wild))
 
 
-def test_a_full_disk_is_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch):
-    def full(*arguments):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    refused("No space left on device", open_folder, tmp_path, {"a": 1})
-    assert not list(tmp_path.iterdir())
-
-
 def test_one_training_at_a_time_gets_back_a_model_that_was_being_replaced(tmp_path, data):
     def second(*progress):
         refused("s1 is in use by another run", go, "stage1", data, whole, epochs=1)
@@ -284,17 +270,11 @@ def test_rates():
 def test_the_command_line(tmp_path, capsys, data):
     config, out = tmp_path / "mine.json", str(tmp_path / "x")
     config.write_text(json.dumps(to_plain(TINY)))
-    common = ["train", "stage1", "--config", str(config), "--data", str(data), "--device", "cpu"]
-    assert main([*common, "--out", str(tmp_path / "s1"), "--epochs", "1"]) == 0
-    captured = capsys.readouterr()
-    assert "validation_nll" in captured.out
-    assert f"model in {tmp_path / 's1' / 'model'}" in captured.out
-    assert "stage1 6/6, 0 s left  epoch 1, loss " in captured.err
     assert main(["train", "stage1", "--profile", "smoke", "--print-config"]) == 0
     assert from_plain(Profile, json.loads(capsys.readouterr().out)) == SMOKE
     given = ["--config", config, "--data", data, "--out", out]
     for message, words in {
-        "give --out DIR": common[1:],
+        "give --out DIR": ["stage1", *given[:4]],
         "no dataset in": ["stage1", *given[:2], "--data", tmp_path, "--out", out],
         "unknown device 'tpu'": ["stage1", *given, "--device", "tpu"],
         "unknown profile 'big'": ["stage1", "--profile", "big"],

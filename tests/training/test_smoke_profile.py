@@ -1,0 +1,129 @@
+"""Data, stages and a prediction through the command line; training needs torch and numpy alone."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from command_line import refused
+
+from cli.main import main
+from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.training.profiles import PROFILES
+from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
+from cvqmpt_lab.vqmpt.codebook import Codebook
+from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor, SceneTransformerPredictor
+from cvqmpt_lab.vqmpt.weights import load_vq_mpt, robot_signature
+
+ROBOTS = ["", "--robot tiago-no-hand --base 0,0,-0.6"]
+
+
+@pytest.mark.parametrize("robot_options", ROBOTS)
+def test_from_scenes_to_a_prediction(tmp_path, robot_options):
+    """For the Panda and an arm of eight joints whose first one slides."""
+    data, stage1, model = tmp_path / "data", tmp_path / "stage1", tmp_path / "model"
+    # the first of each family validates
+    few = f"--scenes 4 --paths-per-scene 4 --seed 9 --family kitchen-like,shelves {robot_options}"
+    assert main(["data", "generate", *few.split(), "--jobs", "2", "--out", str(data)]) == 0
+    common = ["--profile", "smoke", "--data", str(data), "--device", "cpu", "--epochs", "1"]
+    assert main(["train", "stage1", *common, "--out", str(stage1)]) == 0
+    words = ["--dictionary", str(stage1), "--out", str(model)]
+    assert main(["train", "published", *common, *words]) == 0
+
+    robot = robot_from_source(json.loads((data / "dataset.json").read_text())["recipe"]["robot"])
+    checkpoint = load_checkpoint(model / "model", robot_signature(robot))
+    predictor = PublishedPredictor(stored(checkpoint), robot)
+    rng = np.random.default_rng(0)
+    cloud = rng.uniform(-0.8, 0.8, (400, 3))
+    start, goal = robot.random_configurations(rng, 2)
+    found = predictor.hypotheses(predictor.encode(cloud), start, goal[None])
+    assert len(found[0][0].codes) > 0
+    codebook = Codebook(stored(checkpoint), robot)
+    assert all(np.isfinite(part).all() for part in codebook.gaussians(codebook.vectors[:5]))
+
+
+def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_path, capsys):
+    """With the shipped dictionary, which has another width, and the dense loss."""
+    labels, out, config = tmp_path / "labels", tmp_path / "out", tmp_path / "tiny.json"
+    scenes = ["--labels", "roadmap", "--family", "table,shelves", "--scenes", "4", "--jobs", "1"]
+    assert main(["data", "generate", *scenes, "--out", str(labels)]) == 0
+    profile = to_plain(PROFILES["smoke"], complete=True)
+    profile["published"] |= {"batches_per_epoch": 2, "validation_scenes": 2}
+    profile["published_model"]["dense"] = True
+    config.write_text(json.dumps(profile))
+    train = f"train published --config {config} --data {labels} --out {out}".split()
+    assert main([*train, "--epochs", "1", "--device", "cpu"]) == 0
+    said = capsys.readouterr().out
+    for metric in ("no_cloud_cross_entropy_ways", "edge_area_under_curve", "constant_features"):
+        assert f"validation_{metric}" in said
+    assert main(["plan", "place-task", "--planner", "cvq-published", "--model", str(out)]) == 0
+    assert "solved" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_scene_transformer_for_another_arm(tmp_path, request):
+    """UR5 from nothing: dictionary, labels on its roadmap, transformer, sequences; 1.5 minutes."""
+    if not request.config.getoption("--long"):
+        pytest.skip("needs --long")
+    data, words, labels, out = (tmp_path / name for name in ("data", "words", "labels", "out"))
+    profile = to_plain(PROFILES["compact"], complete=True)
+    profile["model"]["dictionary"]["n_codes"] = 256
+    profile["stage1"] |= {"batch": 8, "restart_epochs": 3}
+    profile["stage1"]["optimizer"]["warmup"] = 20
+    tiny = tmp_path / "tiny.json"
+    tiny.write_text(json.dumps(profile))
+    scenes = "--robot ur5-limited --family table,shelves --scenes 8 --jobs 1"
+    smoke = "--profile smoke --epochs 1 --device cpu"
+    for command in (
+        f"data generate {scenes} --paths-per-scene 20 --out {data}",
+        f"train stage1 --config {tiny} --epochs 4 --device cpu --data {data} --out {words}",
+        f"data generate --labels roadmap {scenes} --dictionary {words} --out {labels}",
+        f"train transformer {smoke} --data {labels} --dictionary {words} --out {out}",
+    ):
+        assert main(command.split()) == 0
+    robot = robot_from_source({"name": "ur5-limited"})
+    predictor = SceneTransformerPredictor(load_vq_mpt(robot, out), robot)
+    rng = np.random.default_rng(0)
+    scene = predictor.encode(rng.uniform(-0.8, 0.8, (400, 3)))
+    start, *goals = robot.random_configurations(rng, 4)
+    found = predictor.hypotheses(scene, start, np.array(goals))
+    assert all(one[0].finished and len(one[0].codes) > 0 for one in found)
+
+
+def test_hints_for_another_arm_lead_to_a_transformer(capsys):
+    """Each refusal names the command before it in the chain, with the options that are missing."""
+    generate = [
+        "data",
+        "generate",
+        "--robot",
+        "ur5",
+        "--scenes",
+        "4",
+        "--dictionary",
+        "d",
+        "--out",
+        "paths",
+    ]
+    assert "--dictionary is for --labels roadmap" in refused(capsys, *generate)
+    said = refused(capsys, *["plan", "robots", "--problem", "20", "--planner", "cvq-mpt"])
+    assert "cvqmpt data generate --robot ur5 --out DATA, then cvqmpt train stage1" in said
+
+
+BLOCKED = """
+import sys
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in "scipy pinocchio coal ompl numba rerun cvxpy matplotlib".split():
+            raise ImportError(f"{name} is not on a bare machine")
+sys.meta_path.insert(0, Blocked())
+from cli.main import main
+sys.exit(main(["train", "stage1", "--profile", "smoke", "--print-config"]))
+"""
+
+
+def test_the_train_command_starts_with_torch_and_numpy_alone():
+    done = subprocess.run([sys.executable, "-c", BLOCKED], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert '"name": "smoke"' in done.stdout
