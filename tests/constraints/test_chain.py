@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from constraints.test_task_space_region import of_hand
 from refusals import refused
-from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.benchmarks.door_task import (
     BAR,
@@ -56,13 +56,6 @@ def opened(door):
     return solve(door, planner_named("birrt"), Budget(iterations=5000), seed=0)
 
 
-def displacement(robot, chain, q):
-    """Position and rotation vector (6,) of the hand in the chain's frame w by pinocchio, scipy."""
-    T_world_w = robot.pose(q, chain.base) @ chain.T0_w
-    T = np.linalg.inv(T_world_w) @ robot.pose(q) @ np.linalg.inv(chain.Tw_e)
-    return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
-
-
 def test_projection_lands_on_the_handle(door_robot):
     """From anywhere, door and arm move until the hand holds the bar, by pinocchio's poses."""
     chain = handle_region()
@@ -73,7 +66,7 @@ def test_projection_lands_on_the_handle(door_robot):
     angles = np.array(landed)[:, 7]
     assert angles.min() >= -1.57 and angles.max() <= 0.0 and np.ptp(angles) > 1.0
     for q in landed:
-        x = displacement(door_robot, chain, q)
+        x = of_hand(door_robot, chain, q)
         assert np.linalg.norm(x[:5]) <= TOLERANCE + 1e-9
         bar = np.linalg.inv(door_robot.pose(q)) @ door_robot.pose(q, BAR)
         np.testing.assert_allclose(bar[:3, 3], (0.0, 0.0, 0.10), atol=2e-4)
@@ -132,7 +125,7 @@ def handle_errors(problem, states, resolution=0.002):
     metres = radians = 0.0
     for a, b in pairwise(states):
         for s in np.linspace(0.0, 1.0, max(2, int(np.ceil(np.linalg.norm(b - a) / resolution)))):
-            x = displacement(problem.robot, handle_region(), a + s * (b - a))
+            x = of_hand(problem.robot, handle_region(), a + s * (b - a))
             metres = max(metres, float(np.linalg.norm(x[:3])))
             radians = max(radians, float(np.linalg.norm(x[3:5])))
     return metres, radians

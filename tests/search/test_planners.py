@@ -87,13 +87,10 @@ def test_backends_find_the_same_path(problem):
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-@pytest.mark.parametrize("seconds", [None, 1e-9, 1000.0])
-@pytest.mark.parametrize("iterations", [None, 1, 1000])
+@pytest.mark.parametrize(
+    ("seconds", "iterations"), [(None, 1), (1e-9, None), (1e-9, 1000), (1000.0, 1)]
+)
 def test_spent_budgets_are_named_and_give_no_path(problem, name, seconds, iterations):
-    if (seconds or 1000.0) > 1.0 and iterations != 1:
-        return  # enough of both
-    if seconds == 1e-9 and iterations == 1:
-        return  # either limit may be named
     status = PlanStatus.TIMEOUT if seconds == 1e-9 else PlanStatus.ITERATION_LIMIT
     result = plan(problem, name, Budget(seconds=seconds, iterations=iterations), seed=1)
     assert result.status is status and result.path is None
