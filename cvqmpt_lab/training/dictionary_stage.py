@@ -89,8 +89,6 @@ class DictionaryStage(Stage):
     """Training of a `Dictionary`."""
 
     selection = "validation_reconstruction"
-    # codes are restarted by what one process has seen
-    many_processes = False
     dataset: PathDataset
     uses: Tensor  # of each code since the last restart
 

@@ -146,14 +146,6 @@ class SequenceStage(Stage):
         predicts what is free: log odds node (s, N), edge (s, E) and link (s, k, LINKS).
         """
 
-    def set_priors(self, node_prior: Tensor, edge_prior: Tensor) -> None:
-        """Set log odds log(p / (1 - p)); p: share of training scenes where each is free."""
-        rows = self._train[:: max(1, len(self._train) // 2000)]
-        with torch.no_grad():
-            for name, prior in (("node", node_prior), ("edge", edge_prior)):
-                share = torch.from_numpy(self.dataset.free(name, rows).mean(axis=0)).float()
-                prior.copy_(torch.logit(share.clamp(0.01, 0.99)))
-
     def batches(self, epoch: int) -> Batches:
         """Batches of an epoch: scenes in random order."""
         rng = np.random.default_rng((self.seed, epoch))
@@ -263,7 +255,7 @@ class SequenceStage(Stage):
         return means(chain.from_iterable(map(self._measured, batches)))
 
     def _measured(self, arrays: dict[str, np.ndarray]) -> Iterator[tuple[str, float, float]]:
-        """Cross entropies and areas under curves of a batch: name, sum and count of each."""
+        """Cross entropies of a batch: name, sum and count of each."""
         batch = self.tensors(arrays)
         nowhere = np.tile(np.array(NOWHERE, dtype=np.float32), (self.settings.cloud.points, 1))
         empty = self.tensors(self.cloud_arrays(nowhere))
@@ -291,11 +283,6 @@ class SequenceStage(Stage):
                 yield f"{prefix}cross_entropy_{which}", float(counted.sum()), len(counted)
             if prefix == "":
                 yield "loss", float(counted.sum()), len(counted)
-                for name in [name for name in ("node", "edge", "link") if name in predicted]:
-                    free = batch[f"{name}_free"].flatten(1)
-                    areas = map(area_under_curve, predicted[name].flatten(1), free)
-                    known = [area for area in areas if area is not None]
-                    yield f"{name}_area_under_curve", sum(known), len(known)
 
     def _ways(self, batch: dict[str, Tensor]) -> Tensor | None:
         """Successors on a roadmap: codes and goal (s, r, l + 1, N + 1) by an edge or link."""
@@ -310,19 +297,6 @@ class SequenceStage(Stage):
 def chosen(values: Tensor, rows: Tensor) -> Tensor:
     """Values (s, r, ...) at rows (s, r) of each scene's values (s, u, ...)."""
     return values[torch.arange(len(values), device=values.device)[:, None], rows]
-
-
-def area_under_curve(odds: Tensor, free: Tensor) -> float | None:
-    """Area under the ROC curve of odds (k,) against free (k,); None where all are alike.
-
-    With ranks R of the g free ones among k = g + b: (sum R - g (g + 1) / 2) / (g b).
-    """
-    good, bad = odds[free], odds[~free]
-    if not len(good) or not len(bad):
-        return None
-    rank = torch.cat((good, bad)).argsort().argsort().double() + 1.0
-    below = rank[: len(good)].sum() - len(good) * (len(good) + 1) / 2
-    return float(below / (len(good) * len(bad)))
 
 
 def _stacked(arrays: list[np.ndarray]) -> np.ndarray:

@@ -117,13 +117,6 @@ class PointCloudEncoder(nn.Module):
         features, _ = self.sa2_module(*self.sa1_module(points, points))
         return features
 
-    def constant_features(self, least: float = 1e-6) -> float:
-        """Share of token features with a variance below `least`: their ReLU units are dead."""
-        norms = [part for part in self.modules() if isinstance(part, nn.BatchNorm1d)]
-        variance = norms[-1].running_var
-        assert variance is not None
-        return float((variance < least).float().mean())
-
 
 def farthest_point_sampling(points: Tensor, count: int) -> Tensor:
     """Indices (b, count) of points (b, n, 3), each the farthest from those before it.

@@ -2,11 +2,11 @@
 
 import pytest
 
-from cvqmpt_lab.labels import generation
+from cvqmpt_lab.labels.generation import SceneRecipe
 
 
 @pytest.fixture(scope="module")
 def two_scenes_a_shard():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(generation, "SCENES_PER_SHARD", 2)
+        patch.setattr(SceneRecipe, "shard_scenes", 2)
         yield
