@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_bytes, read_json_object
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
@@ -68,8 +68,6 @@ class TrainingData:
 
     def split(self, name: SplitName) -> np.ndarray:
         """Rows of the paths for training or validation."""
-        if name not in get_args(SplitName):
-            raise UnknownChoiceError("split", name, get_args(SplitName))
         return np.flatnonzero(self.validates[self.arrays["path_scene"]] == (name == "validation"))
 
 

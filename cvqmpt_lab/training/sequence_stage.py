@@ -27,10 +27,8 @@ from cvqmpt_lab.training.clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY, SequenceDataset
 from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage, means
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
-from cvqmpt_lab.vqmpt.config import require_sizes
+from cvqmpt_lab.vqmpt.config import Size
 from cvqmpt_lab.vqmpt.scene_arrays import NOWHERE
-
-NO_TARGET = -100
 
 Cloud = Mapping[str, Tensor]
 """Clouds of s scenes as a model takes them, every array (s, ...)."""
@@ -41,15 +39,15 @@ class RoadmapSettings:
     """How a sequence model is trained on sequences of codes."""
 
     epochs: int = 30
-    batches_per_epoch: int = 400
-    scenes: int = 4  # of a batch
-    paths: int = 96  # of each scene
-    goals: int = 16  # different ones of each scene
-    link_ends: int = 24  # configurations of each scene from which motions to codes are judged
+    batches_per_epoch: Size = 400
+    scenes: Size = 4  # of a batch
+    paths: Size = 96  # of each scene
+    goals: Size = 16  # different ones of each scene
+    link_ends: Size = 24  # configurations of each scene from which motions to codes are judged
     cloud: CloudSettings = field(
         default_factory=lambda: CloudSettings(points=1024, occlusion=0.3, measured=0.3)
     )
-    validation_scenes: int = 70
+    validation_scenes: Size = 70
     fine_tune: bool = False  # begin with the transformer of the dictionary's weights
     # of most matrix products; losses are always float32
     precision: Literal["float32", "bf16"] = "bf16"
@@ -58,10 +56,6 @@ class RoadmapSettings:
             rate=2e-3, warmup=100, schedule="cosine", weight_decay=0.01, clip=1.0
         )
     )
-
-    def __post_init__(self) -> None:
-        names = ("batches_per_epoch", "scenes", "paths", "goals", "link_ends", "validation_scenes")
-        require_sizes(**{name: getattr(self, name) for name in names})
 
 
 class SequenceStage(Stage):
@@ -231,7 +225,7 @@ class SequenceStage(Stage):
             predicted = self.predict(batch, batch)
         logits = predicted["code"].flatten(0, 2).float()
         targets = self.targets(batch, logits.shape[-1] - 1).flatten()
-        code = F.cross_entropy(logits, targets, ignore_index=NO_TARGET)
+        code = F.cross_entropy(logits, targets)
         found = {"loss": code, "code": code}
         for name, weight in (("node", 1.0), ("edge", 2.0), ("link", 2.0)):
             if name in predicted:
@@ -242,11 +236,11 @@ class SequenceStage(Stage):
 
     @staticmethod
     def targets(batch: dict[str, Tensor], goal: int) -> Tensor:
-        """Next codes h_(i+1) (s, r, l + 1) int64; after the last `goal`, then NO_TARGET."""
+        """Next codes h_(i+1) (s, r, l + 1) int64; -100, not counted, after `goal`."""
         codes, count = batch["codes"], batch["count"][..., None]
         step = torch.arange(codes.shape[2] + 1, device=codes.device)
         following = F.pad(codes, (0, 1)).masked_fill(step == count, goal)
-        return following.masked_fill(step > count, NO_TARGET)
+        return following.masked_fill(step > count, -100)
 
     def validate(self) -> dict[str, float | None]:
         """Means on held-out scenes: with their own cloud, that of the next scene, and none."""
@@ -276,10 +270,8 @@ class SequenceStage(Stage):
                 allowed = torch.cat((ways[..., :-1], extra, ways[..., -1:]), -1)
                 choices["ways"] = logits.masked_fill(~allowed, -torch.inf)
             for which, odds in choices.items():
-                each = F.cross_entropy(
-                    odds.flatten(0, 2), targets, ignore_index=NO_TARGET, reduction="none"
-                )
-                counted = each[(targets != NO_TARGET) & each.isfinite()]
+                each = F.cross_entropy(odds.flatten(0, 2), targets, reduction="none")
+                counted = each[(targets >= 0) & each.isfinite()]
                 yield f"{prefix}cross_entropy_{which}", float(counted.sum()), len(counted)
             if prefix == "":
                 yield "loss", float(counted.sum()), len(counted)

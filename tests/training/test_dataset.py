@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from training_data import LOWER, SPAN, shard, write_dataset, write_shard
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.training.dataset import open_dataset
 
 
@@ -32,8 +32,6 @@ def test_splits_go_by_scene_seed_and_leave_twins_out(dataset):
     assert set(arrays["scene_seed"][arrays["path_scene"][validation]]) == {20, 40}
     assert len(train) == 24 and len(validation) == 12  # 6 of 7 paths of a scene are no twins
     assert (arrays["twin_of"][np.concatenate((train, validation))] == -1).all()
-    with pytest.raises(CvqmptError, match="unknown split 'test'; valid choices: train, validation"):
-        dataset.split("test")
 
 
 def test_the_share_of_trivial_paths_is_capped_and_drawn(dataset):

