@@ -14,22 +14,21 @@ from cli.main import main
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.labels import generation
-from cvqmpt_lab.labels.generation import generate
+from cvqmpt_lab.labels.generation import SceneRecipe, generate
 from cvqmpt_lab.labels.path_labels import PathRecipe
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.search.anytime import NearShortestSettings
-from cvqmpt_lab.training.dataset import open_dataset, open_labels, read_labels
+from cvqmpt_lab.training.dataset import open_dataset, open_labels
 from cvqmpt_lab.training.shards import (
     FULL_SCALE,
+    LABEL_ARRAYS,
     LINKS,
     SPACING,
     RoadmapGraph,
-    finished_shards,
-    packed_shard,
-    write_shard,
+    read_shards,
 )
 from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 
@@ -46,7 +45,7 @@ def make(out, recipe=TINY):
 def two_scenes_a_shard():
     """Shards so small that a tiny dataset has several."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(generation, "SCENES_PER_SHARD", 2)
+        patch.setattr(SceneRecipe, "shard_scenes", 2)
         yield
 
 
@@ -59,7 +58,7 @@ def tiny(tmp_path_factory, two_scenes_a_shard):
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_scenes_depend_on_their_number_alone_and_leave_room(family):
-    number = generation.FIRST_SCENE
+    number = PathRecipe.first_scene
     scene = family_scene(family, number)
     assert scene == family_scene(family, number) and scene != family_scene(family, number + 1)
     robot = panda()
@@ -87,20 +86,12 @@ def test_paths_are_free_and_join_their_ends_among_the_shapes_of_their_scene(tiny
             assert not checker.in_collision_batch(q[[0, -1]]).any()
 
 
-@pytest.mark.parametrize("cut", [None, 3, 200])
-def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path, cut):
-    """With a shard missing, or damaged and the index cut."""
-    out = tmp_path / "d"
-    shutil.copytree(tiny, out)
-    index, first = out / "shards.csv", out / "shards" / "000000.npz"
-    if cut is None:
-        first.unlink()
-    else:
-        first.write_bytes(b"damaged")
-        index.write_bytes(index.read_bytes()[:-cut])
-    make(out)
-    for file in ("shards.csv", *(f"shards/{number:06d}.npz" for number in range(3))):
-        assert (out / file).read_bytes() == (tiny / file).read_bytes()
+def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path):
+    shutil.copytree(tiny, tmp_path / "d")
+    (tmp_path / "d" / "shards" / "000000.npz").unlink()
+    make(tmp_path / "d")
+    for file in ("README.md", *(f"shards/{number:06d}.npz" for number in range(3))):
+        assert (tmp_path / "d" / file).read_bytes() == (tiny / file).read_bytes()
 
 
 def test_a_folder_that_another_run_writes_or_of_another_recipe_is_refused(tiny):
@@ -159,7 +150,7 @@ def graph(labelled):
 @pytest.fixture(scope="module", params=[0, 1])
 def scene(request, labelled):
     """A scene of the first shard: its row, its exact checker, and the shard's arrays."""
-    arrays, row = read_labels(labelled)[1][0], request.param
+    arrays, row = read_shards(labelled, LABEL_ARRAYS)[0], request.param
     shapes = family_scene(FEW.families[arrays["family"][row]], int(arrays["scene_seed"][row]))
     return row, CollisionChecker(panda(), shapes), arrays
 
@@ -216,6 +207,14 @@ def test_paths_walk_free_edges_and_cost_what_they_say(scene, graph):
         assert length == pytest.approx(arrays["cost"][row], rel=1e-3)
 
 
+def test_shards_that_are_missing_are_made_again_as_they_were(labelled, tmp_path):
+    shutil.copytree(labelled, tmp_path / "again")
+    (tmp_path / "again/shards/000001.npz").unlink()
+    make(tmp_path / "again", FEW)
+    again, before = (folder / "shards/000001.npz" for folder in (tmp_path / "again", labelled))
+    assert again.read_bytes() == before.read_bytes()
+
+
 def test_motions_of_all_shards_are_read(labelled):
     arrays = open_labels(labelled).arrays
     start = arrays["link_start"]
@@ -225,61 +224,17 @@ def test_motions_of_all_shards_are_read(labelled):
     assert arrays["link_free"].shape == arrays["link_code"].shape == (start[-1], LINKS)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"link_free": lambda a: a[:-1]}, "link_free does not fit"),
-        ({"link_code": lambda a: a + np.uint16(1024)}, "link_code does not fit the .*roadmap"),
-        ({"codes": lambda a: a + np.uint16(1024)}, "codes does not fit"),
-        ({"node_free": lambda a: a[:, 1:]}, "node_free does not fit"),
-        ({"cost": lambda a: a[1:]}, "cost does not fit the index"),
-        (dict.fromkeys(("link_start", "link_end")), "array link_start is missing"),
-    ],
-)
-def test_labels_that_are_missing_or_contradict_the_roadmap_are_refused(
-    labelled, tmp_path, change, message
-):
-    folder = tmp_path / "bad"
-    shutil.copytree(labelled, folder)
-    arrays = dict(np.load(folder / "shards/000000.npz"))
-    rows = {row.shard: row for row in finished_shards(folder)}
-    for name, changed in change.items():
-        old = arrays.pop(name)
-        if changed is not None:
-            arrays[name] = changed(old)
-    rows[0], content = packed_shard(0, arrays)
-    write_shard(folder, rows[0], content, rows.values())
-    refused(rf"000000\.npz: {message}.*generate it again", open_labels, folder)
-
-
-def test_paths_opened_for_training_pass_their_codes_and_are_as_long_as_labelled(labelled, graph):
-    dataset, shards = open_dataset(labelled), read_labels(labelled)[1]
-    labels = [(a, row) for a in shards for row in np.flatnonzero(np.isfinite(a["cost"])).tolist()]
-    path_scene, seed = dataset.arrays["path_scene"], dataset.arrays["scene_seed"]
-    assert len(path_scene) == len(labels) > 4 and len(seed) == 4
-    for path, (arrays, row) in enumerate(labels):
-        q = configurations(dataset.path(path) * FULL_SCALE)
-        steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
-        assert steps.max() < 0.135 and steps.sum() == pytest.approx(arrays["cost"][row], rel=2e-3)
-        nodes = graph.nodes[codes_of(arrays, row)]
-        nearest = np.linalg.norm(q[:, None] - nodes, axis=2).argmin(0)
-        assert (np.diff(nearest) > 0).all()
-        assert np.abs(q[nearest] - nodes).max() < 1e-3
-        assert seed[path_scene[path]] == arrays["scene_seed"][arrays["path_scene"][row]]
+def test_labels_are_no_paths(labelled):
+    refused("holds labels on a roadmap, not paths; make those", open_dataset, labelled)
 
 
 def test_labels_of_another_dictionary_are_refused_and_damage_is_named(labelled, graph, tmp_path):
     dataclasses.replace(graph, nodes=graph.nodes + 0.1).write(tmp_path)
     refused("another roadmap", make, tmp_path, FEW)
     (tmp_path / "roadmap.npz").write_bytes((labelled / "roadmap.npz").read_bytes()[:200])
-    refused("not a readable archive", RoadmapGraph.read, tmp_path)
+    refused("is damaged or lacks an array", RoadmapGraph.read, tmp_path)
 
 
-def test_an_arm_without_dictionary_gets_free_nodes_and_another_s_dictionary_is_refused(tmp_path):
-    make(tmp_path, RoadmapRecipe(2, 2, ("shelves", "cage"), 1, {"name": "kinova"}))
-    graph = RoadmapGraph.read(tmp_path)
-    assert graph.nodes.shape == (1024, 6) and graph.node_possible.mean() > 0.9
-    assert np.abs(graph.nodes).max() < 2.0 * np.pi  # its joints turn further
-    assert any(np.isfinite(arrays["cost"]).any() for arrays in read_labels(tmp_path)[1])
-    foreign = RoadmapRecipe(1, 2, ("table",), 0, {"name": "ur5"}, model="vq_mpt")
-    refused(r"vq_mpt is no dictionary of ur5.*; leave --dictionary out", foreign.check)
+def test_an_arm_that_the_dictionary_is_not_of_is_refused():
+    recipe = RoadmapRecipe(1, 2, ("table",), 0, {"name": "ur5"})
+    refused(r"for robot 'panda', not 'ur5'.*train stage1", recipe.check)

@@ -5,13 +5,8 @@ import dataclasses
 import json
 import os
 import signal
-import subprocess
-import sys
-from pathlib import Path
 
-import numpy as np
 import pytest
-import safetensors.numpy
 import torch
 from command_line import refused as command_refused
 from refusals import refused
@@ -22,12 +17,11 @@ from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.profiles import PROFILES, Profile
-from cvqmpt_lab.training.stage import OptimizerSettings, batch_seed
+from cvqmpt_lab.training.stage import OptimizerSettings
 from cvqmpt_lab.training.trainer import run_training
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, save_checkpoint
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 
-ROOT = Path(__file__).resolve().parents[2]
 SMOKE = PROFILES["smoke"]
 
 
@@ -157,32 +151,6 @@ def test_a_seed_repeats_and_another_differs(tmp_path, data, dictionary):
     assert curves(tmp_path / "other") != curves(dictionary)
 
 
-def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path, data):
-    optimizer = {"rate": 1e-2, "warmup": 0, "schedule": "constant", "epsilon": 1e-8, "clip": None}
-    changes = {"mpnet.batches": {"scenes": 1, "batches_per_epoch": 2}, "mpnet.optimizer": optimizer}
-    profile = changed(TINY, {**changes, "mpnet_model.dropout": 0})
-    config, out = tmp_path / "tiny.json", tmp_path / "out"
-    config.write_text(json.dumps(to_plain(profile, complete=True)))
-    torchrun = "torch.distributed.run --nproc-per-node 2 --rdzv-endpoint localhost:0"
-    train = f"cli.main train mpnet --config {config} --device cpu --data {data} --out {out}"
-    words = f"-m {torchrun} --rdzv-backend c10d -m {train} --epochs 1".split()
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    words = [sys.executable, *words]
-    done = subprocess.run(words, capture_output=True, text=True, env=environment)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("model in") == 1, "both processes reported"
-    stage = profile.stage("mpnet", data, None, 0, torch.device("cpu"))
-    optimizer = stage.optimizer.build(stage)
-    for number, batch in enumerate(stage.batches(0)):
-        seed = batch_seed(0, 0, number).spawn(1)[0]
-        torch.manual_seed(int(seed.generate_state(1, np.uint64)[0]) >> 1)
-        (stage(stage.tensors(batch))["loss"] / 2).backward()
-    optimizer.step()
-    found = safetensors.numpy.load((out / "model" / "mpnet.safetensors").read_bytes())
-    for name, tensor in stage.network.state_dict().items():
-        np.testing.assert_allclose(found[name], tensor.numpy(), atol=1e-6, err_msg=name)
-
-
 def test_what_does_not_fit_is_refused_before_anything_is_written(
     tmp_path, data, dictionary, published_dictionary
 ):
@@ -190,11 +158,10 @@ def test_what_does_not_fit_is_refused_before_anything_is_written(
     iiwa = RobotSignature("iiwa", words.robot.lower, words.robot.upper)
     save_checkpoint(tmp_path / "iiwa", dataclasses.replace(words, robot=iiwa))
     bare = write_dataset(tmp_path / "bare", kinematics=None)
-    dense, iiwa = changed(PUBLISHED, {"published_model.dense": True}), tmp_path / "iiwa"
+    iiwa = tmp_path / "iiwa"
     for message, stage, source, profile, words in (
         ("no weights in", "published", data, PUBLISHED, tmp_path / "nowhere"),
         ("weights are for robot 'iiwa', not 'panda'", "published", data, PUBLISHED, iiwa),
-        ("the dense loss needs labels on a roadmap", "published", data, dense, dictionary),
         ("holds paths, not labels on a roadmap; make", "transformer", data, TINY, dictionary),
         ("stage1 takes no dictionary", "stage1", data, TINY, dictionary),
         ("mpnet takes no dictionary", "mpnet", data, TINY, dictionary),
@@ -206,9 +173,9 @@ def test_what_does_not_fit_is_refused_before_anything_is_written(
     assert not (tmp_path / "out").exists()
 
 
-def test_one_process_trains_what_shares_more_than_gradients(tmp_path, data, monkeypatch):
-    monkeypatch.setattr("cvqmpt_lab.training.trainer.joined_processes", lambda: (0, 2))
-    refused("stage1 is trained by one process, not 2", go, "stage1", data, tmp_path / "out")
+def test_several_processes_are_refused(tmp_path, data, monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    refused(r"\(torchrun\) was removed; start one", go, "stage1", data, tmp_path / "out")
 
 
 def test_folders_that_cannot_be_continued(tmp_path, data, dictionary):
@@ -243,11 +210,9 @@ def test_one_training_at_a_time_gets_back_a_model_that_was_being_replaced(tmp_pa
     whole = tmp_path / "s1"
     assert go("stage1", data, whole, report=second, epochs=1).finished
     before = weights(whole)
-    (whole / "model").rename(whole / ".model.previous-123")
-    (whole / ".model.partial-123").mkdir()
+    (whole / "model").rename(whole / ".model.earlier")
     go("stage1", data, whole, epochs=1)
     assert weights(whole) == before
-    assert not list(whole.glob(".*"))
 
 
 def test_profiles_survive_json():
@@ -270,6 +235,8 @@ def test_rates():
 def test_the_command_line(tmp_path, capsys, data):
     config, out = tmp_path / "mine.json", str(tmp_path / "x")
     config.write_text(json.dumps(to_plain(TINY)))
+    dense = tmp_path / "dense.json"
+    dense.write_text('{"published_model": {"dense": true}}')
     assert main(["train", "stage1", "--profile", "smoke", "--print-config"]) == 0
     assert from_plain(Profile, json.loads(capsys.readouterr().out)) == SMOKE
     given = ["--config", config, "--data", data, "--out", out]
@@ -279,6 +246,8 @@ def test_the_command_line(tmp_path, capsys, data):
         "unknown device 'tpu'": ["stage1", *given, "--device", "tpu"],
         "unknown profile 'big'": ["stage1", "--profile", "big"],
         "'sequences'; valid choices: stage1, mpnet": ["sequences", *given],
+        "stage stage2 was removed: train published": ["stage2", *given[2:4]],
+        "published_model.dense was removed": ["stage1", "--config", dense],
         "cannot read": ["stage1", "--config", tmp_path / "nowhere.json"],
     }.items():
         assert message in command_refused(capsys, "train", *words)

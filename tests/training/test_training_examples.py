@@ -13,7 +13,6 @@ from small_models import compact_config, published_config, random_checkpoint
 from training_data import LOWER, SPAN, UPPER, kinematics, shard, write_dataset, write_shard
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.labels.generation import scene_arrays
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
@@ -231,8 +230,6 @@ def test_splits_go_by_scene_seed_and_leave_twins_out(dataset):
     assert set(arrays["scene_seed"][arrays["path_scene"][validation]]) == {20, 40}
     assert len(train) == 24 and len(validation) == 12  # 6 of 7 paths of a scene are no twins
     assert (arrays["twin_of"][np.concatenate((train, validation))] == -1).all()
-    told = "unknown split 'test'; valid choices: train, validation"
-    refused(told, dataset.split, "test", error=CvqmptError)
 
 
 def test_the_share_of_trivial_paths_is_capped_and_drawn(dataset):
@@ -277,14 +274,9 @@ def test_a_description_that_does_not_fit_is_named(tmp_path, changes, message):
 @pytest.mark.parametrize(
     ("file", "change", "message"),
     [
-        ("shards.csv", lambda b: b[:-3], "line 3 is damaged, cut short.*generate again"),
-        ("shards.csv", lambda b: b + b"../000001,abc,3,21\n", "line 4 is damaged"),
-        ("shards.csv", lambda b: b + b.splitlines(True)[1], "line 4 .* listed before"),
-        ("shards.csv", lambda b: b.splitlines(True)[0], "lists no shard"),
-        ("shards.csv", lambda b: b"shard,paths\n0,1\n", "must be shard,sha256,scenes,paths"),
-        ("shards.csv", lambda b: b"", "the first line must be"),
-        ("shards/000001.npz", lambda b: b[:-100] + bytes(100), r"is damaged \(sha256\)"),
-        ("shards/000001.npz", None, "cannot read"),
+        ("shards/000001.npz", lambda b: b[:-100] + bytes(100), "is damaged or lacks an array"),
+        ("shards/000001.npz", lambda b: b[:999] + b"?" + b[1000:], "delete it and generate again"),
+        ("shards/000000.npz", None, "lacks shard 000000 but has 000001.npz: generate"),
         ("dataset.json", lambda b: b"[]", "one json object"),
         ("dataset.json", lambda b: b'{"schema": 1}', "dataset.json"),
         ("dataset.json", lambda b: b'{"schema": 1, "schema": 1}', "occurs twice"),
@@ -297,28 +289,17 @@ def test_damaged_and_missing_files_are_named(data, tmp_path, file, change, messa
     path.unlink()
     if change is not None:
         path.write_bytes(change(before))
-    assert Path(file).name in refused(message, open_dataset, tmp_path / "d")
+    assert Path(file).stem in refused(message, open_dataset, tmp_path / "d")
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "message"),
-    [
-        ("waypoints", lambda a: a[:, :6], "waypoints"),
-        ("waypoints", lambda a: a.astype(np.int64), "waypoints"),
-        ("path_start", lambda a: a[:-1], "path_start"),
-        ("path_scene", lambda a: a + 9, "path_scene"),
-        ("twin_of", lambda a: a + 99, "twin_of"),
-        ("shape_kind", lambda a: a + 3, "shape_kind"),
-        ("shape_pose", lambda a: a * np.nan, "shape_pose"),
-        ("trivial", lambda a: a[1:], "trivial"),
-        ("family", lambda a: np.array([{}], dtype=object), "is not a readable archive.*pickle"),
-    ],
-)
-def test_arrays_that_contradict_each_other_are_named(tmp_path, name, change, message):
+@pytest.mark.parametrize("without", ["waypoints", "twin_of"])
+def test_shards_that_lack_an_array_or_hold_objects_are_named(tmp_path, without):
     arrays = shard(np.random.default_rng(5), (7, 8), 3)
-    folder = write_dataset(tmp_path / "d", shards=())
-    write_shard(folder, 0, {**arrays, name: change(arrays[name])})
-    refused(rf"000000.npz.*{message}", open_dataset, folder)
+    for name, message in ((without, without), ("family", "pickle")):
+        folder = write_dataset(tmp_path / name, shards=())
+        kept = {**arrays, "family": np.array([{}], dtype=object)} if name == "family" else arrays
+        write_shard(folder, 0, {key: array for key, array in kept.items() if key != without})
+        refused(rf"000000.npz.*{message}", open_dataset, folder)
 
 
 def test_without_validation_scenes_nothing_is_trained(tmp_path):

@@ -47,8 +47,6 @@ def test_the_loss_counts_motions_to_codes_as_labelled(labels):
     assert losses["link"].item() == pytest.approx(expected.item(), abs=1e-5)
     parts = losses["code"] + losses["node"] + 2.0 * losses["edge"] + 2.0 * losses["link"]
     assert losses["loss"].item() == pytest.approx(parts.item(), abs=1e-5)
-    with torch.no_grad():
-        assert 0.0 <= stage.validate()["link_area_under_curve"] <= 1.0
 
 
 def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):

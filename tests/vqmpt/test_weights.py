@@ -54,13 +54,12 @@ def test_round_trip(folder):
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
 
 
-@pytest.mark.parametrize("name", ["write_bytes", "_move_into_place"])
-def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch, name):
+def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
     before = weights_digest(folder)
-    monkeypatch.setattr(weights, name, full)
+    monkeypatch.setattr(weights, "write_bytes", full)
     checkpoint = Checkpoint(CONFIG, ROBOT, {"dictionary": Dictionary(CONFIG)})
     refused("No space left", save_checkpoint, folder, checkpoint)
     assert weights_digest(folder) == before
@@ -190,7 +189,6 @@ def test_weights_that_do_not_fit_are_named(checkpoint, panda, name, change, mess
     [
         ({"metadata": {}}, "its metadata has no kinematics"),
         ({"points": [1, 2]}, "points and offsets describe 7, 7, 2 and 4"),
-        ({"translation": [[0.01] * 3] * 7}, "translation of joint 'panda_joint5' .difference 0.37"),
         ({"robot": replace(ROBOT, name="ur5", lower=LOWER, upper=UPPER)}, "for robot 'ur5'"),
     ],
 )
@@ -202,12 +200,9 @@ def test_models_of_other_robots_are_refused(checkpoint, panda, change, message):
 
 def test_published_folders_become_a_model_that_runs(published, published_states, tmp_path):
     imported = import_published(*published(), ROBOT)
-    modules = imported.checkpoint.modules
+    modules = imported.modules
     network, dictionary = modules["sequence_model"], modules["dictionary"]
-    tensors = {name: count for name, (count, _) in imported.states.items()}
-    assert tensors == {name: len(state) for name, state in published_states.items()}
-    assert imported.ignored == ("epoch", "n_steps", "optimizer")
-    assert imported.checkpoint.metadata["epochs"] == [7, 7]
+    assert imported.metadata["epochs"] == [7, 7]
     for name, tensor in published_states["context_state"].items():
         assert torch.equal(network.context.state_dict()[name], tensor)
     codes = dictionary.encode(torch.rand(1, 4, 7))
@@ -215,7 +210,7 @@ def test_published_folders_become_a_model_that_runs(published, published_states,
     context = network.encode_context(scene, torch.rand(1, 7), torch.rand(1, 7))
     logits = network.prefix_logits(context, codes, dictionary.quantizer)
     assert logits.shape == (1, 2050) and torch.isfinite(logits).all()
-    save_checkpoint(tmp_path / "ours", imported.checkpoint)
+    save_checkpoint(tmp_path / "ours", imported)
     after = load_checkpoint(tmp_path / "ours", ROBOT).modules["sequence_model"]
     assert after.state_dict().keys() == network.state_dict().keys()
     for name, tensor in network.state_dict().items():
