@@ -186,7 +186,7 @@ def place_table(
             table.column_lines(rollouts, ("accuracy", *ROLLOUTS)) if rollouts else []
         ),
         "At the paper's cost of work": table.column_lines(found, PAPER_COST),
-        f"Against {REFERENCE}": _split_lines(found, runs) if runs.split.easy else [],
+        f"Against {REFERENCE}": _split_lines(found, runs) if runs.split["easy"] else [],
         "Solved within a time, % of runs": table.column_lines(found, times),
         **table.counted(found),
         "Notes": footnotes,
@@ -232,7 +232,7 @@ def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
     for item in found:
         for part in PARTS if item.planner != REFERENCE else ():
             cells = (item.cell(split_metric(name, part)) for name in RATIOS)
-            lines.append([item.planner, f"{part} ({len(runs.split.parts[part])})", *cells])
+            lines.append([item.planner, f"{part} ({len(runs.split[part])})", *cells])
     return lines
 
 

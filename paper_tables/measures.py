@@ -208,21 +208,10 @@ def mean_ratio(pairs: Iterable[Pair]) -> Interval:
 # ---------------------------------------------------------------- easy and hard problems
 
 
-class Split(NamedTuple):
-    """Easy and hard runs, by problem and seed."""
+def split_by_work(reference: Iterable[ResultRow]) -> Mapping[str, frozenset[ProblemKey]]:
+    """All, easy and hard runs of a planner.
 
-    easy: frozenset[ProblemKey]
-    hard: frozenset[ProblemKey]
-
-    @property
-    def parts(self) -> Mapping[str, frozenset[ProblemKey]]:
-        """All runs, the easy ones, the hard ones."""
-        return {"all": self.easy | self.hard, "easy": self.easy, "hard": self.hard}
-
-
-def split_by_work(reference: Iterable[ResultRow]) -> Split:
-    """Split a planner's runs: hard problems have more median work than two thirds of the others.
-
+    Hard problems have more median work than two thirds of the others.
     The median is over the planner's other seeds, so that a problem is not called hard because of
     the run that others are compared with; with one seed it is that one. Failed runs have infinite
     work. At most a third are hard: ties are easy. Problems of unknown work are left out.
@@ -232,7 +221,8 @@ def split_by_work(reference: Iterable[ResultRow]) -> Split:
     for seed in {row.seed for row in rows}:
         problems = _hard_problems([row for row in rows if row.seed != seed] or rows)
         hard |= {problem_key(row) for row in rows if row.seed == seed and row.problem in problems}
-    return Split(frozenset(map(problem_key, rows)) - hard, frozenset(hard))
+    every = frozenset(map(problem_key, rows))
+    return {"all": every, "easy": every - hard, "hard": frozenset(hard)}
 
 
 def _hard_problems(rows: Rows) -> frozenset[str]:
@@ -256,7 +246,8 @@ class SuiteRuns:
     groups: Mapping[str, Rows]  # by planner (and backend, where a planner ran with several)
     solving: Sequence[str]  # planners that solved something
     joint: Collection[ProblemKey]  # runs that all of these solved
-    split: Split  # by the work of REFERENCE; empty where that was not run
+    # all, easy and hard runs by the work of REFERENCE; empty where that was not run
+    split: Mapping[str, Collection[ProblemKey]]
 
     def baseline(self, planner: str) -> Rows:
         """Rows of the baseline of ratios; empty if it was not run."""
@@ -313,7 +304,7 @@ def ratio_to(baseline: str, value: Value, part: str | None = None) -> Measure:
 
     def measure(rows: Rows, runs: SuiteRuns) -> Interval:
         if part is not None:
-            counted = runs.split.parts[part]
+            counted = runs.split[part]
             rows = [row for row in rows if problem_key(row) in counted]
         return mean_ratio(paired(rows, runs.baseline(baseline), value))
 
