@@ -209,20 +209,20 @@ def names(keys):
 
 def test_hard_is_the_top_third_and_ties_are_easy():
     split = split_by_work([run("birrt", i, 10 * i) for i in range(9)])
-    assert names(split.hard) == set("678") and names(split.easy) == set("012345")
-    assert split.parts["all"] == split.easy | split.hard and len(split.parts["all"]) == 9
+    assert names(split["hard"]) == set("678") and names(split["easy"]) == set("012345")
+    assert split["all"] == split["easy"] | split["hard"] and len(split["all"]) == 9
     # the last says no work
     ties = split_by_work([run("birrt", i, 5) for i in range(6)] + [run("birrt", 6)])
-    assert ties.hard == frozenset() and len(ties.easy) == 6
-    assert split_by_work([]).parts["all"] == frozenset()
+    assert ties["hard"] == frozenset() and len(ties["easy"]) == 6
+    assert split_by_work([])["all"] == frozenset()
 
 
 def test_hard_goes_by_medians_over_the_other_seeds_and_failures_are_hardest():
     rows = [run("birrt", 0, w, seed=s) for s, w in enumerate((1, 1000, 2))]
     rows += [run("birrt", 1, w, seed=s) for s, w in enumerate((9, 10, 11))]
     rows += [run("birrt", 2, 3, seed=s) for s in range(3)]
-    hard = {(problem, seed) for _, problem, seed in split_by_work(rows).hard}
+    hard = {(problem, seed) for _, problem, seed in split_by_work(rows)["hard"]}
     # in seed 1 problem 0 took long: by the others it is easy
     assert hard == {("0", 0), ("1", 1), ("0", 2)}
     failing = [run("birrt", 2, 3, seed=s, solved=s == 0) for s in range(3)]
-    assert names(split_by_work([*rows[:6], *failing]).hard) == {"2"}
+    assert names(split_by_work([*rows[:6], *failing])["hard"]) == {"2"}
