@@ -5,22 +5,14 @@ import tempfile
 from itertools import product
 
 import numpy as np
-import pinocchio as pin
 import pytest
 import trimesh
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.door_task import door_world
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.self_collision import (
-    ADJACENT,
-    FIXED,
-    FROM_SRDF,
-    GAP,
     OVERLAP,
-    distance_levers,
 )
-from cvqmpt_lab.robot.source import ARMS
 
 TOOL = 'size="0.02 0.06 0.02"'
 
@@ -33,43 +25,6 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def least_distances(robot, left_out, samples, steps):
-    """Least distances [m] of pieces of left-out links: random states, then a descent for each."""
-    geometry, rng = robot.collision_model.copy(), np.random.default_rng(5)
-    names = [robot.model.frames[item.parentFrame].name for item in geometry.geometryObjects]
-    geometry.removeAllCollisionPairs()
-    for i, k in product(range(len(names)), repeat=2):
-        if (names[i], names[k]) in left_out:
-            geometry.addCollisionPair(pin.CollisionPair(i, k))
-    data, found = robot.model.createData(), pin.GeometryData(geometry)
-    best = np.full(len(geometry.collisionPairs), np.inf)
-    states = np.zeros((len(best), robot.dof))
-    for q in robot.random_configurations(rng, samples):
-        pin.computeDistances(robot.model, data, geometry, found, q)
-        distance = np.array([result.min_distance for result in found.distanceResults])
-        states[distance < best] = q
-        best = np.minimum(best, distance)
-    for n in range(len(best)):
-        for scale in np.geomspace(1.0, 0.01, steps):
-            step = scale * rng.standard_normal(robot.dof)
-            q = np.clip(states[n] + step, robot.lower, robot.upper)
-            pin.updateGeometryPlacements(robot.model, data, geometry, found, q)
-            if (distance := pin.computeDistance(geometry, found, n).min_distance) < best[n]:
-                best[n], states[n] = distance, q
-    return best
-
-
-@pytest.mark.slow
-def test_pairs_that_are_not_checked_stay_apart(request):
-    """All but neighbours and pairs named by SRDF or most states; sampling alone missed -99 mm."""
-    words = (FIXED, ADJACENT, FROM_SRDF, OVERLAP)
-    for name in ARMS if request.config.getoption("--long") else ("tiago-no-hand", "z1"):
-        robot = robot_from_source({"name": name})
-        pairs = [pair for pair in robot.left_out_pairs if not pair.reason.startswith(words)]
-        left_out = {(pair.first, pair.second) for pair in pairs}
-        assert least_distances(robot, left_out, 500, 100).min(initial=np.inf) > GAP, name
-
-
 @pytest.mark.slow
 def test_mirrored_arms_leave_out_the_same_overlaps():
     """Of a wrist 1.3 mm deep in the link before last, coal saw 99.95 % left and 0.1 % right."""
@@ -78,29 +33,6 @@ def test_mirrored_arms_leave_out_the_same_overlaps():
     left, right = ({(pair.first, pair.second) for pair in pairs} for pairs in overlaps)
     assert ("arm_right_6_link", "wrist_right_ft_link") in right
     assert {tuple(name.replace("left", "right") for name in pair) for pair in left} == right
-
-
-@pytest.mark.parametrize("which", ["slider_arm", "mechanism"])
-def test_levers_bound_how_fast_distances_change(which, slider_arm):
-    """Between any two states, of pieces on one chain and of pieces on two (an arm and a door)."""
-    robot = slider_arm if which == "slider_arm" else door_world()[1]
-    geometry, rng = robot.collision_model, np.random.default_rng(3)
-    data, found = robot.model.createData(), pin.GeometryData(geometry)
-    levers = np.zeros((len(geometry.collisionPairs), robot.dof))
-    for row, (i, k) in zip(levers, robot.self_collision_pairs, strict=True):
-        for j, lever in distance_levers(robot.kinematics, robot.links[i], robot.links[k]).items():
-            row[j] = lever
-    states = robot.random_configurations(rng, 400)
-    steps = 10.0 ** rng.uniform(-3, 0, (400, 1)) * rng.standard_normal(states.shape)
-    distances = []
-    for q in np.concatenate([states, states + steps]):
-        pin.computeDistances(robot.model, data, geometry, found, q)
-        distances.append([result.min_distance for result in found.distanceResults])
-    before, after = np.array(distances).reshape(2, 400, -1)
-    bounds = np.abs(steps) @ levers.T
-    free = (before > 0.0) & (after > 0.0)
-    assert (np.abs(after - before) <= bounds + 1e-5)[free].all()
-    assert (np.abs(after - before) / bounds)[free].max() > 0.5
 
 
 def sheared(by):
