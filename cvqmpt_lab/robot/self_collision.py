@@ -2,10 +2,9 @@
 
 An SRDF names the pairs that its maker leaves out. Without one, a pair is left out if its links are
 fixed to each other or neighbours (one joint moves them, and no other body lies between), or if they
-overlap in nearly every random configuration. The result depends on the robot alone and is cached.
+overlap in nearly every random configuration. The result depends on the robot alone.
 """
 
-import hashlib
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
@@ -14,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.caches import cached_arrays, sources_digest
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_text
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
@@ -35,33 +33,53 @@ def left_out_pairs(
     kinematics: Kinematics,
     urdf: Urdf,
     srdf: str,
+    samples: int = 2000,
+    always: float = 0.95,
+    spread: float = 0.15,
+    few: int = 50,
+    contact: float = 1e-6,
 ) -> tuple[LeftOut, ...]:
-    """The pairs that an SRDF leaves out; without one those found by the rule above, cached."""
+    """The pairs that an SRDF leaves out; without one those found by the rule above.
+
+    Args:
+        model: of the joints.
+        geometry: of the pieces.
+        links: the pieces as arrays.
+        kinematics: arrays of the joints.
+        urdf: the file.
+        srdf: path of an SRDF, or "".
+        samples: random configurations.
+        always: share of them in which two hulls overlap because of their shapes.
+        spread: by which that share may be smaller among the first `few` configurations: five
+            standard deviations.
+        few: configurations after which most pairs are decided.
+        contact: [m] of an overlap; at 0 coal calls hulls free that overlap by 1.3 mm.
+    """
     if srdf:
         return read_srdf(Path(srdf))
-    names = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
-    near = _neighbours(urdf, set(names))
-    # all that the pairs depend on: the rule, axes, placements and limits of joints, and the pieces
-    pieces = [
-        (name, piece.name, piece.link, type(item.geometry).__name__)
-        for name, piece, item in zip(names, links, geometry.geometryObjects, strict=True)
-    ]
-    arrays = list(kinematics)
-    for piece in links:
-        arrays += [piece.T_link_geometry, piece.vertices]
-    shapes = [(str(array.dtype), array.shape) for array in arrays]
-    text = f"{sources_digest(Path(__file__).parent)} {sorted(near)!r} {pieces!r} {shapes!r}"
-    content = b"".join(array.tobytes() for array in arrays)
-    key = hashlib.sha256(text.encode() + content).hexdigest()
-
-    def find() -> dict[str, np.ndarray]:
-        found = _found_pairs(model, geometry, names, links, kinematics, near)
-        return {"robot": np.array(key), "pairs": np.array(found, dtype=str).reshape(-1, 3)}
-
-    kept = cached_arrays(
-        "self_collision", key.encode(), find, lambda kept: str(kept["robot"]) == key
-    )
-    return tuple(LeftOut(*map(str, row)) for row in kept["pairs"])
+    pieces: dict[str, list[int]] = {}
+    for k, item in enumerate(geometry.geometryObjects):
+        pieces.setdefault(model.frames[item.parentFrame].name, []).append(k)
+    near = _neighbours(urdf, pieces)
+    joints = {name: geometry.geometryObjects[own[0]].parentJoint for name, own in pieces.items()}
+    every = list(combinations(pieces, 2))
+    reasons = {}
+    for pair in every:
+        a, b = joints[pair[0]], joints[pair[1]]
+        if a == b:
+            reasons[pair] = FIXED
+        elif (pair in near or pair[::-1] in near) and a in (model.parents[b], *model.children[b]):
+            reasons[pair] = ADJACENT
+    lower, upper = model.lowerPositionLimit, model.upperPositionLimit
+    states = np.random.default_rng(0).uniform(lower, upper, (samples, model.nq))
+    robot = model, geometry, links, kinematics, pieces
+    others = [pair for pair in every if pair not in reasons]
+    first = _touching(*robot, others, states[:few], contact)
+    often = [pair for pair, hit in first.items() if hit.mean() >= always - spread]
+    for pair, hit in _touching(*robot, often, states, contact).items():
+        if hit.mean() >= always:
+            reasons[pair] = f"{OVERLAP}{100.0 * hit.mean():.4g} % of random states"
+    return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
 
 
 def _neighbours(urdf: Urdf, bodies: Collection[str]) -> set[Pair]:
@@ -90,55 +108,6 @@ def checked_pairs(
     for i, k in kept:
         geometry.addCollisionPair(pin.CollisionPair(i, k))
     return kept
-
-
-def _found_pairs(
-    model: pin.Model,
-    geometry: pin.GeometryModel,
-    names: Sequence[str],
-    links: Sequence[LinkGeometry],
-    kinematics: Kinematics,
-    near: Collection[Pair],
-    samples: int = 2000,
-    always: float = 0.95,
-    spread: float = 0.15,
-    few: int = 50,
-    contact: float = 1e-6,
-) -> tuple[LeftOut, ...]:
-    """Pairs of links to leave out, by the rule at the top of this file.
-
-    Args:
-        names: URDF links of the pieces.
-        near: neighbours.
-        samples: random configurations.
-        always: share of them in which two hulls overlap because of their shapes.
-        spread: by which that share may be smaller among the first `few` configurations: five
-            standard deviations.
-        few: configurations after which most pairs are decided.
-        contact: [m] of an overlap; at 0 coal calls hulls free that overlap by 1.3 mm.
-    """
-    pieces: dict[str, list[int]] = {}
-    for k, name in enumerate(names):
-        pieces.setdefault(name, []).append(k)
-    joints = {name: geometry.geometryObjects[own[0]].parentJoint for name, own in pieces.items()}
-    every = list(combinations(pieces, 2))
-    reasons = {}
-    for pair in every:
-        a, b = joints[pair[0]], joints[pair[1]]
-        if a == b:
-            reasons[pair] = FIXED
-        elif (pair in near or pair[::-1] in near) and a in (model.parents[b], *model.children[b]):
-            reasons[pair] = ADJACENT
-    lower, upper = model.lowerPositionLimit, model.upperPositionLimit
-    states = np.random.default_rng(0).uniform(lower, upper, (samples, model.nq))
-    robot = model, geometry, links, kinematics, pieces
-    others = [pair for pair in every if pair not in reasons]
-    first = _touching(*robot, others, states[:few], contact)
-    often = [pair for pair, hit in first.items() if hit.mean() >= always - spread]
-    for pair, hit in _touching(*robot, often, states, contact).items():
-        if hit.mean() >= always:
-            reasons[pair] = f"{OVERLAP}{100.0 * hit.mean():.4g} % of random states"
-    return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
 
 
 def _touching(
