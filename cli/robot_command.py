@@ -12,10 +12,9 @@ import numpy as np
 from cli.options import FLAG, Options, option, writable_file
 from cli.problem_options import ROBOT_DETAILS, robot_options
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.files import write_text
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.self_collision import OVERLAP, srdf_text
+from cvqmpt_lab.robot.self_collision import OVERLAP
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
@@ -34,8 +33,6 @@ def run(args: argparse.Namespace) -> int:
     robot = robot_from_source(source)
     said = describe(robot)
     print(json.dumps(said, indent=1) if args.json else "\n".join(report(robot, said, others)))
-    if args.srdf_out:
-        write_text(args.srdf_out, srdf_text(robot.name, robot.left_out_pairs))
     if args.picture:
         from cvqmpt_lab.show.picture import draw
 
@@ -141,8 +138,5 @@ OPTIONS: Options = {
     **ROBOT_DETAILS,
     "--json": option("print everything as one json object", **FLAG),
     "--picture": option("draw its collision pieces", type=writable_file, metavar="FILE.png"),
-    "--srdf-out": option(
-        "write the pairs of links that are not checked", type=writable_file, metavar="ARM.srdf"
-    ),
 }
 COMMANDS = {"robot": (run, OPTIONS)}

@@ -163,18 +163,7 @@ def read_srdf(path: Path) -> tuple[LeftOut, ...]:
         LeftOut(
             item.get("link1", ""),
             item.get("link2", ""),
-            FROM_SRDF + item.get("reason", "left out by the SRDF").removeprefix(FROM_SRDF),
+            FROM_SRDF + item.get("reason", "left out by the SRDF"),
         )
         for item in srdf_root(path).findall("disable_collisions")
     )
-
-
-def srdf_text(name: str, pairs: Sequence[LeftOut]) -> str:
-    """An SRDF file that leaves out these pairs."""
-    robot = ElementTree.Element("robot", name=name)
-    for pair in pairs:
-        ElementTree.SubElement(
-            robot, "disable_collisions", link1=pair.first, link2=pair.second, reason=pair.reason
-        )
-    ElementTree.indent(robot)
-    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
