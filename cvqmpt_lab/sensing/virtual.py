@@ -13,7 +13,7 @@ from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 from cvqmpt_lab.sensing.camera import Camera, Intrinsics, cameras_on_sphere
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
-from cvqmpt_lab.sensing.render import Solid, View, ball, cuboid, cylinder, polytope, view_of
+from cvqmpt_lab.sensing.render import Solid, View, ball, cuboid, cylinder, view_of
 from cvqmpt_lab.values import FloatArray
 
 PUBLISHED_CAMERAS = cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0))
@@ -107,7 +107,7 @@ def _solid(item: SceneObject) -> Solid:
             from scipy.spatial import ConvexHull  # a third of a second to import
 
             planes = ConvexHull(vertices).equations.round(12)  # triangles may share planes
-            return polytope(T, np.unique(planes, axis=0), vertices)
+            return Solid(T, vertices, np.unique(planes, axis=0))
     raise InvalidInputError(
         f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points "
         "as the cloud"
