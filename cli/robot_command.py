@@ -19,9 +19,6 @@ from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
 
-TRIED = 200  # random configurations, of which the share free of self-collision is printed
-NAMES = 8  # listed of many; --json lists all
-
 
 def run(args: argparse.Namespace) -> int:
     """Load the robot and report."""
@@ -53,10 +50,13 @@ def _source(args: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
     }, likely
 
 
-def describe(robot: Robot) -> dict[str, Any]:
-    """The robot model as plain json."""
+def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
+    """The robot model as plain json.
+
+    tried: random configurations, for the share that is free of self-collision.
+    """
     velocity = np.array(robot.model.upperVelocityLimit)
-    states = robot.random_configurations(np.random.default_rng(0), TRIED)
+    states = robot.random_configurations(np.random.default_rng(0), tried)
     nothing = Scene("nothing", ())
     collide = CollisionChecker(robot, nothing).in_collision_batch(states)
     return {
@@ -127,9 +127,9 @@ def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[st
         yield "timing       no acceleration limits: --trajectory needs --acceleration"
 
 
-def _few(names: list[str]) -> str:
-    return ", ".join(names[:NAMES]) + (
-        f", ... (--json lists {len(names)})" if len(names) > NAMES else ""
+def _few(names: list[str], most: int = 8) -> str:
+    return ", ".join(names[:most]) + (
+        f", ... (--json lists {len(names)})" if len(names) > most else ""
     )
 
 

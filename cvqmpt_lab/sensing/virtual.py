@@ -16,14 +16,15 @@ from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
 from cvqmpt_lab.sensing.render import Solid, View, ball, cuboid, cylinder, view_of
 from cvqmpt_lab.values import FloatArray
 
-PUBLISHED_CAMERAS = cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0))
-
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
     """Poses of virtual cameras and thinning of their points; default: the published kitchen's."""
 
-    cameras: tuple[Camera, ...] = PUBLISHED_CAMERAS  # of the published kitchen clouds
+    cameras: tuple[Camera, ...] = cameras_on_sphere(
+        Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0)
+    )
+    """Of the published kitchen clouds."""
     obstacles_only: bool = False  # leave out what is no obstacle, such as the floor
     crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)  # which of the merged points stay
     voxel: float | None = 0.025  # [m] cell in which points are averaged; None: no averaging
