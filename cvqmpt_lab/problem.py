@@ -49,9 +49,6 @@ from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.scene.units import refuse_far, refuse_far_poses, report_out_of_reach
 from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name, frozen
 
-MOST_REGIONS = 32  # of one constraint
-MOST_CLEARANCE = 0.2  # [m]
-
 
 class RobotForm:
     """A robot in json: the source that loads it."""
@@ -82,9 +79,7 @@ States = Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")]
 Regions = Annotated[tuple[Region, ...], OneOrMore(Region)]
 Clearance = Annotated[
     float,
-    Condition(
-        float, lambda x: 0.0 <= x <= MOST_CLEARANCE, f"a distance from 0 to {MOST_CLEARANCE:g} [m]"
-    ),
+    Condition(float, lambda x: 0.0 <= x <= 0.2, "a distance from 0 to 0.2 [m]"),
 ]
 
 
@@ -151,7 +146,7 @@ class PlanningProblem(Document):
         report_out_of_reach(problem.scene, reach_with(problem.robot, problem.attachments))
         return problem
 
-    def _check_regions(self) -> None:
+    def _check_regions(self, most: int = 32) -> None:
         unique((item.name for item in self.attachments), f"attachments of problem {self.name!r}")
         if len(self.goals) == 0 and self.goal_region is None:
             raise InvalidProblemError(
@@ -166,10 +161,10 @@ class PlanningProblem(Document):
                     f"{self.name}: {what!r} hangs on {region.base!r}, which moves; give one in "
                     f"the world: TaskSpaceRegionChain.at(pose of {region.base!r})"
                 )
-        if len(self.constraint) > MOST_REGIONS:
+        if len(self.constraint) > most:
             raise InvalidProblemError(
                 f"{self.name}: a constraint of {len(self.constraint)} regions; at most "
-                f"{MOST_REGIONS} can be kept at once: leave out those that others say already"
+                f"{most} can be kept at once: leave out those that others say already"
             )
         for region in self.constraint:
             # raises UnknownChoiceError for a frame that does not exist
