@@ -2,6 +2,7 @@
 
 import io
 
+import lzf
 import numpy as np
 
 POINTS = np.random.default_rng(0).uniform(-0.9, 0.9, (40, 3)).astype("f4").astype(float)
@@ -24,7 +25,15 @@ def pcd(points, form="binary", fields="x y z rgb", **changes):
     header = "".join(
         f"{key} {value}\n" for key, value in lines.items() if value is not None
     ).encode()
-    return b"# .PCD v0.7\n" + header + columns.tobytes()
+    raw = columns.T.tobytes()
+    packed = (lzf.compress(raw) if raw else b"") or b""
+    sizes = np.array([len(packed), len(raw)], "<u4").tobytes()
+    bodies = {
+        "ascii": "\n".join(" ".join(repr(float(x)) for x in row) for row in columns).encode(),
+        "binary": columns.tobytes(),
+        "binary_compressed": sizes + packed,
+    }
+    return b"# .PCD v0.7\n" + header + bodies.get(lines["DATA"], b"")
 
 
 def ply(points, form="binary_little_endian", head="", tail="", kind="float"):
@@ -32,6 +41,11 @@ def ply(points, form="binary_little_endian", head="", tail="", kind="float"):
     count = head or f"element vertex {len(points)}"
     header = f"ply\nformat {form} 1.0\ncomment none\n{count}\nproperty uchar shade\n"
     header += "".join(f"property {kind} {axis}\n" for axis in "xyz") + f"{tail}end_header\n"
+    if form == "ascii":
+        return (
+            header.encode()
+            + "\n".join("7 " + " ".join(map(repr, map(float, row))) for row in points).encode()
+        )
     order = "<" if form == "binary_little_endian" else ">"
     rows = np.zeros(len(points), [("shade", "u1"), *((axis, f"{order}f4") for axis in "xyz")])
     for axis, column in zip("xyz", points.T, strict=True):
@@ -53,12 +67,16 @@ def xyz(points, separator=" "):
 
 
 GOOD = {
-    "b.pcd": pcd(POINTS),
-    "padded.pcd": pcd(POINTS) + bytes(500),
-    "organised.pcd": pcd(POINTS, WIDTH=8, HEIGHT=5),
-    "old.pcd": pcd(POINTS, COUNT=None, WIDTH=None, HEIGHT=None),
+    "a.pcd": pcd(POINTS, "ascii"),
+    "b.pcd": pcd(POINTS, "binary"),
+    "c.pcd": pcd(POINTS, "binary_compressed"),
+    "padded.pcd": pcd(POINTS, "binary_compressed") + bytes(500),
+    "organised.pcd": pcd(POINTS, "binary", WIDTH=8, HEIGHT=5),
+    "old.pcd": pcd(POINTS, "ascii", COUNT=None, WIDTH=None, HEIGHT=None),
+    "a.ply": ply(POINTS, "ascii"),
     "b.ply": ply(POINTS),
     "big.ply": ply(POINTS, "binary_big_endian"),
+    "edges.ply": ply(POINTS, "ascii", tail="element edge 1\nproperty int vertex1\n") + b"\n3\n",
     "mesh.ply": ply(POINTS, tail="element face 1\nproperty list uchar int vertex_indices\n")
     + bytes([3])
     + bytes(12),
@@ -66,6 +84,9 @@ GOOD = {
     "single.npy": npy(POINTS.astype("f4")),
     "image.npy": npy(POINTS.reshape(8, 5, 3)),
     "columns.npy": npy(np.asfortranarray(POINTS)),
+    "named.npy": npy(
+        np.rec.fromarrays([POINTS[:, 0], np.zeros(40), *POINTS[:, 1:].T], names="x,c,y,z")
+    ),
     "a.xyz": xyz(POINTS),
     "a.csv": xyz(POINTS, ","),
     "remark.xyz": b"# x, y, z\n\n" + xyz(POINTS).replace(b"255\n", b"255 # dark, near\n"),

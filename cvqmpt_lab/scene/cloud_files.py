@@ -1,4 +1,4 @@
-"""Point clouds from files and to files: PCD and PLY (binary), NPY, lines of numbers.
+"""Point clouds from files and to files: PCD, PLY, NPY, lines of numbers.
 
 Counts in a header are compared with the size of the file before anything of that size is made.
 """
@@ -8,11 +8,12 @@ import io
 import math
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import lzf
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
@@ -180,8 +181,12 @@ def read_array(data: bytes) -> np.ndarray:
 
 
 def _read_npy(data: bytes) -> np.ndarray:
-    """An array (m, 3) or (height, width, 3)."""
+    """An array (m, 3), (height, width, 3), or with fields x, y, z."""
     array = read_array(data)
+    if array.dtype.names is not None:
+        names = array.dtype.names
+        columns = [array[names[k]].reshape(-1) for k in _axes_among(names)]
+        return np.stack(columns, axis=1).astype(np.float64)
     if array.dtype.kind not in "fiu" or array.ndim < 2 or array.shape[-1] != 3:
         cause = ": transposed?" if array.ndim == 2 and len(array) == 3 else ""
         raise InvalidInputError(
@@ -195,24 +200,14 @@ def _read_lines(data: bytes) -> np.ndarray:
     text = data.decode("utf-8")
     first = re.search(r"^\s*[^#/\s][^#/\n]*", text, re.MULTILINE)
     between = next((mark for mark in ";," if first is not None and mark in first[0]), None)
-    comments = ("#", "//")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that there is no data, which `read_cloud` says
-        try:
-            return np.loadtxt(
-                io.StringIO(text), usecols=range(3), ndmin=2, comments=comments, delimiter=between
-            )
-        except ValueError as error:
-            raise InvalidInputError(
-                f"{error} write decimal points, x, y, z in each line"
-            ) from error
+    try:
+        return _numbers(text, range(3), between)
+    except ValueError as error:
+        raise InvalidInputError(f"{error} write decimal points, x, y, z in each line") from error
 
 
-def _read_pcd(data: bytes, page: int = 4096) -> np.ndarray:
-    """Points (m, 3) as the Point Cloud Library writes them, binary.
-
-    page: bytes of memory that PCL fills with zeros after the last point.
-    """
+def _read_pcd(data: bytes) -> np.ndarray:
+    """Points (m, 3) as the Point Cloud Library writes them: ascii, binary, or compressed by LZF."""
     top = re.match(rb"(?s).{0,99999}?^DATA[^\n]*\n", data, re.MULTILINE)
     if top is None:
         raise InvalidInputError("its header has no line DATA: no PCD, or cut short")
@@ -222,11 +217,6 @@ def _read_pcd(data: bytes, page: int = 4096) -> np.ndarray:
     if missing:
         raise InvalidInputError(f"its header has no {missing[0]}")
     names, count, body = header["FIELDS"], int(header["POINTS"][0]), data[top.end() :]
-    if header["DATA"][0].lower() != "binary":
-        raise InvalidInputError(
-            f"its DATA is {header['DATA'][0]!r}, which is not read: write it as binary, for "
-            "example by pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd 1"
-        )
     width, height = (int(header.get(key, [n])[0]) for key, n in (("WIDTH", count), ("HEIGHT", 1)))
     if count < 0 or width * height != count:
         raise InvalidInputError(f"its header says {count} points, but {width} x {height}")
@@ -240,38 +230,82 @@ def _read_pcd(data: bytes, page: int = 4096) -> np.ndarray:
         raise InvalidInputError(
             f"TYPE, SIZE or COUNT of its header has no meaning: {error}"
         ) from error
-    single = [name for name, n in zip(names, repeats, strict=True) if n == 1]
-    for axis in "xyz":
-        if single.count(axis) != 1:
-            raise InvalidInputError(f"it has no single column {axis!r}; columns: {' '.join(names)}")
-    size = count * row.itemsize
-    if size > len(body):
+    form = header["DATA"][0].lower()
+    axes = _axes_among([name if n == 1 else "" for name, n in zip(names, repeats, strict=True)])
+    if form == "ascii":
+        if any(n != 1 for n in repeats):
+            raise InvalidInputError("it is ascii with a COUNT other than 1; write it as binary")
+        points = _rows(body.decode("ascii"), len(names))[:, axes]
+    elif form == "binary":
+        points = _from_rows(body, row, axes, count)
+    elif form == "binary_compressed":
+        points = _unpacked(body, row, axes, count)
+    else:
+        raise InvalidInputError(f"its DATA is {form!r}; known: ascii, binary, binary_compressed")
+    if len(points) != count:
+        raise InvalidInputError(f"its header says {count} points, the file holds {len(points)}")
+    return points
+
+
+def _from_rows(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np.ndarray:
+    """Points (m, 3) of binary rows, of which x, y and z are the fields `axes`."""
+    if not 0 <= count * row.itemsize <= len(body):
         raise InvalidInputError(
-            f"its header says {count} points, the file holds {len(body) // row.itemsize}: "
+            f"its header says {count} points, the file holds {len(body) // max(1, row.itemsize)}: "
             "cut short?"
         )
-    if len(body) - size >= page or body[size:].strip(b"\0"):
-        raise InvalidInputError(
-            f"its header says {count} points, but the file holds more: {len(body) - size} bytes"
-        )
+    _refuse_more(body[count * row.itemsize :], count)
     rows = np.frombuffer(body, row, count)
-    columns = [rows[str(names.index(axis))].astype(np.float64) for axis in "xyz"]
-    return np.concatenate(columns, axis=1)
+    return np.concatenate([rows[str(k)].astype(np.float64) for k in axes], axis=1)
+
+
+def _unpacked(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np.ndarray:
+    """Points (m, 3) of a compressed body, which holds one field after the other."""
+    packed, unpacked = (int(size) for size in np.frombuffer(body, "<u4", 2))
+    # LZF makes at most 300 bytes of one
+    if unpacked != count * row.itemsize or packed > len(body) - 8 or unpacked > 300 * packed:
+        raise InvalidInputError(
+            f"its header says {count} points of {row.itemsize} bytes, its compressed part "
+            f"{unpacked} bytes in {packed} of {len(body) - 8}"
+        )
+    _refuse_more(body[8 + packed :], count)
+    raw = lzf.decompress(body[8 : 8 + packed], unpacked) if unpacked else b""
+    if raw is None or len(raw) != unpacked:
+        raise InvalidInputError("its compressed points cannot be unpacked")
+    assert row.fields is not None
+    columns = [row.fields[str(k)] for k in axes]
+    found = [np.frombuffer(raw, kind.base, count, count * at) for kind, at, *_ in columns]
+    return np.stack(found, axis=1).astype(np.float64)
+
+
+def _refuse_more(rest: bytes, count: int, page: int = 4096) -> None:
+    """Refuse what follows the last point, but zeros, with which PCL fills a page of memory."""
+    if len(rest) >= page or rest.strip(b"\0"):
+        raise InvalidInputError(
+            f"its header says {count} points, but the file holds more: {len(rest)} bytes"
+        )
 
 
 def _read_ply(data: bytes) -> np.ndarray:
-    """Points (m, 3) of the element "vertex" of a binary PLY file."""
+    """Points (m, 3) of the element "vertex" of a PLY file, which must hold nothing but numbers."""
     top = re.match(
         rb"ply\s+format (ascii|binary_little_endian|binary_big_endian) "
         rb"(?s:.{0,999999}?)^end_header\r?\n",
         data,
         re.MULTILINE,
     )
-    counts = re.findall(rb"^element\s+vertex\s+(\d+)\s*$", top[0] if top else b"", re.MULTILINE)
+    elements: list[tuple[str, int, list[str]]] = []  # name, count, properties, "" for a list
+    for line in top[0].decode("utf-8").splitlines() if top else ():
+        words = line.split()
+        if words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            elements[-1][2].append(words[-1] if len(words) == 3 else "")
+    counts = [count for name, count, _ in elements if name == "vertex"]
     if top is None or len(counts) != 1:
-        raise InvalidInputError("it does not begin with a PLY header of binary vertices")
+        raise InvalidInputError("it does not begin with a PLY header of ascii or binary vertices")
     if top[1] == b"ascii":
-        raise InvalidInputError("its format is ascii, which is not read: write it as binary")
+        return _ascii_vertices(data[top.end() :].decode("ascii"), elements)
     # it takes a second to import, which other clouds need not pay
     import trimesh
 
@@ -282,11 +316,51 @@ def _read_ply(data: bytes) -> np.ndarray:
         raise InvalidInputError(
             f"its vertices x, y, z cannot be read ({error}): cut short, or no plain numbers?"
         ) from error
-    if len(points) != int(counts[0]):
-        raise InvalidInputError(
-            f"its header says {int(counts[0])} points, the file holds {len(points)}"
-        )
+    if len(points) != counts[0]:
+        raise InvalidInputError(f"its header says {counts[0]} points, the file holds {len(points)}")
     return points
+
+
+def _ascii_vertices(text: str, elements: Sequence[tuple[str, int, list[str]]]) -> np.ndarray:
+    """Points (m, 3) of the element "vertex": names, counts, properties, a line for each."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    if sum(count for _, count, _ in elements) != len(lines):
+        said = ", ".join(f"{count} {name}" for name, count, _ in elements)
+        raise InvalidInputError(f"its header says {said}, the file holds {len(lines)} lines")
+    k = [name for name, _, _ in elements].index("vertex")
+    before = sum(count for _, count, _ in elements[:k])
+    _, count, properties = elements[k]
+    rows = _rows("\n".join(lines[before : before + count]), len(properties))
+    return rows[:, _axes_among(properties)]
+
+
+def _axes_among(names: Sequence[str]) -> list[int]:
+    """Which columns are x, y and z; each must occur once."""
+    for axis in "xyz":
+        if list(names).count(axis) != 1:
+            raise InvalidInputError(
+                f"it has no single column {axis!r}; columns: {', '.join(names) or 'none'}"
+            )
+    return [list(names).index(axis) for axis in "xyz"]
+
+
+def _rows(text: str, width: int) -> np.ndarray:
+    """Lines of so many numbers each (m, width)."""
+    found = _numbers(text)
+    if found.size and found.shape[1] != width:
+        raise InvalidInputError(f"it has {found.shape[1]} numbers a line, its header says {width}")
+    return found.reshape(-1, width)
+
+
+def _numbers(
+    text: str, chosen: Sequence[int] | None = None, between: str | None = None
+) -> np.ndarray:
+    """All or some columns of lines of numbers (m, k) between blanks or a mark."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that there is no data, which callers say themselves
+        return np.loadtxt(
+            io.StringIO(text), usecols=chosen, ndmin=2, comments=("#", "//"), delimiter=between
+        )
 
 
 READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {  # of points (m, 3), by the file's suffix
