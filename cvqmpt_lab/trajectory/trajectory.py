@@ -24,7 +24,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, mapping, shown, whole_number
+from cvqmpt_lab.errors import (
+    CvqmptError,
+    InvalidInputError,
+    UnknownChoiceError,
+    mapping,
+    shown,
+    whole_number,
+)
 from cvqmpt_lab.files import json_object, read_text, write_text
 from cvqmpt_lab.values import numbers
 
@@ -177,7 +184,7 @@ def read_motion(path: Path) -> Motion:
     text = read_text(path, "motion")
     try:
         motion = readers[ending](text)
-    except InvalidInputError as error:
+    except CvqmptError as error:
         raise InvalidInputError(f"motion {path} is not understood: {error}") from error
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError, csv.Error) as error:
         why = shown(str(error))
