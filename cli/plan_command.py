@@ -145,9 +145,10 @@ def _solved_task(
 
 def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
     """The problem or task of the command line."""
-    if not args.cloud and (args.intrinsics or args.extrinsics or args.level or args.crop):
+    of_scan = (args.intrinsics, args.extrinsics, args.level, args.down, args.crop)
+    if not args.cloud and any(of_scan):
         raise InvalidInputError(
-            "--intrinsics, --extrinsics, --level and --crop are of a scan: give --cloud"
+            "--intrinsics, --extrinsics, --level, --down and --crop are of a scan: give --cloud"
         )
     given = [
         name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None

@@ -90,7 +90,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
     return run.row(
         solution.problem.name,
         _fail_reason(solution),
-        "; ".join(filter(None, (*reasons, plan.detail))),
+        "; ".join(filter(None, (*reasons, plan.detail, *solution.left_out))),
         sampler_used=one_line(plan.sampler),
         fallback=one_line(plan.fallback),
         certified=certificate.valid if certificate else None,
