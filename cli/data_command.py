@@ -47,9 +47,8 @@ def run(args: argparse.Namespace) -> int:
                     raise CvqmptError(f"shard {number}: {shard.detail}; what was finished is kept")
                 yield shard
 
-    paths = generate(recipe, args.out, own_command(), ProgressBar("data"), in_processes)
+    generate(recipe, args.out, own_command(), ProgressBar("data"), in_processes)
     print((args.out / "README.md").read_text())
-    print(f"{paths} paths in {args.out}")
     return 0
 
 
@@ -73,8 +72,8 @@ OPTIONS: Options = {
         default="paths",
     ),
     "--dictionary --model": option(
-        "dictionary of --labels roadmap: --out of `cvqmpt train stage1` (the shipped one; for "
-        "other arms free configurations)",
+        "dictionary of --labels roadmap: --out of `cvqmpt train stage1` (the shipped one, of the "
+        "Panda)",
         metavar="DIR",
     ),
     "--seed": option("seed of scenes and paths (0)", type=not_negative_int, default=0),

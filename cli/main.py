@@ -42,9 +42,11 @@ COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     "completion": ("setup", "print what makes a shell complete commands, options and names"),
 }
 
-REMOVED = {  # commands, and what is there instead of them
+REMOVED = {  # commands and options, and what is there instead of them
     "calibrate": "calibrate with easy_handeye or MoveIt's hand-eye calibration, then give the "
     "camera's pose to cvqmpt scan or plan with --extrinsics CAM.json",
+    "--view": "save a recording, --save RUN.rrd, and open it with: rerun RUN.rrd",
+    "--srdf-out": "robot --json lists the pairs of links that are not checked, with the reason",
 }
 
 # Small networks are several times slower on many threads, and runs share the cores already.
@@ -132,8 +134,9 @@ def parser_with(filled: Collection[str]) -> Parser:
 
 def _parsed(argv: list[str]) -> argparse.Namespace:
     asked = next((word for word in argv if word in COMMANDS), None)
-    if argv and argv[0] in REMOVED:
-        raise InvalidInputError(f"{argv[0]} was removed; {REMOVED[argv[0]]}")
+    for word in (*argv[:1], *(word for word in argv if word.startswith("--"))):
+        if word in REMOVED:
+            raise InvalidInputError(f"{word} was removed; {REMOVED[word]}")
     if asked != "train":
         for variable in THREADS:
             os.environ.setdefault(variable, "1")

@@ -42,16 +42,8 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
     require_torch("cvqmpt model import")
     from cvqmpt_lab.vqmpt.checkpoint import import_published, save_checkpoint
 
-    imported = import_published(
-        dictionary_dir, ar_dir, robot_signature(robot_from_source({"name": "panda"}))
-    )
-    print(f"{'state':20} {'tensors':>8} {'numbers':>12}")
-    for name, (tensors, numbers) in imported.states.items():
-        print(f"{name:20} {tensors:>8} {numbers:>12,}")
-    first, second = imported.checkpoint.metadata["epochs"]
-    print(f"epochs: dictionary {first}, sequence model {second}")
-    print(f"not used: {', '.join(imported.ignored) or 'nothing'}\n")
-    save_checkpoint(out, imported.checkpoint)
+    robot = robot_signature(robot_from_source({"name": "panda"}))
+    save_checkpoint(out, import_published(dictionary_dir, ar_dir, robot))
 
 
 def _info(folder: Path) -> dict[str, Any]:

@@ -79,7 +79,7 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
 
 def scanned(args: argparse.Namespace, arm: Arm) -> Scan:
     """Make a scan of the files of --cloud, and write its report to standard error."""
-    made = scan_of(args, args.cloud, arm)
+    made = scan_of(args, args.cloud, arm.robot, arm)
     log("\n".join(scan_report(made, args.cloud)))
     return made
 

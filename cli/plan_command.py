@@ -55,10 +55,6 @@ RECORDING, FILM, PAGE = ".rrd", ".gif", ".html"  # endings of --save
 
 def run(args: argparse.Namespace) -> int:
     """Plan, print, show; exit code 1 when no certified path was found."""
-    if args.view:
-        from cvqmpt_lab.show.viewer import check_viewer
-
-        check_viewer()
     asked = _asked(args)
     if args.speed is not None and args.trajectory is None and not isinstance(asked, Task):
         raise InvalidInputError(f"--speed {args.speed} is that of --trajectory OUT.csv; give it")
@@ -125,7 +121,7 @@ def _solved_task(
     from cvqmpt_lab.tasks.solve import solve_task, task_data, task_lines
     from cvqmpt_lab.trajectory.timing import TimingSettings
 
-    wrong = [name for name in ("cloud", "optimize", "save_path", "view") if getattr(args, name)]
+    wrong = [name for name in ("cloud", "optimize", "save_path") if getattr(args, name)]
     if wrong:
         raise InvalidInputError(
             f"--{wrong[0].replace('_', '-')} does not go with a task; leave it out"
@@ -149,9 +145,10 @@ def _solved_task(
 
 def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
     """The problem or task of the command line."""
-    if not args.cloud and (args.intrinsics or args.extrinsics or args.level or args.crop):
+    of_scan = (args.intrinsics, args.extrinsics, args.level, args.down, args.crop)
+    if not args.cloud and any(of_scan):
         raise InvalidInputError(
-            "--intrinsics, --extrinsics, --level and --crop are of a scan: give --cloud"
+            "--intrinsics, --extrinsics, --level, --down and --crop are of a scan: give --cloud"
         )
     given = [
         name for name in ("suite", "problem_file", "task_file") if getattr(args, name) is not None
@@ -245,20 +242,17 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
     if suffix == PAGE:
         from cvqmpt_lab.show.web_page import save_page
 
-        notes = save_page(solution, args.save, carried)
+        save_page(solution, args.save, carried)
         size = args.save.stat().st_size / 1e6
         lines.append(
             f"page written to {args.save} ({size:.1f} MB); open it in a browser, no network is "
             "needed"
         )
-        lines += notes
-    if suffix == RECORDING or args.view:
+    if suffix == RECORDING:
         from cvqmpt_lab.show.recording import log_solution
 
-        recording = args.save if suffix == RECORDING else None
-        log_solution(solution, recording, args.view, carried)
-        if recording:
-            lines.append(f"recording written to {recording}; open it with: rerun {recording}")
+        log_solution(solution, args.save, carried)
+        lines.append(f"recording written to {args.save}; open it with: rerun {args.save}")
     return lines
 
 
@@ -299,7 +293,6 @@ OPTIONS: Options = {
             type=_savable,
             metavar="RUN.html|rrd|gif",
         ),
-        "--view": option("open the rerun viewer; needs a display", **FLAG),
     },
     "--save-path": option("write the path's states as csv", type=writable_file, metavar="PATH.csv"),
     "--trajectory": option(

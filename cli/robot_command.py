@@ -12,16 +12,12 @@ import numpy as np
 from cli.options import FLAG, Options, option, writable_file
 from cli.problem_options import ROBOT_DETAILS, robot_options
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.files import write_text
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.self_collision import OVERLAP, srdf_text
+from cvqmpt_lab.robot.self_collision import OVERLAP
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
-
-TRIED = 200  # random configurations, of which the share free of self-collision is printed
-NAMES = 8  # listed of many; --json lists all
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,8 +30,6 @@ def run(args: argparse.Namespace) -> int:
     robot = robot_from_source(source)
     said = describe(robot)
     print(json.dumps(said, indent=1) if args.json else "\n".join(report(robot, said, others)))
-    if args.srdf_out:
-        write_text(args.srdf_out, srdf_text(robot.name, robot.left_out_pairs))
     if args.picture:
         from cvqmpt_lab.show.picture import draw
 
@@ -56,10 +50,13 @@ def _source(args: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
     }, likely
 
 
-def describe(robot: Robot) -> dict[str, Any]:
-    """The robot model as plain json."""
+def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
+    """The robot model as plain json.
+
+    tried: random configurations, for the share that is free of self-collision.
+    """
     velocity = np.array(robot.model.upperVelocityLimit)
-    states = robot.random_configurations(np.random.default_rng(0), TRIED)
+    states = robot.random_configurations(np.random.default_rng(0), tried)
     nothing = Scene("nothing", ())
     collide = CollisionChecker(robot, nothing).in_collision_batch(states)
     return {
@@ -130,9 +127,9 @@ def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[st
         yield "timing       no acceleration limits: --trajectory needs --acceleration"
 
 
-def _few(names: list[str]) -> str:
-    return ", ".join(names[:NAMES]) + (
-        f", ... (--json lists {len(names)})" if len(names) > NAMES else ""
+def _few(names: list[str], most: int = 8) -> str:
+    return ", ".join(names[:most]) + (
+        f", ... (--json lists {len(names)})" if len(names) > most else ""
     )
 
 
@@ -141,8 +138,5 @@ OPTIONS: Options = {
     **ROBOT_DETAILS,
     "--json": option("print everything as one json object", **FLAG),
     "--picture": option("draw its collision pieces", type=writable_file, metavar="FILE.png"),
-    "--srdf-out": option(
-        "write the pairs of links that are not checked", type=writable_file, metavar="ARM.srdf"
-    ),
 }
 COMMANDS = {"robot": (run, OPTIONS)}

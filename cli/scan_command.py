@@ -8,12 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from cli.options import REPEATED, Options, numbers, option, positive, writable_file
+from cli.options import (
+    REPEATED,
+    Options,
+    not_negative,
+    numbers,
+    option,
+    positive,
+    writable_file,
+)
 from cli.problem_options import ROBOT, chosen_robot, configuration
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import json_text, write_text
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import PointCloud
@@ -42,6 +51,12 @@ SCAN: Options = {
         ),
         "--scale": option("[m] of a unit (1; of a 16-bit image 0.001)", type=positive, metavar="M"),
         "--level": option("find the table, put it level: without --extrinsics", choices=("table",)),
+        "--down": option(
+            f"angle by which the camera of --level looks down, to 30 deg ({USUAL.down:g}): 0 is "
+            "ahead, 90 straight down",
+            type=not_negative,
+            metavar="DEG",
+        ),
         "--front": option(
             "where --level puts the table's near edge (0.3,0,0) [m]",
             type=partial(numbers, "--front", names=("X", "Y", "Z")),
@@ -98,12 +113,13 @@ SCAN: Options = {
 }
 
 
-def scan_of(args: argparse.Namespace, files: Sequence[Path], arm: Arm | None) -> Scan:
-    """Read and clean the files as the options of `SCAN` say; arm: as it stood then."""
+def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: Arm | None) -> Scan:
+    """Read and clean the files as the options of `SCAN` say; arm: the robot as it stood then."""
     if args.level and args.extrinsics:
         raise InvalidInputError("--level and --extrinsics: give one of the two")
-    if args.front and not args.level:
-        raise InvalidInputError("--front is that of --level table; give it")
+    for name in ("front", "down"):
+        if getattr(args, name) is not None and not args.level:
+            raise InvalidInputError(f"--{name} is that of --level table; give it")
     intrinsics = _each("--intrinsics", args.intrinsics, files)
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = zip(files, intrinsics, extrinsics, strict=True)
@@ -114,8 +130,11 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], arm: Arm | None) ->
         changes["crop"] = BoxCrop((x, y, z), (upper[0], upper[1], upper[2]))
     if args.front:
         changes["front"] = tuple(args.front)
+    if args.down is not None:
+        changes["down"] = args.down
     settings = ScanSettings(
         level=args.level is not None,
+        highest=robot.reach,
         voxel=args.voxel,
         robot_margin=args.robot_margin,
         neighbours=args.neighbours,
@@ -192,7 +211,7 @@ def run(args: argparse.Namespace) -> int:
     """Read, clean, report, write."""
     robot = chosen_robot(args)
     arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
-    made = scan_of(args, args.files, arm)
+    made = scan_of(args, args.files, robot, arm)
     scene = scene_of(args, made, arm)
     if arm is not None:
         refuse_touching(scene, arm)

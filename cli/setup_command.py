@@ -49,7 +49,6 @@ def doctor(args: argparse.Namespace) -> int:
         *_packages(),
         *_weights(),
         _kernels(),
-        _display(),
     ]
     for what, says, cure, needed in found:
         state = "ok" if not cure else "BROKEN" if needed else "without"
@@ -114,17 +113,6 @@ def _kernels() -> Finding:
     if not compiled_before():
         return Finding("kernels", f"not compiled yet in {folder()}", "cvqmpt warmup", needed=False)
     return Finding("kernels", f"compiled in {folder()}")
-
-
-def _display() -> Finding:
-    from cvqmpt_lab.show.viewer import check_viewer
-
-    try:
-        check_viewer()
-    except CvqmptError:
-        cure = "open recordings where there is one: rerun RUN.rrd"
-        return Finding("display", "none; pictures and films need none", cure, needed=False)
-    return Finding("display", "the rerun viewer can open a window")
 
 
 def warmup(args: argparse.Namespace) -> int:

@@ -36,11 +36,17 @@ def run(args: argparse.Namespace) -> int:
     """Train, showing loss and time left."""
     require_torch("cvqmpt train")
     from cvqmpt_lab.training.profiles import Profile, profile_named
-    from cvqmpt_lab.training.trainer import joined_processes, run_training
+    from cvqmpt_lab.training.trainer import run_training
 
     profile = profile_named(args.profile)
     if args.config is not None:
-        profile = from_plain(Profile, read_json_object(args.config), "profile")
+        plain = read_json_object(args.config)
+        if isinstance(plain.get("published_model"), dict) and "dense" in plain["published_model"]:
+            raise InvalidInputError(
+                "published_model.dense was removed: train transformer learns which codes and edges "
+                "are free; leave it out"
+            )
+        profile = from_plain(Profile, plain, "profile")
     if args.print_config:
         print(json.dumps(to_plain(profile, complete=True), indent=2))
         return 0
@@ -63,8 +69,6 @@ def run(args: argparse.Namespace) -> int:
         metadata={"command": command, "provenance": origin},
         report=ProgressBar(args.stage),
     )
-    if joined_processes()[0] > 0:
-        return 0
     for name, value in (progress.rows[-1] if progress.rows else {}).items():
         print(f"{name:40} {'' if value is None else format(value, '.6g')}")
     if not progress.finished:

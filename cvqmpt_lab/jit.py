@@ -50,7 +50,6 @@ INLINE: dict[str | None, dict] = {
     "source": {"inline": "always"},
 }
 NUMBERS = {float: types.float64, int: types.int64, bool: types.boolean}
-DTYPES = ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")
 PACKAGE = Path(__file__).parent
 FILES = [file for file in sorted(PACKAGE.rglob("*.py")) if b"cvqmpt_lab.jit" in file.read_bytes()]
 # digest of all files with kernels: numba does not notice when a function that another calls is new
@@ -211,13 +210,14 @@ class _Form(NamedTuple):
 @functools.cache
 def _forms(annotated: Any) -> tuple[_Form, ...]:
     """Forms of a function's arguments or of a named tuple's fields, in order."""
+    dtypes = ("float64", "float32", "int64", "int32", "int8", "uint8", "bool")
     found = []
     for name, hint in get_type_hints(annotated, include_extras=True).items():
         if not hasattr(hint, "__metadata__"):
             found.append(_Form(name, hint))
             continue
         words = hint.__metadata__[0].split()
-        dtype = np.dtype(words.pop(0) if words[0] in DTYPES else "float64")
+        dtype = np.dtype(words.pop(0) if words[0] in dtypes else "float64")
         shape = tuple(int(word) if word.isdigit() else word for word in words)
         found.append(_Form(name, hint, dtype, shape))
     return tuple(found)

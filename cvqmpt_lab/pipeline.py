@@ -14,7 +14,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import GoalSample, reaches_no_pos
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
 from cvqmpt_lab.errors import require_kind, whole_number
 from cvqmpt_lab.planners import Method, planner_named, require_fit
-from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.problem import PlanningProblem, with_usable_goals
 from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.search.anytime import Improvement, check_units, improve, restarted
 from cvqmpt_lab.search.birrt import BiRRT
@@ -46,6 +46,7 @@ class Solution:
     improvement: Improvement | None = None  # by `optimize`; `simplified` then has the best path
     # that the search drew from; None where it drew from none
     distribution: SamplingDistribution | None = None
+    left_out: tuple[str, ...] = ()  # goals that the problem had and that cannot be used, and why
 
     def __repr__(self) -> str:
         plan, path, sure = self.plan, self.simplified and self.simplified.path, self.certificate
@@ -55,6 +56,7 @@ class Solution:
             f"plan        {plan.status} after {1e3 * plan.seconds:.1f} ms, samples: {plan.sampler}"
             + (f" ({plan.detail})" if plan.detail else ""),
         ]
+        lines += [f"left out    {text}" for text in self.left_out]
         lines += [f"path        {path!r}"] if path else []
         if sure is not None:
             clear = (
@@ -103,7 +105,7 @@ def solve(
             others are whole turns away.
 
     Raises:
-        InvalidProblemError: a start or goal collides or violates the constraint.
+        InvalidProblemError: the start, or every goal, collides or violates the constraint.
         InvalidInputError: the method cannot serve the problem (weights of another robot, no
             constraint).
     """
@@ -120,7 +122,7 @@ def solve(
     if len(problem.goals) == 0:
         reason = f"no goal: {drawn_goals(problem).outcome}; {problem.why_no_goal()}"
         return Solution(problem, no_plan(PlanStatus.NO_GOAL, reason), goal_seconds=goal_seconds)
-    check_problem(problem)
+    problem, left_out = with_usable_goals(problem)
     require_fit(method, problem)
     stages = method.stages(problem)
     began = time.perf_counter()
@@ -179,6 +181,7 @@ def solve(
         wall,
         improvement,
         proposal.distribution if sampled else None,
+        left_out,
     )
 
 
@@ -215,7 +218,7 @@ def no_plan(status: PlanStatus, detail: str = "") -> PlanResult:
 def with_sampled_goals(problem: PlanningProblem) -> tuple[PlanningProblem, float]:
     """The problem with goals drawn from its region if it has none, and the seconds spent.
 
-    Goals off the manifold are left out, unless all are: then `check_problem` names the bound.
+    Goals off the manifold are left out, unless all are: then `with_usable_goals` names the bound.
     """
     if len(problem.goals) > 0 or problem.goal_region is None:
         return problem, 0.0

@@ -195,10 +195,6 @@ CONTROLS = _by_name(
 # need weights of the authors' architecture, which are imported or trained, not shipped
 PUBLISHED = _by_name(_product("cvq-published", NAMED["cvq-published"]))
 
-WITHOUT_WEIGHTS = tuple(
-    name for name, method in {**PLANNERS, **CONTROLS}.items() if method.weights is None
-)
-
 
 def is_removed(name: str) -> bool:
     """Whether a planner of that name was removed; old committed rows may still contain the name."""

@@ -49,9 +49,6 @@ from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.scene.units import refuse_far, refuse_far_poses, report_out_of_reach
 from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name, frozen
 
-MOST_REGIONS = 32  # of one constraint
-MOST_CLEARANCE = 0.2  # [m]
-
 
 class RobotForm:
     """A robot in json: the source that loads it."""
@@ -82,9 +79,7 @@ States = Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")]
 Regions = Annotated[tuple[Region, ...], OneOrMore(Region)]
 Clearance = Annotated[
     float,
-    Condition(
-        float, lambda x: 0.0 <= x <= MOST_CLEARANCE, f"a distance from 0 to {MOST_CLEARANCE:g} [m]"
-    ),
+    Condition(float, lambda x: 0.0 <= x <= 0.2, "a distance from 0 to 0.2 [m]"),
 ]
 
 
@@ -151,7 +146,7 @@ class PlanningProblem(Document):
         report_out_of_reach(problem.scene, reach_with(problem.robot, problem.attachments))
         return problem
 
-    def _check_regions(self) -> None:
+    def _check_regions(self, most: int = 32) -> None:
         unique((item.name for item in self.attachments), f"attachments of problem {self.name!r}")
         if len(self.goals) == 0 and self.goal_region is None:
             raise InvalidProblemError(
@@ -166,10 +161,10 @@ class PlanningProblem(Document):
                     f"{self.name}: {what!r} hangs on {region.base!r}, which moves; give one in "
                     f"the world: TaskSpaceRegionChain.at(pose of {region.base!r})"
                 )
-        if len(self.constraint) > MOST_REGIONS:
+        if len(self.constraint) > most:
             raise InvalidProblemError(
                 f"{self.name}: a constraint of {len(self.constraint)} regions; at most "
-                f"{MOST_REGIONS} can be kept at once: leave out those that others say already"
+                f"{most} can be kept at once: leave out those that others say already"
             )
         for region in self.constraint:
             # raises UnknownChoiceError for a frame that does not exist
@@ -274,36 +269,58 @@ def shared_checker(
 
 def check_problem(problem: PlanningProblem) -> None:
     """Refuse a start or goal in collision, off the manifold or outside the goal region."""
+    for _, what, cure in _faults(problem):
+        raise InvalidProblemError(f"{problem.name}: {what}; {cure}")
+
+
+def with_usable_goals(problem: PlanningProblem) -> tuple[PlanningProblem, tuple[str, ...]]:
+    """The problem without the goals that `check_problem` refuses, and why each is left out.
+
+    InvalidProblemError: the start is refused, or every goal.
+    """
+    left_out: dict[int, str] = {}
+    for k, what, cure in _faults(problem):
+        left_out.setdefault(k, what)
+        if k < 0 or len(left_out) == len(problem.goals):
+            several = f"none of {len(left_out)} goals can be used: " if len(left_out) > 1 else ""
+            raise InvalidProblemError(f"{problem.name}: {several}{what}; {cure}")
+    if not left_out:
+        return problem, ()
+    kept = np.delete(problem.goals, [*left_out], axis=0)
+    return problem.changed(goals=frozen(kept)), tuple(left_out.values())
+
+
+def _faults(problem: PlanningProblem) -> Iterator[tuple[int, str, str]]:
+    """Number of a goal (-1: the start), why it cannot be used, and the cure."""
     checker = problem.collision_checker()
     states = np.vstack([problem.start, problem.goals])
     off = np.linalg.norm(problem.manifold.residual(states), axis=1) > TOLERANCE
-    for (label, q), q_is_off in zip(problem.labelled_configurations(), off, strict=True):
+    for k, (label, q) in enumerate(problem.labelled_configurations(), start=-1):
         if checker.in_collision(q):
             gap = (
                 ", or leave 1 mm between what is carried and what it stands on"
                 if problem.attachments
                 else ""
             )
-            raise InvalidProblemError(
-                f"{problem.name}: {label} is in collision: {checker.contact(q)}; choose another "
-                f"configuration{gap}"
-            )
-        if q_is_off:
-            raise InvalidProblemError(f"{problem.name}: {_off_manifold(problem, label, q)}")
+            found = f"{label} is in collision: {checker.contact(q)}"
+            yield k, found, f"choose another configuration{gap}"
+        if off[k + 1]:
+            yield k, *_off_manifold(problem, label, q)
     if problem.goal_region is None:
         return
     lower, upper = problem.goal_region.Bw.T
     x = displacements(problem.robot, problem.goal_region, problem.goals)
     outside = np.maximum(lower - x, x - upper).max(axis=1)
-    for k in np.flatnonzero(outside > 1e-3)[:1]:
-        raise InvalidProblemError(
-            f"{problem.name}: goal {k} lies outside 'goal_region' by {outside[k]:.4f} (rad or m); "
-            "take out 'goals', and new ones are drawn from the region, or 'goal_region'"
+    for k in np.flatnonzero(outside > 1e-3).tolist():
+        yield (
+            k,
+            f"goal {k} lies outside 'goal_region' by {outside[k]:.4f} (rad or m)",
+            "take out 'goals', and new ones are drawn from the region, or 'goal_region'",
         )
 
 
-def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> str:
-    """Which bound a start or goal q (n,) breaks; of a goal region if all its goals do."""
+def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> tuple[str, str]:
+    """Which bound a start or goal q (n,) breaks; of a goal region if all its goals do; the cure."""
     states, broken = q[None], f"{label} breaks"
     cure = "`cvqmpt ik` finds configurations that keep the constraint"
     goals = problem.goals
@@ -319,4 +336,4 @@ def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> str:
         broken_bound(region, displacements(problem.robot, region, states))
         for region in problem.constraint
     ]
-    return f"{broken} {', '.join(filter(None, bounds)) or 'the constraint by rounding'}; {cure}"
+    return f"{broken} {', '.join(filter(None, bounds)) or 'the constraint by rounding'}", cure

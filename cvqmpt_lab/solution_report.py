@@ -29,6 +29,7 @@ def solution_lines(solution: Solution, planner: str, why: str = "") -> list[str]
     simplify = f", simplify {1e3 * shorter.seconds:.1f} ms" if shorter else ""
     lines = [
         f"problem     {problem.name}: robot {problem.robot.name}, {len(problem.goals)} goals",
+        *(f"left out    {text}" for text in solution.left_out),
         f"constraint  {constraint}",
         f"planner     {planner}{why and f' ({why})'}, samples: {plan.sampler}",
         f"status      {_status(solution)}",
@@ -101,6 +102,7 @@ def solution_data(
         "robot": problem.robot.name,
         "joints": list(problem.robot.joint_names),
         "goals": len(problem.goals),
+        "goals_left_out": list(solution.left_out),
         "constraint": [vars(use) for use in uses_of(solution)],
         "planner": planner,
         "chosen_because": why,

@@ -19,8 +19,6 @@ from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
-FEW = Budget(iterations=20)
-
 
 def compile_kernels(announce: Callable[[str], None]) -> float:
     """Compile every kernel, in two processes the first time, and call those that planners call.
@@ -96,13 +94,13 @@ def _through_stages(problem: PlanningProblem, method: Method, backend: str) -> N
     """Predict and update with a random cloud, search and shorten, for a problem with goals."""
     rng = np.random.default_rng(0)
     stages = method.stages(problem)
-    space = ConstrainedSpace(problem, backend)
-    query = Query.of(space, FEW, rng)
+    space, few = ConstrainedSpace(problem, backend), Budget(iterations=20)
+    query = Query.of(space, few, rng)
     proposal = stages.predict(query, Observation(rng.uniform(-1.0, 1.0, (2048, 3))))
     if stages.update is not None:
         stages.update(query, proposal)
     # the prediction may have used up the budget
-    query = Query.of(space, FEW, rng)
+    query = Query.of(space, few, rng)
     search(stages.search or BiRRT(), query, Proposal(query.uniform))
     still = JointPath(np.array([problem.start, problem.start]))
     simplify(space, still, rng, attempts=16)

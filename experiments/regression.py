@@ -61,6 +61,7 @@ CASES: tuple[Case, ...] = (
         Case(planner, problem, seed, 20_000, suite)
         for planner, problems, suite in (
             ("birrt", (2, 5, 8), SUITE),
+            ("birrt-printed", (2,), SUITE),
             ("ompl-projected", (2, 5), SUITE),
             ("atlas-rrt", (8, 10), SUITE),
             ("tb-rrt", (8, 10), SUITE),
@@ -69,6 +70,7 @@ CASES: tuple[Case, ...] = (
             ("cvq-mpt", (2, 5), SUITE),
             ("opt-cvq-mpt", (2, 5), SUITE),
             ("cvq-wide", (5,), SUITE),
+            ("cvq-tuned", (2, 5), SUITE),
             ("roadmap", (2, 5, 8), SUITE),
             ("roadmap-cvq", (2, 5, 8), SUITE),
             ("cvq:transformer+wide+projected+no-cloud", (5,), "factorial"),

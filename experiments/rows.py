@@ -1,5 +1,6 @@
 """Result rows of a run: one for a problem, one for each planned phase of a task."""
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -15,6 +16,7 @@ from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, one_line, pha
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 from experiments.experiment import Run
 
 SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "vertices")
@@ -90,7 +92,7 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
     return run.row(
         solution.problem.name,
         _fail_reason(solution),
-        "; ".join(filter(None, (*reasons, plan.detail))),
+        "; ".join(filter(None, (*reasons, plan.detail, *solution.left_out))),
         sampler_used=one_line(plan.sampler),
         fallback=one_line(plan.fallback),
         certified=certificate.valid if certificate else None,
@@ -118,8 +120,15 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         path_length_first_rad=more.lengths[0][1] if more else None,
         g_sampled=_sampled_g(solution),
         t_wall_s=solution.wall_seconds,
-        **(asdict(run.method.sampler) if run.method.sampler else {}),
+        **_sampler_columns(run.method.sampler),
     )
+
+
+def _sampler_columns(choice: SamplerChoice | None) -> dict[str, Any]:
+    """The columns of a learned sampler; `reach` is empty without a limit, as csv has no inf."""
+    if choice is None:
+        return {}
+    return asdict(choice) | {"reach": choice.reach if math.isfinite(choice.reach) else None}
 
 
 def _sampled_g(solution: Solution, draws: int = 256) -> float | None:

@@ -19,6 +19,7 @@ from paper_tables.measures import (
     ratio_to,
     share_of,
     solved,
+    solved_within,
 )
 from paper_tables.statements import PublishedValue
 from paper_tables.table_engine import BriefColumn, Column, Entry, SuiteTable
@@ -29,10 +30,6 @@ from paper_tables.writers import Lines, Sections, number, text_lines
 BASELINE = "ompl-projected"
 CURVE_TIMES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # [s]
 PARTS = ("all", "easy", "hard")
-
-
-def _within(time: float, row: ResultRow) -> bool:
-    return row.solved and row.t_total_s is not None and row.t_total_s <= time
 
 
 def _said(how: str, row: ResultRow) -> bool:
@@ -86,7 +83,7 @@ SPLIT = {
     for part in PARTS
 }
 CURVE = {
-    f"solved_within_{time:g}_s": Column(f"{time:g} s", "%", share_of(partial(_within, time)))
+    f"solved_within_{time:g}_s": Column(f"{time:g} s", "%", solved_within(time))
     for time in CURVE_TIMES
 }
 COLUMNS: Mapping[str, Column] = {**HEADLINE_COLUMNS, **EFFORT, **PAPER_COST, **SPLIT, **CURVE}
@@ -189,7 +186,7 @@ def place_table(
             table.column_lines(rollouts, ("accuracy", *ROLLOUTS)) if rollouts else []
         ),
         "At the paper's cost of work": table.column_lines(found, PAPER_COST),
-        f"Against {REFERENCE}": _split_lines(found, runs) if runs.split.easy else [],
+        f"Against {REFERENCE}": _split_lines(found, runs) if runs.split["easy"] else [],
         "Solved within a time, % of runs": table.column_lines(found, times),
         **table.counted(found),
         "Notes": footnotes,
@@ -235,7 +232,7 @@ def _split_lines(found: Sequence[Entry], runs: SuiteRuns) -> Lines:
     for item in found:
         for part in PARTS if item.planner != REFERENCE else ():
             cells = (item.cell(split_metric(name, part)) for name in RATIOS)
-            lines.append([item.planner, f"{part} ({len(runs.split.parts[part])})", *cells])
+            lines.append([item.planner, f"{part} ({len(runs.split[part])})", *cells])
     return lines
 
 

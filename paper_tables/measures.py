@@ -135,7 +135,15 @@ def censored(rows: Rows, value: Value) -> list[list[float]]:
 
 def fraction(rows: Iterable[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
     """Mean over problems of the share of its rows, with Wilson's interval."""
-    shares = [sum(map(counted, seeds)) / len(seeds) for seeds in by_problem(rows)]
+    return problem_share([(row.problem, counted(row)) for row in rows])
+
+
+def problem_share(flags: Iterable[tuple[str, bool]]) -> Interval:
+    """Mean over problems of the share of flags that hold, with Wilson's interval.
+
+    flags: problem, and whether one of its runs is counted.
+    """
+    shares = [sum(seeds) / len(seeds) for seeds in grouped(flags).values()]
     return wilson_interval(math.fsum(shares), len(shares))
 
 
@@ -200,21 +208,10 @@ def mean_ratio(pairs: Iterable[Pair]) -> Interval:
 # ---------------------------------------------------------------- easy and hard problems
 
 
-class Split(NamedTuple):
-    """Easy and hard runs, by problem and seed."""
+def split_by_work(reference: Iterable[ResultRow]) -> Mapping[str, frozenset[ProblemKey]]:
+    """All, easy and hard runs of a planner.
 
-    easy: frozenset[ProblemKey]
-    hard: frozenset[ProblemKey]
-
-    @property
-    def parts(self) -> Mapping[str, frozenset[ProblemKey]]:
-        """All runs, the easy ones, the hard ones."""
-        return {"all": self.easy | self.hard, "easy": self.easy, "hard": self.hard}
-
-
-def split_by_work(reference: Iterable[ResultRow]) -> Split:
-    """Split a planner's runs: hard problems have more median work than two thirds of the others.
-
+    Hard problems have more median work than two thirds of the others.
     The median is over the planner's other seeds, so that a problem is not called hard because of
     the run that others are compared with; with one seed it is that one. Failed runs have infinite
     work. At most a third are hard: ties are easy. Problems of unknown work are left out.
@@ -224,7 +221,8 @@ def split_by_work(reference: Iterable[ResultRow]) -> Split:
     for seed in {row.seed for row in rows}:
         problems = _hard_problems([row for row in rows if row.seed != seed] or rows)
         hard |= {problem_key(row) for row in rows if row.seed == seed and row.problem in problems}
-    return Split(frozenset(map(problem_key, rows)) - hard, frozenset(hard))
+    every = frozenset(map(problem_key, rows))
+    return {"all": every, "easy": every - hard, "hard": frozenset(hard)}
 
 
 def _hard_problems(rows: Rows) -> frozenset[str]:
@@ -248,7 +246,8 @@ class SuiteRuns:
     groups: Mapping[str, Rows]  # by planner (and backend, where a planner ran with several)
     solving: Sequence[str]  # planners that solved something
     joint: Collection[ProblemKey]  # runs that all of these solved
-    split: Split  # by the work of REFERENCE; empty where that was not run
+    # all, easy and hard runs by the work of REFERENCE; empty where that was not run
+    split: Mapping[str, Collection[ProblemKey]]
 
     def baseline(self, planner: str) -> Rows:
         """Rows of the baseline of ratios; empty if it was not run."""
@@ -266,6 +265,18 @@ def share_of(
 ) -> Measure:
     """Percentage of the runs of a kind, with Wilson's interval."""
     return lambda rows, runs: fraction(filter(among, rows) if among else rows, counted).scaled(100)
+
+
+def solved_within(time: float) -> Measure:
+    """Percentage of the runs that are solved within a time [s], with Wilson's interval."""
+
+    def measure(rows: Rows, runs: SuiteRuns) -> Interval:
+        # no call of Python for each row: a table has many times, and many rows
+        taken = [(row.problem, row.solved, row.t_total_s) for row in rows]
+        done = [(name, good and s is not None and s <= time) for name, good, s in taken]
+        return problem_share(done).scaled(100)
+
+    return measure
 
 
 def median_of(value: str, over: Over = "all") -> Measure:
@@ -293,7 +304,7 @@ def ratio_to(baseline: str, value: Value, part: str | None = None) -> Measure:
 
     def measure(rows: Rows, runs: SuiteRuns) -> Interval:
         if part is not None:
-            counted = runs.split.parts[part]
+            counted = runs.split[part]
             rows = [row for row in rows if problem_key(row) in counted]
         return mean_ratio(paired(rows, runs.baseline(baseline), value))
 

@@ -5,6 +5,7 @@ import dataclasses
 import torch
 from training_data import kinematics
 
+from cvqmpt_lab.training.profiles import PROFILES
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import (
     DictionaryConfig,
@@ -19,14 +20,13 @@ from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.weights import robot_signature
 
 SIZES = TransformerConfig(n_layers=2, n_heads=2, d_k=8, d_v=8, d_model=32, d_inner=48, dropout=0.1)
+COMPACT = PROFILES["compact"].model
 METADATA = {"kinematics": kinematics()}
 
 
 def compact_config():
-    base = ModelConfig.compact(feature_dim=12, n_codes=64)
-    return dataclasses.replace(
-        base, dictionary=dataclasses.replace(base.dictionary, transformer=SIZES)
-    )
+    words = dataclasses.replace(COMPACT.dictionary, transformer=SIZES, n_codes=64)
+    return dataclasses.replace(COMPACT, feature_dim=12, dictionary=words)
 
 
 def published_config():

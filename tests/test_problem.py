@@ -16,7 +16,7 @@ from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.problem import PlanningProblem, check_problem
+from cvqmpt_lab.problem import PlanningProblem, check_problem, with_usable_goals
 from cvqmpt_lab.robot.load import group_states
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, shape_vertices
@@ -171,6 +171,30 @@ def test_the_reasons_why_there_is_no_goal_are_named(problem):
         InvalidProblemError, match="'goal_region' leaves the constraint: the best of 3 goals in it"
     ):
         check_problem(replace(problem, goals=goals, goal_region=wide))
+
+
+def test_goals_that_cannot_be_used_are_left_out_while_one_is_left(problem):
+    """A brick at the elbow of one of 20 goals, another one tilted; only those; the start."""
+    at_goal = problem.robot.pose(problem.goals[2], "panda_link4")
+    hindered = replace(problem, scene=with_brick(problem, at_goal))
+    met = hindered.collision_checker().in_collision_batch(problem.goals)
+    k, goals = int(np.flatnonzero(~met)[0]), problem.goals.copy()
+    goals[k, 6] += 0.4 if goals[k, 6] < 0 else -0.4
+    hindered = replace(hindered, goals=goals)
+    found, left_out = with_usable_goals(hindered)
+    reasons = {int(text.split()[1]): text for text in left_out}
+    assert met[2] and sorted(reasons) == sorted([*np.flatnonzero(met), k])
+    assert "brick" in reasons[2] and "breaks `upright`" in reasons[k]
+    np.testing.assert_array_equal(found.goals, np.delete(goals, [*reasons], axis=0))
+    check_problem(found)
+    assert with_usable_goals(problem) == (problem, ())
+    alone = replace(hindered, goals=goals[[2, k]])
+    told = r"none of 2 goals can be used: goal 1 breaks `upright`.*; `cvqmpt ik` finds"
+    with pytest.raises(InvalidProblemError, match=told):
+        with_usable_goals(alone)
+    at_start = with_brick(problem, problem.robot.pose(problem.start))
+    with pytest.raises(InvalidProblemError, match="start is in collision"):
+        with_usable_goals(replace(problem, scene=at_start))
 
 
 def with_brick(problem, T):

@@ -1,7 +1,5 @@
 """A tiny dataset of training paths, written here independently of the generator."""
 
-import hashlib
-import io
 import json
 
 import numpy as np
@@ -70,14 +68,8 @@ def shard(rng, seeds, paths_per_scene):
 
 def write_shard(folder, number, arrays):
     """Add a shard to a dataset."""
-    buffer, index = io.BytesIO(), folder / "shards.csv"
-    np.savez_compressed(buffer, **arrays)
     (folder / "shards").mkdir(exist_ok=True)
-    (folder / "shards" / f"{number:06d}.npz").write_bytes(buffer.getvalue())
-    before = index.read_text() if index.exists() else "shard,sha256,scenes,paths\n"
-    digest = hashlib.sha256(buffer.getvalue()).hexdigest()
-    counts = len(arrays["scene_seed"]), len(arrays["path_scene"])
-    index.write_text(before + f"{number:06d},{digest},{counts[0]},{counts[1]}\n")
+    np.savez_compressed(folder / "shards" / f"{number:06d}.npz", **arrays)
 
 
 def write_dataset(folder, *, shards=((20, 1, 2), (40, 3, 4)), paths_per_scene=7, seed=0, **changes):

@@ -26,8 +26,6 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
 
 CAN_NAME = "can"
-# [m] that the hand comes straight to the can: depth of the fingers, and 3 mm of play
-APPROACH = 0.08
 
 
 @lru_cache(maxsize=1)
@@ -57,7 +55,8 @@ def multi_sequence_task(number: int) -> Task:
     target = np.array((0.25, -0.45, 0.271 + LIFT))
     target[:2] += 0.1 * rng.uniform(size=2)
     grasp = grasp_region(np.add(SHELF_LINK, CAN.com))
-    pregrasp = TaskSpaceRegion(grasp.T0_w, grasp.Tw_e @ pose((0.0, 0.0, -APPROACH)), grasp.Bw)
+    approach = 0.08  # [m] straight to the can: depth of the fingers, and 3 mm of play
+    pregrasp = TaskSpaceRegion(grasp.T0_w, grasp.Tw_e @ pose((0.0, 0.0, -approach)), grasp.Bw)
     reach_handle, reach_can, carry = PAPER_PHASES
     can_grip = CAN.shape.radius  # type: ignore[union-attr]
     open_fingers, grip = {"finger_opening": FINGER_OPENING}, {"finger_opening": GRIP}
@@ -72,7 +71,7 @@ def multi_sequence_task(number: int) -> Task:
             Turn("open-door", OPEN, handle_region(), handle_region(turn=TURN)),
             Release("let-go", open_fingers),
             Move(reach_can, pregrasp),
-            Slide("approach", APPROACH),
+            Slide("approach", approach),
             Grasp("grasp-can", CAN_NAME, {"finger_opening": can_grip}),
             Move(carry, grasp_region(target), (upright(),)),
             Release("put-down", open_fingers),

@@ -12,8 +12,6 @@ from cvqmpt_lab.results.row import natural_key, one_line
 from cvqmpt_lab.robot.source import content_digest
 from cvqmpt_lab.scene.scene_files import named_files
 
-NO_PROBLEM = ".schema.json"  # how files end that `cvqmpt problems new` writes for editors
-
 
 class FiledProblem(NamedTuple):
     """A problem of a file."""
@@ -77,4 +75,6 @@ def _contents(folder: Path) -> dict[Path, dict[str, Any]]:
             f"cannot read folder {folder}: {error.strerror}; name a folder of problem files"
         ) from error
     paths = sorted(paths, key=lambda path: natural_key(path.name))
-    return {path: read_json_object(path) for path in paths if not path.name.endswith(NO_PROBLEM)}
+    # `cvqmpt problems new` writes a schema beside the problem, for editors
+    problems = [path for path in paths if not path.name.endswith(".schema.json")]
+    return {path: read_json_object(path) for path in problems}

@@ -38,8 +38,6 @@ THINGS = {
     "can": (CAN, 0.271),
 }
 """On the counter: what, and the height of its centre of mass [m]."""
-# azimuths and elevations [deg] of the two cameras as seen from what they look at: behind the robot
-STANDS = (((130, 160), (20, 45)), ((185, 205), (20, 45)))
 
 
 def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | UnsolvableProblem:
@@ -50,8 +48,9 @@ def scanned_scene(number: int) -> tuple[PlanningProblem, list[Camera]] | Unsolva
     if isinstance(truth, UnsolvableProblem):
         return truth
     cameras = []
-    for stand in STANDS:
-        azimuth, elevation = (np.radians(rng.uniform(*span)) for span in stand)
+    # [deg] azimuths of the two cameras as seen from what they look at: behind the robot
+    for span in ((130, 160), (185, 205)):
+        azimuth, elevation = (np.radians(rng.uniform(*angles)) for angles in (span, (20, 45)))
         target = np.add((0.45, -0.15, 0.35), rng.uniform(-0.1, 0.1, 3))
         flat = np.cos(elevation)
         away = np.array([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)])

@@ -34,28 +34,30 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
-SCHEMA_FILE = "problem.schema.json"  # written beside the problem, so that both can be moved
 TILT = 0.3  # [rad]
-COMMENT = [
-    "A problem for `cvqmpt plan --problem-file`. Lengths in m, angles in rad; a field _comment "
-    "may stand anywhere.",
-    "start: numbers, {joint: value} or the name of a group_state of the SRDF; more "
-    "configurations: `cvqmpt ik`.",
-    "A pose is {xyz, rpy}, {xyz, quaternion [x, y, z, w]} or a 4x4 matrix.",
-    "Other fields: attachments (what the hand carries), goals (configurations, used as they "
-    "are), start_region.",
-]
-SHAPES = [
-    "type: box with size, cylinder with radius and height, sphere with radius, convex_mesh with "
-    "vertices,",
-    "point_cloud with points and radius; obstacle: false is seen by cameras and ignored by "
-    "planners.",
-]
-REGIONS = [
-    "A region by name, upright, fixed-orientation, plane, line or pose, or in full: T0_w, the "
-    "frame w in the world,",
-    f"Tw_e, the end effector in w, and Bw, {ROWS_TEXT}. Several in a list are kept all.",
-]
+# what fields of a problem file may hold, as comments of the template
+COMMENTS = {
+    "problem": [
+        "A problem for `cvqmpt plan --problem-file`. Lengths in m, angles in rad; a field _comment "
+        "may stand anywhere.",
+        "start: numbers, {joint: value} or the name of a group_state of the SRDF; more "
+        "configurations: `cvqmpt ik`.",
+        "A pose is {xyz, rpy}, {xyz, quaternion [x, y, z, w]} or a 4x4 matrix.",
+        "Other fields: attachments (what the hand carries), goals (configurations, used as they "
+        "are), start_region.",
+    ],
+    "object": [
+        "type: box with size, cylinder with radius and height, sphere with radius, convex_mesh "
+        "with vertices,",
+        "point_cloud with points and radius; obstacle: false is seen by cameras and ignored by "
+        "planners.",
+    ],
+    "constraint": [
+        "A region by name, upright, fixed-orientation, plane, line or pose, or in full: T0_w, the "
+        "frame w in the world,",
+        f"Tw_e, the end effector in w, and Bw, {ROWS_TEXT}. Several in a list are kept all.",
+    ],
+}
 
 
 class Layout(NamedTuple):
@@ -80,9 +82,9 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
     """Json of a problem that can be planned, for a robot's json; InvalidInputError: none found."""
     robot = robot_from_source(source)
     plain: dict[str, Any] = {
-        "$schema": SCHEMA_FILE,
+        "$schema": "problem.schema.json",  # written beside the problem, so that both can be moved
         "schema": PlanningProblem.SCHEMA,
-        "_comment": COMMENT,
+        "_comment": COMMENTS["problem"],
         "name": "mine",
         "robot": dict(source),
     }
@@ -92,7 +94,10 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
             head = {
                 **plain,
                 "scene": scene,
-                "constraint": {"_comment": REGIONS, "upright": {"tilt": TILT, "axis": axis}},
+                "constraint": {
+                    "_comment": COMMENTS["constraint"],
+                    "upright": {"tilt": TILT, "axis": axis},
+                },
             }
             for start, goal in _ends(robot, from_plain(Scene, scene), layout, top, axis):
                 joints = dict(zip(robot.joint_names, start.tolist(), strict=True))
@@ -154,7 +159,10 @@ def _scene(robot: Robot, layout: Layout) -> tuple[float, dict[str, Any]]:
         box = {"type": "box", "size": [round(float(edge), 3) for edge in edges]}
         xyz = (np.round((x + ahead, y, top + up), 3) + 0.0).tolist()
         objects.append({"name": name, "shape": box, "T_world_object": {"xyz": xyz}})
-    return top, {"name": "room", "objects": [{"_comment": SHAPES, **objects[0]}, objects[1]]}
+    return top, {
+        "name": "room",
+        "objects": [{"_comment": COMMENTS["object"], **objects[0]}, objects[1]],
+    }
 
 
 def _goal(robot: Robot, goal: np.ndarray) -> dict[str, Any]:

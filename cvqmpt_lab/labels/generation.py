@@ -2,7 +2,7 @@
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -11,7 +11,7 @@ import numpy as np
 
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, whole_number
-from cvqmpt_lab.files import locked, make_folder, read_json_object, write_text
+from cvqmpt_lab.files import locked, make_folder, read_json_object, write_bytes, write_text
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -21,36 +21,37 @@ from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.training.dataset import SCHEMA
+from cvqmpt_lab.training.dataset import SCHEMA, VALIDATION_EVERY
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
+    SCENE_ARRAYS,
     SHARDS_FOLDER,
     Column,
-    IndexRow,
-    finished_shards,
+    archive,
     joined,
-    packed_shard,
-    write_shard,
+    read_shards,
+    shard_files,
 )
 from cvqmpt_lab.vqmpt.config import SerialChain
 
-FIRST_SCENE = 10_000_000  # scenes of evaluation suites have smaller numbers
-SCENES_PER_SEED = 1_000_000
-SCENES_PER_SHARD = 16
 PANDA = {"name": "panda"}
 SHAPES = {  # kind and size of a shape, as `training.dataset.Shapes` has them
     Box: lambda box: (0, box.size),
     Cylinder: lambda cylinder: (1, (cylinder.radius, cylinder.radius, cylinder.height)),
     Sphere: lambda sphere: (2, (sphere.radius,) * 3),
 }
-Shard = tuple[IndexRow, bytes]
+Shard = tuple[int, bytes]  # its number and the content of its file
 
 
 @dataclass(frozen=True)
 class SceneRecipe(ABC):
     """Robot and scenes of a dataset; subclasses make the labels."""
 
+    title: ClassVar[str]  # of the dataset card
     columns: ClassVar[Mapping[str, Column]]  # arrays of a shard
+    first_scene: ClassVar = 10_000_000  # scenes of evaluation suites have smaller numbers
+    most_scenes: ClassVar = 1_000_000  # of a seed
+    shard_scenes: ClassVar = 16
 
     scenes: int  # in all, families taking turns
     paths_per_scene: int  # pairs tried in each; some give no label
@@ -65,7 +66,7 @@ class SceneRecipe(ABC):
                 family_scene(family, 0)
         # larger ones would number scenes beyond 2^32
         whole_number("seed", self.seed, 0, 3999)
-        whole_number("scenes", self.scenes, 1, SCENES_PER_SEED)
+        whole_number("scenes", self.scenes, 1, self.most_scenes)
         whole_number("paths per scene", self.paths_per_scene, 1)
 
     def prepare(self, out: Path) -> None:  # noqa: B027 (nothing for most)
@@ -78,18 +79,14 @@ class SceneRecipe(ABC):
     def labelled(self, robot: Robot, scene: Scene, index: int) -> dict[str, Any] | None:
         """Arrays of a shard of the scene of this index alone; None if it cannot be labelled."""
 
-    @abstractmethod
-    def card(self, out: Path) -> str:
-        """Dataset card: what the dataset holds."""
-
     def shard(self, number: int) -> Shard:
         """One shard; depends on the recipe and its number alone."""
         robot, labelled = robot_from_source(self.robot), []
-        first = number * SCENES_PER_SHARD
-        for index in range(first, min(first + SCENES_PER_SHARD, self.scenes)):
+        first = number * self.shard_scenes
+        for index in range(first, min(first + self.shard_scenes, self.scenes)):
             turn, family = divmod(index, len(self.families))
             # the number decides the split
-            scene_number = FIRST_SCENE + self.seed * SCENES_PER_SEED + turn
+            scene_number = self.first_scene + self.seed * self.most_scenes + turn
             scene = family_scene(self.families[family], scene_number)
             labels = self.labelled(robot, scene, index)
             if labels is not None:
@@ -102,9 +99,8 @@ class SceneRecipe(ABC):
                 "--seed or --base, or --dictionary"
             )
         arrays = joined(labelled, self.columns)
-        return packed_shard(
-            number, {name: arrays[name].astype(self.columns[name].dtype) for name in labelled[0]}
-        )
+        typed = {name: arrays[name].astype(self.columns[name].dtype) for name in labelled[0]}
+        return number, archive(typed)
 
 
 def generate(
@@ -113,8 +109,8 @@ def generate(
     command: list[str],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     apply: Callable[[Callable[[int], Shard], list[int]], Iterable[Shard]] = map,
-) -> int:
-    """Write the shards that a folder does not have yet.
+) -> None:
+    """Write the shards that a folder does not have yet, and a card that counts what it holds.
 
     Args:
         recipe: what to generate.
@@ -122,9 +118,6 @@ def generate(
         command: the words that asked for it, kept with the dataset.
         on_progress: called with the shards done and those in all.
         apply: calls a function with every number and gives its results in any order.
-
-    Returns:
-        The number of paths in all.
 
     InvalidInputError: `out` holds a dataset of another recipe, is being written by another run, or
     cannot be written.
@@ -134,15 +127,31 @@ def generate(
     with locked(out):
         _describe(recipe, out, command)
         recipe.prepare(out)
-        count = -(-recipe.scenes // SCENES_PER_SHARD)
-        done = {row.shard: row for row in finished_shards(out)}
+        count = -(-recipe.scenes // recipe.shard_scenes)
+        done = {int(file.stem) for file in shard_files(out)}
         on_progress(len(done), count)
-        for row, content in apply(recipe.shard, [k for k in range(count) if k not in done]):
-            done[row.shard] = row
-            write_shard(out, row, content, done.values())
+        for number, content in apply(recipe.shard, [k for k in range(count) if k not in done]):
+            write_bytes(out / SHARDS_FOLDER / f"{number:06d}.npz", content)
+            done.add(number)
             on_progress(len(done), count)
-        write_text(out / "README.md", recipe.card(out))
-    return sum(row.paths for row in done.values())
+        write_text(out / "README.md", _card(recipe, out))
+
+
+def _card(recipe: SceneRecipe, out: Path) -> str:
+    """Dataset card: the recipe, and counts by family."""
+    arrays = joined(read_shards(out, SCENE_ARRAYS), SCENE_ARRAYS)
+    validates = arrays["scene_seed"] % VALIDATION_EVERY == 0
+    lines = ["| family | scenes | of them validate | paths |", "|---|---|---|---|"]
+    rows = [(name, [number]) for number, name in enumerate(recipe.families)]
+    for name, numbers in (*rows, ("all", [*range(len(rows))])):
+        own = np.isin(arrays["family"], numbers)
+        paths = own[arrays["path_scene"]].sum()
+        lines.append(f"| {name} | {own.sum()} | {validates[own].sum()} | {paths} |")
+    text = (
+        f"Recipe: `{json.dumps(asdict(recipe))}`\n\nScenes whose number is divisible by "
+        f"{VALIDATION_EVERY} validate, the others train."
+    )
+    return "\n".join((f"# {recipe.title}", "", text, "", *lines, ""))
 
 
 def _describe(recipe: SceneRecipe, out: Path, command: list[str]) -> None:
@@ -233,26 +242,3 @@ def near_obstacles(
         outside = np.maximum(np.abs(local) - half, 0.0)
         near |= np.linalg.norm(outside, axis=1) < near_hand
     return near
-
-
-def dataset_card(
-    title: str,
-    text: str,
-    columns: Sequence[str],
-    families: Sequence[str],
-    row: Callable[[Sequence[int]], Sequence[object]],
-) -> str:
-    """A title, a text and a table in markdown.
-
-    Args:
-        title: of the card.
-        text: below the title.
-        columns: of the table, beside the family's name.
-        families: of the dataset, by their numbers in its arrays.
-        row: gives the cells of one family, and of all together, from their numbers.
-    """
-    rows = [(name, *row([number])) for number, name in enumerate(families)]
-    cells = [("family", *columns), *rows, ("all", *row(range(len(families))))]
-    lines = [f"| {' | '.join(map(str, each))} |" for each in cells]
-    lines.insert(1, "|" + len(cells[0]) * "---|")
-    return "\n".join((f"# {title}", "", text, "", *lines, ""))

@@ -1,18 +1,12 @@
 """Near-shortest paths in random scenes, the labels that VQ-MPT and MPNet learn from."""
 
-import json
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.labels.generation import (
     SceneRecipe,
-    dataset_card,
     free_configurations,
     near_obstacles,
     unconstrained_space,
@@ -23,14 +17,14 @@ from cvqmpt_lab.search.anytime import NearShortestSettings, near_shortest
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.training.dataset import PathDataset, open_dataset
-from cvqmpt_lab.training.shards import DESCRIPTION_FILE, PATH_ARRAYS, SPACING, packed
+from cvqmpt_lab.training.shards import PATH_ARRAYS, SPACING, packed
 
 
 @dataclass(frozen=True)
 class PathRecipe(SceneRecipe):
     """Near-shortest paths in random scenes."""
 
+    title: ClassVar = "Near-shortest paths in random scenes"
     columns: ClassVar = PATH_ARRAYS
 
     labels: NearShortestSettings = field(default_factory=NearShortestSettings)
@@ -52,25 +46,6 @@ class PathRecipe(SceneRecipe):
             "trivial": [trivial for _, trivial, _ in labels],
             "twin_of": np.array([first for _, _, first in labels], int),
         }
-
-    def card(self, out: Path) -> str:
-        """Counts, and how far two labels of one problem lie apart."""
-        dataset = open_dataset(out)
-        recipe = json.dumps(read_json_object(out / DESCRIPTION_FILE).get("recipe"))
-        text = (
-            f"Recipe: `{recipe}`\n\n"
-            "Scenes whose number is divisible by 20 validate, the others train. Twins are second, "
-            "independent labels; the ratio is their mean waypoint distance over that from the "
-            "first label to the straight line."
-        )
-        columns = ("scenes", "paths", "trivial", "length rad", "straight rad", "twins")
-        return dataset_card(
-            f"Training paths of {dataset.robot.name}",
-            text,
-            (*columns, "twin / straight-line distance"),
-            dataset.families,
-            partial(_card_row, dataset),
-        )
 
 
 def _labels(
@@ -133,38 +108,3 @@ def _labels(
                 labels.append((again, False, len(labels) - 1))
                 twins -= 1
     return labels
-
-
-def _card_row(dataset: PathDataset, families: Sequence[int]) -> list[object]:
-    """Counts and means of the scenes of some families."""
-    arrays = dataset.arrays
-    chosen, twin = np.isin(arrays["family"], families), arrays["twin_of"] >= 0
-    own = chosen[arrays["path_scene"]]
-    first, twins = np.flatnonzero(own & ~twin), np.flatnonzero(own & twin)
-    share, *means = "-", "-", "-"
-    if len(first):
-        share = f"{100 * arrays['trivial'][first].mean():.0f} %"
-        means = [f"{arrays[name][first].mean():.2f}" for name in ("length", "straight")]
-    return [chosen.sum(), len(first), share, *means, len(twins), _ratio(dataset, twins)]
-
-
-def _ratio(dataset: PathDataset, twins: np.ndarray) -> str:
-    """Waypoint distance of twins to first labels / that of first labels to straight lines."""
-    span = np.array(dataset.robot.upper) - np.array(dataset.robot.lower)
-    apart = off_line = 0.0
-    marks = np.linspace(0.0, 1.0, 32)
-    for twin in twins.tolist():
-        one, other = (
-            _resampled(dataset.path(row) * span, marks)
-            for row in (twin, dataset.arrays["twin_of"][twin])
-        )
-        line = other[0] + marks[:, None] * (other[-1] - other[0])
-        apart += float(np.linalg.norm(one - other, axis=1).mean())
-        off_line += float(np.linalg.norm(other - line, axis=1).mean())
-    return f"{apart / off_line:.2f}" if off_line else "-"
-
-
-def _resampled(path: np.ndarray, marks: np.ndarray) -> np.ndarray:
-    """Waypoints of a path (t, n) at given fractions of their indices."""
-    places = np.linspace(0.0, 1.0, len(path))
-    return np.stack([np.interp(marks, places, joint) for joint in path.T], axis=1)

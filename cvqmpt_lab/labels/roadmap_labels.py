@@ -14,7 +14,6 @@ from cvqmpt_lab.collision.arrays import robot_arrays
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import (
     SceneRecipe,
-    dataset_card,
     free_configurations,
     near_obstacles,
     unconstrained_space,
@@ -24,19 +23,15 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.motion import edge_verdicts, motion_free
-from cvqmpt_lab.search.roadmap import Roadmap, spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.training.dataset import VALIDATION_EVERY, read_labels
 from cvqmpt_lab.training.shards import (
     LABEL_ARRAYS,
     LINKS,
     ROADMAP_FILE,
     RoadmapGraph,
-    joined,
     packed,
 )
 from cvqmpt_lab.vqmpt.learned_sampler import dictionary_roadmap
-from cvqmpt_lab.vqmpt.weights import OtherRobotError, incompatibility, robot_signature
 
 # configurations of a scene between which paths are looked for
 STARTS, GOALS = 16, 48
@@ -46,14 +41,13 @@ CHECKS = 60
 
 @dataclass(frozen=True)
 class RoadmapRecipe(SceneRecipe):
-    """Labels on the roadmap of a dictionary, or of free configurations of an arm without one."""
+    """Labels on the roadmap of a dictionary."""
 
+    title: ClassVar = "Labels on a roadmap"
     columns: ClassVar = LABEL_ARRAYS
 
     labels: str = field(default="roadmap", init=False)
-    model: str | None = (
-        None  # name or folder of the dictionary's weights; None: see `roadmap_graph`
-    )
+    model: str = "vq_mpt"  # name or folder of the dictionary's weights
 
     def check(self) -> None:
         """Refuse a robot that the dictionary is not of, or one without a roadmap."""
@@ -71,67 +65,15 @@ class RoadmapRecipe(SceneRecipe):
         graph = roadmap_graph(self.model, robot)
         return roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
 
-    def card(self, out: Path) -> str:
-        """Counts, shares and lengths by family, of both splits."""
-        graph, shards = read_labels(out)
-        arrays = joined(shards, LABEL_ARRAYS)
-        family, seed, cost = arrays["family"], arrays["scene_seed"], arrays["cost"]
-        family_of_path = family[arrays["path_scene"]]
-        codes, detour = np.diff(arrays["code_start"]), cost / arrays["straight"]
-        nodes_free, edges_free = (
-            np.unpackbits(arrays[name], axis=1, count=len(items)).mean(axis=1)
-            for name, items in (("node_free", graph.nodes), ("edge_free", graph.edges))
-        )
-
-        def row(families: Sequence[int]) -> list[object]:
-            own, paths = np.isin(family, families), np.isin(family_of_path, families)
-            solved, validate = paths & np.isfinite(cost), own & (seed % VALIDATION_EVERY == 0)
-            counts = [own.sum(), validate.sum()]
-            if not solved.any():
-                return [*counts, "-", "-", paths.sum(), *4 * "-"]
-            free = [f"{each[own].mean():.2f}" for each in (nodes_free, edges_free)]
-            no_path, differs = (~solved[paths]).mean(), arrays["differs"][solved].mean()
-            shares = [f"{100 * share:.0f} %" for share in (no_path, differs)]
-            lengths = [f"{detour[solved].mean():.2f}", f"{codes[solved].mean():.1f}"]
-            return [*counts, *free, paths.sum(), *shares, *lengths]
-
-        possible = graph.node_possible.mean(), graph.edge_possible.mean()
-        text = (
-            f"{len(graph.nodes)} nodes and {len(graph.edges)} edges of the roadmap "
-            f"{graph.digest[:12]}; the robot itself allows {possible[0]:.3f} of the nodes and "
-            f"{possible[1]:.3f} of the edges. Scenes whose number is divisible by "
-            f"{VALIDATION_EVERY} validate. Pairs of start and goal, half of them near an "
-            "obstacle, whose straight motion is blocked. No path: through this roadmap. Other "
-            "codes: than those of the shortest path in an empty scene. Detour: length of the "
-            "shortest path over that of the straight line, mean. Scenes with a wall millimetres "
-            f"from the base are left out: {self.scenes - len(family)}."
-        )
-        columns = ("scenes", "of them validate", "nodes free", "edges free", "pairs")
-        more = ("no path", "other codes", "detour", "codes a path")
-        title = "Labels on a roadmap"
-        return dataset_card(title, text, (*columns, *more), self.families, row)
-
 
 @lru_cache(maxsize=1)
-def roadmap_graph(model: str | None, robot: Robot, shipped: str = "vq_mpt") -> RoadmapGraph:
-    """Nodes and undirected edges that are labelled, and which of them the robot itself allows.
+def roadmap_graph(model: str, robot: Robot) -> RoadmapGraph:
+    """Codes of a dictionary as nodes, undirected edges, and which of these the robot allows.
 
-    The nodes are the codes of the model's dictionary. Without a model they are those of the shipped
-    dictionary, or free configurations for a robot that it is not of.
-
-    InvalidInputError for a robot that the dictionary is not of, a roadmap of fewer nodes than ends
-    are linked to, or one whose edges are too long to check.
+    OtherRobotError for a robot that the dictionary is not of; InvalidInputError for a roadmap of
+    fewer nodes than ends are linked to, or one whose edges are too long to check.
     """
-    if model is None and incompatibility(shipped, shipped, robot_signature(robot)):
-        roadmap = _free_roadmap(robot)
-    else:
-        try:
-            roadmap = dictionary_roadmap(model or shipped, robot)
-        except OtherRobotError as error:
-            raise InvalidInputError(
-                f"{model} is no dictionary of {robot.name}; leave --dictionary out for a roadmap "
-                "of free configurations"
-            ) from error
+    roadmap = dictionary_roadmap(model, robot)
     if len(roadmap.nodes) <= LINKS:
         raise InvalidInputError(
             f"{robot.name}'s roadmap has {len(roadmap.nodes)} nodes; labels need more than {LINKS}"
@@ -144,22 +86,9 @@ def roadmap_graph(model: str | None, robot: Robot, shipped: str = "vq_mpt") -> R
     # although nothing is near
     if checked is None:
         raise InvalidInputError(
-            f"nodes of {robot.name}'s roadmap are far apart; train its dictionary longer, or "
-            "leave --dictionary out"
+            f"nodes of {robot.name}'s roadmap are far apart; train its dictionary longer"
         )
-    return RoadmapGraph(roadmap.nodes, edges, *checked, *body_points(robot))
-
-
-def _free_roadmap(robot: Robot, neighbours: int = 12) -> Roadmap:
-    """Nodes of planner `roadmap`, each with edges to its nearest ones."""
-    nodes = spread_roadmap(robot).nodes
-    if len(nodes) <= neighbours:
-        raise InvalidInputError(
-            f"{robot.name} collides with itself in all but {len(nodes)} configurations tried; "
-            f"give --srdf or repair its collision geometry (cvqmpt robot --robot {robot.name} "
-            "shows the pairs)"
-        )
-    return Roadmap.of(nodes, neighbours)
+    return RoadmapGraph(roadmap.nodes, edges, checked[1], *body_points(robot))
 
 
 def body_points(robot: Robot, count: int = 16) -> tuple[np.ndarray, np.ndarray]:
@@ -267,13 +196,11 @@ def roadmap_labels(
     cost, before = _shortest_paths(
         nodes, graph.edges[edge_free], links[link_free[: len(links)]], count
     )
-    _, in_empty_scene = _shortest_paths(nodes, graph.edges[graph.edge_possible], links, count)
     rows: list[tuple[int, int]] = []
     for s, g in rng.permutation(every).tolist():
         if len(rows) < pairs and not motion_free(space.arrays, starts[s], goals[g]):
             rows.append((s, g))
     codes = [_codes(before[s], count + STARTS + g) for s, g in rows]
-    others = [_codes(in_empty_scene[s], count + STARTS + g) for s, g in rows]
     s, g = np.array(rows, dtype=np.int64).reshape(-1, 2).T
     return {
         "node_free": np.packbits(node_free)[None],
@@ -288,7 +215,6 @@ def roadmap_labels(
         "codes": np.concatenate([np.empty(0, int), *codes]),
         "straight": np.linalg.norm(goals[g] - starts[s], axis=1),
         "cost": cost[s, g],
-        "differs": np.array([a != b for a, b in zip(codes, others, strict=True)], bool),
     }
 
 

@@ -19,34 +19,10 @@ from cvqmpt_lab.files import differences, read_json_object, write_text
 
 PROVENANCE_FILE = "provenance.json"
 
-_PACKAGES = (
-    *("coal", "cvqmpt-lab", "example-robot-data", "numba", "numpy"),
-    *("ompl", "pin", "rerun-sdk", "scipy", "torch"),
-)
 DIGESTS = ("weights", "problem_files", "planners")
 """Fields of a session that map names to digests; `planners`: external planners to versions.
 
 Later sessions of a directory must have equal values for equal names."""
-# Types of the fields that `ProvenanceFile.read` checks, of a session and of the configuration.
-_SESSION_TYPES: Mapping[str, Any] = {
-    **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),
-    "git_dirty": bool | None,
-    "cpu_count": int | None,
-    "wall_s": float,
-    **dict.fromkeys(DIGESTS, Mapping[str, Any]),
-}
-SESSIONS = tuple[Mapping[str, Any], ...]
-_CONFIGURATION_TYPES: Mapping[str, Any] = {
-    "suite": str,
-    "cutoff_s": float | None,
-    "iterations": int | None,
-}
-_THREAD_VARIABLES = (
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-)
 
 
 def provenance(
@@ -66,6 +42,8 @@ def provenance(
     """
     commit, dirty = _git_state(Path(__file__).resolve().parents[2])
     cpus = cpu_facts(r"^model name\s*: (.*)$")
+    packages = "coal cvqmpt-lab example-robot-data numba numpy ompl pin rerun-sdk scipy torch"
+    threads = [f"{name}_NUM_THREADS" for name in ("MKL", "NUMBA", "OMP", "OPENBLAS")]
     return {
         "date_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": [str(word) for word in command],
@@ -73,7 +51,7 @@ def provenance(
         "weights": dict(weights or {}),
         "git_commit": commit,
         "git_dirty": dirty,
-        "versions": {name: _version(name) for name in _PACKAGES},
+        "versions": {name: _version(name) for name in packages.split()},
         "python": platform.python_version(),
         "platform": platform.platform(),
         "cpu_model": cpus[0] if cpus else platform.processor() or None,
@@ -81,7 +59,7 @@ def provenance(
         "processes": processes,
         **({"problem_files": dict(problems)} if problems else {}),
         **({"planners": dict(planners)} if planners else {}),
-        "thread_variables": {name: os.environ.get(name) for name in _THREAD_VARIABLES},
+        "thread_variables": {name: os.environ.get(name) for name in threads},
     }
 
 
@@ -152,17 +130,27 @@ class ProvenanceFile:
                 "another --out"
             )
         record = read_json_object(self.path)
+        of_session: dict[str, Any] = {
+            **dict.fromkeys(("git_commit", "cpu_model", "date_utc"), str | None),
+            "git_dirty": bool | None,
+            "cpu_count": int | None,
+            "wall_s": float,
+            **dict.fromkeys(DIGESTS, Mapping[str, Any]),
+        }
+        of_settings = {"suite": str, "cutoff_s": float | None, "iterations": int | None}
         with located(f"{self.path}"):
-            later = from_plain(SESSIONS, record.get("continued", []), "continued")
+            later = from_plain(
+                tuple[Mapping[str, Any], ...], record.get("continued", []), "continued"
+            )
+            settings = from_plain(Mapping[str, Any], record.get("configuration"), "configuration")
+            checked = [(session, of_session) for session in (record, *later)]
+            for part, types in (*checked, (settings, of_settings)):
+                for name in types.keys() & part.keys():
+                    from_plain(types[name], part[name], name)
             for session in (record, *later):
-                for name in _SESSION_TYPES.keys() & session.keys():
-                    from_plain(_SESSION_TYPES[name], session[name], name)
                 for field in DIGESTS:
                     for name, digest in session.get(field, {}).items():
                         from_plain(str, digest, f"{field}.{name}")
-            settings = from_plain(Mapping[str, Any], record.get("configuration"), "configuration")
-            for name in _CONFIGURATION_TYPES.keys() & settings.keys():
-                from_plain(_CONFIGURATION_TYPES[name], settings[name], name)
         return record
 
     def create(self, configuration: Mapping[str, object], session: Mapping[str, object]) -> None:

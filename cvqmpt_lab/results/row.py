@@ -141,7 +141,7 @@ class ResultRow:
     reading: str | None = None
     draws: str | None = None
     goals: str | None = None
-    reach: float | None = None  # [rad] inf: no limit
+    reach: float | None = None  # [rad] empty: no limit
 
     def __post_init__(self) -> None:
         for column in _COLUMNS:
@@ -203,7 +203,8 @@ class _Column(NamedTuple):
             raise InvalidInputError(
                 f"schema is {value!r}; this version reads and writes {SCHEMA!r}"
             )
-        if self.kind is float and value < 0.0 and self.name not in SIGNED:
+        # a clearance is negative where bodies overlap
+        if self.kind is float and value < 0.0 and not self.name.endswith("_clearance_m"):
             raise InvalidInputError(f"{self.name} is {value}; it cannot be negative")
         return value
 
@@ -245,8 +246,6 @@ def _columns() -> tuple[_Column, ...]:
 PLAIN = {int: re.compile(r"\d{1,9}"), float: re.compile(r"\d{1,9}\.\d+(e-\d+)?")}
 _COLUMNS = _columns()
 COLUMNS = tuple(column.name for column in _COLUMNS)
-FIRST_COLUMNS = COLUMNS.index("t_sense_s")  # so many are in every file; older files lack later ones
-SIGNED = ("min_clearance_m", "true_clearance_m")
 
 
 def one_line(text: str) -> str | None:
@@ -282,7 +281,8 @@ def sorted_rows(rows: Iterable[ResultRow]) -> list[ResultRow]:
 
 def _parse_header(path: Path, fields: list[str]) -> int:
     """Number of the columns that a file has."""
-    known = COLUMNS[: max(FIRST_COLUMNS, len(fields))]
+    # older files lack the columns from this one on, or from a later one
+    known = COLUMNS[: max(COLUMNS.index("t_sense_s"), len(fields))]
     for index, (found, expected) in enumerate(
         zip_longest(fields, known, fillvalue="nothing"), start=1
     ):

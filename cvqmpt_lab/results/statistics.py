@@ -19,7 +19,6 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import ResultRow, natural_key
 
 CONFIDENCE = 0.95  # of every interval
-BOOTSTRAP_SAMPLES = 2000
 ProblemKey = tuple[str, str, int]  # (suite, problem, seed), which the runs of a pair share
 problem_key: Callable[[ResultRow], ProblemKey] = attrgetter("suite", "problem", "seed")
 
@@ -103,10 +102,7 @@ def mean_of_solved(values: ArrayLike) -> Interval:
     n = len(array)
     if n < 2:
         return Interval(float(array[0]), None, None, 1) if n else UNDEFINED
-    samples = np.random.default_rng(0).integers(n, size=(BOOTSTRAP_SAMPLES, n))
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(array[samples].mean(axis=1), [tail, 1 - tail])
-    return Interval(float(array.mean()), float(low), float(high), n)
+    return Interval(float(array.mean()), *_bootstrap(n, lambda drawn: array[drawn].mean(axis=1)), n)
 
 
 def geometric_mean_interval(values: ArrayLike) -> Interval:
@@ -132,12 +128,25 @@ def ratio_of_means_interval(pairs: Sequence[tuple[float, float]]) -> Interval:
     array = _checked(np.ravel(pairs)).reshape(n, 2)
     if n == 1:
         return Interval(float(array[0, 0] / array[0, 1]), None, None, 1)
-    samples = np.random.default_rng(0).integers(n, size=(BOOTSTRAP_SAMPLES, n))
-    sums = array[samples].sum(axis=1)
+
+    def ratios(drawn: np.ndarray) -> np.ndarray:
+        sums = array[drawn].sum(axis=1)
+        return sums[:, 0] / sums[:, 1]
+
+    return Interval(float(array[:, 0].sum() / array[:, 1].sum()), *_bootstrap(n, ratios), n)
+
+
+def _bootstrap(
+    n: int, statistic: Callable[[np.ndarray], np.ndarray], samples: int = 2000
+) -> tuple[float, float]:
+    """Percentile bounds of a statistic of n values, drawn again with replacement.
+
+    statistic: maps drawn indices (samples, n) to its values (samples,).
+    """
+    values = statistic(np.random.default_rng(0).integers(n, size=(samples, n)))
     tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(sums[:, 0] / sums[:, 1], [tail, 1 - tail])
-    ratio = array[:, 0].sum() / array[:, 1].sum()
-    return Interval(float(ratio), float(low), float(high), n)
+    low, high = np.quantile(values, [tail, 1 - tail])
+    return float(low), float(high)
 
 
 def jointly_solved(rows_by_planner: Mapping[str, Iterable[ResultRow]]) -> tuple[ProblemKey, ...]:

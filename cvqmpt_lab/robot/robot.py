@@ -23,9 +23,8 @@ class LeftOut(NamedTuple):
     """Two links, or a link and a piece of a door, that are not checked against each other, and why.
 
     Reasons: "SRDF: " and its maker's word; "fixed to each other"; "adjacent" (one joint between
-    them); "proven apart" (at all joint values); "overlap in N % of random states" (by sampling:
-    convex hulls too large); "may touch" (a hand and the door it holds, says the problem file);
-    "casing" (a door and its fixed frame).
+    them); "overlap in N % of random states" (by sampling: convex hulls too large); "may touch" (a
+    hand and the door it holds, says the problem file); "casing" (a door and its fixed frame).
     """
 
     first: str

@@ -15,7 +15,7 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, shown
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, shown, unique
 from cvqmpt_lab.files import read_text
 from cvqmpt_lab.values import TURN, scalar
 
@@ -166,13 +166,9 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
 
 def _refuse_no_tree(file: str, links: Sequence[str], joints: Sequence[Joint]) -> None:
     """Refuse names used twice, links that do not exist, two roots or none, and rings."""
-    for what, names in (("link", links), ("joint", [joint.name for joint in joints])):
-        for name, count in Counter(names).items():
-            if count > 1:
-                raise InvalidInputError(
-                    f"{file} has more than one {what} called {shown(name)}: rename one"
-                )
-    movers: dict[str, list[str]] = {}
+    unique(links, f"links of {file}")
+    unique((joint.name for joint in joints), f"joints of {file}")
+    movers: dict[str, list[str]] = {link: [] for link in links}
     below: dict[str, list[str]] = {link: [] for link in links}
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
@@ -180,20 +176,18 @@ def _refuse_no_tree(file: str, links: Sequence[str], joints: Sequence[Joint]) ->
                 raise InvalidInputError(
                     f"joint {shown(joint.name)} of {file}: its {role} {shown(link)} is no link"
                 )
-        movers.setdefault(joint.child, []).append(joint.name)
+        movers[joint.child].append(joint.name)
         below[joint.parent].append(joint.child)
-    for link, names in movers.items():
-        if len(names) > 1:
+        if len(movers[joint.child]) > 1:
             raise InvalidInputError(
-                f"link {shown(link)} of {file} is the child of {_listed(names)}: a link has one "
-                "parent"
+                f"link {shown(joint.child)} of {file} is the child of "
+                f"{_listed(movers[joint.child])}: a link has one parent"
             )
-    roots = [link for link in links if link not in movers]
-    if len(roots) != 1:
+    reached = [link for link in links if not movers[link]]
+    if len(reached) != 1:
         raise InvalidInputError(
-            f"{file} needs one link that no joint moves; it has {_listed(roots) or 'none'}"
+            f"{file} needs one link that no joint moves; it has {_listed(reached) or 'none'}"
         )
-    reached = [*roots]
     for link in reached:
         reached += below[link]
     loose = [link for link in links if link not in reached]

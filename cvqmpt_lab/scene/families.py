@@ -47,9 +47,6 @@ def _scattered(rng: np.random.RandomState, count: int, lift: float) -> FloatArra
     return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), up + lift], axis=1)
 
 
-BOARD = 0.02  # [m] thickness of boards and walls
-
-
 class Family(NamedTuple):
     """A kind of random scenes."""
 
@@ -96,11 +93,15 @@ def _laid_table(
     yaw: float,
     counts: tuple[int, int],
     thing: Callable[[np.random.Generator], tuple[Box | Cylinder | Sphere, float]],
+    board: float = 0.02,
 ) -> Iterator[SceneObject]:
-    """A table (depth, width, height) [m] with items, `near` [m] away at an angle `yaw` [rad]."""
+    """A table (depth, width, height) [m] with items, `near` [m] away at an angle `yaw` [rad].
+
+    board: thickness of its top [m].
+    """
     depth, width, top = size
     x, T = near + depth / 2, pose((0.0, 0.0, 0.0), yaw)
-    yield SceneObject("top", Box((depth, width, BOARD)), T @ pose((x, 0.0, top - BOARD / 2)))
+    yield SceneObject("top", Box((depth, width, board)), T @ pose((x, 0.0, top - board / 2)))
     for i in range(rng.integers(*counts)):
         place = (x + rng.uniform(-0.45, 0.45) * depth, rng.uniform(-0.45, 0.45) * width)
         shape, height = thing(rng)
@@ -175,6 +176,7 @@ def _cabinet(
     rng: np.random.Generator,
     size: tuple[float, float, float],
     levels: FloatArray,
+    board: float = 0.02,
 ) -> Iterator[SceneObject]:
     """A cabinet open towards the robot: back, two sides, boards, a few things inside.
 
@@ -184,15 +186,16 @@ def _cabinet(
         rng: draws the things.
         size: distance from the robot, depth, width [m].
         levels: heights of its boards [m].
+        board: thickness of boards and walls [m].
     """
     near, depth, width = size
     x, low, high = near + depth / 2, levels[0], levels[-1]
     parts = [
-        ("back", (BOARD, width, high - low), (near + depth, 0.0, (low + high) / 2)),
-        ("left", (depth, BOARD, high - low), (x, width / 2, (low + high) / 2)),
-        ("right", (depth, BOARD, high - low), (x, -width / 2, (low + high) / 2)),
+        ("back", (board, width, high - low), (near + depth, 0.0, (low + high) / 2)),
+        ("left", (depth, board, high - low), (x, width / 2, (low + high) / 2)),
+        ("right", (depth, board, high - low), (x, -width / 2, (low + high) / 2)),
         *(
-            (f"board_{i}", (depth, width, BOARD), (x, 0.0, float(level)))
+            (f"board_{i}", (depth, width, board), (x, 0.0, float(level)))
             for i, level in enumerate(levels)
         ),
     ]
@@ -201,7 +204,7 @@ def _cabinet(
     for i in range(rng.integers(0, 4)):
         radius, height = rng.uniform(0.03, 0.05), rng.uniform(0.08, 0.2)
         level = float(levels[rng.integers(0, len(levels) - 1)])
-        place = (x, rng.uniform(-0.4, 0.4) * width, level + BOARD / 2 + height / 2)
+        place = (x, rng.uniform(-0.4, 0.4) * width, level + board / 2 + height / 2)
         yield SceneObject(f"{name}/item_{i}", Cylinder(radius, height), T @ pose(place))
 
 

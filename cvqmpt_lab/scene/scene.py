@@ -20,8 +20,6 @@ from cvqmpt_lab.poses import Pose, pose
 from cvqmpt_lab.scene.shapes import OccupancyMap, Shape
 from cvqmpt_lab.values import FloatArray, Name
 
-SHOWN = 8  # names of objects in the `repr` of a scene
-
 
 @dataclass(frozen=True, eq=False)
 class SceneObject(Checked):
@@ -101,7 +99,7 @@ class Scene(Checked):
                     )
 
     def __repr__(self) -> str:
-        few = ", ".join(self.names[:SHOWN]) + (", ..." if len(self.objects) > SHOWN else "")
+        few = ", ".join(self.names[:8]) + (", ..." if len(self.objects) > 8 else "")
         joints = f", {len(self.articulations)} hinges and sliders" if self.articulations else ""
         return (
             f"Scene {self.name!r}: {len(self.objects)} objects{joints}\nobjects     {few or 'none'}"

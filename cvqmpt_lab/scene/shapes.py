@@ -17,10 +17,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.values import LARGEST, Array, FloatArray, Length, Name, Padding
 
 Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]", LARGEST)]
-FINEST = 1e-3  # [m] edge of a map's cells, below which indices would be measuring noise
-FARTHEST_CELL = 1_000_000  # along an axis
 MIN_THICKNESS = 1e-4  # [m] below which hulls are not built: their faces would be noise
-FARTHEST = 1e4  # [m] that a corner may be from its frame
 
 
 def thickness(points: FloatArray) -> float:
@@ -30,12 +27,15 @@ def thickness(points: FloatArray) -> float:
     return float(np.ptp(points @ thinnest))
 
 
-def check_volume(points: FloatArray, what: str) -> None:
-    """Refuse finite points (n, 3) [m] of no volume, or too thin or too far for collision checks."""
+def check_volume(points: FloatArray, what: str, most: float = 1e4) -> None:
+    """Refuse finite points (n, 3) [m] of no volume, or too thin or too far for collision checks.
+
+    most: distance of a corner from its frame [m].
+    """
     farthest = float(np.abs(points).max(initial=0.0))
-    if farthest > FARTHEST:
+    if farthest > most:
         raise InvalidInputError(
-            f"{what} must lie within {FARTHEST:g} m of their frame, one is {farthest:.3g} m off: "
+            f"{what} must lie within {most:g} m of their frame, one is {farthest:.3g} m off: "
             "give metres"
         )
     if len(points) < 4 or thickness(points) < MIN_THICKNESS:
@@ -76,17 +76,20 @@ class MeshFile(Checked):
 SHAPES_BY_PATH = {"cloud_file": CloudFile, "map_file": MapFile, "mesh_file": MeshFile}
 
 
+@dataclass(frozen=True)
 class WholeNumbers(Array):
     """Integer indices of cells."""
+
+    farthest: int = 1_000_000  # cell along an axis
 
     def read(self, value: Any, where: str) -> FloatArray:
         """Refuse fractions, and cells farther than any sensor sees."""
         array = super().read(value, where)
-        wrong = (array != np.rint(array)) | (np.abs(array) > FARTHEST_CELL)
+        wrong = (array != np.rint(array)) | (np.abs(array) > self.farthest)
         if wrong.any():
             raise InvalidInputError(
-                f"{where} holds {array[wrong][0]:g}; give whole numbers from {-FARTHEST_CELL} to "
-                f"{FARTHEST_CELL}"
+                f"{where} holds {array[wrong][0]:g}; give whole numbers from {-self.farthest} to "
+                f"{self.farthest}"
             )
         return array
 
@@ -161,11 +164,11 @@ class OccupancyMap(Checked):
         return (self.cells + 0.5) * self.resolution
 
 
-def require_resolution(resolution: float) -> None:
-    """Refuse cells [m] that are too fine for a map, before any are counted."""
-    if not resolution >= FINEST:
+def require_resolution(resolution: float, finest: float = 1e-3) -> None:
+    """Refuse cells [m] so fine that indices would measure noise, before any are counted."""
+    if not resolution >= finest:
         raise InvalidInputError(
-            f"OccupancyMap.resolution is {resolution:g} m; give {FINEST:g} m or more"
+            f"OccupancyMap.resolution is {resolution:g} m; give {finest:g} m or more"
         )
 
 

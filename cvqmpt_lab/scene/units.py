@@ -7,45 +7,40 @@ import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, at
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, Cylinder, Measured, Sphere, bounding_radius
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Measured, bounding_radius
 
-FARTHEST = 100.0  # [m] of a pose or an obstacle from the arm
-LARGEST = 250.0  # [m] of an obstacle; floors of 200 m are drawn
 _log = logging.getLogger("cvqmpt")
 
 
-def refuse_far_poses(poses: dict[str, np.ndarray]) -> None:
-    """Refuse a pose (4, 4) over FARTHEST from the world's origin, by its place in the file."""
+def refuse_far_poses(poses: dict[str, np.ndarray], farthest: float = 100.0) -> None:
+    """Refuse a pose (4, 4) over `farthest` [m] from the world's origin, by its place in a file."""
     for where, T in poses.items():
-        if (off := float(np.abs(T[:3, 3]).max())) > FARTHEST:
-            raise InvalidInputError(
-                f"{where} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres"
-            )
+        _refuse_above(farthest, float(np.abs(T[:3, 3]).max()), f"{where} is", "off")
 
 
-def refuse_far(scene: Scene, where: str = "scene") -> None:
-    """Refuse an obstacle larger than LARGEST, or more than FARTHEST off the world's origin."""
+def _refuse_above(most: float, length: float, what: str, how: str) -> None:
+    if length > most:
+        raise InvalidInputError(
+            f"{what} {length:.4g} m {how}, more than {most:g}: no metres? Give metres"
+        )
+
+
+def refuse_far(
+    scene: Scene, where: str = "scene", farthest: float = 100.0, largest: float = 250.0
+) -> None:
+    """Refuse an obstacle larger than `largest`, or more than `farthest` off the origin [m].
+
+    Floors of 200 m are drawn.
+    """
     for k, item in enumerate(scene.objects):
         if not item.obstacle or isinstance(item.shape, Measured):
             continue
-        match item.shape:
-            case Box(size):
-                lengths: tuple[float, ...] = size
-            case Cylinder(radius, height):
-                lengths = radius, height
-            case Sphere(radius):
-                lengths = (radius,)
-            case _:
-                lengths = ()
-        name = at(where, f"objects[{k}], {item.name!r},")
-        if (most := max(lengths, default=0.0)) > LARGEST:
-            raise InvalidInputError(
-                f"{name} is {most:.4g} m large, more than {LARGEST:g}: no metres? Give metres"
-            )
-        if (off := distance(item)) > FARTHEST:
-            raise InvalidInputError(
-                f"{name} is {off:.4g} m off, more than {FARTHEST:g}: no metres? Give metres"
-            )
+        lengths: tuple[float, ...] = ()
+        if not isinstance(item.shape, ConvexMesh):
+            lengths = tuple(np.ravel([*vars(item.shape).values()]).tolist())
+        name = f"{at(where, f'objects[{k}], {item.name!r},')} is"
+        _refuse_above(largest, max(lengths, default=0.0), name, "large")
+        _refuse_above(farthest, distance(item), name, "off")
 
 
 def distance(item: SceneObject) -> float:

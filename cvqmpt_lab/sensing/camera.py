@@ -15,10 +15,7 @@ from cvqmpt_lab.codec import Checked
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.values import Condition, FloatArray, Length
 
-MOST_PIXELS = 2**14  # of a side of an image
-Pixels = Annotated[
-    int, Condition(int, lambda n: 1 <= n <= MOST_PIXELS, f"1 to {MOST_PIXELS} pixels")
-]
+Pixels = Annotated[int, Condition(int, lambda n: 1 <= n <= 2**14, f"1 to {2**14} pixels")]
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,11 +102,9 @@ def _listed(value: Any) -> Any:
 
 def _read_settings(path: Path | str, what: str) -> Any:
     """Plain dicts, lists and numbers of a json or yaml file; `what` names it in errors."""
-    return read_by_suffix(PARSERS, Path(path), what, most=2**16)
-
-
-PARSERS: Mapping[str, Callable[[bytes], Any]] = {
-    ".json": lambda data: json_value(data.decode("utf-8"), "it"),
-    ".yaml": lambda data: yaml_value(data.decode("utf-8")),
-    ".yml": lambda data: yaml_value(data.decode("utf-8")),
-}
+    parsers: Mapping[str, Callable[[bytes], Any]] = {
+        ".json": lambda data: json_value(data.decode("utf-8"), "it"),
+        ".yaml": lambda data: yaml_value(data.decode("utf-8")),
+        ".yml": lambda data: yaml_value(data.decode("utf-8")),
+    }
+    return read_by_suffix(parsers, Path(path), what, most=2**16)

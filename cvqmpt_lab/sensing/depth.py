@@ -2,7 +2,6 @@
 
 import io
 import json
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,8 +21,6 @@ from cvqmpt_lab.sensing.camera import Intrinsics
 from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 from cvqmpt_lab.sensing.render import View
 from cvqmpt_lab.values import FloatArray
-
-MILLIMETRES = 0.001  # [m] of one unit of a 16-bit image, as depth cameras write them
 
 
 def read_capture(
@@ -62,8 +59,9 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
 
     scale: [m] of one unit; by default millimetres of a PNG, metres of an NPY of floats.
     """
-    image = read_by_suffix(DEPTH_READERS, Path(path), "depth image", lens)
-    unit = (MILLIMETRES if image.dtype.kind == "u" else 1.0) if scale is None else scale
+    readers = {".png": _read_png, ".npy": _read_npy}
+    image = read_by_suffix(readers, Path(path), "depth image", lens)
+    unit = (0.001 if image.dtype.kind == "u" else 1.0) if scale is None else scale
     with np.errstate(over="ignore", invalid="ignore"):
         depth = unit * image.astype(np.float64)
     depth[~(np.isfinite(depth) & (depth > 0.0))] = np.nan
@@ -76,7 +74,7 @@ def deprojected(depth: FloatArray, lens: Intrinsics) -> FloatArray:
     return np.stack([depth * x, depth * y[:, None], depth], axis=-1)
 
 
-def write_depth(path: Path | str, depth: FloatArray, scale: float = MILLIMETRES) -> None:
+def write_depth(path: Path | str, depth: FloatArray, scale: float = 0.001) -> None:
     """Write depth (height, width) as a 16-bit PNG, `scale` [m] per unit; 0: does not fit."""
     with np.errstate(invalid="ignore"):
         units = np.rint(depth / scale)
@@ -133,7 +131,3 @@ def _check_size(shape: tuple[int, ...], lens: Intrinsics) -> None:
             f"the image has {shape[1]} x {shape[0]} pixels, the intrinsics are for {lens.width} x "
             f"{lens.height}; give those of this image (fx, fy, cx, cy grow with its size)"
         )
-
-
-DepthReader = Callable[[bytes, Intrinsics], np.ndarray]
-DEPTH_READERS: Mapping[str, DepthReader] = {".png": _read_png, ".npy": _read_npy}

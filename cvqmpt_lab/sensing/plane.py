@@ -11,7 +11,7 @@ from cvqmpt_lab.values import FloatArray
 
 TOLERANCE = 0.01  # [m] from a plane that counts as on it: table tops bend, and cameras err
 CAMERA_UP = np.array([0.0, -1.0, 0.0])  # of an optical frame: x right, y down, z ahead
-CAMERA_TILT = np.radians(100.0)  # from a table's normal to the camera's up: looking down is fine
+CAMERA_TILT = np.radians(30.0)  # from a table's normal to the vertical that the camera's pitch says
 WORLD_TILT = np.radians(15.0)  # the same for the world's up, when the camera's pose is known
 
 
@@ -68,6 +68,53 @@ def supporting_plane(
             "camera's pose"
         )
     return SupportingPlane(normal, offset, share, float(np.sqrt(np.mean(heights[on] ** 2))))
+
+
+def table_below(
+    points: FloatArray, down: float, highest: float, rng: np.random.Generator
+) -> SupportingPlane:
+    """The largest plane that is level within `CAMERA_TILT`, below a camera that is not rolled.
+
+    A camera that looks down by the angle p has the vertical u = (0, -cos p, -sin p).
+
+    Args:
+        points: (m, 3) [m] in the optical frame.
+        down: p, from 0 (ahead) to pi / 2 (straight down) [rad].
+        highest: that the camera may be above the plane [m].
+        rng: draws triples of points.
+
+    Raises InvalidInputError, which says what was found, if there is no such plane.
+    """
+    if not 0.0 <= down <= 0.5 * np.pi:
+        raise InvalidInputError(
+            f"a camera that looks {np.degrees(down):g} deg down: give from 0 (ahead) to 90"
+        )
+    up = np.array([0.0, -np.cos(down), -np.sin(down)])
+    level = (
+        f"level within {np.degrees(CAMERA_TILT):.0f} deg for a camera that looks "
+        f"{np.degrees(down):g} deg down"
+    )
+    cure = (
+        "crop the cloud to the table, give the camera's pose (--extrinsics), or the angle by which "
+        "it looks down (--down)"
+    )
+    try:
+        plane = supporting_plane(points, up, CAMERA_TILT, rng)
+    except InvalidInputError as error:
+        largest = supporting_plane(points, up, np.pi, rng)
+        towards = -np.sign(largest.offset) * largest.normal  # the camera
+        raise InvalidInputError(
+            f"no table: the largest plane, of {largest.share:.0%} of the points, is "
+            f"{np.degrees(np.arccos(np.clip(towards @ up, -1.0, 1.0))):.0f} deg off level, and "
+            f"none of 10% of the points is {level}; {cure}"
+        ) from error
+    if not 0.0 < -plane.offset <= highest:
+        raise InvalidInputError(
+            f"no table: the camera is {-plane.offset:.2f} m above the largest plane that is "
+            f"{level}, of {plane.share:.0%} of the points; it must be above it, at most "
+            f"{highest:.2f} m (the arm's reach); {cure}"
+        )
+    return plane
 
 
 def _ransac(

@@ -6,9 +6,8 @@ published set-up see the kitchen although they stand below the floor.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -22,64 +21,26 @@ Interval = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A convex body; points, rays and normals are in its own frame."""
+    """A convex body between planes, in a ball or in an endless cylinder, or several of these.
+
+    It holds the points x of its frame with n x + d <= 0 for the unit normal n and offset d of every
+    plane, whose first `round_axes` coordinates are within `radius` of the origin.
+    """
 
     T_world_solid: np.ndarray  # (4, 4) or (3, 4), its pose [m]
     corners: np.ndarray  # (n, 3), points whose convex hull contains it [m]
-    # of an eye (3,) [m] and rays (..., 3); rays that miss have enter > leave or NaN
-    interval: Callable[[np.ndarray, np.ndarray], Interval]
-    normals: Callable[[np.ndarray], np.ndarray]  # outward, of length 1, at points (m, 3) [m] on it
+    planes: np.ndarray  # (f, 4), n and d [m] of each
+    radius: float = np.inf  # [m]
+    round_axes: int = 0  # 3 for a ball, 2 for a cylinder along z, 0: it is not round
 
-
-def cuboid(T: np.ndarray, half: np.ndarray) -> Solid:
-    """A box centred at pose T (4, 4); half (3,): half of each edge [m]."""
-
-    def normals(points: np.ndarray) -> np.ndarray:
-        # the axis of the face that the point is on
-        along = np.argmax(np.abs(points) - half, axis=1)
-        rows = np.arange(len(points))
-        found = np.zeros_like(points)
-        found[rows, along] = np.sign(points[rows, along])
-        return found
-
-    return Solid(T, _box_corners(half), partial(_between_planes, half), normals)
-
-
-def ball(T: np.ndarray, radius: float) -> Solid:
-    """A ball of a radius [m] centred at pose T (4, 4)."""
-    return Solid(T, _box_corners(np.full(3, radius)), partial(_within_radius, radius), _unit)
-
-
-def cylinder(T: np.ndarray, radius: float, half: float) -> Solid:
-    """A cylinder centred at pose T (4, 4), axis along z; its radius and half its height [m]."""
-
-    def interval(eye: np.ndarray, rays: np.ndarray) -> Interval:
-        side = _within_radius(radius, eye[:2], rays[..., :2])
-        ends = _between_planes(np.array([half]), eye[2:], rays[..., 2:])
-        return np.maximum(side[0], ends[0]), np.minimum(side[1], ends[1])
-
-    def normals(points: np.ndarray) -> np.ndarray:
-        # parallel to the cylinder's axis on its flat ends, radial on its side
-        on_end = np.abs(points[:, 2]) - half > np.linalg.norm(points[:, :2], axis=1) - radius
-        return _unit(points * np.where(on_end[:, None], (0.0, 0.0, 1.0), (1.0, 1.0, 0.0)))
-
-    return Solid(T, _box_corners(np.array([radius, radius, half])), interval, normals)
-
-
-def polytope(T: np.ndarray, planes: np.ndarray, vertices: np.ndarray) -> Solid:
-    """The points x with n x + d <= 0 for the unit normal n and offset d of every plane.
-
-    Args:
-        T: (4, 4), its pose [m].
-        planes: (f, 4), n and d [m] of each.
-        vertices: (v, 3), its corners [m].
-    """
-
-    def interval(eye: np.ndarray, rays: np.ndarray) -> Interval:
-        # plane by plane, since an array for all planes at once could exceed the memory
+    def interval(self, eye: np.ndarray, rays: np.ndarray) -> Interval:
+        """Interval of rays (..., 3) from an eye (3,) [m]; those that miss: enter > leave or NaN."""
         enter, leave = np.full(rays.shape[:-1], -np.inf), np.full(rays.shape[:-1], np.inf)
-        heights = planes[:, :3] @ eye + planes[:, 3]
-        for normal, height in zip(planes[:, :3], heights, strict=True):
+        if self.round_axes:
+            enter, leave = self._within_radius(eye[: self.round_axes], rays[..., : self.round_axes])
+        # plane by plane, since an array for all planes at once could exceed the memory
+        heights = self.planes[:, :3] @ eye + self.planes[:, 3]
+        for normal, height in zip(self.planes[:, :3], heights, strict=True):
             towards = rays @ normal
             cut = -height / towards  # t at which the ray crosses the plane
             np.maximum(enter, cut, out=enter, where=towards < 0.0)
@@ -89,11 +50,46 @@ def polytope(T: np.ndarray, planes: np.ndarray, vertices: np.ndarray) -> Solid:
                 leave[towards == 0.0] = -np.inf
         return enter, leave
 
-    def normals(points: np.ndarray) -> np.ndarray:
-        # normal of the plane that is nearest to each point
-        return planes[np.argmax(points @ planes[:, :3].T + planes[:, 3], axis=1), :3]
+    def _within_radius(self, eye: np.ndarray, rays: np.ndarray) -> Interval:
+        """Interval of rays (..., d) from eye (d,) within the radius.
 
-    return Solid(T, vertices, interval, normals)
+        |eye + t ray|^2 = radius^2 is a t^2 + 2 b t + c = 0.
+        """
+        a, b = np.einsum("...i,...i->...", rays, rays), rays @ eye
+        c = eye @ eye - self.radius * self.radius
+        root = np.sqrt(b * b - a * c)  # NaN for rays that miss: comparisons with NaN are false
+        # a = 0: the ray is parallel to a cylinder's axis, all of it inside (c <= 0) or none of it
+        parallel = np.where(c <= 0.0, np.inf, np.nan)
+        leave = np.where(a > 0.0, (root - b) / a, parallel)
+        return np.where(a > 0.0, (-b - root) / a, -parallel), leave
+
+    def normals(self, points: np.ndarray) -> np.ndarray:
+        """Outward normals (m, 3), of length 1, of the faces nearest to points (m, 3) [m] on it."""
+        heights = points @ self.planes[:, :3].T + self.planes[:, 3]
+        radial = points * (np.arange(3) < self.round_axes)
+        away = np.linalg.norm(radial, axis=1, keepdims=True)
+        nearest = np.argmax(np.hstack([heights, away - self.radius]), axis=1)
+        directions = np.vstack([self.planes[:, :3], np.zeros(3)])[nearest]
+        return np.where(
+            (nearest == len(self.planes))[:, None], radial / np.maximum(away, 1e-12), directions
+        )
+
+
+def cuboid(T: np.ndarray, half: np.ndarray) -> Solid:
+    """A box centred at pose T (4, 4); half (3,): half of each edge [m]."""
+    planes = np.c_[np.vstack([np.eye(3), -np.eye(3)]), -np.tile(half, 2)]
+    return Solid(T, _box_corners(half), planes)
+
+
+def ball(T: np.ndarray, radius: float) -> Solid:
+    """A ball of a radius [m] centred at pose T (4, 4)."""
+    return Solid(T, _box_corners(np.full(3, radius)), np.empty((0, 4)), radius, 3)
+
+
+def cylinder(T: np.ndarray, radius: float, half: float) -> Solid:
+    """A cylinder centred at pose T (4, 4), axis along z; its radius and half its height [m]."""
+    planes = np.array([[0.0, 0.0, 1.0, -half], [0.0, 0.0, -1.0, -half]])
+    return Solid(T, _box_corners(np.array([radius, radius, half])), planes, radius, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,32 +163,3 @@ def _pixels(places: np.ndarray, count: int) -> slice:
 def _box_corners(half: np.ndarray) -> np.ndarray:
     signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     return signs * half
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
-
-
-def _between_planes(half: np.ndarray, eye: np.ndarray, rays: np.ndarray) -> Interval:
-    """Interval of rays (..., d) from eye (d,) with all coordinates between -half and half (d,)."""
-    enter, leave = np.full(rays.shape[:-1], -np.inf), np.full(rays.shape[:-1], np.inf)
-    for low, high, along in zip(-half - eye, half - eye, np.moveaxis(rays, -1, 0), strict=True):
-        one, other = low / along, high / along
-        np.maximum(enter, np.minimum(one, other), out=enter)
-        np.minimum(leave, np.maximum(one, other), out=leave)
-    return enter, leave
-
-
-def _within_radius(radius: float, eye: np.ndarray, rays: np.ndarray) -> Interval:
-    """Interval of rays (..., d) from eye (d,) within `radius` of the origin.
-
-    |eye + t ray|^2 = radius^2 is a t^2 + 2 b t + c = 0.
-    """
-    a, b = np.einsum("...i,...i->...", rays, rays), rays @ eye
-    c = eye @ eye - radius * radius
-    root = np.sqrt(b * b - a * c)  # NaN for rays that miss: comparisons with NaN are false
-    # a = 0: the ray is parallel to a cylinder's axis, all of it inside (c <= 0) or none of it
-    parallel = np.where(c <= 0.0, np.inf, np.nan)
-    return np.where(a > 0.0, (-b - root) / a, -parallel), np.where(
-        a > 0.0, (root - b) / a, parallel
-    )

@@ -15,14 +15,13 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, near_robot, outliers, voxel_means
 from cvqmpt_lab.sensing.plane import (
-    CAMERA_TILT,
-    CAMERA_UP,
     WORLD_TILT,
     SupportingPlane,
     box_around,
     level_pose,
     on_table,
     supporting_plane,
+    table_below,
 )
 from cvqmpt_lab.values import FloatArray
 
@@ -41,6 +40,8 @@ class ScanSettings:
     """Settings of a scan's filters."""
 
     level: bool = False  # level the table, because the single camera's pose is unknown
+    down: float = 40.0  # angle by which the camera that is levelled looks down, about [deg]
+    highest: float = 1.5  # that the levelled camera may be above the table: the arm's reach [m]
     front: tuple[float, float, float] = (0.3, 0.0, 0.0)  # middle of the table's near edge [m]
     crop: BoxCrop | BallCrop | None = None  # which points stay [m, robot base frame]; None: all
     voxel: float = 0.01  # edge of the grid in whose cells points are averaged [m]
@@ -102,8 +103,8 @@ def scan(
     """Merge captures, level them if wanted, and filter them by crop, voxels, robot and outliers.
 
     arm: the robot while the scan was taken; its points are removed.
-    InvalidInputError: nothing is left, there is no supporting plane, or several captures are to be
-    levelled.
+    InvalidInputError: nothing is left, there is no supporting plane or no table below the camera,
+    or several captures are to be levelled.
     """
     levelled = None
     if settings.level:
@@ -112,8 +113,9 @@ def scan(
                 f"{len(captures)} captures cannot be levelled by a table; give the pose of each "
                 "camera"
             )
-        seen = supporting_plane(captures[0].points, CAMERA_UP, CAMERA_TILT, rng)
-        levelled = Levelled(level_pose(captures[0].points, seen, settings.front), seen)
+        cloud = captures[0].points
+        seen = table_below(cloud, np.radians(settings.down), settings.highest, rng)
+        levelled = Levelled(level_pose(cloud, seen, settings.front), seen)
         captures = [replace(captures[0], T_world_camera=levelled.T_world_camera)]
     points = np.concatenate([capture.in_world for capture in captures])
     steps = []

@@ -13,17 +13,18 @@ from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 from cvqmpt_lab.sensing.camera import Camera, Intrinsics, cameras_on_sphere
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
-from cvqmpt_lab.sensing.render import Solid, View, ball, cuboid, cylinder, polytope, view_of
+from cvqmpt_lab.sensing.render import Solid, View, ball, cuboid, cylinder, view_of
 from cvqmpt_lab.values import FloatArray
-
-PUBLISHED_CAMERAS = cameras_on_sphere(Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
     """Poses of virtual cameras and thinning of their points; default: the published kitchen's."""
 
-    cameras: tuple[Camera, ...] = PUBLISHED_CAMERAS  # of the published kitchen clouds
+    cameras: tuple[Camera, ...] = cameras_on_sphere(
+        Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0)
+    )
+    """Of the published kitchen clouds."""
     obstacles_only: bool = False  # leave out what is no obstacle, such as the floor
     crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)  # which of the merged points stay
     voxel: float | None = 0.025  # [m] cell in which points are averaged; None: no averaging
@@ -107,7 +108,7 @@ def _solid(item: SceneObject) -> Solid:
             from scipy.spatial import ConvexHull  # a third of a second to import
 
             planes = ConvexHull(vertices).equations.round(12)  # triangles may share planes
-            return polytope(T, np.unique(planes, axis=0), vertices)
+            return Solid(T, vertices, np.unique(planes, axis=0))
     raise InvalidInputError(
         f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points "
         "as the cloud"

@@ -6,7 +6,6 @@ Entities: `world/scene`, `world/robot` and, of a task, `world/moving` (doors, ca
 "task_time" is a task's [s].
 """
 
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,31 +21,19 @@ from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.show.bodies import GHOST, GOAL, Body, Seen, seen_of_solution
 from cvqmpt_lab.show.meshes import Colour
 from cvqmpt_lab.show.raster import Viewpoint
-from cvqmpt_lab.show.viewer import check_viewer, open_viewer
 from cvqmpt_lab.tasks.solve import TaskSolution
 
 
 def log_solution(
-    solution: Solution | TaskSolution,
-    save: Path | None = None,
-    view: bool = False,
-    carried: Sequence[Attachment] = (),
+    solution: Solution | TaskSolution, path: Path, carried: Sequence[Attachment] = ()
 ) -> None:
-    """Write a solution or a task to a .rrd file, show it in the rerun viewer, or both.
+    """Write a solution or a task to a .rrd file.
 
     Args:
         solution: what is shown.
-        save: path of the file.
-        view: whether the viewer is opened.
+        path: of the file.
         carried: load in the hand if the problem does not model it.
     """
-    if save is None and not view:
-        raise InvalidInputError(
-            "nothing to do with the recording: give save=<file.rrd>, view=True or both"
-        )
-    if view:
-        check_viewer()
-    path = Path(tempfile.mkdtemp(prefix="cvqmpt-")) / "run.rrd" if save is None else Path(save)
     seen = seen_of_solution(solution, carried, plots=True, goals=3, hidden=())
     recording = rr.RecordingStream("cvqmpt_lab")
     recording.set_log_time_enabled(False)
@@ -64,8 +51,6 @@ def log_solution(
         raise InvalidInputError(
             f"cannot write recording {path}: {reason}; name a file in a folder that exists"
         ) from error
-    if view:
-        open_viewer(path)
 
 
 def _blueprint(seen: Seen) -> rrb.Blueprint:

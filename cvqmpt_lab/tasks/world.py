@@ -21,9 +21,6 @@ from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Cylinder, Sphere
 from cvqmpt_lab.tasks.task import Grasp, HandPhase, Hold, Move, PlannedPhase, Slide, Task, Turn
 
-# [m] and [rad] between an object and where a grasp expects it; checks use its true pose
-IN_HAND, TURNED = 0.02, 0.1
-
 
 class Load(NamedTuple):
     """A carried object."""
@@ -116,15 +113,25 @@ class World:
 
 
 def _require_in_hand(
-    phase: Grasp, item: SceneObject, T_hand_object: np.ndarray, robot: Robot, q: np.ndarray
+    phase: Grasp,
+    item: SceneObject,
+    T_hand_object: np.ndarray,
+    robot: Robot,
+    q: np.ndarray,
+    gap: float = 0.02,
+    most_turn: float = 0.1,
 ) -> None:
-    """Refuse an object not in the closed hand at q (n,), but for turns about a symmetry axis."""
+    """Refuse an object not in the closed hand at q (n,), but for turns about a symmetry axis.
+
+    gap, most_turn: [m] and [rad] between the object and where the grasp expects it; checks use its
+        true pose.
+    """
     if phase.attachment is None:
         scene = Scene(item.name, (replace(item, obstacle=True),))
-        checker = CollisionChecker(robot, scene, margin=IN_HAND)
+        checker = CollisionChecker(robot, scene, margin=gap)
         if checker.clear_of_obstacles(q[None], q[None, None]).all():
             raise InvalidInputError(
-                f"phase {phase.name!r}: {item.name!r} is more than {IN_HAND} m from the arm; let "
+                f"phase {phase.name!r}: {item.name!r} is more than {gap} m from the arm; let "
                 "the phase before end at the object, or say by an 'attachment' where a hand "
                 "without collision bodies holds it"
             )
@@ -139,10 +146,10 @@ def _require_in_hand(
             turn = math.acos(min(1.0, abs(R[2, 2])))
         case _:
             turn = float(np.linalg.norm(rotation_vectors(R)))
-    if off > IN_HAND or turn > TURNED:
+    if off > gap or turn > most_turn:
         raise InvalidInputError(
             f"phase {phase.name!r}: {item.name!r} is {off:.3f} m and {turn:.2f} rad from where "
-            f"the hand closes by its attachment, at most {IN_HAND} m and {TURNED} rad are "
+            f"the hand closes by its attachment, at most {gap} m and {most_turn} rad are "
             "allowed; let the phase before end at the object, or leave 'attachment' out"
         )
 

@@ -9,13 +9,7 @@ from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
 from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
 from cvqmpt_lab.sensing.render import ball, cuboid, cylinder, view_of
 from cvqmpt_lab.training.dataset import Shapes
-from cvqmpt_lab.vqmpt.config import require_sizes
-
-SOLIDS = (  # by the kind of a shape
-    lambda T, size: cuboid(T, 0.5 * size),
-    lambda T, size: cylinder(T, size[0], 0.5 * size[2]),
-    lambda T, size: ball(T, size[0]),
-)
+from cvqmpt_lab.vqmpt.config import Size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,16 +35,13 @@ class CropSettings:
 class CloudSettings:
     """How clouds are sampled."""
 
-    points: int = 1024
+    points: Size = 1024
     crop: CropSettings = field(default_factory=CropSettings)
     noise: float = 0.003  # standard deviation of every coordinate [m]
     occlusion: float = 0.5  # probability that only surfaces facing one of the cameras are seen
-    cameras: int = 4  # random ones, at most
+    cameras: Size = 4  # random ones, at most
     density: float = 0.3  # standard deviation of the logarithm of each shape's density of points
     measured: float = 0.0  # probability of depth images with the cameras' errors, without `noise`
-
-    def __post_init__(self) -> None:
-        require_sizes(points=self.points, cameras=self.cameras)
 
     def without_augmentation(self) -> "CloudSettings":
         """Uniform by area, no noise, nothing hidden: for validation."""
@@ -121,7 +112,12 @@ def measured_points(
         (k, 3) float32 [m].
     """
     described = zip(shapes.kind, shapes.size.astype(float), shapes.pose.astype(float), strict=True)
-    solids = [SOLIDS[kind](T, size) for kind, size, T in described]
+    solid_of = (  # by the kind of a shape
+        lambda T, size: cuboid(T, 0.5 * size),
+        lambda T, size: cylinder(T, size[0], 0.5 * size[2]),
+        lambda T, size: ball(T, size[0]),
+    )
+    solids = [solid_of[kind](T, size) for kind, size, T in described]
     # the evaluation camera's range, a sixteenth of its pixels: still more than a cloud's points
     small = Intrinsics.from_fov(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
     materials = drawn_materials(len(solids), rng)

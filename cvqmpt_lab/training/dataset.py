@@ -14,19 +14,18 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_bytes, read_json_object
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     FULL_SCALE,
-    INDEX_FILE,
     LABEL_ARRAYS,
     PATH_ARRAYS,
     ROADMAP_FILE,
     RoadmapGraph,
     joined,
-    paths_of_labels,
     read_shards,
+    shard_files,
 )
 from cvqmpt_lab.vqmpt.config import SerialChain
 from cvqmpt_lab.vqmpt.weights import RobotSignature
@@ -54,7 +53,7 @@ class TrainingData:
     robot: RobotSignature
     families: tuple[str, ...]
     chain: SerialChain | None  # kinematics for link positions; None when the description has none
-    sha256: str  # of the description and the index, which holds those of the shards
+    sha256: str  # of the description and the shards
     arrays: Mapping[str, np.ndarray]  # by the names of `shards.PATH_ARRAYS` or `LABEL_ARRAYS`
 
     @property
@@ -69,8 +68,6 @@ class TrainingData:
 
     def split(self, name: SplitName) -> np.ndarray:
         """Rows of the paths for training or validation."""
-        if name not in get_args(SplitName):
-            raise UnknownChoiceError("split", name, get_args(SplitName))
         return np.flatnonzero(self.validates[self.arrays["path_scene"]] == (name == "validation"))
 
 
@@ -207,19 +204,17 @@ class SequenceDataset(TrainingData):
 
 
 def open_dataset(folder: Path) -> PathDataset:
-    """Read a dataset's paths into memory; of labels on a roadmap some paths of each scene.
+    """Read a dataset's paths into memory.
 
-    InvalidInputError names the file that is missing, damaged or of another schema.
+    InvalidInputError names the file that is missing, damaged, of another schema or of labels.
     """
     header = _header(folder)
     if holds_labels(folder):
-        graph, labels = read_labels(folder)
-        limits = np.array(header["robot"].lower), np.array(header["robot"].upper)
-        shards = [paths_of_labels(shard, graph.nodes, *limits) for shard in labels]
-    else:
-        sizes = {"families": len(header["families"]), "n": len(header["robot"].lower)}
-        shards = read_shards(folder, PATH_ARRAYS, sizes)
-    return PathDataset(**header, arrays=joined(shards, PATH_ARRAYS))
+        raise InvalidInputError(
+            f"{folder} holds labels on a roadmap, not paths; make those: cvqmpt data generate "
+            "--labels paths"
+        )
+    return PathDataset(**header, arrays=joined(read_shards(folder, PATH_ARRAYS), PATH_ARRAYS))
 
 
 def open_labels(folder: Path) -> SequenceDataset:
@@ -233,8 +228,8 @@ def open_labels(folder: Path) -> SequenceDataset:
             f"{folder} holds paths, not labels on a roadmap; make those: cvqmpt data generate "
             "--labels roadmap"
         )
-    graph, shards = read_labels(folder)
-    arrays = joined(shards, LABEL_ARRAYS)
+    graph = RoadmapGraph.read(folder)
+    arrays = joined(read_shards(folder, LABEL_ARRAYS), LABEL_ARRAYS)
     count = np.diff(arrays["code_start"])
     found = np.isfinite(arrays["cost"]) & (count > 0)
     for name, column in LABEL_ARRAYS.items():
@@ -248,15 +243,6 @@ def open_labels(folder: Path) -> SequenceDataset:
 def holds_labels(folder: Path) -> bool:
     """Whether a dataset holds labels on a roadmap instead of paths."""
     return (Path(folder) / ROADMAP_FILE).exists()
-
-
-def read_labels(folder: Path) -> tuple[RoadmapGraph, list[dict[str, np.ndarray]]]:
-    """The roadmap of a dataset of labels, and the arrays of its shards."""
-    graph, header = RoadmapGraph.read(folder), _header(folder)
-    sizes = {"families": len(header["families"]), "n": graph.nodes.shape[1]}
-    for name, items in (("N", graph.nodes), ("E", graph.edges)):
-        sizes |= {name: len(items), f"{name}/8": -(-len(items) // 8)}
-    return graph, read_shards(folder, LABEL_ARRAYS, sizes)
 
 
 def _header(folder: Path) -> dict[str, Any]:
@@ -284,6 +270,8 @@ def _header(folder: Path) -> dict[str, Any]:
         raise InvalidInputError(
             f"{path}: kinematics has {len(chain.rotation)} joints, lower {len(robot.lower)}"
         )
-    files = read_bytes(path) + read_bytes(folder / INDEX_FILE)
+    digest = hashlib.sha256()
+    for file in (path, *shard_files(folder)):
+        digest.update(hashlib.sha256(read_bytes(file)).digest())
     header = {"folder": folder, "robot": robot, "families": families, "chain": chain}
-    return header | {"sha256": hashlib.sha256(files).hexdigest()}
+    return header | {"sha256": digest.hexdigest()}

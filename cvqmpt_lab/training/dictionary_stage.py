@@ -24,7 +24,7 @@ from torch import Tensor
 from cvqmpt_lab.training.dataset import BaseTurn, PathDataset
 from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
-from cvqmpt_lab.vqmpt.config import ModelConfig, require_sizes
+from cvqmpt_lab.vqmpt.config import ModelConfig, Size
 from cvqmpt_lab.vqmpt.dictionary import Dictionary, Gaussians, LinkPositions, Quantized
 
 
@@ -35,9 +35,9 @@ class Stage1Settings:
     epochs: int = 20
     # Rows of a batch are paths. An encoder of single waypoints takes rows of `row` unrelated ones
     # instead, so that the parts of the loss keep their published proportions.
-    batch: int = 64
-    row: int = 32
-    batches_per_epoch: int | None = None  # at most; None for all paths
+    batch: Size = 64
+    row: Size = 32
+    batches_per_epoch: Size | None = None  # at most; None for all paths
     spacing: float | None = None  # of waypoints along a path [rad]; None to take all
     trivial_share: float = 0.15  # of paths whose straight line is free, at most
     turn_base: bool = False  # turn whole paths about the base
@@ -48,9 +48,6 @@ class Stage1Settings:
     restart_below: float = 0.02  # share of the mean use below which a code is restarted
     validation_paths: int = 1000  # at most
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(rate=1e-3))
-
-    def __post_init__(self) -> None:
-        require_sizes(batch=self.batch, row=self.row, batches_per_epoch=self.batches_per_epoch)
 
 
 def stage1_loss(
@@ -89,8 +86,6 @@ class DictionaryStage(Stage):
     """Training of a `Dictionary`."""
 
     selection = "validation_reconstruction"
-    # codes are restarted by what one process has seen
-    many_processes = False
     dataset: PathDataset
     uses: Tensor  # of each code since the last restart
 

@@ -1,8 +1,6 @@
 """The two sequence models that `sequence_stage` trains: scene transformer, authors' architecture.
 
-Both get the same scenes, clouds, sequences and validation. With the dense loss two heads, which
-only the training has, predict P(code free) and P(edge free) beside the authors' network: every code
-has a query of its own that attends to the scene tokens.
+Both get the same scenes, clouds, sequences and validation.
 """
 
 from collections.abc import Mapping
@@ -12,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
-from torch.nn import functional as F
+from torch import Tensor
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.training.dataset import (
@@ -105,7 +102,12 @@ class TransformerStage(SequenceStage):
     def prepare(self) -> None:
         """Set priors to the frequency of free codes and edges, or load weights to fine-tune."""
         if not self.settings.fine_tune:
-            self.set_priors(self.model.node_prior, self.model.edge_prior)
+            rows = self._train[:: max(1, len(self._train) // 2000)]
+            with torch.no_grad():
+                for name in ("node", "edge"):
+                    share = torch.from_numpy(self.dataset.free(name, rows).mean(axis=0)).float()
+                    prior = getattr(self.model, f"{name}_prior")
+                    prior.copy_(torch.logit(share.clamp(0.01, 0.99)))  # log(p / (1 - p))
             return
         trained = self.dictionary.modules.get("transformer")
         if trained is None or trained.config.sizes != self.config.sizes:
@@ -141,38 +143,10 @@ class TransformerStage(SequenceStage):
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedSizes:
-    """Sizes of the authors' sequence model, by default as published; dense: use the dense loss."""
+    """Sizes of the authors' sequence model, by default as published."""
 
     point_cloud: PointCloudConfig = field(default_factory=PointCloudConfig)
     sequence: SequenceConfig = field(default_factory=SequenceConfig)
-    dense: bool = False
-
-
-class DenseHead(nn.Module):
-    """P(code free) and P(edge free) from scene tokens."""
-
-    edges: Tensor
-
-    def __init__(self, n_nodes: int, edges: np.ndarray, width: int, edge_width: int = 64) -> None:
-        super().__init__()
-        self.register_buffer("edges", torch.from_numpy(edges.astype(np.int64)), persistent=False)
-        self.query = nn.Parameter(0.02 * torch.randn(n_nodes, width))
-        self.norm = nn.LayerNorm(width)
-        self.key, self.value = nn.Linear(width, width), nn.Linear(width, width)
-        self.node, self.node_prior = nn.Linear(width, 1), nn.Parameter(torch.zeros(n_nodes))
-        self.part = nn.Linear(width, edge_width)
-        self.own_edge = nn.Parameter(0.02 * torch.randn(len(edges), edge_width))
-        self.edge, self.edge_prior = nn.Linear(edge_width, 1), nn.Parameter(torch.zeros(len(edges)))
-
-    def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor]:
-        """Log odds (s, N) and (s, E) from scene tokens (s, m, width)."""
-        seen = self.norm(tokens)
-        query = self.query.to(seen.dtype).expand(len(tokens), -1, -1)
-        codes = query + F.scaled_dot_product_attention(query, self.key(seen), self.value(seen))
-        parts = self.part(codes).float()
-        pairs = parts[:, self.edges[:, 0]] + parts[:, self.edges[:, 1]] + self.own_edge
-        node = self.node(codes)[..., 0].float() + self.node_prior
-        return node, self.edge(pairs.relu())[..., 0].float() + self.edge_prior
 
 
 class PublishedStage(SequenceStage):
@@ -197,36 +171,17 @@ class PublishedStage(SequenceStage):
             sequence=sizes.sequence,
         )
         dictionary.modules["dictionary"].to(device).requires_grad_(False)
-        self.model, self.dense = PublishedSequenceModel(self.config), None
-        if sizes.dense:
-            if graph is None:
-                raise InvalidInputError(
-                    f"{dataset.folder} holds paths; the dense loss needs labels on a roadmap "
-                    "(cvqmpt data generate --labels roadmap), or set published_model.dense to "
-                    "false"
-                )
-            width = sizes.sequence.transformer.d_model
-            self.dense = DenseHead(len(graph.nodes), graph.edges, width)
+        self.model = PublishedSequenceModel(self.config)
         self.to(device)
         limits = torch.tensor([dataset.robot.lower, dataset.robot.upper], device=device)
         self._lower, self._range = limits[0], limits[1] - limits[0]
-
-    def prepare(self) -> None:
-        """Set the dense head's priors to the frequency of free codes and edges."""
-        if self.dense is not None:
-            self.set_priors(self.dense.node_prior, self.dense.edge_prior)
 
     def cloud_arrays(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """The cloud's points, unchanged."""
         return {"points": np.asarray(points, dtype=np.float32)}
 
-    def validate(self) -> dict[str, float | None]:
-        """Validation metrics, and the share of scene features that are equal for all clouds."""
-        constant = self.model.context.env_encoder.constant_features()
-        return super().validate() | {"constant_features": constant}
-
     def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Logits (s, r, l + 1, N + 2) over codes, start token and goal; with the dense loss, odds.
+        """Logits (s, r, l + 1, N + 2) over codes, start token and goal.
 
         Prefixes of one length are a batch, so that none is padded.
         """
@@ -243,11 +198,7 @@ class PublishedStage(SequenceStage):
             prefixes = context[rows], codes[rows, :length]
             logits = self.model.prefix_logits(*prefixes, quantizer).float()
             steps.append(logits.new_zeros(len(codes), logits.shape[-1]).index_copy(0, rows, logits))
-        logits = torch.stack(steps, 1).unflatten(0, batch["count"].shape)
-        if self.dense is None:
-            return {"code": logits}
-        node, edge = self.dense(scene[0])
-        return {"code": logits, "node": node, "edge": edge}
+        return {"code": torch.stack(steps, 1).unflatten(0, batch["count"].shape)}
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
         """The dictionary and the sequence model in their present state."""

@@ -27,10 +27,8 @@ from cvqmpt_lab.training.clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY, SequenceDataset
 from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage, means
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
-from cvqmpt_lab.vqmpt.config import require_sizes
+from cvqmpt_lab.vqmpt.config import Size
 from cvqmpt_lab.vqmpt.scene_arrays import NOWHERE
-
-NO_TARGET = -100
 
 Cloud = Mapping[str, Tensor]
 """Clouds of s scenes as a model takes them, every array (s, ...)."""
@@ -41,15 +39,15 @@ class RoadmapSettings:
     """How a sequence model is trained on sequences of codes."""
 
     epochs: int = 30
-    batches_per_epoch: int = 400
-    scenes: int = 4  # of a batch
-    paths: int = 96  # of each scene
-    goals: int = 16  # different ones of each scene
-    link_ends: int = 24  # configurations of each scene from which motions to codes are judged
+    batches_per_epoch: Size = 400
+    scenes: Size = 4  # of a batch
+    paths: Size = 96  # of each scene
+    goals: Size = 16  # different ones of each scene
+    link_ends: Size = 24  # configurations of each scene from which motions to codes are judged
     cloud: CloudSettings = field(
         default_factory=lambda: CloudSettings(points=1024, occlusion=0.3, measured=0.3)
     )
-    validation_scenes: int = 70
+    validation_scenes: Size = 70
     fine_tune: bool = False  # begin with the transformer of the dictionary's weights
     # of most matrix products; losses are always float32
     precision: Literal["float32", "bf16"] = "bf16"
@@ -58,10 +56,6 @@ class RoadmapSettings:
             rate=2e-3, warmup=100, schedule="cosine", weight_decay=0.01, clip=1.0
         )
     )
-
-    def __post_init__(self) -> None:
-        names = ("batches_per_epoch", "scenes", "paths", "goals", "link_ends", "validation_scenes")
-        require_sizes(**{name: getattr(self, name) for name in names})
 
 
 class SequenceStage(Stage):
@@ -145,14 +139,6 @@ class SequenceStage(Stage):
         code: (s, r, l + 1, classes) logits after every prefix; the last class is the goal. Where it
         predicts what is free: log odds node (s, N), edge (s, E) and link (s, k, LINKS).
         """
-
-    def set_priors(self, node_prior: Tensor, edge_prior: Tensor) -> None:
-        """Set log odds log(p / (1 - p)); p: share of training scenes where each is free."""
-        rows = self._train[:: max(1, len(self._train) // 2000)]
-        with torch.no_grad():
-            for name, prior in (("node", node_prior), ("edge", edge_prior)):
-                share = torch.from_numpy(self.dataset.free(name, rows).mean(axis=0)).float()
-                prior.copy_(torch.logit(share.clamp(0.01, 0.99)))
 
     def batches(self, epoch: int) -> Batches:
         """Batches of an epoch: scenes in random order."""
@@ -239,7 +225,7 @@ class SequenceStage(Stage):
             predicted = self.predict(batch, batch)
         logits = predicted["code"].flatten(0, 2).float()
         targets = self.targets(batch, logits.shape[-1] - 1).flatten()
-        code = F.cross_entropy(logits, targets, ignore_index=NO_TARGET)
+        code = F.cross_entropy(logits, targets)
         found = {"loss": code, "code": code}
         for name, weight in (("node", 1.0), ("edge", 2.0), ("link", 2.0)):
             if name in predicted:
@@ -250,11 +236,11 @@ class SequenceStage(Stage):
 
     @staticmethod
     def targets(batch: dict[str, Tensor], goal: int) -> Tensor:
-        """Next codes h_(i+1) (s, r, l + 1) int64; after the last `goal`, then NO_TARGET."""
+        """Next codes h_(i+1) (s, r, l + 1) int64; -100, not counted, after `goal`."""
         codes, count = batch["codes"], batch["count"][..., None]
         step = torch.arange(codes.shape[2] + 1, device=codes.device)
         following = F.pad(codes, (0, 1)).masked_fill(step == count, goal)
-        return following.masked_fill(step > count, NO_TARGET)
+        return following.masked_fill(step > count, -100)
 
     def validate(self) -> dict[str, float | None]:
         """Means on held-out scenes: with their own cloud, that of the next scene, and none."""
@@ -263,7 +249,7 @@ class SequenceStage(Stage):
         return means(chain.from_iterable(map(self._measured, batches)))
 
     def _measured(self, arrays: dict[str, np.ndarray]) -> Iterator[tuple[str, float, float]]:
-        """Cross entropies and areas under curves of a batch: name, sum and count of each."""
+        """Cross entropies of a batch: name, sum and count of each."""
         batch = self.tensors(arrays)
         nowhere = np.tile(np.array(NOWHERE, dtype=np.float32), (self.settings.cloud.points, 1))
         empty = self.tensors(self.cloud_arrays(nowhere))
@@ -284,18 +270,11 @@ class SequenceStage(Stage):
                 allowed = torch.cat((ways[..., :-1], extra, ways[..., -1:]), -1)
                 choices["ways"] = logits.masked_fill(~allowed, -torch.inf)
             for which, odds in choices.items():
-                each = F.cross_entropy(
-                    odds.flatten(0, 2), targets, ignore_index=NO_TARGET, reduction="none"
-                )
-                counted = each[(targets != NO_TARGET) & each.isfinite()]
+                each = F.cross_entropy(odds.flatten(0, 2), targets, reduction="none")
+                counted = each[(targets >= 0) & each.isfinite()]
                 yield f"{prefix}cross_entropy_{which}", float(counted.sum()), len(counted)
             if prefix == "":
                 yield "loss", float(counted.sum()), len(counted)
-                for name in [name for name in ("node", "edge", "link") if name in predicted]:
-                    free = batch[f"{name}_free"].flatten(1)
-                    areas = map(area_under_curve, predicted[name].flatten(1), free)
-                    known = [area for area in areas if area is not None]
-                    yield f"{name}_area_under_curve", sum(known), len(known)
 
     def _ways(self, batch: dict[str, Tensor]) -> Tensor | None:
         """Successors on a roadmap: codes and goal (s, r, l + 1, N + 1) by an edge or link."""
@@ -310,19 +289,6 @@ class SequenceStage(Stage):
 def chosen(values: Tensor, rows: Tensor) -> Tensor:
     """Values (s, r, ...) at rows (s, r) of each scene's values (s, u, ...)."""
     return values[torch.arange(len(values), device=values.device)[:, None], rows]
-
-
-def area_under_curve(odds: Tensor, free: Tensor) -> float | None:
-    """Area under the ROC curve of odds (k,) against free (k,); None where all are alike.
-
-    With ranks R of the g free ones among k = g + b: (sum R - g (g + 1) / 2) / (g b).
-    """
-    good, bad = odds[free], odds[~free]
-    if not len(good) or not len(bad):
-        return None
-    rank = torch.cat((good, bad)).argsort().argsort().double() + 1.0
-    below = rank[: len(good)].sum() - len(good) * (len(good) + 1) / 2
-    return float(below / (len(good) * len(bad)))
 
 
 def _stacked(arrays: list[np.ndarray]) -> np.ndarray:

@@ -92,7 +92,6 @@ class Stage(nn.Module, ABC):
     """A training stage, run by `trainer`: the parameters that it trains, batches and losses."""
 
     selection: ClassVar[str]  # the column of the curves whose least value is the best model
-    many_processes: ClassVar[bool] = True  # whether steps depend on gradients alone
     dataset: TrainingData
 
     def __init__(self, optimizer: OptimizerSettings, seed: int, device: torch.device) -> None:

@@ -29,9 +29,7 @@ from typing import Any, get_args
 
 import numpy as np
 import torch
-import torch.distributed as dist
 from torch import Tensor, nn
-from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader
 
 from cvqmpt_lab.codec import to_plain
@@ -107,23 +105,19 @@ def run_training(
         report: called after each batch.
 
     InvalidInputError or UnknownChoiceError: before anything is written when data, dictionary or
-    folder cannot be used, another training uses the folder, or `torchrun` starts several processes
-    for stage1; later when the loss is not finite or the disk is full. KeyboardInterrupt after
-    Ctrl-C (or SIGTERM), once saved.
+    folder cannot be used or another training uses the folder; later when the loss is not finite or
+    the disk is full. KeyboardInterrupt after Ctrl-C (or SIGTERM), once saved.
     """
     seed = whole_number("seed", seed)
-    rank, count = joined_processes()
-    made = profile.stage(stage, data, dictionary, seed, _device(device))
-    if count > 1 and not made.many_processes:
+    if os.environ.get("WORLD_SIZE", "1") != "1":
         raise InvalidInputError(
-            f"{stage} is trained by one process, not {count}; leave torchrun out"
+            "training by several processes (torchrun) was removed; start one: cvqmpt train"
         )
+    made = profile.stage(stage, data, dictionary, seed, _device(device))
     plain = to_plain(profile, complete=True)
     epochs_of_profile = plain[stage].pop("epochs")
     used = {name: plain[name] for name in ("name", "link_features", MODELS[stage], stage)}
     settings = {"stage": stage, "profile": used, "data_sha256": made.dataset.sha256, "seed": seed}
-    if count > 1:
-        settings["processes"] = count
     if dictionary is not None:
         settings["dictionary_sha256"] = weights_digest(checkpoint_folder(dictionary) or dictionary)
     paths = {f"{name}_paths": len(made.dataset.split(name)) for name in get_args(SplitName)}
@@ -136,15 +130,9 @@ def run_training(
     about = {**settings, "kinematics": to_plain(made.dataset.chain), **paths, **metadata}
     epochs = epochs_of_profile if epochs is None else epochs
     trainer = Trainer(made, out, epochs, workers, about)
-    if rank > 0:
-        # until the first has opened the folder
-        dist.barrier()
-        return trainer.train(minutes)
     with locked(make_folder(out)):
         open_folder(out, settings)
         recover_weights(out / TRAINED_FOLDER)
-        if count > 1:
-            dist.barrier()
         return trainer.train(minutes, report)
 
 
@@ -173,7 +161,7 @@ class Trainer:
         self, stage: Stage, folder: Path, epochs: int, workers: int, metadata: Mapping[str, Any]
     ) -> None:
         self.stage, self.folder, self.epochs, self.workers = stage, folder, epochs, workers
-        self.metadata, (self.rank, self.processes) = metadata, joined_processes()
+        self.metadata = metadata
         self.progress, self.optimizer = Progress(), stage.optimizer.build(stage)
 
     def train(
@@ -191,9 +179,6 @@ class Trainer:
         else:
             torch.manual_seed(self.stage.seed)
             self.stage.prepare()
-        self._losses: nn.Module = self.stage
-        if self.processes > 1:
-            self._losses = DistributedDataParallel(self._losses, find_unused_parameters=True)
         began = saved = time.perf_counter()
         progress, before = self.progress, self.progress.seconds
         end, over = began + 60.0 * (math.inf if minutes is None else minutes), False
@@ -206,11 +191,7 @@ class Trainer:
                     report(
                         done, self.epochs * total, f"epoch {progress.epoch + 1}, loss {loss:.4f}"
                     )
-                    # every process stops if any has to
-                    flags = torch.tensor([bool(received), now >= end], dtype=torch.uint8)
-                    if self.processes > 1:
-                        dist.all_reduce(flags, dist.ReduceOp.MAX)
-                    stop, over = flags.bool().tolist()
+                    stop, over = bool(received), now >= end
                     within = over and progress.batch < total
                     if stop or within or now >= saved + save_every:
                         self._save()
@@ -227,14 +208,10 @@ class Trainer:
 
     def _epoch(self) -> Iterator[tuple[int, float]]:
         """Take the remaining steps of an epoch; yield its number of steps and each step's loss."""
-        stage, progress, k = self.stage, self.progress, self.processes
+        stage, progress = self.stage, self.progress
         batches = stage.batches(progress.epoch)
-        total = len(batches) // k
-        if not total:
-            raise InvalidInputError(
-                f"an epoch has fewer batches than the {k} processes; start fewer"
-            )
-        mine = range(progress.batch * k + self.rank, total * k, k)
+        total = len(batches)
+        mine = range(progress.batch, total)
         loader = DataLoader(
             batches,
             batch_size=None,
@@ -259,7 +236,7 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         self.optimizer.zero_grad(set_to_none=True)
-        losses = self._losses(batch)
+        losses = self.stage(batch)
         if not torch.isfinite(losses["loss"]):
             raise InvalidInputError(
                 f"loss is {float(losses['loss'].detach())} in epoch {self.progress.epoch + 1}, "
@@ -281,19 +258,16 @@ class Trainer:
         progress.rows.append(row)
         progress.epoch, progress.batch, progress.sums = progress.epoch + 1, 0, {}
         progress.best = self._keep_if_best(row, progress.epoch)
-        if self.rank == 0:
-            text = io.StringIO()
-            columns = list(dict.fromkeys(name for row in progress.rows for name in row))
-            writer = csv.DictWriter(text, columns, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(progress.rows)
-            write_text(self.folder / "curves.csv", text.getvalue())
+        text = io.StringIO()
+        columns = list(dict.fromkeys(name for row in progress.rows for name in row))
+        writer = csv.DictWriter(text, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(progress.rows)
+        write_text(self.folder / "curves.csv", text.getvalue())
         self._save()
 
     def _validate(self) -> dict[str, float | None]:
-        """Validation metrics, named as in curves.csv; computed in the first process alone."""
-        if self.rank > 0:
-            return {}
+        """Validation metrics, named as in curves.csv."""
         self.stage.eval()
         with torch.no_grad():
             return {f"validation_{name}": value for name, value in self.stage.validate().items()}
@@ -310,11 +284,10 @@ class Trainer:
 
     def _save(self) -> None:
         """Write the state that is needed to continue."""
-        if self.rank == 0:
-            state = {"module": self.stage.state_dict(), "optimizer": self.optimizer.state_dict()}
-            content = io.BytesIO()
-            torch.save({**state, "progress": vars(self.progress)}, content)
-            write_bytes(self.folder / "state.pt", content.getvalue())
+        state = {"module": self.stage.state_dict(), "optimizer": self.optimizer.state_dict()}
+        content = io.BytesIO()
+        torch.save({**state, "progress": vars(self.progress)}, content)
+        write_bytes(self.folder / "state.pt", content.getvalue())
 
     def _load(self) -> None:
         path = self.folder / "state.pt"
@@ -326,18 +299,6 @@ class Trainer:
         # what a damaged archive raises depends on the byte
         except Exception as error:
             raise InvalidInputError(f"{path} is damaged: {error}; choose another --out") from error
-
-
-def joined_processes() -> tuple[int, int]:
-    """Rank of this process and number of processes under `torchrun`; (0, 1) without it."""
-    count = int(os.environ.get("WORLD_SIZE", "1"))
-    if count == 1:
-        return 0, 1
-    if not dist.is_initialized():
-        dist.init_process_group("gloo")
-        if torch.cuda.is_available():
-            torch.cuda.set_device(int(os.environ["LOCAL_RANK"]) % torch.cuda.device_count())
-    return dist.get_rank(), count
 
 
 @contextmanager

@@ -15,6 +15,8 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +24,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown
+from cvqmpt_lab.errors import (
+    CvqmptError,
+    InvalidInputError,
+    UnknownChoiceError,
+    mapping,
+    shown,
+    whole_number,
+)
 from cvqmpt_lab.files import json_object, read_text, write_text
 from cvqmpt_lab.values import numbers
 
@@ -31,6 +40,8 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
 KINDS = ("position", "velocity", "acceleration")  # of columns in a csv
+# what `float` reads beside these (1_0, digits of other scripts) was not meant as a number
+DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)", re.ASCII | re.IGNORECASE)
 
 
 class JointState(NamedTuple):
@@ -173,7 +184,7 @@ def read_motion(path: Path) -> Motion:
     text = read_text(path, "motion")
     try:
         motion = readers[ending](text)
-    except InvalidInputError as error:
+    except CvqmptError as error:
         raise InvalidInputError(f"motion {path} is not understood: {error}") from error
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError, csv.Error) as error:
         why = shown(str(error))
@@ -197,10 +208,10 @@ def _from_csv(text: str) -> Motion:
         raise InvalidInputError("it is empty")
     header, lines = None, rows
     try:
-        np.array(rows[0], dtype=float)
+        _ = [float(cell) for cell in rows[0]]
     except ValueError:
         header, lines = tuple(name.strip() for name in rows[0]), rows[1:]
-    table = np.array([[float(x) for x in row] for row in lines]).reshape(len(lines), -1)
+    table = np.array([[_decimal(cell) for cell in row] for row in lines]).reshape(len(lines), -1)
     if header is not None and lines and table.shape[1] != len(header):
         raise InvalidInputError(f"{len(header)} names in its header, {table.shape[1]} values a row")
     if header is None or "time" not in header:
@@ -220,6 +231,13 @@ def _from_csv(text: str) -> Motion:
     return Motion(names, kinds[0], columns["time"], kinds[1], kinds[2])
 
 
+def _decimal(cell: str) -> float:
+    """The number of a csv's cell."""
+    if DECIMAL.fullmatch(cell.strip(" \t")) is None:
+        raise InvalidInputError(f"{shown(cell)}: give a decimal number, such as 0.25 or -1e-3")
+    return float(cell)
+
+
 def _from_json(text: str) -> Motion:
     try:
         data = json.loads(text) if text.lstrip().startswith("[") else json_object(text, "it")
@@ -233,6 +251,7 @@ def _from_json(text: str) -> Motion:
             raise InvalidInputError(f"'joint_names' {shown(names)}: give a list of names")
         names = tuple(names)
     if "points" in data:
+        _refuse_unknown("the trajectory", data, ("header", "joint_names", "joints", "points"))
         return _from_points(names, data["points"])
     key = next((key for key in ("states", "path") if data.get(key) is not None), None)
     if key is None:
@@ -242,9 +261,11 @@ def _from_json(text: str) -> Motion:
 
 def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) -> Motion:
     """The points of a `JointTrajectory`."""
-    times = [point["time_from_start"] for point in points]
+    known = ("positions", "velocities", "accelerations")
+    for k, point in enumerate(points):
+        _refuse_unknown(f"point {k}", point, (*known, "effort", "time_from_start"))
     kinds = []
-    for key in ("positions", "velocities", "accelerations"):
+    for key in known:
         given = [bool(point.get(key)) for point in points]
         if any(given) and not all(given):
             raise InvalidInputError(
@@ -253,9 +274,25 @@ def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) ->
         kinds.append(_table([point[key] for point in points]) if all(given) else None)
     if kinds[0] is None:
         raise InvalidInputError("a point has no 'positions'")
-    seconds = numbers([time["sec"] for time in times], "sec")
-    seconds = seconds + 1e-9 * numbers([time.get("nanosec", 0) for time in times], "nanosec")
-    return Motion(names, kinds[0], seconds, kinds[1], kinds[2])
+    times = [_seconds(k, point["time_from_start"]) for k, point in enumerate(points)]
+    return Motion(names, kinds[0], np.array(times), kinds[1], kinds[2])
+
+
+def _seconds(k: int, time: Any) -> float:
+    """The time_from_start [s] of point k, a duration of ROS."""
+    where = f"time_from_start of point {k}"
+    _refuse_unknown(where, time, ("sec", "nanosec"))
+    seconds = whole_number(f"{where}: sec", time.get("sec"), most=2**31 - 1)
+    return seconds + 1e-9 * whole_number(
+        f"{where}: nanosec", time.get("nanosec", 0), most=999_999_999
+    )
+
+
+def _refuse_unknown(where: str, value: Any, known: Sequence[str]) -> None:
+    """Refuse what is no object, and a key that nobody would read."""
+    for key in mapping(value, where, ", ".join(known)):
+        if key not in known:
+            raise UnknownChoiceError(f"key of {where}", key, known)
 
 
 def _table(rows: list[list[float]]) -> np.ndarray:

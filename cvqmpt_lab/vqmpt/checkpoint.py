@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -19,27 +19,13 @@ from torch import Tensor, nn
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_bytes, read_json_object
-from cvqmpt_lab.vqmpt.config import ModelConfig
+from cvqmpt_lab.vqmpt.config import ModelConfig, TransformerConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
 from cvqmpt_lab.vqmpt.weights import VQ_MPT, RobotSignature, StoredModel, read_model, write_model
 
 Module = TypeVar("Module", bound=nn.Module)
-
-SIZES = ("n_layers", "n_heads", "d_k", "d_v", "d_model", "d_inner", "dropout")
-STAGE1 = {"encoder_state": "encoder", "quantizer_state": "quantizer", "decoder_state": "decoder"}
-STAGE2 = {"context_state": "context", "ar_model_state": "autoregressive"}
-"""States of each stage's pickle, by the part of our module that they fill."""
-_NUMPY_SCALAR: Any = np.float64(0.0).__reduce__()[0]
-_HARMLESS: list[Any] = [  # a learning rate may have been saved as a numpy number, under either path
-    _NUMPY_SCALAR,
-    (_NUMPY_SCALAR, "numpy.core.multiarray.scalar"),
-    np.dtype,
-    np.dtypes.Float64DType,
-    np.dtypes.Float32DType,
-    np.dtypes.Int64DType,
-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,13 +71,6 @@ def as_modules(model: StoredModel) -> Checkpoint:
         for name, arrays in model.parts.items()
     }
     return Checkpoint(model.config, model.robot, modules, model.metadata)
-
-
-@torch.inference_mode()
-def trajectory_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray:
-    """Codes (t,) int64 of a trajectory's configurations (t, configuration_dim), by any encoder."""
-    dictionary = as_modules(model).modules["dictionary"]
-    return dictionary.encode(torch.from_numpy(configurations)[None])[0].numpy()
 
 
 def filled(
@@ -162,15 +141,7 @@ def _refuse(faults: list[str], where: str) -> None:
         )
 
 
-class Imported(NamedTuple):
-    """A published model in this project's terms, and what was converted."""
-
-    checkpoint: Checkpoint
-    states: dict[str, tuple[int, int]]  # by name: its tensors, and the numbers in them
-    ignored: tuple[str, ...]  # entries beside the states: optimizer, epoch, ...
-
-
-def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) -> Imported:
+def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) -> Checkpoint:
     """Convert published checkpoints; every tensor finds its place and none is left over.
 
     Args:
@@ -184,25 +155,24 @@ def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) 
     config = _config(dictionary_dir, ar_dir)
     path1, path2 = dictionary_dir / "best_model.pkl", ar_dir / "best_model.pkl"
     stage1, stage2 = read_tensors(path1), read_tensors(path2)
-    dictionary = filled(lambda: Dictionary(config), _together(stage1, STAGE1, path1), str(path1))
-    tensors = _together(stage2, STAGE2, path2)
-    sequence_model = filled(lambda: PublishedSequenceModel(config), tensors, str(path2))
-    both, used = {**stage1, **stage2}, (*STAGE1, *STAGE2)
-    first, second = stage1.get("epoch"), stage2.get("epoch")
-    epochs = [epoch if isinstance(epoch, int) else None for epoch in (first, second)]
-    metadata = {"source": "published checkpoint", "epochs": epochs}
+    names = {"encoder_state": "encoder", "quantizer_state": "quantizer"}
+    tensors1 = _together(stage1, {**names, "decoder_state": "decoder"}, path1)
+    dictionary = filled(lambda: Dictionary(config), tensors1, str(path1))
+    names = {"context_state": "context", "ar_model_state": "autoregressive"}
+    tensors2 = _together(stage2, names, path2)
+    sequence_model = filled(lambda: PublishedSequenceModel(config), tensors2, str(path2))
+    epochs = [stage.get("epoch") for stage in (stage1, stage2)]
+    known = [epoch if isinstance(epoch, int) else None for epoch in epochs]
+    metadata = {"source": "published checkpoint", "epochs": known}
     modules = {"dictionary": dictionary, "sequence_model": sequence_model}
-    return Imported(
-        Checkpoint(config, robot, modules, metadata),
-        {name: (len(both[name]), sum(t.numel() for t in both[name].values())) for name in used},
-        tuple(sorted({str(name) for name in both} - {*used})),
-    )
+    return Checkpoint(config, robot, modules, metadata)
 
 
 def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
-    stage1 = _fields(dictionary_dir / "model_params.json", (*SIZES, "n_position", "c_space_dim"))
-    context = _fields(ar_dir / "cross_attn.json", (*SIZES, "d_context"))
-    sequence = _fields(ar_dir / "ar_params.json", (*SIZES, "num_keys"))
+    sizes = tuple(TransformerConfig.__dataclass_fields__)
+    stage1 = _fields(dictionary_dir / "model_params.json", (*sizes, "n_position", "c_space_dim"))
+    context = _fields(ar_dir / "cross_attn.json", (*sizes, "d_context"))
+    sequence = _fields(ar_dir / "ar_params.json", (*sizes, "num_keys"))
     if context["d_context"] != stage1["c_space_dim"]:
         raise InvalidInputError(
             f"{ar_dir / 'cross_attn.json'}: d_context {context['d_context']} is not the "
@@ -213,7 +183,7 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
             f"{ar_dir / 'ar_params.json'}: num_keys {sequence['num_keys']} has no codes"
         )
     sizes1, sizes2, sizes3 = (
-        {name: fields[name] for name in SIZES} for fields in (stage1, context, sequence)
+        {name: fields[name] for name in sizes} for fields in (stage1, context, sequence)
     )
     config = {
         "kind": "published",
@@ -267,8 +237,12 @@ def read_tensors(path: Path) -> dict[str, Any]:
     or a pickle that wants to run code.
     """
     data = read_bytes(path)
+    # a learning rate may have been saved as a numpy number, under either path
+    scalar: Any = np.float64(0.0).__reduce__()[0]
+    kinds = (np.dtypes.Float64DType, np.dtypes.Float32DType, np.dtypes.Int64DType)
+    harmless = [scalar, (scalar, "numpy.core.multiarray.scalar"), np.dtype, *kinds]
     try:
-        with torch.serialization.safe_globals(_HARMLESS), warnings.catch_warnings():
+        with torch.serialization.safe_globals(harmless), warnings.catch_warnings():
             # about other pickles than we read
             warnings.simplefilter("ignore")
             content = torch.load(path, map_location="cpu", weights_only=True)

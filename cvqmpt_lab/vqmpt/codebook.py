@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, require_torch
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.config import EPSILON, SerialChain
@@ -172,8 +172,8 @@ class ModelConfigurations:
         return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def _feature_chain(model: StoredModel, robot: Robot, tolerance: float = 1e-4) -> SerialChain:
-    """The chain whose points are features; its frames must be the robot's [m, entries of R]."""
+def _feature_chain(model: StoredModel, robot: Robot) -> SerialChain:
+    """The chain whose points are features."""
     data = model.metadata.get("kinematics")
     if data is None:
         raise InvalidInputError(
@@ -186,16 +186,6 @@ def _feature_chain(model: StoredModel, robot: Robot, tolerance: float = 1e-4) ->
             f"model metadata, kinematics: {len(chain.rotation)} joints and {chain.feature_dim} "
             f"features; the model has {robot.dof} and {model.config.feature_dim}"
         )
-    for name in ("rotation", "translation"):
-        difference = np.abs(getattr(chain, name) - getattr(robot.kinematics, name))
-        difference = difference.reshape(robot.dof, -1).max(axis=1)
-        if difference.max() > tolerance:
-            joint = int(difference.argmax())
-            raise InvalidInputError(
-                f"the model's link features were made with another {name} of joint "
-                f"{robot.joint_names[joint]!r} (difference {difference[joint]:g}); use the robot "
-                "description it was trained with"
-            )
     return chain
 
 
@@ -249,13 +239,12 @@ def dictionary_nodes(model: StoredModel, robot: Robot | RobotSignature) -> np.nd
 
 def codes_of(model: StoredModel, robot: Robot, configurations: np.ndarray) -> np.ndarray:
     """Code (b,) int64 of each configuration (b, n) [rad] of one path."""
-    given = ModelConfigurations(model, robot).of(configurations)
-    if model.config.dictionary.encoder == "mlp":
-        return waypoint_codes(model, given)
-    require_torch("a dictionary whose encoder takes whole trajectories")
-    from cvqmpt_lab.vqmpt.checkpoint import trajectory_codes
-
-    return trajectory_codes(model, given)
+    if model.config.dictionary.encoder != "mlp":
+        raise InvalidInputError(
+            f"a dictionary with encoder {model.config.dictionary.encoder!r} encodes whole "
+            "trajectories, in training alone; use one with encoder 'mlp', such as vq_mpt"
+        )
+    return waypoint_codes(model, ModelConfigurations(model, robot).of(configurations))
 
 
 def waypoint_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray:

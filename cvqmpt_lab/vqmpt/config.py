@@ -1,26 +1,17 @@
 """Sizes and options of VQ-MPT and MPNet, as in the json file beside weights; checks of inputs.
 
-Defaults are those of the published models; `ModelConfig.compact` is the dictionary that ships.
+Defaults are those of the published models.
 """
 
-import math
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, shown
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.values import Array, Condition, FloatArray, Length
 
 EPSILON = 1e-6  # of the layer norms of attention and feed-forward blocks, and of the dictionary
-
-
-def require_sizes(largest: int = 1 << 16, **sizes: int | tuple[int, ...] | None) -> None:
-    """Raise InvalidInputError naming a size that is given and not from 1 to the largest."""
-    for name, given in sizes.items():
-        for size in given if isinstance(given, tuple) else (given,):
-            if size is not None and not 1 <= size <= largest:
-                raise InvalidInputError(f"{name} is {shown(size)}; give 1 to {largest}")
 
 
 Size = Annotated[int, Condition(int, lambda n: 1 <= n <= 1 << 16, f"1 to {1 << 16}")]
@@ -152,25 +143,6 @@ class ModelConfig:
         """Class of the token that ends a sequence; the one before it is the start token's."""
         return self.dictionary.n_codes + 1
 
-    @classmethod
-    def compact(cls, joint_dim: int = 7, feature_dim: int = 0, n_codes: int = 1024) -> Self:
-        """A dictionary of about a tenth of the size, made for one CPU core."""
-        small = TransformerConfig(n_heads=4, d_k=32, d_v=32, d_model=128, d_inner=256, dropout=0.1)
-        return cls(
-            kind="compact",
-            joint_dim=joint_dim,
-            feature_dim=feature_dim,
-            dictionary=DictionaryConfig(
-                encoder="mlp",
-                transformer=small,
-                n_codes=n_codes,
-                decoder_dropout=0.0,
-                data_initialised=True,
-            ),
-            point_cloud=None,
-            sequence=None,
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class MPNetConfig:
@@ -186,37 +158,6 @@ class MPNetConfig:
     def __post_init__(self) -> None:
         if not self.encoder_widths or not self.planner_widths:
             raise InvalidInputError("encoder_widths and planner_widths need a layer each")
-
-
-def require_point_cloud(points: Any, largest_extent: float = 50.0) -> None:
-    """Check a point cloud.
-
-    Args:
-        points: (..., m, 3) [m], an array or a tensor.
-        largest_extent: [m]; a larger cloud was almost surely given in millimetres.
-
-    Raises:
-        InvalidInputError: fewer than two points, another shape, NaN, or an extent that cannot be
-            metres.
-    """
-    if points.ndim < 2 or points.shape[-1] != 3:
-        raise InvalidInputError(
-            f"point cloud of shape {tuple(points.shape)}; it must be (n, 3) [m]"
-        )
-    if points.shape[-2] < 2:
-        raise InvalidInputError(f"point cloud of {points.shape[-2]} points; give at least 2")
-    size = abs(points)  # of arrays and tensors alike
-    largest = float(size.max())
-    if not largest < math.inf:
-        bad = int((~(size < math.inf)).any(-1).sum())
-        raise InvalidInputError(
-            f"point cloud has {bad} points with NaN or infinite values; drop them"
-        )
-    if largest > largest_extent:
-        raise InvalidInputError(
-            f"point cloud reaches {largest:g} m; at most {largest_extent:g} m: give metres, not "
-            "millimetres"
-        )
 
 
 @dataclass(frozen=True, eq=False)

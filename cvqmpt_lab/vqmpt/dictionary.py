@@ -31,13 +31,12 @@ class MultiHeadAttention(nn.Module):
         self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
         self.dropout = sizes.dropout
 
-    def forward(self, query: Tensor, context: Tensor, visible: Tensor | None = None) -> Tensor:
+    def forward(self, query: Tensor, context: Tensor) -> Tensor:
         """Attend from a query to a context, both before normalisation.
 
         Args:
             query: (b, t, d_model).
             context: (b, m, d_model); the query itself in self-attention.
-            visible: (b, m) bool, context tokens that are no padding; None for all.
         """
         keys_of = self.layer_norm(context)
         queries_of = keys_of if query is context else self.layer_norm(query)
@@ -49,9 +48,8 @@ class MultiHeadAttention(nn.Module):
                 (self.w_vs, keys_of),
             )
         )
-        mask = None if visible is None else visible[:, None, None, :]
         dropout = self.dropout if self.training else 0.0
-        heads = F.scaled_dot_product_attention(q, k, v, attn_mask=mask, dropout_p=dropout)
+        heads = F.scaled_dot_product_attention(q, k, v, dropout_p=dropout)
         heads = heads.transpose(1, 2).flatten(2)
         return query + F.dropout(self.fc(heads), self.dropout, self.training)
 
@@ -84,17 +82,14 @@ class SelfAttentionLayer(nn.Module):
         self.slf_attn = MultiHeadAttention(sizes)
         self.pos_ffn = FeedForward(sizes.d_model, sizes.d_inner, sizes.dropout)
 
-    def forward(
-        self, tokens: Tensor, visible: Tensor | None = None, read: Tensor | None = None
-    ) -> Tensor:
+    def forward(self, tokens: Tensor, read: Tensor | None = None) -> Tensor:
         """Map tokens (b, t, d_model) to the same shape.
 
         Args:
             tokens: (b, t, d_model).
-            visible: (b, t) as in `MultiHeadAttention`.
             read: (b, r, d_model), those of the tokens whose outputs alone are wanted.
         """
-        return self.pos_ffn(self.slf_attn(tokens if read is None else read, tokens, visible))
+        return self.pos_ffn(self.slf_attn(tokens if read is None else read, tokens))
 
 
 class PositionTable(nn.Module):

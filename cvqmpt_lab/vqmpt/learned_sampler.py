@@ -58,8 +58,6 @@ from cvqmpt_lab.vqmpt.weights import (
     robot_signature,
 )
 
-GOALS = 3  # that a network is asked about; the search gets them all
-
 
 @dataclass(frozen=True, eq=False)
 class CodeProposal(Proposal):
@@ -81,6 +79,7 @@ def network_codes(
     nodes: np.ndarray,
     query: Query,
     observation: Observation,
+    most_goals: int = 3,
 ) -> CodeProposal:
     """Codes of the sequences to the cheapest goals, by beam search (K = 3).
 
@@ -90,12 +89,13 @@ def network_codes(
         nodes: (N, n), a configuration for each code [rad or m].
         query: start and goals.
         observation: the cloud.
+        most_goals: that the network is asked about; the search gets them all.
     """
     assert observation.cloud is not None
     began = query.deadline.seconds
     scene = predictor.encode(observation.cloud, observation.use_cache)
     encoded = query.deadline.seconds
-    goals = predictor.by_cost(scene, query.start, query.goals)[:GOALS]
+    goals = predictor.by_cost(scene, query.start, query.goals)[:most_goals]
     beams = predictor.hypotheses(scene, query.start, goals, every=all_beams)
     most = None if all_beams else 1
     by_goal = [
@@ -122,7 +122,7 @@ def random_codes(
 ) -> CodeProposal:
     """Random codes of the dictionary: ablation baseline; about as many as predictors give."""
     drawn = query.rng.choice(codes, min(count, codes), replace=False)
-    detail, goals = f"{len(drawn)} codes at random", query.nearest_goals(GOALS)
+    detail, goals = f"{len(drawn)} codes at random", query.nearest_goals(3)
     return CodeProposal(query.uniform, detail=detail, codes=drawn, goals=goals)
 
 

@@ -25,7 +25,6 @@ from cvqmpt_lab.vqmpt.config import (
     PointCloudConfig,
     SetAbstractionConfig,
     TransformerConfig,
-    require_point_cloud,
 )
 from cvqmpt_lab.vqmpt.dictionary import (
     Dictionary,
@@ -34,11 +33,6 @@ from cvqmpt_lab.vqmpt.dictionary import (
     Quantizer,
     SelfAttentionLayer,
 )
-
-START_TOKEN = -1.0  # every entry of the vector that stands between the context and the first code
-
-Scene = tuple[Tensor, Tensor]
-"""Scene tokens (s, m, d_model), padded to the longest scene, and a mask (s, m) of real tokens."""
 
 
 class PointConvolution(nn.Module):
@@ -68,13 +62,8 @@ class PointConvolution(nn.Module):
             (n_centres, widths[-1]).
         """
         messages = self.local_nn(edges)
-        # the same values; slower, but with a far faster gradient
-        if messages.requires_grad:
-            lengths = torch.bincount(centre, minlength=n_centres)
-            return torch.segment_reduce(messages, "max", lengths=lengths, axis=0, unsafe=True)
-        index = centre[:, None].expand_as(messages)
-        start = messages.new_zeros(n_centres, messages.shape[-1])
-        return start.scatter_reduce(0, index, messages, "amax", include_self=False)
+        lengths = torch.bincount(centre, minlength=n_centres)
+        return torch.segment_reduce(messages, "max", lengths=lengths, axis=0, unsafe=True)
 
 
 class SetAbstraction(nn.Module):
@@ -117,28 +106,14 @@ class PointCloudEncoder(nn.Module):
         features, _ = self.sa2_module(*self.sa1_module(points, points))
         return features
 
-    def constant_features(self, least: float = 1e-6) -> float:
-        """Share of token features with a variance below `least`: their ReLU units are dead."""
-        norms = [part for part in self.modules() if isinstance(part, nn.BatchNorm1d)]
-        variance = norms[-1].running_var
-        assert variance is not None
-        return float((variance < least).float().mean())
-
 
 def farthest_point_sampling(points: Tensor, count: int) -> Tensor:
     """Indices (b, count) of points (b, n, 3), each the farthest from those before it.
 
-    The first is 0, ties go to the lowest index. InvalidInputError if count is not in 1..n.
+    The first is 0, ties go to the lowest index.
     """
-    n = points.shape[1]
-    if not 1 <= count <= n:
-        raise InvalidInputError(
-            f"farthest point sampling of {count} from {n} points; give 1 to {n}"
-        )
-    if points.device.type == "cpu":
-        each = [_farthest_of_one(cloud.detach().numpy(), count) for cloud in points]
-        return torch.from_numpy(np.stack(each))
-    return _farthest_of_batch(points.detach(), count)
+    each = [_farthest_of_one(cloud.detach().cpu().numpy(), count) for cloud in points]
+    return torch.from_numpy(np.stack(each)).to(points.device)
 
 
 def _farthest_of_one(points: np.ndarray, count: int) -> np.ndarray:
@@ -155,18 +130,6 @@ def _farthest_of_one(points: np.ndarray, count: int) -> np.ndarray:
         np.minimum(nearest, distance, out=nearest)
         latest = int(nearest.argmax())
         indices[k] = latest
-    return indices
-
-
-def _farthest_of_batch(points: Tensor, count: int) -> Tensor:
-    """Farthest points (b, count) of all clouds (b, n, 3) at once, for an accelerator."""
-    rows = torch.arange(len(points), device=points.device)
-    indices = torch.zeros(len(points), count, dtype=torch.int64, device=points.device)
-    nearest = torch.full(points.shape[:2], torch.inf, dtype=points.dtype, device=points.device)
-    for k in range(1, count):
-        squares = (points - points[rows, indices[:, k - 1]][:, None]).square()
-        nearest = torch.minimum(nearest, squares[..., 0] + squares[..., 1] + squares[..., 2])
-        indices[:, k] = nearest.argmax(dim=1)
     return indices
 
 
@@ -219,9 +182,9 @@ class CrossAttentionLayer(nn.Module):
         self.enc_attn = MultiHeadAttention(sizes)
         self.pos_ffn = FeedForward(sizes.d_model, sizes.d_inner, sizes.dropout)
 
-    def forward(self, query: Tensor, context: Tensor, visible: Tensor | None = None) -> Tensor:
+    def forward(self, query: Tensor, context: Tensor) -> Tensor:
         """Map query (b, t, d_model), given context (b, m, d_model), to the query's shape."""
-        return self.pos_ffn(self.enc_attn(query, context, visible))
+        return self.pos_ffn(self.enc_attn(query, context))
 
 
 class CrossAttentionContext(nn.Module):
@@ -239,17 +202,16 @@ class CrossAttentionContext(nn.Module):
         self.layer_stack = nn.ModuleList(CrossAttentionLayer(sizes) for _ in range(sizes.n_layers))
         self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
 
-    def forward(self, start_goal: Tensor, scene: Tensor, visible: Tensor | None = None) -> Tensor:
+    def forward(self, start_goal: Tensor, scene: Tensor) -> Tensor:
         """Context M (b, t, d_model).
 
         Args:
             start_goal: (b, t, joint_dim) normalised joints.
             scene: (b, m, d_model) tokens.
-            visible: (b, m) bool, False where padded.
         """
         tokens = self.to_latent_embedding(start_goal)
         for layer in self.layer_stack:
-            tokens = layer(tokens, scene, visible)
+            tokens = layer(tokens, scene)
         return self.layer_norm(tokens)
 
 
@@ -299,38 +261,25 @@ class PublishedSequenceModel(nn.Module):
         given, width = config.dictionary.transformer.d_model, sequence.transformer.d_model
         self.enter = nn.Identity() if given == width else nn.Linear(given, width)
 
-    def encode_scene(self, clouds: Sequence[Tensor] | Tensor) -> Scene:
-        """Encode clouds (n_i, 3) [m, robot base frame]; errors as of `require_point_cloud`.
+    def encode_scene(self, clouds: Sequence[Tensor] | Tensor) -> Tensor:
+        """Scene tokens (s, m, d_model) of clouds (n, 3) [m, robot base frame], as many points each.
 
-        Batch norm statistics are per cloud if sizes differ.
+        InvalidInputError: fewer than two points.
         """
-        for cloud in clouds:
-            require_point_cloud(cloud)
-        encoder = self.context.env_encoder
-        if len({len(cloud) for cloud in clouds}) == 1:
-            tokens = encoder(torch.stack(list(clouds)))
-            return tokens, tokens.new_ones(tokens.shape[:2], dtype=torch.bool)
-        each = [encoder(cloud[None])[0] for cloud in clouds]
-        padded = nn.utils.rnn.pad_sequence(each, batch_first=True)
-        sizes = torch.tensor([len(tokens) for tokens in each], device=padded.device)
-        return padded, torch.arange(padded.shape[1], device=padded.device) < sizes[:, None]
+        if len(clouds[0]) < 2:
+            raise InvalidInputError(f"point cloud of {len(clouds[0])} points; give at least 2")
+        return self.context.env_encoder(torch.stack(list(clouds)))
 
     @torch.inference_mode()
-    def encode_cloud(self, points: np.ndarray) -> Scene:
+    def encode_cloud(self, points: np.ndarray) -> Tensor:
         """Encode one cloud (m, 3) float32 [m, robot base frame], for planning."""
         return self.encode_scene([torch.tensor(points)])
 
-    def encode_context(self, scene: Scene, start: Tensor, goal: Tensor) -> Tensor:
+    def encode_context(self, scene: Tensor, start: Tensor, goal: Tensor) -> Tensor:
         """Context M (b, 2, d_model) of starts and goals (b, joint_dim), as many of each scene."""
-        times, left = divmod(len(start), len(scene[0]))
-        if left:
-            raise InvalidInputError(
-                f"{len(start)} starts and goals for {len(scene[0])} scenes; give equally many for "
-                "each"
-            )
         # starts and goals of a scene ignore each other
-        ends = torch.stack((start, goal), 1).view(len(scene[0]), 2 * times, -1)
-        return self.context.context_encoder(ends, *scene).view(len(start), 2, -1)
+        ends = torch.stack((start, goal), 1).view(len(scene), 2 * len(start) // len(scene), -1)
+        return self.context.context_encoder(ends, scene).view(len(start), 2, -1)
 
     def prefix_logits(self, context: Tensor, codes: Tensor, quantizer: Quantizer) -> Tensor:
         """Logits of what follows a prefix, of pi(h_j = i | h_1 ... h_(j-1), M).
@@ -345,7 +294,7 @@ class PublishedSequenceModel(nn.Module):
         """
         with torch.no_grad():
             embedded = quantizer.lookup(codes)
-        start_token = torch.full_like(context[:, :1], START_TOKEN)
+        start_token = torch.full_like(context[:, :1], -1.0)  # between context and first code
         tokens = torch.cat((context, start_token, self.enter(embedded)), dim=1)
         return self.autoregressive(tokens)
 
@@ -353,7 +302,7 @@ class PublishedSequenceModel(nn.Module):
     def decoder(
         self,
         dictionary: Dictionary,
-        scene: Scene,
+        scene: Tensor,
         start: np.ndarray | Tensor,
         goal: np.ndarray | Tensor,
     ) -> StepDecoder:

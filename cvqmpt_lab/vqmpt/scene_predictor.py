@@ -127,7 +127,7 @@ class PublishedPredictor(SequencePredictor):
         self._length = model.config.stage2[1].max_length
 
     def _encoded(self, points: np.ndarray) -> Any:
-        """Scene tokens; InvalidInputError as of `require_point_cloud`."""
+        """Scene tokens; InvalidInputError: fewer than two points."""
         return self._network.encode_cloud(points)
 
     def hypotheses(

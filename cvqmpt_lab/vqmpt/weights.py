@@ -7,7 +7,6 @@ beside its place and moved there when it is complete.
 
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -170,11 +169,11 @@ def write_model(folder: Path, model: StoredModel) -> None:
         InvalidInputError: weights are not finite, or the disk refuses.
     """
     folder = Path(folder)
-    # on the same file system, so that the move is atomic
-    beside = folder.parent / f".{folder.name}.partial-{os.getpid()}"
+    # on the same file system, so that the move is atomic; a killed process may have left them
+    beside, earlier = (folder.parent / f".{folder.name}.{part}" for part in ("partial", "earlier"))
     try:
-        # left by a killed process that had this number
         shutil.rmtree(beside, ignore_errors=True)
+        shutil.rmtree(earlier, ignore_errors=True)
         beside.mkdir(parents=True)
         sha256 = {}
         for part, arrays in model.parts.items():
@@ -197,7 +196,10 @@ def write_model(folder: Path, model: StoredModel) -> None:
             "metadata": dict(model.metadata),
         }
         write_bytes(beside / CONFIG_FILE, (json.dumps(description, indent=2) + "\n").encode())
-        _move_into_place(beside, folder)
+        if folder.exists():
+            folder.rename(earlier)
+        beside.rename(folder)
+        shutil.rmtree(earlier, ignore_errors=True)
     except OSError as error:
         raise InvalidInputError(
             f"cannot write weights to {folder}: {error.strerror}; free some space or choose "
@@ -207,29 +209,11 @@ def write_model(folder: Path, model: StoredModel) -> None:
         shutil.rmtree(beside, ignore_errors=True)
 
 
-def _move_into_place(source: Path, target: Path) -> None:
-    """Rename source to target; an earlier target steps aside first and comes back if that fails."""
-    aside = target.parent / f".{target.name}.previous-{os.getpid()}"
-    if target.exists():
-        target.rename(aside)
-    try:
-        source.rename(target)
-    except OSError:
-        if aside.exists():
-            aside.rename(target)
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
-
-
 def recover_weights(folder: Path) -> None:
-    """Finish what a killed `write_model` left beside `folder`; only for its single writer."""
-    for aside in folder.parent.glob(f".{folder.name}.previous-*"):
-        if folder.exists():
-            shutil.rmtree(aside, ignore_errors=True)
-        else:
-            aside.rename(folder)
-    for beside in folder.parent.glob(f".{folder.name}.partial-*"):
-        shutil.rmtree(beside, ignore_errors=True)
+    """Put back what a `write_model` that was killed had moved aside; only for its single writer."""
+    earlier = folder.parent / f".{folder.name}.earlier"
+    if earlier.exists() and not folder.exists():
+        earlier.rename(folder)
 
 
 def read_description(

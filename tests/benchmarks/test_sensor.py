@@ -50,9 +50,8 @@ def test_a_path_is_judged_in_the_map_and_in_truth(sensed):
     path = suite_named("sensor").solvable(1)
     hand = path.robot.pose(path.goals[0])[:3, 3]
     ball = SceneObject("unseen", Sphere(0.05), pose(hand))
-    (row,) = outcome_of(
-        run, replace(sensed, truth=Scene("t", (*sensed.truth.objects, ball))), 0.0
-    ).rows
+    truth = Scene("t", (*sensed.truth.objects, ball))
+    (row,) = outcome_of(run, replace(sensed, truth=truth), 0.0).rows
     assert row.solved and row.true_free is False and row.true_clearance_m < 0.0
 
 

@@ -1,12 +1,12 @@
 """`cvqmpt certify`: intact solutions pass; changed ones are refused and the change is named."""
 
 import json
-import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_line import refused
+from numpy.polynomial import Polynomial
 
 from cli.main import main
 from cvqmpt_lab.benchmarks.place_task import DOOR, carried_can
@@ -25,7 +25,6 @@ from experiments.experiment import Experiment
 from experiments.run import executor_for, run_experiment
 
 MIDDLE = 40
-POINT = '{"positions": [1], "accelerations": [%s], "time_from_start": {"sec": 0}}'
 
 
 @pytest.fixture(scope="module")
@@ -277,6 +276,34 @@ def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(
     assert [fault["kind"] for fault in found[1]["faults"]] == ["collision"] * code
 
 
+@pytest.mark.parametrize(("share", "code"), [(1.0025, 1), (1.0005, 0)])
+def test_a_speed_is_judged_at_its_peak(judged, panda, share, code):
+    """Joint 1 moves at v(u) = u^2 (1 - u) (1 + 4.49 u), scaled, of u = t / 4 s.
+
+    Its peak lies in the middle between two of 33 samples; the largest of these is 0.23 % lower.
+    """
+    v = Polynomial([0, 0, 1]) * Polynomial([1, -1]) * Polynomial([1, 4.49])
+    v *= share * panda.joint_limits.velocity[0] / v(0.73457)
+    start = np.array([-2.0, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8])
+    goal = start + 4.0 * v.integ()(1.0) * np.eye(7)[0]
+    problem = PlanningProblem("sweep", panda, Scene("empty", ()), start, goal[None])
+    ends = zip((0, 4), (start, goal), (0.0, v.deriv()(1.0) / 4.0), strict=True)
+    points = [
+        {
+            "positions": q.tolist(),
+            "velocities": [0.0] * 7,
+            "accelerations": [a, *[0.0] * 6],
+            "time_from_start": {"sec": sec},
+        }
+        for sec, q, a in ends
+    ]
+    text = json.dumps({"joint_names": panda.joint_names, "points": points})
+    found = judged(text, problem, "motion.json")
+    faults = found[1]["faults"]
+    assert (found[0], len(faults)) == (code, code), faults
+    assert all(f["kind"] == "velocity" and abs(f["time_s"] - 2.94) < 0.02 for f in faults)
+
+
 @pytest.mark.parametrize(("part", "words"), [(slice(40), "ends"), (slice(40, None), "begins")])
 def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
     judged, region_problem, trajectory, part, words
@@ -307,37 +334,6 @@ def test_the_report_says_where_a_path_leaves_the_manifold_in_short_lines(tmp_pat
         )
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
-        ("a.csv", "", "empty"),
-        ("a.csv", "1,2\n3\n", "not understood"),
-        ("a.csv", "q1,q2\n1,2\n3,4\n", "the robot has panda_joint1"),
-        ("a.csv", "time,q1_position,force\n1,2,3\n", "column 'force'"),
-        ("a.json", "{", "not json"),
-        ("a.json", "{}", "no 'states', 'path' or 'points'"),
-        ("a.json", '[["x"]]', "not understood"),
-        ("a.json", "[[1, 2], [3]]", "not understood"),
-        ("a.json", '[["0.1", 2], [3, 4]]', "not understood"),
-        ("a.json", "[[true, 2], [3, 4]]", "not understood"),
-        (
-            "a.json",
-            '{"points": [{"positions": [1], "time_from_start": {"sec": true}}]}',
-            "not understood",
-        ),
-        ("a.json", '{"joint_names": 3, "states": []}', "list of names"),
-        ("a.json", '{"points": [{"time_from_start": 3}]}', "no 'positions'"),
-        ("a.json", '{"points": 7}', "not understood"),
-        ("a.json", f'{{"points": [{POINT % 0}, {POINT % ""}]}}', "point 1 has no 'accelerations'"),
-        ("a.json", "[" * 100_000, "not understood"),
-        ("a.txt", "", "'.txt'"),
-    ],
-)
-def test_what_is_no_motion_is_one_line(tmp_path, capsys, name, text, words):
-    (tmp_path / name).write_text(text)
-    assert words in refused(capsys, "certify", tmp_path / name, "place-task")
-
-
 def test_a_trajectory_without_velocities_with_times_that_go_back_or_in_other_units_is_one_line(
     tmp_path, capsys, trajectory
 ):
@@ -357,13 +353,6 @@ def test_a_trajectory_without_velocities_with_times_that_go_back_or_in_other_uni
     ):
         (tmp_path / "a.csv").write_text(text)
         assert words in refused(capsys, "certify", tmp_path / "a.csv", "place-task")
-
-
-def test_a_pipe_or_a_device_is_no_motion(tmp_path, capsys):
-    os.mkfifo(tmp_path / "pipe.csv")
-    (tmp_path / "device.csv").symlink_to("/dev/zero")
-    for name in ("pipe.csv", "device.csv"):
-        assert "not a regular file" in refused(capsys, "certify", tmp_path / name, "place-task")
 
 
 def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, capsys):

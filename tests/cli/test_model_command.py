@@ -43,16 +43,7 @@ def test_published_folders_are_converted_and_predict(
     assert {path.name for path in tmp_path.iterdir()} == {"dictionary", "ar"}
     dictionary_dir, ar_dir = published()
     assert main([str(word) for word in words]) == 0
-    text = capsys.readouterr().out
-    for name in (
-        "encoder_state",
-        "quantizer_state",
-        "decoder_state",
-        "context_state",
-        "ar_model_state",
-    ):
-        assert f"\n{name} " in text
-    assert "epochs: dictionary 7, sequence model 7\nnot used: epoch, n_steps, optimizer" in text
+    assert "published checkpoint" in capsys.readouterr().out
     assert (
         info(capsys, "--model", words[-1])["model"]["dictionary"]["n_position"]
         == STAGE1["n_position"]

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from command_line import refused
 from jsonschema import Draft202012Validator
 
 from cli.main import main
@@ -25,6 +26,25 @@ def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem,
     assert out.read_text().splitlines()[0] == ",".join(problem.robot.joint_names)
     states = np.loadtxt(out, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(states[[0, -1]], [problem.start, problem.goals[0]])
+
+
+def test_a_goal_that_collides_is_left_out_and_named(capsys, problem_file, data, problem):
+    folded = [0.0, 0.0, 0.0, -3.07, 0.0, 0.0, 0.0]
+    data["goals"] = [*problem.goals[:2].tolist(), folded]
+    del data["goal_region"]
+    data["constraint"] = []
+    problem_file.write_text(json.dumps(data))
+    words = ["plan", "--problem-file", str(problem_file), "--iterations", "20000"]
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("2 goals")
+    assert lines[1].startswith("left out    goal 2 is in collision: panda_")
+    assert main([*words, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["goals"] == 2 and [f"left out    {x}" for x in said["goals_left_out"]] == lines[1:2]
+    data["goals"] = [folded, folded]
+    problem_file.write_text(json.dumps(data))
+    assert "none of 2 goals can be used: goal 1 is in collision" in refused(capsys, *words)
 
 
 def test_the_planner_that_nobody_names_is_a_roadmap_but_where_the_hand_holds_a_door(capsys):

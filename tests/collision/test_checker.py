@@ -6,6 +6,7 @@ from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.benchmarks.door_task import door_problem, door_world
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, carried_can
+from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
@@ -200,10 +201,9 @@ def test_maps_are_the_same_to_both_checkers(panda, T, padding):
     compare(panda, scene, 2000, margin=1e-4)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_configurations_that_are_not_finite_collide(panda, value):
-    found = compiled_hits(panda, NOTHING, np.array([HOME, np.full(7, value)]))
-    assert found.tolist() == [False, True]
+def test_configurations_that_are_not_finite_collide(panda):
+    states = np.array([HOME, np.full(7, np.nan), np.full(7, np.inf)])
+    assert compiled_hits(panda, NOTHING, states).tolist() == [False, True, True]
 
 
 def test_obstacles_outside_the_grid_are_still_seen(panda):
@@ -215,3 +215,21 @@ def test_obstacles_outside_the_grid_are_still_seen(panda):
     assert np.linalg.norm(T_world_tip[:3, 3]) > panda.reach
     assert compiled_hits(panda, scene, [stretched], (pole,)) == [True]
     assert compiled_hits(panda, scene, [stretched]) == [False]
+
+
+def test_a_robots_arrays_are_made_once_and_the_same_from_disk(slider_arm, tmp_path, monkeypatch):
+    """What is done with a damaged file: search/test_roadmap_nodes."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def stored(length):
+        bar = Attachment("bar", Box((0.1, 0.1, length)), pose((0.0, 0.0, 0.1)))
+        return arrays.robot_arrays.__wrapped__(slider_arm, (bar,))
+
+    first, longer = stored(0.12), stored(0.4)
+    monkeypatch.setattr(arrays, "robot_geometry", lambda *_: pytest.fail("it was made again"))
+    again = stored(0.12)
+    assert type(again) is type(first) and type(again.largest) is float
+    for one, other in zip((*first.pieces, *first[1:]), (*again.pieces, *again[1:]), strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert np.asarray(one).dtype == np.asarray(other).dtype
+    assert len(longer.sphere) > len(first.sphere)

@@ -1,15 +1,17 @@
-"""The exact checker: names, distances, margins, loads, and broad phase against pair loop."""
+"""The exact checker: names, distances, margins, loads, pair loop; motions proven free."""
 
 import time
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from refusals import refused
 
 from cvqmpt_lab.benchmarks.door_task import door_world
 from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.collision.motion_proof import prove_free
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import coal_distance
@@ -25,7 +27,7 @@ NOTHING = Scene("nothing", ())
 CONTACT = 2e-5  # [m] contact is not defined below
 
 
-def scene_with(*objects):
+def scene_of(*objects):
     return Scene("test", objects)
 
 
@@ -40,16 +42,13 @@ def ahead_of_hand(robot, distance):
 
 
 def test_colliding_pairs_are_named(panda, open_kitchen):
-    inside = CollisionChecker(panda, scene_with(brick(ahead_of_hand(panda, 0.05))))
+    inside = CollisionChecker(panda, scene_of(brick(ahead_of_hand(panda, 0.05))))
     pair = inside.colliding_pair(HOME)
-    assert inside.in_collision(HOME) and str(pair) == f"{pair.first} and brick"
-    assert pair.first.startswith("panda_")
-    clear = CollisionChecker(panda, open_kitchen)
-    assert not clear.in_collision(HOME) and clear.colliding_pair(HOME) is None
-    checker = CollisionChecker(panda, NOTHING)
+    assert str(pair) == f"{pair.first} and brick" and pair.first.startswith("panda_")
+    assert CollisionChecker(panda, open_kitchen).colliding_pair(HOME) is None
     folded = np.array([0.0, -1.5, 0.0, -3.0, 0.0, -0.01, 0.0])
-    pair = checker.colliding_pair(folded)
-    assert checker.in_collision(folded) and pair.first != pair.second
+    pair = CollisionChecker(panda, NOTHING).colliding_pair(folded)
+    assert pair.first != pair.second
     assert pair.first.startswith("panda_") and pair.second.startswith("panda_")
 
 
@@ -60,7 +59,7 @@ def by_pairs(checker, q):
 
 @pytest.mark.parametrize("method", [CollisionChecker.in_collision, by_pairs])
 def test_margin_is_a_distance(panda, method):
-    scene = scene_with(SceneObject("ball", Sphere(0.04), pose(ahead_of_hand(panda, 0.2))))
+    scene = scene_of(SceneObject("ball", Sphere(0.04), pose(ahead_of_hand(panda, 0.2))))
     clearance = CollisionChecker(panda, scene).clearance(HOME)
     for extra in (-1e-3, -1e-4, 1e-4):
         checker = CollisionChecker(panda, scene, margin=clearance + extra)
@@ -90,26 +89,6 @@ def test_the_clearance_is_the_least_of_all_pairs_whatever_was_asked_before(panda
     assert [near.distance for near in found] == pytest.approx(least, abs=2e-6)
     assert {near.distance > 0.0 for near in found} == {True, False}
     assert [checker.nearest(q) for q in states[::-1]] == found[::-1]
-
-
-def test_the_carried_can_collides_with_a_box_in_front(panda):
-    can = carried_can()
-    T_world_can = panda.pose(HOME) @ can.T_hand_object
-    scene = scene_with(brick(T_world_can[:3, 3] + 0.045 * panda.pose(HOME)[:3, 2], size=0.03))
-    assert not CollisionChecker(panda, scene).in_collision(HOME)
-    carrying = CollisionChecker(panda, scene, (can,))
-    assert carrying.in_collision(HOME)
-    assert {*vars(carrying.colliding_pair(HOME)).values()} == {"brick", "carried_can"}
-    assert not CollisionChecker(panda, NOTHING, (can,)).in_collision(HOME)
-
-
-def test_the_carried_can_collides_with_the_arm(panda):
-    states = panda.random_configurations(np.random.default_rng(1), 2000)
-    empty, carrying = (CollisionChecker(panda, NOTHING, a) for a in ((), (carried_can(),)))
-    touched = [q for q in states if carrying.in_collision(q) and not empty.in_collision(q)]
-    assert touched
-    pairs = " ".join(str(carrying.colliding_pair(q)) for q in touched)
-    assert not any(part in pairs for part in ("hand", "finger", "link7"))
 
 
 @pytest.mark.parametrize("which", ["arm", "arm and door"])
@@ -161,15 +140,14 @@ def test_only_pairs_whose_balls_are_close_are_measured_and_none_is_missed(name):
 
 def test_what_is_never_paired(panda):
     """The base with obstacles, visible-only objects, and obstacles out of reach."""
-    base = CollisionChecker(panda, scene_with(brick((0.0, 0.0, -0.05), size=0.2)))
+    base = CollisionChecker(panda, scene_of(brick((0.0, 0.0, -0.05), size=0.2)))
     assert not base.in_collision(HOME)
-    visible = scene_with(brick(ahead_of_hand(panda, 0.05), obstacle=False))
+    visible = scene_of(brick(ahead_of_hand(panda, 0.05), obstacle=False))
     assert not CollisionChecker(panda, visible).in_collision(HOME)
-    far = CollisionChecker(panda, scene_with(brick((10.0, 0.0, 0.0))))
+    far = CollisionChecker(panda, scene_of(brick((10.0, 0.0, 0.0))))
     assert far.clearance(HOME) == CollisionChecker(panda, NOTHING).clearance(HOME)
     pole = Attachment("pole", Box((0.1,) * 3), pose((50.0, 0.0, 0.0)))
-    with pytest.raises(InvalidInputError, match=r"'pole' reaches 50\.1 m, more than 20"):
-        CollisionChecker(panda, NOTHING, (pole,))
+    refused(r"'pole' reaches 50\.1 m, more than 20", CollisionChecker, panda, NOTHING, (pole,))
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.03])
@@ -183,43 +161,21 @@ def test_broad_phase_equals_the_pair_loop(panda, open_kitchen, margin):
     assert [d for d in different if abs(d) > CONTACT] == []
 
 
-MISSED = {
-    "panda_link7_0 and indigo/countertop, 9.8 mm deep": (
-        *(1.735688402909505, -1.4801873636025384, -2.6933012246532675, -0.30453628865950266),
-        *(-1.266928780646984, 1.8577762176051907, -1.6144465253451108),
-    ),
-    "panda_leftfinger_3 and extractor_hood, 0.6 mm deep": (
-        *(-1.0911800284454585, -0.6123973880309459, 0.8018093960963767, -0.9836926573531111),
-        *(1.4355947070199364, 1.7299841861614353, 0.9963113539546944),
-    ),
-}
-
-
-@pytest.mark.parametrize("q", MISSED.values(), ids=MISSED)
-def test_penetrations_that_were_once_missed(panda, open_kitchen, q):
-    """Near these states 3-6 % of answers are 'free', though every pair overlaps by >= 0.5 mm."""
+def test_a_penetration_that_was_once_missed(panda, open_kitchen):
+    """Near this state 3 % of answers were 'free', though a finger is 0.6 mm deep in the hood."""
+    q = (-1.0911800284454585, -0.6123973880309459, 0.8018093960963767, -0.9836926573531111)
+    q += (1.4355947070199364, 1.7299841861614353, 0.9963113539546944)
     checker = CollisionChecker(panda, open_kitchen)
     states = np.array(q) + 1e-5 * np.random.default_rng(1).standard_normal((500, 7))
     assert max(checker.clearance(q) for q in states[:50]) < -5e-4
     assert checker.in_collision_batch(states).all()
 
 
-def test_a_cloud_is_its_balls(panda):
-    points = np.random.default_rng(4).uniform((-0.8, -0.8, 0.0), (0.8, 0.8, 1.2), (60, 3))
-    radius = 0.03
-    balls = [SceneObject(f"ball_{i}", Sphere(radius), pose(p)) for i, p in enumerate(points)]
-    cloud = SceneObject("cloud", PointCloud(points, radius), np.eye(4))
-    states = panda.random_configurations(np.random.default_rng(5), 1000)
-    expected = CollisionChecker(panda, scene_with(*balls)).in_collision_batch(states)
-    answers = CollisionChecker(panda, scene_with(cloud)).in_collision_batch(states)
-    assert (answers != expected).mean() < 0.01
-
-
 @pytest.mark.parametrize("count", [10, 1500])
 def test_clouds_out_of_reach_are_no_obstacle_and_no_crash(panda, count):
     """For clouds in reach see properties/test_obstacles_inside."""
     points = np.random.default_rng(6).uniform(49.9, 50.1, (count, 3))
-    scene = scene_with(SceneObject("cloud", PointCloud(points, 0.005), np.eye(4)))
+    scene = scene_of(SceneObject("cloud", PointCloud(points, 0.005), np.eye(4)))
     alone = CollisionChecker(panda, NOTHING).clearance(HOME)
     assert CollisionChecker(panda, scene).clearance(HOME) == alone
     assert ConstrainedSpace(PlanningProblem("cloud", panda, scene, HOME, HOME[None])).valid(HOME)
@@ -228,10 +184,71 @@ def test_clouds_out_of_reach_are_no_obstacle_and_no_crash(panda, count):
 def test_ten_thousand_obstacles_are_ready_in_two_seconds(panda):
     places = np.random.default_rng(8).uniform(-0.8, 0.8, (10_000, 3)) + (0.0, 0.0, 1.6)
     boxes = (SceneObject(f"box{i}", Box((0.005,) * 3), pose(p)) for i, p in enumerate(places))
-    scene = scene_with(*boxes)
+    scene = scene_of(*boxes)
     began = time.process_time()
     checker = CollisionChecker(panda, scene)
     checker.in_collision(HOME)
     assert time.process_time() - began < 2.0
     up = np.array([0.0, 0.0, 0.0, -0.1, 0.0, 1.57, 0.0])
     assert checker.in_collision(up) and checker.colliding_pair(up).second.startswith("box")
+
+
+def sampled(motion, spacing):
+    """States of straight motions through rows of motion, at most `spacing` [rad] apart."""
+    counts = (2 + int(np.linalg.norm(b - a) / spacing) for a, b in pairwise(motion))
+    return np.concatenate(
+        [np.linspace(a, b, n) for (a, b), n in zip(pairwise(motion), counts, strict=True)]
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_proofs_and_samples_agree(panda, open_kitchen, seed):
+    """Motions of three segments: proven free, or seen to collide, and never both."""
+    scene = open_kitchen if seed == 0 else random_scene(seed)
+    checker = CollisionChecker(panda, scene, (carried_can(),) if seed == 2 else ())
+    rng = np.random.default_rng(seed)
+    starts = [q for q in panda.random_configurations(rng, 160) if not checker.in_collision(q)][:60]
+    verdicts = []
+    for q in starts:
+        motion = q + np.cumsum(rng.normal(0.0, 0.06, (4, 7)), axis=0)
+        proof = prove_free(checker, motion)
+        hits = checker.in_collision_batch(sampled(motion, 0.005)).any()
+        assert not (hits and proof.colliding is None)
+        if proof.colliding is None:
+            assert proof.unproven is None
+            assert not checker.in_collision_batch(sampled(motion, 0.001)).any()
+        else:
+            assert checker.in_collision(proof.colliding)
+        verdicts.append(proof.colliding is None)
+    assert 5 < sum(verdicts) < 60
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-18, 1e-16])
+def test_states_that_are_repeated_or_hardly_apart_change_nothing(panda, open_kitchen, gap):
+    """OMPL's paths hold such states; late in a path a tiny step does not change its distance."""
+    motion = HOME + np.linspace(0.0, 0.3, 20)[:, None] * np.eye(7)[5]
+    apart = gap * np.tile([[0.0], [1.0], [2.0]], (20, 1)) * np.eye(7)[0]
+    repeated = np.repeat(motion, 3, axis=0) + apart
+    checker = CollisionChecker(panda, open_kitchen)
+    plain, again = prove_free(checker, motion), prove_free(checker, repeated)
+    assert plain.colliding is None and again.colliding is None
+    assert again.looks == plain.looks and again.unproven is plain.unproven is None
+
+
+@pytest.mark.parametrize(("thickness", "lever"), [(1e-6, 0.3), (1e-5, 0.3), (2e-4, 8.0)])
+def test_a_thin_sheet_in_the_hand_is_seen_to_pass_through_another(panda, thickness, lever):
+    """At the end of a long lever the overlap lasts less than 2e-4 rad."""
+    rng, T_hand_tip = np.random.default_rng(0), pose((0.0, 0.0, lever))
+    for way in rng.normal(0.0, 0.02, (5, 7)):
+        before, middle, after = (
+            panda.pose(HOME + share * way) @ T_hand_tip for share in (0.499, 0.5, 0.501)
+        )
+        normal = after[:3, 3] - before[:3, 3]
+        side = np.cross(normal, rng.normal(size=3))
+        R = np.stack([side, np.cross(normal, side), normal], axis=1)
+        middle[:3, :3] = R / np.linalg.norm(R, axis=0)
+        in_hand = np.linalg.inv(panda.pose(HOME + 0.5 * way)) @ middle
+        scene = Scene("sheets", (SceneObject("wall", Box((0.1, 0.1, thickness)), middle),))
+        sheet = Attachment("sheet", Box((0.05, 0.05, thickness)), in_hand)
+        proof = prove_free(CollisionChecker(panda, scene, (sheet,)), np.array([HOME, HOME + way]))
+        assert proof.colliding is not None

@@ -45,17 +45,15 @@ def random_spec(rng, kind, spread=0.25, longest=0.2):
     return ShapeSpec(kind, size, NO_VERTICES, T)
 
 
-def coal_object(spec, T_world_owner=None):
-    T = spec.T_owner_shape if T_world_owner is None else T_world_owner @ spec.T_owner_shape
-    if spec.kind == HULL:
-        shape = convex_hull(spec.vertices)
-    else:
-        shape = {
-            BOX: lambda s: coal.Box(*s),
-            CYLINDER: lambda s: coal.Cylinder(s[0], s[2]),
-            SPHERE: lambda s: coal.Sphere(s[0]),
-        }[spec.kind](spec.size)
-    return shape, coal.Transform3s(T[:3, :3], T[:3, 3])
+def coal_object(spec):
+    T, size = spec.T_owner_shape, spec.size
+    make = {
+        BOX: lambda: coal.Box(*size),
+        CYLINDER: lambda: coal.Cylinder(size[0], size[2]),
+        SPHERE: lambda: coal.Sphere(size[0]),
+        HULL: lambda: convex_hull(spec.vertices),
+    }
+    return make[spec.kind](), coal.Transform3s(T[:3, :3], T[:3, 3])
 
 
 @pytest.mark.parametrize("kind_a", [HULL, BOX, CYLINDER, SPHERE])
@@ -94,11 +92,6 @@ def test_a_touching_pair_is_a_collision_and_a_degenerate_axis_is_harmless():
             assert (gap > MARGIN) == free
 
 
-def inside_hull(rng, points, n):
-    weights = rng.dirichlet(np.full(len(points), 0.3), n)
-    return weights @ points
-
-
 @pytest.mark.parametrize("kind", [HULL, BOX, CYLINDER, SPHERE])
 def test_balls_and_pieces_cover_the_shape(kind):
     rng = np.random.default_rng(kind)
@@ -110,7 +103,7 @@ def test_balls_and_pieces_cover_the_shape(kind):
         leaves = tree.sphere[tree.leaf >= 0]
         assert sorted(tree.leaf[tree.leaf >= 0]) == list(range(len(parts)))
         assert inflation > 0.0 or leaves[:, 3].max() <= ANY_RADIUS + 1e-6
-        samples = inside_hull(rng, points, 2000)
+        samples = rng.dirichlet(np.full(len(points), 0.3), 2000) @ points
         direction = rng.normal(size=samples.shape)
         samples = samples + inflation * direction / np.linalg.norm(direction, axis=1)[:, None]
         apart = np.linalg.norm(samples[:, None] - leaves[None, :, :3], axis=2) - leaves[None, :, 3]
@@ -126,21 +119,15 @@ def test_balls_and_pieces_cover_the_shape(kind):
             assert furthest + inflation <= sphere[3] + 1e-12
 
 
-@pytest.mark.parametrize(
-    "points",
-    [
-        np.zeros((1, 3)),
-        np.array([[0.0, 0, 0], [1, 0, 0], [0.4, 0, 0]]),
-        np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]),
-        np.zeros((4, 3)),
-    ],
-    ids=["point", "segment", "square", "coincident"],
-)
-def test_flat_shapes_are_cut_too(points):
-    corners = np.concatenate(cut_into_pieces(points))
-    assert len(corners) < 2000
-    for end in (np.min, np.max):
-        np.testing.assert_allclose(end(corners, axis=0), end(points, axis=0), atol=1e-12)
+def test_flat_shapes_are_cut_too():
+    """A point, a segment, a square and points that coincide."""
+    square = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]
+    segment = np.outer([0.0, 1.0, 0.4], np.eye(3)[0])
+    for points in (np.zeros((1, 3)), segment, np.array(square), np.zeros((4, 3))):
+        corners = np.concatenate(cut_into_pieces(points))
+        assert len(corners) < 2000
+        for end in (np.min, np.max):
+            np.testing.assert_allclose(end(corners, axis=0), end(points, axis=0), atol=1e-12)
 
 
 def test_grid_never_overestimates_and_is_not_idle():

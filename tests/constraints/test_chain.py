@@ -6,7 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from constraints.test_task_space_region import of_hand
+from refusals import refused
 
 from cvqmpt_lab.benchmarks.door_task import (
     BAR,
@@ -27,7 +28,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     RegionConstraint,
     TaskSpaceRegionChain,
 )
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.poses import pose
@@ -55,16 +56,6 @@ def opened(door):
     return solve(door, planner_named("birrt"), Budget(iterations=5000), seed=0)
 
 
-def displacement(robot, chain, q):
-    """Position and rotation vector (6,) of the hand in the chain's frame w by pinocchio, scipy."""
-    T = (
-        np.linalg.inv(robot.pose(q, chain.base) @ chain.T0_w)
-        @ robot.pose(q)
-        @ np.linalg.inv(chain.Tw_e)
-    )
-    return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
-
-
 def test_projection_lands_on_the_handle(door_robot):
     """From anywhere, door and arm move until the hand holds the bar, by pinocchio's poses."""
     chain = handle_region()
@@ -75,7 +66,7 @@ def test_projection_lands_on_the_handle(door_robot):
     angles = np.array(landed)[:, 7]
     assert angles.min() >= -1.57 and angles.max() <= 0.0 and np.ptp(angles) > 1.0
     for q in landed:
-        x = displacement(door_robot, chain, q)
+        x = of_hand(door_robot, chain, q)
         assert np.linalg.norm(x[:5]) <= TOLERANCE + 1e-9
         bar = np.linalg.inv(door_robot.pose(q)) @ door_robot.pose(q, BAR)
         np.testing.assert_allclose(bar[:3, 3], (0.0, 0.0, 0.10), atol=2e-4)
@@ -91,50 +82,42 @@ def test_goals_have_the_door_where_the_hand_takes_it(door):
     assert np.abs(free.configurations[:, 7] - OPEN).max() > 0.1
 
 
-@pytest.mark.parametrize("turn", [np.inf, 0.7])
-def test_json_round_trip(turn):
-    chain = handle_region(turn)
-    for region in (chain, chain.at(np.eye(4))):
-        again = from_plain(Region, json.loads(json.dumps(to_plain(region, Region))))
-        assert type(again) is type(region) and again == region
+def test_json_round_trip():
+    for chain in (handle_region(np.inf), handle_region(0.7)):
+        for region in (chain, chain.at(np.eye(4))):
+            again = from_plain(Region, json.loads(json.dumps(to_plain(region, Region))))
+            assert type(again) is type(region) and again == region
 
 
 def test_bad_chains_are_refused(door, panda):
-    with pytest.raises(UnknownChoiceError, match=r"'fridge/handle'.*panda_hand.*handle_bar"):
-        replace(door, constraint=(replace(handle_region(), base="fridge/handle"),))
-    with pytest.raises(
-        UnknownChoiceError, match=r"frame of robot panda '.*handle_bar'.*panda_hand"
+    chain = handle_region()
+    elsewhere, plain = replace(chain, base="fridge/handle"), to_plain(chain) | {"base": 3}
+    for told, call, *given, options in (
+        (r"'fridge/handle'.*panda_hand.*handle_bar", replace, door, {"constraint": (elsewhere,)}),
+        (r"frame of robot panda '.*handle_bar'.*panda_hand", chain.reference_link, panda, {}),
+        ("'goal_region' hangs on", replace, door, {"goal_region": chain}),
+        ("base is 3; it must be str", from_plain, Region, plain, {}),
+        ("base is miss", from_plain, TaskSpaceRegionChain, to_plain(chain.at(np.eye(4))), {}),
     ):
-        handle_region().reference_link(panda)
-    with pytest.raises(InvalidInputError, match="'goal_region' hangs on"):
-        replace(door, goal_region=handle_region())
-    with pytest.raises(InvalidInputError, match="base is 3; it must be str"):
-        from_plain(Region, to_plain(handle_region()) | {"base": 3})
-    with pytest.raises(InvalidInputError, match="base is missing"):
-        from_plain(TaskSpaceRegionChain, to_plain(handle_region().at(np.eye(4))))
+        refused(told, call, *given, error=CvqmptError, **options)
 
 
 @pytest.mark.parametrize("hand", ["right_gripper", "base"])
 def test_a_base_that_stands_still_is_refused_unless_the_region_says_so(hand):
     """The other arm's hand, which is not planned, was taken for a frame of the world."""
-    baxter = robot_from_source({"name": "baxter-left"})
-    region = {**to_plain(handle_region()), "base": hand}
-    problem = {
-        **PlanningProblem(
-            "two arms", baxter, Scene("empty", ()), np.zeros(baxter.dof), np.zeros((1, baxter.dof))
-        ).to_dict(),
-        "constraint": region,
-    }
-    with pytest.raises(
-        InvalidInputError, match=rf"base '{hand}' stands still: none of the planned joints \(left_"
-    ):
-        PlanningProblem.from_dict(problem)
-    problem["constraint"] = {**region, "fixed": True}
-    made = PlanningProblem.from_dict(problem)
+    arm, region = robot_from_source({"name": "baxter-left"}), to_plain(handle_region())
+    zero = np.zeros(arm.dof)
+    problem = PlanningProblem("two arms", arm, Scene("empty", ()), zero, zero[None]).to_dict()
+
+    def with_region(**changes):
+        return problem | {"constraint": region | changes}
+
+    told = rf"base '{hand}' stands still: none of the planned joints \(left_"
+    refused(told, PlanningProblem.from_dict, with_region(base=hand))
+    made = PlanningProblem.from_dict(with_region(base=hand, fixed=True))
     assert made.constraint[0].fixed and PlanningProblem.from_dict(made.to_dict()) == made
-    problem["constraint"] = {**region, "fixed": True, "base": "left_gripper"}
-    with pytest.raises(InvalidInputError, match="'left_gripper' is moved by the planned joints"):
-        PlanningProblem.from_dict(problem)
+    moved = with_region(base="left_gripper", fixed=True)
+    refused("'left_gripper' is moved by the planned joints", PlanningProblem.from_dict, moved)
 
 
 def handle_errors(problem, states, resolution=0.002):
@@ -142,7 +125,7 @@ def handle_errors(problem, states, resolution=0.002):
     metres = radians = 0.0
     for a, b in pairwise(states):
         for s in np.linspace(0.0, 1.0, max(2, int(np.ceil(np.linalg.norm(b - a) / resolution)))):
-            x = displacement(problem.robot, handle_region(), a + s * (b - a))
+            x = of_hand(problem.robot, handle_region(), a + s * (b - a))
             metres = max(metres, float(np.linalg.norm(x[:3])))
             radians = max(radians, float(np.linalg.norm(x[3:5])))
     return metres, radians

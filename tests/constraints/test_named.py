@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from constraints.test_task_space_region import displacement
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec import from_plain, to_plain
@@ -18,8 +19,7 @@ def region(data):
 def inside(data, T_world_e):
     """Whether an end-effector pose (4, 4) satisfies a region, by its definition."""
     r = region(data)
-    T = np.linalg.inv(r.T0_w) @ T_world_e @ np.linalg.inv(r.Tw_e)
-    x = np.append(T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec())
+    x = displacement(r, T_world_e)
     return bool(((x >= r.Bw[:, 0] - 1e-9) & (x <= r.Bw[:, 1] + 1e-9)).all())
 
 
@@ -33,6 +33,7 @@ def test_the_short_upright_is_the_papers_constraint():
     in_full = {"upright": {"tilt": 0.1, "axis": "x"}}
     assert region({"upright": 0.1}) == region(in_full) == upright(0.1)
     assert region(to_plain(upright(0.2), Region)) == upright(0.2)
+    np.testing.assert_array_equal(upright(0.2).Bw[4:], [[-0.2, 0.2]] * 2)
 
 
 @pytest.mark.parametrize("axis", ["x", "-x", "y", "-y", "z", "-z"])

@@ -74,15 +74,6 @@ def test_a_pool_whose_idle_process_is_killed_says_that_the_command_continues():
                 time.sleep(0.05)
 
 
-def test_leaving_ends_all_processes_at_once():
-    began = time.monotonic()
-    with local_processes(2) as executor:
-        calls = [executor.submit(time.sleep, 600) for _ in range(5)]
-        time.sleep(0.2)
-    assert time.monotonic() - began < 20
-    assert not any(call.done() and not call.exception() for call in calls)
-
-
 def rows_of(out, executor, on_progress=lambda *_: None):
     return run_experiment(FOUR, out, executor, ["test"], on_progress)
 

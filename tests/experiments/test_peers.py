@@ -40,7 +40,8 @@ def test_an_adapter_plans_a_certified_path_or_names_what_installs_it(problem, na
         return
     made_by = f"{NEEDS[name]} {metadata.version(NEEDS[name])}"
     assert external_planner(name).made_by.startswith(made_by)
-    solution = solve(problem, name, Budget(seconds=60.0), seed=0)
+    # they take no iterations; so many seconds end one that hangs, and nothing else
+    solution = solve(problem, name, Budget(seconds=1200.0), seed=0)
     assert solution.solved, (solution.plan.detail, solution.certificate)
 
 
@@ -72,6 +73,6 @@ def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_twelfth_left(pr
 
 
 def test_other_constraints_and_goals_are_refused(problem):
-    with pytest.raises(InvalidInputError, match="one goal"):
-        upright_region(place_problem(TUNING).changed(goals=np.stack([problem.goals[0]] * 2)))
+    two = place_problem(TUNING).changed(goals=np.stack([problem.goals[0]] * 2))
+    refused("one goal", upright_region, two)
     refused("one upright constraint", upright_region, replace(problem, constraint=()))

@@ -47,20 +47,11 @@ def test_every_part_is_in_its_column_and_the_total_is_their_sum(problem):
     assert row.t_total_s == pytest.approx(sum(getattr(row, part) for part in PARTS))
     total = 0.25 + solution.plan.seconds + solution.simplified.seconds
     assert row.t_total_s == pytest.approx(total)
-
-
-def test_parts_that_a_planner_does_not_have_stay_empty(problem):
-    row, _ = row_of(problem, Timings(predict=0.02))
-    assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (None, 0.02, None)
     failed, solution = row_of(problem, Timings(encode=0.03), budget=1)
-    assert not failed.solved and failed.t_simplify_s is None
     assert failed.t_total_s == pytest.approx(0.25 + solution.plan.seconds)
-    assert failed.t_total_s > 0.28
-
-
-def test_timings_are_seconds():
-    for value in (-1.0, float("nan"), float("inf")):
-        refused("timing 'predict'", Timings, predict=value)
+    assert (failed.solved, failed.t_predict_s, failed.t_simplify_s) == (False, None, None)
+    refused("timing 'predict'", Timings, predict=float("nan"))
+    refused("timing 'predict'", Timings, predict=-1.0)
 
 
 def test_g_is_that_of_what_is_sampled(problem):
@@ -90,20 +81,16 @@ def test_every_way_to_fail_has_its_reason():
     assert statuses | faults | phases | lost | {FailReason.PLANNER_ERROR} == set(FailReason)
 
 
-def test_a_path_that_is_refused_keeps_the_first_fault_as_reason_and_all_in_words(solution):
+def test_a_path_that_is_refused_keeps_its_faults_and_a_fallback_counts_as_solved(solution):
     faults = Fault(FaultKind.STEP, "a step of 1 rad"), Fault(FaultKind.COLLISION, "in collision")
-    refused = replace(solution, certificate=replace(solution.certificate, faults=faults))
-    row = result_row(RUN, refused, goal_seconds=0.0)
+    judged = replace(solution, certificate=replace(solution.certificate, faults=faults))
+    row = result_row(RUN, judged, goal_seconds=0.0)
     assert (row.solved, row.certified, row.fail_reason) == (False, False, "uncertified_step")
     assert row.detail.startswith("a step of 1 rad; in collision")
     assert row.path_sha256 == states_hash(solution.simplified.path.states)
-
-
-def test_a_fallback_has_its_column_and_counts_as_solved(solution):
     fallen_back = replace(solution, plan=replace(solution.plan, fallback="no path: birrt"))
     row = result_row(RUN, fallen_back, goal_seconds=0.0)
     assert (row.solved, row.fallback, row.fail_reason) == (True, "no path: birrt", None)
-    assert result_row(RUN, solution, goal_seconds=0.0).fallback is None
 
 
 def test_a_problem_without_a_start_is_a_failure():

@@ -28,7 +28,6 @@ def test_a_change_is_told_with_its_interval_and_equal_numbers_are_no_change():
 
 
 def test_runs_of_one_alone_are_left_out_and_counted():
-    """A small run is comparable with the committed one; once 744 other runs were an error."""
     (found,) = compared(run(1.0, range(1, 20))[:10], [*run(0.5)[4:], a_row("p99")])
     assert found.pairs == 6 and found.left_out == (4, 31) and found.solved[0].estimate == 100.0
     assert found.changes["time"].estimate == pytest.approx(0.5)

@@ -1,4 +1,4 @@
-"""Rules of verdicts, on made rows with a known verdict."""
+"""Rules of verdicts and their measures, on made rows with a known verdict."""
 
 import math
 from itertools import product
@@ -7,20 +7,25 @@ import pytest
 from made_rows import a_failure, a_row
 
 from cvqmpt_lab.results.statistics import Interval, ratio_of_means_interval
+from paper_tables import judging
 from paper_tables.judging import (
     NOTHING,
     Ruling,
     Verdict,
-    cutoff_of,
     overall,
     percent,
     reduction,
     ruled,
-    score_test,
-    t_test,
     verdicts_of,
 )
-from paper_tables.measures import Pair, paired, work
+from paper_tables.measures import (
+    Pair,
+    censored,
+    mean_ratio,
+    paired,
+    split_by_work,
+    work,
+)
 from paper_tables.statements import CLAIMS, Claim, PublishedValue
 
 H, F, T, N = Ruling.HOLDS, Ruling.FAILS, Ruling.TOO_FEW, Ruling.INCOMPARABLE
@@ -30,10 +35,8 @@ SPREAD = (0.9, 1.1, 1.0, 0.95, 1.05, 1.02, 0.98, 1.0, 0.93, 1.07)
 
 def pairs(ratio, others=(1.0,) * 10):
     """Ten problems of equal weight with ratios around one number."""
-    return [
-        Pair(str(k), [(ratio * s * other, other)])
-        for k, (s, other) in enumerate(zip(SPREAD, others, strict=True))
-    ]
+    both = enumerate(zip(SPREAD, others, strict=True))
+    return [Pair(str(k), [(ratio * s * other, other)]) for k, (s, other) in both]
 
 
 def rulings(verdicts):
@@ -89,9 +92,10 @@ def test_a_claim_holds_where_all_hold_and_does_not_where_one_does_not():
 
 def test_tests_against_values_by_hand():
     """Student: mean 2, sd 1, n 3, t = 2 sqrt(3), 2 df, p = 0.0742. Score: 60/100 to 1/2, z = 2."""
-    assert t_test([1.0, 2.0, 3.0]) == pytest.approx(0.0742, abs=1e-4)
-    assert (t_test([2.0, 2.0]), t_test([0.0, 0.0]), t_test([5.0])) == (0.0, 1.0, 1.0)
-    assert score_test(Interval(0.6, None, None, 100), 0.5) == pytest.approx(0.0455, abs=1e-4)
+    assert judging.t_test([1.0, 2.0, 3.0]) == pytest.approx(0.0742, abs=1e-4)
+    assert [judging.t_test(x) for x in ([2.0, 2.0], [0.0, 0.0], [5.0])] == [0.0, 1.0, 1.0]
+    share = Interval(0.6, None, None, 100)
+    assert judging.score_test(share, 0.5) == pytest.approx(0.0455, abs=1e-4)
 
 
 def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
@@ -101,17 +105,12 @@ def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
     assert interval([(1.0, 4.0)])[:2] == (0.25, None)
     two_seeds = Pair("p", [(1.0, 1.0), (4.0, 1.0)])
     assert (two_seeds.own, two_seeds.other, two_seeds.ratio) == (2.5, 1.0, pytest.approx(2.0))
-    rows = {
-        name: [
-            a_row("p", name, seed=seed, n_projections=value, n_state_checks=0)
-            for seed, value in enumerate(values)
-        ]
-        for name, values in {"a": (10, 30), "b": (5, 5)}.items()
-    }
     counts = {"n_projections": 1, "n_state_checks": 1}
-    rows["a"].append(a_row("q", "a", **counts))
-    rows["b"].append(a_failure("q", "b", **counts))
-    (pair,) = paired(rows["a"], rows["b"], work)
+    own, other = [a_row("q", "a", **counts)], [a_failure("q", "b", **counts)]
+    for seed, done in enumerate((10, 30)):
+        own.append(a_row("p", "a", seed=seed, n_projections=done, n_state_checks=0))
+        other.append(a_row("p", "b", seed=seed, n_projections=5, n_state_checks=0))
+    (pair,) = paired(own, other, work)
     assert (pair.own, pair.other) == (20.0, 5.0) and pair.ratio == pytest.approx(math.sqrt(12.0))
 
 
@@ -122,9 +121,9 @@ def at(planner, k, time, **values):
 
 def test_the_cutoff_is_the_time_within_which_the_papers_cbirrt_has_solved_as_much():
     rows = [at("ompl-projected", k, 0.1 * (k + 1) if k < 9 else None) for k in range(10)]
-    assert cutoff_of(rows, 0.8) == pytest.approx(0.8)
-    assert cutoff_of(rows, 0.9) == pytest.approx(0.9)
-    assert math.isinf(cutoff_of(rows, 0.95)), "one of ten is never solved"
+    for share in (0.8, 0.9):
+        assert judging.cutoff_of(rows, share) == pytest.approx(share)
+    assert math.isinf(judging.cutoff_of(rows, 0.95)), "one of ten is never solved"
 
 
 def test_a_baseline_without_rows_and_runs_that_one_alone_failed_are_told():
@@ -169,3 +168,61 @@ def test_statements_name_planners_that_ran_and_reductions_are_signed_changes():
 def test_statements_are_few():
     assert sum(max(1, len(claim.baselines)) for claim in CLAIMS) <= 36
     assert len({claim.title for claim in CLAIMS}) == len(CLAIMS)
+
+
+def run(planner, problem, checks=None, seed=0, solved=True, **values):
+    """Its work is `checks`."""
+    make = a_row if solved else a_failure
+    values |= {} if checks is None else {"n_projections": 0, "n_state_checks": checks}
+    return make(str(problem), planner, seed=seed, **values)
+
+
+@pytest.mark.parametrize(
+    ("rows", "values"),
+    [
+        ([run("x", 0, 5), run("x", 1, 7, solved=False), run("x", 2)], [[5.0], [math.inf]]),
+        ([run("x", 0), run("x", 1, solved=False)], []),
+        ([run("x", 1, solved=False)], [[math.inf]]),
+        ([run("x", 0, 5), run("x", 0, 7, seed=1), run("x", 1, 1)], [[5.0, 7.0], [1.0]]),
+    ],
+)
+def test_failures_are_infinite(rows, values):
+    assert censored(rows, work) == values
+
+
+def test_ratios_are_geometric_means_over_problems_that_both_solved():
+    works = {0: 2, 1: 8, 2: 1000, 4: None}
+    rows = [*(run("x", k, x) for k, x in works.items()), run("x", 3, 5, solved=False)]
+    base = [run("b", i, 1) for i in (0, 1, 3, 4)] + [run("b", 2, 1, solved=False)]
+    ratio = mean_ratio(paired(rows, base, work))
+    assert ratio.estimate == pytest.approx(4.0) and ratio.n == 2  # sqrt(2 * 8)
+    assert (ratio.low, ratio.high) == (pytest.approx(2.0), pytest.approx(8.0))
+    one = mean_ratio(paired([row for row in rows if row.problem in ("1", "2")], base, work))
+    assert (one.estimate, one.n, one.low) == (pytest.approx(8.0), 1, None)
+    assert mean_ratio(paired(rows, [], work)).estimate is None
+    assert mean_ratio(paired([run("x", 0, 0)], base, work)).estimate is None  # no work: no ratio
+
+
+def names(keys):
+    return {problem for _, problem, _ in keys}
+
+
+def test_hard_is_the_top_third_and_ties_are_easy():
+    split = split_by_work([run("birrt", i, 10 * i) for i in range(9)])
+    assert names(split["hard"]) == set("678") and names(split["easy"]) == set("012345")
+    assert split["all"] == split["easy"] | split["hard"] and len(split["all"]) == 9
+    # the last says no work
+    ties = split_by_work([run("birrt", i, 5) for i in range(6)] + [run("birrt", 6)])
+    assert ties["hard"] == frozenset() and len(ties["easy"]) == 6
+    assert split_by_work([])["all"] == frozenset()
+
+
+def test_hard_goes_by_medians_over_the_other_seeds_and_failures_are_hardest():
+    rows = [run("birrt", 0, w, seed=s) for s, w in enumerate((1, 1000, 2))]
+    rows += [run("birrt", 1, w, seed=s) for s, w in enumerate((9, 10, 11))]
+    rows += [run("birrt", 2, 3, seed=s) for s in range(3)]
+    hard = {(problem, seed) for _, problem, seed in split_by_work(rows)["hard"]}
+    # in seed 1 problem 0 took long: by the others it is easy
+    assert hard == {("0", 0), ("1", 1), ("0", 2)}
+    failing = [run("birrt", 2, 3, seed=s, solved=s == 0) for s in range(3)]
+    assert names(split_by_work([*rows[:6], *failing])["hard"]) == {"2"}

@@ -23,10 +23,9 @@ from command_line import run, run_here, start
 from made_rows import untimed
 
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
-from cvqmpt_lab.training.shards import INDEX_FILE, SHARDS_FOLDER, finished_shards
+from cvqmpt_lab.training.shards import shard_files
 
 PR_CAPBSET_DROP, CAP_DAC_OVERRIDE = 24, 1  # of Linux
 START = 1.0  # [s] that a process takes to start
@@ -41,15 +40,11 @@ class Command(NamedTuple):
 
 
 def shards(out):
-    return [
-        path.read_bytes() for path in (*sorted((out / SHARDS_FOLDER).iterdir()), out / INDEX_FILE)
-    ]
+    return [path.read_bytes() for path in shard_files(out)]
 
 
 def kept_shards(out):
-    with contextlib.suppress(CvqmptError):
-        return set(finished_shards(out))
-    return set()
+    return {path.name for path in shard_files(out)}
 
 
 def curves(out):

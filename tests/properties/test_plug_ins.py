@@ -3,6 +3,8 @@
 What they try stands in `hostile_planners`. All are called from one process, this one.
 """
 
+import time
+
 import numpy as np
 import pytest
 from properties.hostile_planners import HOSTILE
@@ -33,9 +35,11 @@ def test_hostile_planners_change_nothing(trials):
     before, limits = ours(), single_goal_problem(5).robot.upper.copy()
     for name in HOSTILE[:trials]:
         planner = f"properties.hostile_planners:{name}"
+        began = time.perf_counter()
         found = solve(single_goal_problem(5), planner, Budget(seconds=SECONDS), 0)
+        seconds = time.perf_counter() - began
         assert not found.solved, name
         assert found.certificate is not None or found.plan.detail, name
-        assert 0.0 <= found.plan.seconds < 10.0, name
+        assert 0.0 <= found.plan.seconds <= found.wall_seconds <= seconds, name
         assert ours() == before and np.array_equal(single_goal_problem(5).robot.upper, limits)
         external.external_planner.cache_clear()

@@ -16,30 +16,23 @@ from cvqmpt_lab.results.statistics import (
 )
 
 INF = math.inf
+WILSON = {(8, 10): (0.4902, 0.9433), (0, 10): (0.0, 0.2775), (10, 10): (0.7225, 1.0)}
+WILSON |= {(5, 10): (0.2366, 0.7634), (1, 1): (0.2065, 1)}
+RANKS = {1: (1, 0.0), 5: (1, 0.9375), 6: (1, 0.96875), 10: (2, 0.97852), 20: (6, 0.95861)}
+RANKS |= {100: (40, 0.96480)}
 
 
-WILSON = [(8, 10, 0.4902, 0.9433), (0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0)]
-
-
-@pytest.mark.parametrize(
-    ("successes", "n", "low", "high"), [*WILSON, (5, 10, 0.2366, 0.7634), (1, 1, 0.2065, 1)]
-)
-def test_wilson_matches_tabulated_values(successes, n, low, high):
-    interval = wilson_interval(successes, n)
-    assert interval.estimate == successes / n and interval.n == n
-    assert (interval.low, interval.high) == pytest.approx((low, high), abs=5e-5)
-
-
-RANKS = [(1, 1, 0.0), (5, 1, 0.9375), (6, 1, 0.96875), (10, 2, 0.97852), (20, 6, 0.95861)]
-
-
-@pytest.mark.parametrize(("n", "rank", "coverage"), [*RANKS, (100, 40, 0.96480)])
-def test_median_interval_uses_the_tabulated_ranks(n, rank, coverage):
-    values = np.random.default_rng(n).permutation(np.arange(1.0, n + 1))
-    interval = median_interval(values)
-    assert (interval.low, interval.high) == (rank, n + 1 - rank)
-    assert interval.estimate == np.median(values)
-    assert interval.coverage == pytest.approx(coverage, abs=1e-5)
+def test_intervals_of_shares_and_medians_match_tabulated_values():
+    for (successes, n), bounds in WILSON.items():
+        interval = wilson_interval(successes, n)
+        assert interval.estimate == successes / n and interval.n == n
+        assert (interval.low, interval.high) == pytest.approx(bounds, abs=5e-5)
+    for n, (rank, coverage) in RANKS.items():
+        values = np.random.default_rng(n).permutation(np.arange(1.0, n + 1))
+        interval = median_interval(values)
+        assert (interval.low, interval.high) == (rank, n + 1 - rank)
+        assert interval.estimate == np.median(values)
+        assert interval.coverage == pytest.approx(coverage, abs=1e-5)
 
 
 def test_failures_move_the_median_without_imputation():

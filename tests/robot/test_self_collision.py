@@ -1,73 +1,10 @@
-"""Link pairs that are left out without an SRDF: the reasons, and their verified cache."""
+"""Link pairs that are left out without an SRDF: the reasons."""
 
-import re
-import tempfile
-from itertools import product
-
-import numpy as np
-import pinocchio as pin
 import pytest
-import trimesh
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.door_task import door_world
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
-from cvqmpt_lab.robot.self_collision import (
-    ADJACENT,
-    FIXED,
-    FROM_SRDF,
-    GAP,
-    OVERLAP,
-    distance_levers,
-)
-from cvqmpt_lab.robot.source import ARMS
-
-TOOL = 'size="0.02 0.06 0.02"'
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    """A cache folder of the test's own."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache"
-
-
-def least_distances(robot, left_out, samples, steps):
-    """Least distances [m] of pieces of left-out links: random states, then a descent for each."""
-    geometry, rng = robot.collision_model.copy(), np.random.default_rng(5)
-    names = [robot.model.frames[item.parentFrame].name for item in geometry.geometryObjects]
-    geometry.removeAllCollisionPairs()
-    for i, k in product(range(len(names)), repeat=2):
-        if (names[i], names[k]) in left_out:
-            geometry.addCollisionPair(pin.CollisionPair(i, k))
-    data, found = robot.model.createData(), pin.GeometryData(geometry)
-    best = np.full(len(geometry.collisionPairs), np.inf)
-    states = np.zeros((len(best), robot.dof))
-    for q in robot.random_configurations(rng, samples):
-        pin.computeDistances(robot.model, data, geometry, found, q)
-        distance = np.array([result.min_distance for result in found.distanceResults])
-        states[distance < best] = q
-        best = np.minimum(best, distance)
-    for n in range(len(best)):
-        for scale in np.geomspace(1.0, 0.01, steps):
-            step = scale * rng.standard_normal(robot.dof)
-            q = np.clip(states[n] + step, robot.lower, robot.upper)
-            pin.updateGeometryPlacements(robot.model, data, geometry, found, q)
-            if (distance := pin.computeDistance(geometry, found, n).min_distance) < best[n]:
-                best[n], states[n] = distance, q
-    return best
-
-
-@pytest.mark.slow
-def test_pairs_that_are_not_checked_stay_apart(request):
-    """All but neighbours and pairs named by SRDF or most states; sampling alone missed -99 mm."""
-    words = (FIXED, ADJACENT, FROM_SRDF, OVERLAP)
-    for name in ARMS if request.config.getoption("--long") else ("tiago-no-hand", "z1"):
-        robot = robot_from_source({"name": name})
-        pairs = [pair for pair in robot.left_out_pairs if not pair.reason.startswith(words)]
-        left_out = {(pair.first, pair.second) for pair in pairs}
-        assert least_distances(robot, left_out, 500, 100).min(initial=np.inf) > GAP, name
+from cvqmpt_lab.robot.self_collision import OVERLAP
 
 
 @pytest.mark.slow
@@ -78,69 +15,6 @@ def test_mirrored_arms_leave_out_the_same_overlaps():
     left, right = ({(pair.first, pair.second) for pair in pairs} for pairs in overlaps)
     assert ("arm_right_6_link", "wrist_right_ft_link") in right
     assert {tuple(name.replace("left", "right") for name in pair) for pair in left} == right
-
-
-@pytest.mark.parametrize("which", ["slider_arm", "mechanism"])
-def test_levers_bound_how_fast_distances_change(which, slider_arm):
-    """Between any two states, of pieces on one chain and of pieces on two (an arm and a door)."""
-    robot = slider_arm if which == "slider_arm" else door_world()[1]
-    geometry, rng = robot.collision_model, np.random.default_rng(3)
-    data, found = robot.model.createData(), pin.GeometryData(geometry)
-    levers = np.zeros((len(geometry.collisionPairs), robot.dof))
-    for row, (i, k) in zip(levers, robot.self_collision_pairs, strict=True):
-        for j, lever in distance_levers(robot.kinematics, robot.links[i], robot.links[k]).items():
-            row[j] = lever
-    states = robot.random_configurations(rng, 400)
-    steps = 10.0 ** rng.uniform(-3, 0, (400, 1)) * rng.standard_normal(states.shape)
-    distances = []
-    for q in np.concatenate([states, states + steps]):
-        pin.computeDistances(robot.model, data, geometry, found, q)
-        distances.append([result.min_distance for result in found.distanceResults])
-    before, after = np.array(distances).reshape(2, 400, -1)
-    bounds = np.abs(steps) @ levers.T
-    free = (before > 0.0) & (after > 0.0)
-    assert (np.abs(after - before) <= bounds + 1e-5)[free].all()
-    assert (np.abs(after - before) / bounds)[free].max() > 0.5
-
-
-def sheared(by):
-    corners = product((-0.1, 0.1), (-0.05, 0.05), (-0.1, 0.1))
-    return np.array([(x + by * z, y, z) for x, y, z in corners])
-
-
-AXIS, OTHER_AXIS = '<axis xyz="0.6 0 0.8"/>', '<axis xyz="0.8 0 0.6"/>'
-
-
-@pytest.mark.parametrize(
-    ("before", "after"), [(AXIS, OTHER_AXIS), ("a.obj", "b.obj"), ('upper="1.5"', 'upper="1.4"')]
-)
-def test_another_robot_has_pairs_of_its_own(slider_arm_urdf, tmp_path, cache, before, after):
-    """Another axis of a joint whose link has no body, a mirrored mesh, other limits."""
-    for name, by in (("a.obj", 0.5), ("b.obj", -0.5)):
-        trimesh.Trimesh(sheared(by)).convex_hull.export(tmp_path / name)
-    cylinder = '<cylinder radius="0.04" length="0.3"/>'
-    text = slider_arm_urdf.read_text().replace(cylinder, '<mesh filename="a.obj"/>')
-    text = re.sub('<link name="elbow">.*', '<link name="elbow"/>', text)
-    (tmp_path / "arm.urdf").write_text(text)
-    load_robot(tmp_path / "arm.urdf", "tool")
-    (tmp_path / "arm.urdf").write_text(text.replace(before, after))
-    load_robot(tmp_path / "arm.urdf", "tool")
-    assert len(list((cache / "cvqmpt_lab" / "self_collision").iterdir())) == 2
-
-
-@pytest.mark.parametrize(
-    "spoilt", [lambda kept, other: kept[: len(kept) // 2], lambda kept, other: other]
-)
-def test_a_spoilt_or_foreign_file_is_made_anew(slider_arm_urdf, edited, cache, spoilt):
-    folder = cache / "cvqmpt_lab" / "self_collision"
-    load_robot(edited((TOOL, 'size="0.4 0.4 0.4"')), "tool")
-    (foreign,) = folder.iterdir()
-    pairs = load_robot(slider_arm_urdf, "tool").left_out_pairs
-    (kept,) = set(folder.iterdir()) - {foreign}
-    whole = kept.read_bytes()
-    kept.write_bytes(spoilt(whole, foreign.read_bytes()))
-    assert load_robot(slider_arm_urdf, "tool").left_out_pairs == pairs
-    assert kept.read_bytes() == whole
 
 
 @pytest.mark.parametrize(

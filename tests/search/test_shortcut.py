@@ -1,11 +1,17 @@
-"""Simplification: never longer, ends kept, still certified, repeatable, bounded."""
+"""Shorter paths: shortcuts, the informed set, and paths through roadmaps of its draws."""
+
+from functools import partial
 
 import numpy as np
 import pytest
 
 from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.results.store import states_hash
-from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path, keep_informed
+from cvqmpt_lab.search.planner_interface import Deadline
+from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettings, scene_costs
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -49,11 +55,13 @@ def test_one_seed_gives_one_path_with_either_backend(problem, solution):
     assert states_hash(other.states) != states_hash(one.states)
 
 
-@pytest.mark.parametrize("bound", ["attempts", "seconds"])
-def test_no_attempts_change_nothing(solution, space, bound):
-    result = simplified(space, solution.plan.path, **{bound: 0})
-    assert states_hash(result.path.states) == states_hash(solution.plan.path.states)
-    assert result.counters.projections == 0
+def test_no_attempts_and_paths_without_room_change_nothing(problem, solution, space):
+    still = (problem.start[None], np.array([problem.start, problem.start]))
+    cases = [(solution.plan.path.states, {bound: 0}) for bound in ("attempts", "seconds")]
+    for states, bounds in (*cases, *((states, {}) for states in still)):
+        result = simplified(space, JointPath(states), **bounds)
+        np.testing.assert_array_equal(result.path.states, states)
+        assert not bounds or result.counters.projections == 0
 
 
 def test_attempts_seconds_and_patience_bound_the_work(solution, space):
@@ -66,11 +74,6 @@ def test_attempts_seconds_and_patience_bound_the_work(solution, space):
     assert simplified(space, short, attempts=10**6, patience=1, gain=0.5).seconds < 5.0
 
 
-def test_tiny_paths_pass_through(problem, space):
-    for states in (problem.start[None], np.array([problem.start, problem.start])):
-        np.testing.assert_array_equal(simplified(space, JointPath(states)).path.states, states)
-
-
 def test_a_detour_is_cut(problem, space):
     """A detour of 0.3 rad and back from a motion on the manifold is removed completely."""
     manifold, q = problem.manifold, problem.start
@@ -78,3 +81,86 @@ def test_a_detour_is_cut(problem, space):
     states = np.array([*out, *out[-2:0:-1], out[1]])
     assert space.checked_path(states)[1] == -1
     assert simplified(space, JointPath(states)).path.length < 0.1
+
+
+LOWER, UPPER = np.full(7, -9.0), np.full(7, 9.0)
+
+
+@pytest.mark.parametrize("lengths", [(1.5,), (1.1, 3.3)])
+def test_informed_samples_keep_detours_to_one_of_the_goals_short(lengths):
+    rng, start = np.random.default_rng(0), np.zeros(7)
+    goals = np.array([np.eye(7)[0], 3.0 * np.eye(7)[1]])[: len(lengths)]
+    samples = InformedSamples(start, goals, np.array(lengths), LOWER, UPPER).sample(rng, 2000)
+    to_goals = np.linalg.norm(samples[:, None] - goals, axis=2)
+    detours = np.linalg.norm(samples - start, axis=1)[:, None] + to_goals
+    within = detours <= np.add(lengths, 1e-9)
+    assert samples.shape == (2000, 7) and within.any(axis=1).all()
+    assert (within.sum(axis=0) > 800).all()
+    assert (np.where(within, detours, 0.0).max(axis=0) > np.multiply(0.98, lengths)).all()
+    middles = [samples[within[:, k]].mean(axis=0) for k in range(len(goals))]
+    assert np.abs(middles[0] - 0.5 * goals[0]).max() < 0.3
+
+
+def test_a_goal_where_the_start_is_leaves_a_ball():
+    here = np.ones(7)
+    informed = InformedSamples(here, here[None], np.array([0.5]), LOWER, UPPER)
+    samples = informed.sample(np.random.default_rng(0), 100)
+    assert np.linalg.norm(samples - here, axis=1).max() <= 0.25 + 1e-9
+
+
+ENOUGH = Budget(iterations=20_000)
+
+
+@pytest.fixture(scope="module")
+def first(problem):
+    """A path of `birrt`, shortened."""
+    return solve(problem, "birrt", ENOUGH, 0, clearance=False).simplified.path
+
+
+def test_draws_kept_are_free_on_the_manifold_and_in_the_informed_set(problem, first):
+    space, length = ConstrainedSpace(problem), 1.2 * first.length
+    spaced = first.spaced(0.02)
+    draws = spaced + np.random.default_rng(0).normal(scale=0.3, size=spaced.shape)
+    draws = np.clip(draws, problem.robot.lower, problem.robot.upper)
+    expected = []
+    for q in draws.copy():
+        on = space.project(q)
+        to_goal = np.linalg.norm(problem.goals - q, axis=1).min()
+        if on and np.linalg.norm(q - problem.start) + to_goal < length and space.valid(q):
+            expected.append(q)
+    kept = keep_informed(space.arrays, draws, problem.start, problem.goals, length)
+    assert 0 < kept < len(draws)
+    np.testing.assert_array_equal(draws[:kept], expected)
+
+
+def test_paths_that_cost_more_than_asked_are_not_looked_for(problem):
+    nodes = problem.robot.random_configurations(np.random.default_rng(5), 1500)
+    settings = RoadmapSearchSettings(greed=1.0, searches=2000)
+
+    def length_within(longest):
+        space = ConstrainedSpace(problem)
+        ends, costs = (problem.start, problem.goals), scene_costs(space)
+        query = RoadmapQuery(space, Roadmap.of(nodes), *ends, settings, costs, longest)
+        found = query.next_path(Deadline(ENOUGH, space))
+        return None if found is None else found.length
+
+    straight = np.linalg.norm(problem.goals - problem.start, axis=1).min()
+    assert length_within(0.99 * straight) is None
+    assert length_within(100.0) == length_within(np.inf) is not None
+
+
+def test_informed_roadmaps_find_shorter_paths_that_repeat_and_a_straight_path_ends_the_search(
+    problem, first
+):
+    def better(path):
+        search, rng = partial(informed_roadmap_path, scene_costs), np.random.default_rng(0)
+        return improve(ConstrainedSpace(problem), search, path, Budget(iterations=400), rng)
+
+    (path, made), (again, _) = better(first), better(first)
+    np.testing.assert_array_equal(path.states, again.states)
+    assert path.length < first.length and made.searches > 3 and made.iterations >= 400
+    space = ConstrainedSpace(problem)
+    assert space.checked_path(path.states)[0] is not None
+    assert max(np.abs(space.residual_and_jacobian(q)[0]).max() for q in path.states) < 1e-3
+    nearest = problem.goals[np.linalg.norm(problem.goals - problem.start, axis=1).argmin()]
+    assert better(JointPath(np.stack([problem.start, nearest])))[1].searches == 0

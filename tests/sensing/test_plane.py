@@ -6,12 +6,11 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.sensing.plane import (
-    CAMERA_TILT,
-    CAMERA_UP,
     box_around,
     level_pose,
     on_table,
     supporting_plane,
+    table_below,
 )
 
 FRONT = (0.4, 0.1, -0.05)
@@ -41,7 +40,7 @@ def test_an_oblique_scan_is_put_level(pitch, roll):
     rng = np.random.default_rng(pitch)
     world, T = table(rng), camera_pose(pitch, roll)
     seen = (world - T[:3, 3]) @ T[:3, :3]
-    plane = supporting_plane(seen, CAMERA_UP, CAMERA_TILT, rng)
+    plane = table_below(seen, np.radians(pitch), 1.0, rng)
     assert plane.residual < 0.004 and plane.offset == pytest.approx(-0.8, abs=0.003)
     assert np.degrees(np.arccos(plane.normal @ (T[:3, :3].T @ (0, 0, 1)))) < 0.3
     level = level_pose(seen, plane, FRONT)
@@ -74,3 +73,38 @@ WALL = SCATTERED * (0, 1, 1)
 def test_a_cloud_without_a_table_is_refused(points):
     with pytest.raises(InvalidInputError, match="no supporting plane"):
         supporting_plane(points, np.array([0, 0, 1.0]), 0.2, np.random.default_rng(0))
+
+
+def office(rng, height):
+    """Points (m, 3) of a wall 5 m ahead, and of a floor `height` [m] below the optical frame."""
+    wall = rng.uniform((-3.0, -1.5, 5.05), (3.0, 1.5, 5.05), (6000, 3))
+    floor = rng.uniform((-2.0, height, 1.0), (2.0, height, 5.0), (2000, 3))
+    return np.concatenate([wall, floor])
+
+
+@pytest.mark.parametrize(
+    ("points", "down", "words"),
+    [
+        (
+            lambda rng: office(rng, 1.6),
+            20.0,
+            "1.60 m above .* of 25% .* at most 1.20 m",
+        ),
+        (lambda rng: office(rng, -1.1), 20.0, "the camera is -1.10 m above"),
+        (lambda rng: office(rng, 1.1)[:6000], 20.0, "largest plane, of 100% .* 70 deg off level"),
+        (lambda rng: office(rng, 1.1)[:6000] * (1, 1, 0.2), 40.0, "50 deg off level"),
+        (lambda rng: office(rng, 1.1), -1.0, "a camera that looks -1 deg down"),
+    ],
+)
+def test_no_wall_ceiling_or_far_floor_is_taken_for_a_table(points, down, words):
+    rng = np.random.default_rng(0)
+    with pytest.raises(InvalidInputError, match=words):
+        table_below(points(rng), np.radians(down), 1.2, rng)
+
+
+def test_a_level_plane_is_found_before_a_larger_wall():
+    rng = np.random.default_rng(0)
+    plane = table_below(office(rng, 1.1), np.radians(20.0), 1.2, rng)
+    np.testing.assert_allclose(plane.normal, (0.0, -1.0, 0.0), atol=1e-3)
+    assert plane.offset == pytest.approx(-1.1, abs=0.001)
+    assert plane.share == pytest.approx(0.25, abs=0.01)

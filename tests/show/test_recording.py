@@ -1,7 +1,5 @@
-"""Recordings are complete, plots agree with the certificate, the viewer stays on loopback."""
+"""Recordings are complete, plots agree with the certificate."""
 
-import stat
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -15,11 +13,9 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.show import viewer
 from cvqmpt_lab.show.curves import plots_along
 from cvqmpt_lab.show.picture import draw_solution
 from cvqmpt_lab.show.recording import log_solution
-from cvqmpt_lab.show.viewer import open_viewer
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 SHAPES = (
@@ -33,7 +29,7 @@ SHAPES = (
 
 
 def test_solved_recording_holds_everything(solution, recorded, tmp_path):
-    log_solution(solution, save=tmp_path / "run.rrd", carried=[carried_can()])
+    log_solution(solution, tmp_path / "run.rrd", carried=[carried_can()])
     rows = recorded(tmp_path / "run.rrd")
     states = len(solution.simplified.path.states)
     assert {f"/world/scene/{name}" for name in solution.problem.scene.names} <= rows.keys()
@@ -59,7 +55,7 @@ def test_every_shape_and_attachment_is_shown(unsolved, recorded, tmp_path):
     scene = unsolved.problem.scene.with_objects(*items)
     crowded = replace(unsolved.problem, scene=scene, attachments=(carried_can(),))
     solution = replace(unsolved, problem=crowded)
-    log_solution(solution, save=tmp_path / "run.rrd")
+    log_solution(solution, tmp_path / "run.rrd")
     shown = recorded(tmp_path / "run.rrd").keys()
     assert {f"/world/scene/{item.name}" for item in items} | {"/world/start/carried_can"} <= shown
     draw_solution(solution, tmp_path / "shapes.png", (90, 60))
@@ -67,52 +63,14 @@ def test_every_shape_and_attachment_is_shown(unsolved, recorded, tmp_path):
 
 
 def test_unwritable_recording_is_refused(unsolved, tmp_path):
-    with pytest.raises(InvalidInputError, match="view=True"):
-        log_solution(unsolved)
     with pytest.raises(InvalidInputError, match=r"cannot write .*missing"):
-        log_solution(unsolved, save=tmp_path / "missing" / "run.rrd")
+        log_solution(unsolved, tmp_path / "missing" / "run.rrd")
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
     for taken in ("folder", "file/run.rrd"):
         with pytest.raises(InvalidInputError, match="cannot write"):
-            log_solution(unsolved, save=tmp_path / taken)
+            log_solution(unsolved, tmp_path / taken)
     assert {path.name for path in tmp_path.iterdir()} == {"folder", "file"}
-
-
-@pytest.fixture
-def stand_in(tmp_path, monkeypatch):
-    """A program "rerun" beside Python, whose script the test writes."""
-    program = tmp_path / "rerun"
-    monkeypatch.setattr(viewer.sys, "executable", str(tmp_path / "python"))
-    monkeypatch.setenv("DISPLAY", ":99")
-
-    def write(script):
-        program.write_text(f"#!/bin/sh\n{script}\n")
-        program.chmod(program.stat().st_mode | stat.S_IEXEC)
-
-    return write
-
-
-def test_without_a_display_it_is_refused_before_anything_is_logged(unsolved, monkeypatch):
-    monkeypatch.setattr(viewer.sys, "platform", "linux")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(InvalidInputError, match=r"no display.*elsewhere with: rerun RUN\.rrd"):
-        log_solution(unsolved, view=True)
-
-
-def test_the_viewer_is_bound_to_the_loopback_address(stand_in, tmp_path):
-    stand_in(f'echo "$@" > {tmp_path}/told; sleep 2')
-    began = time.perf_counter()
-    open_viewer(tmp_path / "run.rrd", settle=0.5)
-    assert time.perf_counter() - began < 1.9  # it is not waited for
-    assert (tmp_path / "told").read_text() == f"--bind 127.0.0.1 --port auto {tmp_path}/run.rrd\n"
-
-
-def test_a_viewer_that_gives_up_is_an_error(stand_in, tmp_path):
-    stand_in("echo 'no graphics device' >&2; exit 3")
-    with pytest.raises(InvalidInputError, match=r"the rerun viewer \(no graphics device\)"):
-        open_viewer(tmp_path / "run.rrd")
 
 
 def test_plots_say_what_the_certificate_says(problem, solution):

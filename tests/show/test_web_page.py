@@ -10,9 +10,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.scene import SceneObject
-from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.show import web_page
 from cvqmpt_lab.show.web_page import save_page
 
@@ -36,7 +33,7 @@ def array(text):
 
 def test_a_page_holds_the_motion_and_its_plots(solution, tmp_path):
     named = replace(solution, problem=replace(solution.problem, name="a</script><!--<script>b"))
-    assert save_page(named, tmp_path / "a.html") == []
+    save_page(named, tmp_path / "a.html")
     assert "<!--" not in (tmp_path / "a.html").read_text()
     data = data_of(tmp_path / "a.html")
     states = solution.simplified.path.states
@@ -56,19 +53,6 @@ def test_a_page_holds_the_motion_and_its_plots(solution, tmp_path):
     assert bounds[2]["values"][0] == 0.1
     assert min(plots["clearance [mm]"]["curves"][0]["values"]) > 0.0
     assert max(plots["tilt of the hand [deg]"]["curves"][0]["values"]) < np.degrees(0.1415)
-
-
-def test_fine_scenes_are_drawn_with_fewer_triangles_and_the_page_says_so(solution, tmp_path):
-    rng = np.random.default_rng(0)
-    problem, at = solution.problem, rng.uniform(-1.0, 1.0, (150, 3))
-    balls = [SceneObject(f"ball {k}", Sphere(0.05), pose(centre)) for k, centre in enumerate(at)]
-    cloud = SceneObject("fine", PointCloud(rng.uniform(-1.0, 1.0, (4000, 3)), 0.01), np.eye(4))
-    crowded = replace(problem, scene=problem.scene.with_objects(cloud, *balls))
-    (note,) = save_page(replace(solution, problem=crowded), tmp_path / "a.html")
-    data = data_of(tmp_path / "a.html")
-    count = sum(len(array(body["positions"])) // 9 for body in data["bodies"])
-    assert note.startswith(f"drawn with {count} of {note.split()[4]} triangles: ")
-    assert note in data["lines"] and count <= 1.02 * 60_000 < int(note.split()[4])
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")

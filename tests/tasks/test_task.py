@@ -1,28 +1,36 @@
-"""Tasks as data: json, and sequences of phases that must be refused."""
+"""Tasks: json, sequences that must be refused; planned whole, every phase certified."""
 
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
 from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.certificate import FaultKind, certify
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.errors import CvqmptError
+from cvqmpt_lab.planners import PLANNERS, Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, OccupancyMap, Sphere
+from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
+from cvqmpt_lab.tasks.solve import solve_task
 from cvqmpt_lab.tasks.task import Grasp, Release, Task
 from cvqmpt_lab.tasks.world import World
+from experiments.experiment import Experiment
+from experiments.rows import phase_rows
 
 
 def changed(task, which, **fields):
     """The task with fields of one phase changed."""
     assert which in [phase.name for phase in task.phases]
-    return replace(
-        task, phases=tuple(replace(p, **fields) if p.name == which else p for p in task.phases)
-    )
+    phases = (replace(p, **fields) if p.name == which else p for p in task.phases)
+    return replace(task, phases=tuple(phases))
 
 
 def without(task, name):
@@ -62,64 +70,41 @@ def test_a_wrong_field_is_named(task, tmp_path, path, value, message):
     else:
         place[field] = value
     file.write_text(json.dumps(data))
-    with pytest.raises(CvqmptError, match=message) as error:
-        Task.load(file)
-    assert str(file) in str(error.value)
+    assert str(file) in refused(message, Task.load, file, error=CvqmptError)
 
 
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda task: without(task, "let-go"), "'reach-can': the hand holds 'dagger_door_left'"),
-        (
-            lambda task: without(task, "hold-handle"),
-            "'open-door': the hand holds no door or drawer",
-        ),
-        (
-            lambda task: without(task, "grasp-can"),
-            "'put-down': the gripper holds nothing to release",
-        ),
-        (
-            lambda task: changed(task, "grasp-can", object="cup"),
-            "'grasp-can': unknown object .*'cup'",
-        ),
-        (lambda task: grasping(task, Sphere(1e-3)), "'grasp-can': type .* is 'Sphere'.*'Cylinder'"),
-        (
-            lambda task: grasping(task, Cylinder(0.0373, 0.237)),
-            "height .* is 0.237, that of 'can' .* 0.242",
-        ),
-        (
-            grasping_a_map,
-            "'grasp-can': attachment 'map' is an occupancy map; what is carried is a solid",
-        ),
-        (lambda task: changed(task, "hold-handle", articulation="lid"), "unknown articulation"),
-        (
-            lambda task: changed(task, "open-door", value=-2.0),
-            "'open-door': value -2.0 of hinge .* outside",
-        ),
-        (lambda task: changed(task, "put-down", name="carry"), "'carry' occurs twice"),
-        (lambda task: replace(task, phases=(Release("r", {}),)), "plans nothing"),
-        (grasping_twice, "'again': the gripper already holds 'can'"),
-    ],
-)
-def test_phases_that_cannot_follow_are_refused(task, spoil, message):
-    with pytest.raises(InvalidInputError, match=message):
-        spoil(task)
+SPOILT = {
+    "'reach-can': the hand holds 'dagger_door_left'": lambda task: without(task, "let-go"),
+    "'open-door': the hand holds no door or dr": lambda task: without(task, "hold-handle"),
+    "'put-down': the gripper holds nothing to rel": lambda task: without(task, "grasp-can"),
+    "'grasp-can': unknown object .*'cup'": lambda t: changed(t, "grasp-can", object="cup"),
+    "'grasp-can': type .* is 'Sphere'.*'Cylinder'": lambda task: grasping(task, Sphere(1e-3)),
+    "height .* is 0.2, that of 'can' .* 0.2": lambda t: grasping(t, Cylinder(0.0373, 0.2)),
+    "'grasp-can': attachment 'map' is an occupancy map; what is carried is a": grasping_a_map,
+    "unknown articulation": lambda task: changed(task, "hold-handle", articulation="lid"),
+    "'open-door': value -2.0 of hinge .* outside": lambda t: changed(t, "open-door", value=-2.0),
+    "'carry' occurs twice": lambda task: changed(task, "put-down", name="carry"),
+    "plans nothing": lambda task: replace(task, phases=(Release("r", {}),)),
+    "'again': the gripper already holds 'can'": grasping_twice,
+}
+
+
+@pytest.mark.parametrize("message", SPOILT)
+def test_phases_that_cannot_follow_are_refused(task, message):
+    refused(message, SPOILT[message], task)
 
 
 def test_a_hand_that_closes_where_nothing_is(task):
-    start = World.before(task)
-    with pytest.raises(
-        InvalidInputError, match=r"'grasp-can': 'can' is more than 0.02 m from the arm"
-    ):
-        start.after(next(phase for phase in task.phases if isinstance(phase, Grasp)))
+    grasp = next(phase for phase in task.phases if isinstance(phase, Grasp))
+    told = "'grasp-can': 'can' is more than 0.02 m from the arm"
+    refused(told, World.before(task).after, grasp)
 
 
 QUARTER_ABOUT_X = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
 
 
 @pytest.mark.parametrize(
-    ("T_written", "refused"),
+    ("T_written", "told"),
     [
         (pose((0.0, 0.0, 0.019)), ""),
         (pose((0.0, 0.0, 0.0), 1.5), ""),  # about the can's own axis
@@ -128,17 +113,15 @@ QUARTER_ABOUT_X = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0,
     ],
 )
 def test_what_is_carried_is_the_object_of_the_scene_wherever_it_was_expected(
-    task_solution, T_written, refused
+    task_solution, T_written, told
 ):
     carrying = task_solution.outcomes[-1].world
     can, item = carrying.held.attachment, carrying.held.item
     before = replace(carrying, held=None, scene=carrying.scene.with_objects(item))
-    phase = Grasp(
-        "grasp-can", CAN_NAME, {}, replace(can, T_hand_object=can.T_hand_object @ T_written)
-    )
-    if refused:
-        with pytest.raises(InvalidInputError, match=refused):
-            before.after(phase)
+    written = replace(can, T_hand_object=can.T_hand_object @ T_written)
+    phase = Grasp("grasp-can", CAN_NAME, {}, written)
+    if told:
+        refused(told, before.after, phase)
         return
     held = before.after(phase).held.attachment
     T_world_held = before.arm.pose(before.q) @ held.T_hand_object
@@ -149,11 +132,96 @@ def test_what_is_carried_is_the_object_of_the_scene_wherever_it_was_expected(
 def test_a_carried_can_hits_a_board_that_one_5_mm_shorter_does_not(task_solution):
     solution, item = task_solution.outcomes[-1].solution, task_solution.outcomes[-1].world.held.item
     top = item.T_world_object[2, 3] - item.shape.height / 2 + 0.0025
-    board = SceneObject(
-        "board", Box((0.05, 0.05, 0.1)), pose((*item.T_world_object[:2, 3], top - 0.05))
-    )
+    below = pose((*item.T_world_object[:2, 3], top - 0.05))
+    board = SceneObject("board", Box((0.05, 0.05, 0.1)), below)
     problem = replace(solution.problem, scene=solution.problem.scene.with_objects(board))
-    faults = certify(problem, solution.simplified.path).faults
-    assert [fault.kind for fault in faults] == [FaultKind.COLLISION] and "can and board" in faults[
-        0
-    ].text
+    (fault,) = certify(problem, solution.simplified.path).faults
+    assert fault.kind is FaultKind.COLLISION and "can and board" in fault.text
+
+
+BUDGET = Budget(seconds=20.0)
+RUN = Experiment("multi-sequence", (0,), ("birrt",), (0,), BUDGET).runs[0]
+PHASES = ["reach-handle", "open-door", "reach-can", "approach", "carry"]
+
+
+def test_a_whole_task_is_solved_and_every_phase_certified(task_solution):
+    assert task_solution.solved and task_solution.failure == ""
+    assert [outcome.phase.name for outcome in task_solution.outcomes] == PHASES
+    for outcome in task_solution.outcomes:
+        path = outcome.solution.simplified.path
+        assert certify(outcome.solution.problem, path).valid
+        motion = outcome.trajectory
+        np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-12)
+        np.testing.assert_allclose(motion.positions[[0, -1]], path.states[[0, -1]], atol=1e-9)
+
+
+class FailsOnce:
+    """birrt, but the first planning run to the end of a named phase finds nothing, slowly."""
+
+    def __init__(self, phase):
+        self.phase, self.failed = phase, False
+
+    def search(self, space, *arguments):
+        if space.problem.name.endswith(self.phase) and not self.failed:
+            self.failed = True
+            time.sleep(0.5)
+            return PlanResult(PlanStatus.TIMEOUT, None, 0.5, Counters(), 0, "none")
+        return BiRRT().search(space, *arguments)
+
+
+def test_another_grasp_is_tried_when_a_later_phase_fails(task):
+    solution = solve_task(task, Method.simple("birrt", search=FailsOnce("carry")), BUDGET, seed=0)
+    assert solution.solved
+    approach = next(outcome for outcome in solution.outcomes if outcome.phase.name == "approach")
+    assert len(approach.attempts) == 2
+    first, second = (item.simplified.path.states[-1] for item in approach.attempts)
+    assert np.abs(first - second).max() > 1e-6
+    rows = phase_rows(RUN, solution)
+    row = next(row for row in rows if row.problem.endswith("approach"))
+    assert rows[-1].solved and rows[-1].t_plan_s > 0.5  # what failed was paid for too
+    assert row.n_state_checks == sum(item.plan.counters.state_checks for item in approach.attempts)
+
+
+class SlidesOnlyAtLeisure:
+    """birrt, but slides need more than a second."""
+
+    def __init__(self):
+        self.given = []
+
+    def search(self, space, start, goals, distribution, budget, rng):
+        if space.problem.name.endswith("approach"):
+            self.given.append((round(budget.seconds), tuple(start)))
+            if budget.seconds < 1.0:
+                return PlanResult(PlanStatus.TIMEOUT, None, 0.0, Counters(), 0, "none")
+        return BiRRT().search(space, start, goals, distribution, budget, rng)
+
+
+def test_a_slide_gets_little_time_until_all_grasps_have_failed(task):
+    search = SlidesOnlyAtLeisure()
+    solution = solve_task(task, Method.simple("birrt", search=search), Budget(seconds=3.0), seed=0)
+    assert solution.solved
+    seconds = [given for given, _ in search.given]
+    assert seconds == sorted(seconds) and set(seconds) == {0, 3}
+    assert len({start for given, start in search.given if given == 0}) > 1
+
+
+def test_a_goal_out_of_reach_names_phase_and_cause(task):
+    far = TaskSpaceRegion(pose((3.0, 0.0, 0.5)), np.eye(4), np.zeros((6, 2)))
+    phases = tuple(replace(p, goal=far) if p.name == "carry" else p for p in task.phases)
+    solution = solve_task(replace(task, phases=phases), "birrt", BUDGET, seed=0)
+    assert not solution.solved
+    told = "phase 'carry': no goal: of 100 poses, 100 without inverse kinematics"
+    assert solution.failure.startswith(told)
+    rows = phase_rows(RUN, solution)
+    assert [row.solved for row in rows] == [True] * 4 + [False]
+    assert rows[-1].fail_reason == "no_goal" and "inverse kinematics" in rows[-1].detail
+
+
+def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
+    problems = {outcome.phase.name: outcome.solution.problem for outcome in task_solution.outcomes}
+    for name in ("mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"):
+        for served in ("carry", "reach-can"):
+            assert PLANNERS[name].incompatibility(problems[served]) == ""
+        assert "weights are for" in PLANNERS[name].incompatibility(problems["open-door"])
+    for name in ("birrt", "ompl-projected", "atlas-rrt", "tb-rrt"):
+        assert all(PLANNERS[name].incompatibility(problem) == "" for problem in problems.values())

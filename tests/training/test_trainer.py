@@ -5,28 +5,23 @@ import dataclasses
 import json
 import os
 import signal
-import subprocess
-import sys
-from pathlib import Path
 
-import numpy as np
 import pytest
-import safetensors.numpy
 import torch
+from command_line import refused as command_refused
+from refusals import refused
 from training_data import kinematics, write_dataset
 
 from cli.main import main
 from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.profiles import PROFILES, Profile
-from cvqmpt_lab.training.stage import OptimizerSettings, batch_seed
-from cvqmpt_lab.training.trainer import open_folder, run_training
-from cvqmpt_lab.vqmpt.beam_search import beam_search
+from cvqmpt_lab.training.stage import OptimizerSettings
+from cvqmpt_lab.training.trainer import run_training
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, save_checkpoint
 from cvqmpt_lab.vqmpt.weights import RobotSignature
 
-ROOT = Path(__file__).resolve().parents[2]
 SMOKE = PROFILES["smoke"]
 
 
@@ -59,19 +54,10 @@ LEVELS = {
     "sa2": {"ratio": 0.5, "radius": 0.9, "widths": [8, 16]},
 }
 SEQUENCE = {"transformer": SIZES, "context": SIZES}
-PUBLISHED = changed(
-    SMOKE,
-    {
-        "stage1": STAGE1,
-        **WORDS,
-        **MPNET,
-        "model.dictionary.n_position": 200,
-        "model.point_cloud": LEVELS,
-        "model.sequence": SEQUENCE,
-        "published_model": {"point_cloud": LEVELS, "sequence": SEQUENCE},
-        "published": {"batches_per_epoch": 4, "paths": 4, "cloud": {"points": 48}},
-    },
-)
+MODEL = {"point_cloud": LEVELS, "sequence": SEQUENCE}
+PUBLISHED = {"model": MODEL, "published_model": MODEL, "model.dictionary.n_position": 200}
+PUBLISHED |= {"published": {"batches_per_epoch": 4, "paths": 4, "cloud": {"points": 48}}}
+PUBLISHED = changed(SMOKE, {"stage1": STAGE1, **WORDS, **MPNET, **PUBLISHED})
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +95,8 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
     assert [*checkpoint.modules] == ["dictionary"] and checkpoint.config.feature_dim == 12
     norms = checkpoint.modules["dictionary"].quantizer.embedding.weight.norm(dim=1)
     torch.testing.assert_close(norms, torch.ones_like(norms))
-    metadata, losses = checkpoint.metadata, checkpoint.metadata["losses"]
+    metadata = checkpoint.metadata
+    losses = metadata["losses"]
     assert metadata["data_sha256"] == open_dataset(data).sha256 and metadata["seed"] == 0
     assert metadata["kinematics"]["points"] == kinematics()["points"]
     assert losses["validation_nll"] == float(rows[losses["epoch"] - 1]["validation_nll"])
@@ -117,23 +104,19 @@ def test_stage_1_leaves_a_dictionary_and_curves(dictionary, data):
     assert files == {"training.json", "state.pt", "curves.csv", "model"}
 
 
-@pytest.mark.parametrize("precision", ["float32", "bf16"])
-def test_the_authors_network_learns_from_paths(tmp_path, data, published_dictionary, precision):
-    profile = changed(PUBLISHED, {"published.precision": precision})
+def test_the_authors_network_learns_from_paths(tmp_path, data, published_dictionary):
+    """In half precision; in full precision it is the continued training below."""
+    profile = changed(PUBLISHED, {"published.precision": "bf16"})
     out = tmp_path / "out"
     go("published", data, out, profile, dictionary=published_dictionary, epochs=1)
     row = curves(out)[0]
     own = float(row["validation_cross_entropy_all"])
     assert own == float(row["validation_loss"])
     assert own != float(row["validation_wrong_cloud_cross_entropy_all"])
-    checkpoint = load_checkpoint(out / "model")
-    model, words = checkpoint.modules["sequence_model"], checkpoint.modules["dictionary"]
+    words = load_checkpoint(out / "model").modules["dictionary"]
     before = load_checkpoint(published_dictionary / "model").modules["dictionary"]
     for name, tensor in before.state_dict().items():
         assert torch.equal(words.state_dict()[name], tensor)
-    scene = model.encode_scene(torch.rand(1, 48, 3))
-    decoder = model.decoder(words, scene, torch.rand(1, 7), torch.rand(1, 7))
-    assert len(beam_search(decoder, published=True)) == 1
 
 
 @pytest.mark.parametrize(
@@ -168,32 +151,6 @@ def test_a_seed_repeats_and_another_differs(tmp_path, data, dictionary):
     assert curves(tmp_path / "other") != curves(dictionary)
 
 
-def test_a_step_of_two_processes_is_one_on_the_mean_of_their_gradients(tmp_path, data):
-    optimizer = {"rate": 1e-2, "warmup": 0, "schedule": "constant", "epsilon": 1e-8, "clip": None}
-    changes = {"mpnet.batches": {"scenes": 1, "batches_per_epoch": 2}, "mpnet.optimizer": optimizer}
-    profile = changed(TINY, {**changes, "mpnet_model.dropout": 0})
-    config, out = tmp_path / "tiny.json", tmp_path / "out"
-    config.write_text(json.dumps(to_plain(profile, complete=True)))
-    torchrun = "torch.distributed.run --nproc-per-node 2 --rdzv-endpoint localhost:0"
-    train = f"cli.main train mpnet --config {config} --device cpu --data {data} --out {out}"
-    words = f"-m {torchrun} --rdzv-backend c10d -m {train} --epochs 1".split()
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    words = [sys.executable, *words]
-    done = subprocess.run(words, capture_output=True, text=True, env=environment)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("model in") == 1, "both processes reported"
-    stage = profile.stage("mpnet", data, None, 0, torch.device("cpu"))
-    optimizer = stage.optimizer.build(stage)
-    for number, batch in enumerate(stage.batches(0)):
-        seed = batch_seed(0, 0, number).spawn(1)[0]
-        torch.manual_seed(int(seed.generate_state(1, np.uint64)[0]) >> 1)
-        (stage(stage.tensors(batch))["loss"] / 2).backward()
-    optimizer.step()
-    found = safetensors.numpy.load((out / "model" / "mpnet.safetensors").read_bytes())
-    for name, tensor in stage.network.state_dict().items():
-        np.testing.assert_allclose(found[name], tensor.numpy(), atol=1e-6, err_msg=name)
-
-
 def test_what_does_not_fit_is_refused_before_anything_is_written(
     tmp_path, data, dictionary, published_dictionary
 ):
@@ -201,26 +158,24 @@ def test_what_does_not_fit_is_refused_before_anything_is_written(
     iiwa = RobotSignature("iiwa", words.robot.lower, words.robot.upper)
     save_checkpoint(tmp_path / "iiwa", dataclasses.replace(words, robot=iiwa))
     bare = write_dataset(tmp_path / "bare", kinematics=None)
-    dense, iiwa = changed(PUBLISHED, {"published_model.dense": True}), tmp_path / "iiwa"
+    iiwa = tmp_path / "iiwa"
     for message, stage, source, profile, words in (
         ("no weights in", "published", data, PUBLISHED, tmp_path / "nowhere"),
         ("weights are for robot 'iiwa', not 'panda'", "published", data, PUBLISHED, iiwa),
-        ("the dense loss needs labels on a roadmap", "published", data, dense, dictionary),
         ("holds paths, not labels on a roadmap; make", "transformer", data, TINY, dictionary),
         ("stage1 takes no dictionary", "stage1", data, TINY, dictionary),
         ("mpnet takes no dictionary", "mpnet", data, TINY, dictionary),
         ("unknown stage 'stage3'", "stage3", data, TINY, None),
         ("takes link positions", "stage1", bare, TINY, None),
     ):
-        with pytest.raises(CvqmptError, match=message):
-            go(stage, source, tmp_path / "out", profile, dictionary=words)
+        out = tmp_path / "out"
+        refused(message, go, stage, source, out, profile, dictionary=words, error=CvqmptError)
     assert not (tmp_path / "out").exists()
 
 
-def test_one_process_trains_what_shares_more_than_gradients(tmp_path, data, monkeypatch):
-    monkeypatch.setattr("cvqmpt_lab.training.trainer.joined_processes", lambda: (0, 2))
-    with pytest.raises(InvalidInputError, match="stage1 is trained by one process, not 2"):
-        go("stage1", data, tmp_path / "out")
+def test_several_processes_are_refused(tmp_path, data, monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    refused(r"\(torchrun\) was removed; start one", go, "stage1", data, tmp_path / "out")
 
 
 def test_folders_that_cannot_be_continued(tmp_path, data, dictionary):
@@ -234,8 +189,7 @@ def test_folders_that_cannot_be_continued(tmp_path, data, dictionary):
         ("data_sha256 was", "stage1", other, dictionary, {}),
         ("batch was 4, now 5", "stage1", data, dictionary, {"profile": profile}),
     ):
-        with pytest.raises(InvalidInputError, match=message):
-            go(stage, source, out, **options)
+        refused(message, go, stage, source, out, **options)
 
 
 def test_damaged_states_and_losses_that_are_not_finite_are_named(tmp_path, data):
@@ -243,47 +197,29 @@ def test_damaged_states_and_losses_that_are_not_finite_are_named(tmp_path, data)
         go("stage1", data, tmp_path / "s1", report=lambda *_: os.kill(os.getpid(), signal.SIGTERM))
     state = tmp_path / "s1" / "state.pt"
     state.write_bytes(state.read_bytes()[:200])
-    with pytest.raises(InvalidInputError, match=r"state.pt is damaged"):
-        go("stage1", data, tmp_path / "s1")
+    refused(r"state.pt is damaged", go, "stage1", data, tmp_path / "s1")
     wild = {"rate": 1e30, "warmup": 0, "schedule": "constant"}
-    with pytest.raises(InvalidInputError, match=r"loss is .* in epoch 1, .*lower optimizer.rate"):
-        go("mpnet", data, tmp_path / "a", changed(TINY, {"mpnet.optimizer": wild}))
-
-
-def test_a_full_disk_is_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch):
-    def full(*arguments):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(InvalidInputError, match="No space left on device"):
-        open_folder(tmp_path, {"a": 1})
-    assert not list(tmp_path.iterdir())
+    told, wild = r"loss is .* in epoch 1, .*lower optimizer.rate", {"mpnet.optimizer": wild}
+    refused(told, go, "mpnet", data, tmp_path / "a", changed(TINY, wild))
 
 
 def test_one_training_at_a_time_gets_back_a_model_that_was_being_replaced(tmp_path, data):
     def second(*progress):
-        with pytest.raises(InvalidInputError, match=r"s1 is in use by another run"):
-            go("stage1", data, whole, epochs=1)
+        refused("s1 is in use by another run", go, "stage1", data, whole, epochs=1)
 
     whole = tmp_path / "s1"
     assert go("stage1", data, whole, report=second, epochs=1).finished
     before = weights(whole)
-    (whole / "model").rename(whole / ".model.previous-123")
-    (whole / ".model.partial-123").mkdir()
+    (whole / "model").rename(whole / ".model.earlier")
     go("stage1", data, whole, epochs=1)
     assert weights(whole) == before
-    assert not list(whole.glob(".*"))
 
 
 def test_profiles_survive_json():
     for profile in PROFILES.values():
         assert from_plain(Profile, json.loads(json.dumps(to_plain(profile)))) == profile
-    for name, value, message in (
-        ("mpnet.batches.speed", 1, "speed is unknown"),
-        ("mpnet_model.n_points", 7, "must equal"),
-    ):
-        with pytest.raises(InvalidInputError, match=message):
-            changed(SMOKE, {name: value})
+    refused("speed is unknown", changed, SMOKE, {"mpnet.batches.speed": 1})
+    refused("must equal", changed, SMOKE, {"mpnet_model.n_points": 7})
 
 
 def test_rates():
@@ -299,30 +235,20 @@ def test_rates():
 def test_the_command_line(tmp_path, capsys, data):
     config, out = tmp_path / "mine.json", str(tmp_path / "x")
     config.write_text(json.dumps(to_plain(TINY)))
-    common = ["train", "stage1", "--config", str(config), "--data", str(data), "--device", "cpu"]
-    assert main([*common, "--out", str(tmp_path / "s1"), "--epochs", "1"]) == 0
-    captured = capsys.readouterr()
-    assert "validation_nll" in captured.out
-    assert f"model in {tmp_path / 's1' / 'model'}" in captured.out
-    assert "stage1 6/6, 0 s left  epoch 1, loss " in captured.err
+    dense = tmp_path / "dense.json"
+    dense.write_text('{"published_model": {"dense": true}}')
     assert main(["train", "stage1", "--profile", "smoke", "--print-config"]) == 0
     assert from_plain(Profile, json.loads(capsys.readouterr().out)) == SMOKE
+    given = ["--config", config, "--data", data, "--out", out]
     for message, words in {
-        "give --out DIR": common,
-        "no dataset in": [*common[:4], "--data", str(tmp_path), "--out", out],
-        "unknown device 'tpu'": [*common[:6], "--device", "tpu", "--out", out],
-        "unknown profile 'big'": ["train", "stage1", "--profile", "big"],
-        "'sequences'; valid choices: stage1, mpnet": [
-            "train",
-            "sequences",
-            *common[2:6],
-            "--out",
-            out,
-        ],
-        "stage stage2 was removed: train published": ["train", "stage2", *common[2:6]],
-        "cannot read": ["train", "stage1", "--config", str(tmp_path / "nowhere.json")],
+        "give --out DIR": ["stage1", *given[:4]],
+        "no dataset in": ["stage1", *given[:2], "--data", tmp_path, "--out", out],
+        "unknown device 'tpu'": ["stage1", *given, "--device", "tpu"],
+        "unknown profile 'big'": ["stage1", "--profile", "big"],
+        "'sequences'; valid choices: stage1, mpnet": ["sequences", *given],
+        "stage stage2 was removed: train published": ["stage2", *given[2:4]],
+        "published_model.dense was removed": ["stage1", "--config", dense],
+        "cannot read": ["stage1", "--config", tmp_path / "nowhere.json"],
     }.items():
-        assert main(words) == 2
-        error = capsys.readouterr().err
-        assert error.startswith("cvqmpt: ") and message in error and error.count("\n") == 1
+        assert message in command_refused(capsys, "train", *words)
     assert not (tmp_path / "x").exists()

@@ -1,16 +1,18 @@
-"""What training examples are made of: link positions, clouds, augmentations, sequences of codes."""
+"""What training examples are made of: shards, splits, clouds, augmentations, sequences of codes."""
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 from scipy.spatial import cKDTree
 from small_models import compact_config, published_config, random_checkpoint
-from training_data import LOWER, SPAN, UPPER, kinematics, write_dataset
+from training_data import LOWER, SPAN, UPPER, kinematics, shard, write_dataset, write_shard
 
-from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.labels.generation import scene_arrays
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
@@ -25,59 +27,24 @@ from cvqmpt_lab.vqmpt.config import MPNetConfig, SerialChain
 from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 
 CPU = torch.device("cpu")
-PLAIN = CloudSettings(
-    points=600, noise=0.0, occlusion=0.0, density=0.0, crop=CropSettings(radius=9.0)
-)
+WHOLE = CropSettings(radius=9.0)
+PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=WHOLE)
 
 
 def rng(seed=0):
     return np.random.default_rng(seed)
 
 
-def positions_one_by_one(data, q):
-    """Product of homogeneous transforms in a loop."""
-    frames, frame = [], np.eye(4)
-    for rotation, translation, angle in zip(data["rotation"], data["translation"], q, strict=True):
-        step, turn = np.eye(4), np.eye(4)
-        step[:3, :3], step[:3, 3] = rotation, translation
-        c, s = np.cos(angle), np.sin(angle)
-        turn[:2, :2] = [[c, -s], [s, c]]
-        frame = frame @ step @ turn
-        frames.append(frame)
-    places = zip(data["points"], data["offsets"], strict=True)
-    return np.concatenate([(frames[link] @ [*offset, 1.0])[:3] for link, offset in places])
-
-
-@pytest.mark.parametrize(
-    "other",
-    [{}, {"points": [6, 0, 3, 0], "offsets": np.eye(4, 3).tolist()}],
-    ids=["in order", "any link"],
-)
-def test_link_positions_equal_a_loop(other):
-    data, u = kinematics() | other, rng().random((15, 7))
-    chain = from_plain(SerialChain, data)
-    assert from_plain(SerialChain, to_plain(chain)).feature_dim == chain.feature_dim == 12
-    links = LinkPositions(tuple(LOWER), tuple(UPPER), chain)
-    found = links.configurations(torch.tensor(u, dtype=torch.float32).reshape(5, 3, 7))
-    expected = [positions_one_by_one(data, q) for q in np.array(LOWER) + u * SPAN]
-    np.testing.assert_allclose(found.reshape(15, -1)[:, 7:], expected, atol=2e-6)
-
-
 @pytest.mark.parametrize(
     "change",
     [
-        {"points": [7, 0, 0, 0]},
-        {"points": []},
-        {"offsets": [[0.0]]},
-        {"rotation": "x"},
-        {"sliders": [7]},
+        *({"points": [7, 0, 0, 0]}, {"points": []}, {"offsets": [[0.0]]}),
+        *({"rotation": "x"}, {"sliders": [7]}),
     ],
 )
 def test_kinematics_that_do_not_fit_are_named(change):
-    with pytest.raises(
-        InvalidInputError, match=r"kinematics(: |\.).*(points|offsets|rotation|sliders)"
-    ):
-        from_plain(SerialChain, kinematics() | change, "kinematics")
+    told = r"kinematics(: |\.).*(points|offsets|rotation|sliders)"
+    refused(told, from_plain, SerialChain, kinematics() | change, "kinematics")
 
 
 def one(kind, size, at=(0.3, -0.2, 0.4)):
@@ -123,13 +90,11 @@ def test_points_inside_another_shape_are_left_out(kind, size, depth):
     assert np.abs(points[~of_box] - box.pose[0, :, 3]).max(1).min() > 0.25 - 2e-4
 
 
-def test_crops_noise_and_repetition(dataset):
+def test_crops_and_noise(dataset):
     shapes = dataset.shapes(0)
     ball, box = CropSettings(radius=0.5), CropSettings(kind="box", lower=(-0.3, -0.3, 0.0))
-    inside, within = (
-        sample_cloud(shapes, CloudSettings(points=300, noise=0.0, crop=crop), rng(1))
-        for crop in (ball, box)
-    )
+    cropped = (CloudSettings(points=300, noise=0.0, crop=crop) for crop in (ball, box))
+    inside, within = (sample_cloud(shapes, settings, rng(1)) for settings in cropped)
     assert np.linalg.norm(inside - np.array(ball.centre), axis=1).max() <= 0.5 + 1e-5
     assert (within >= np.subtract(box.lower, 1e-6)).all()
     assert (within <= np.add(box.upper, 1e-6)).all()
@@ -137,8 +102,6 @@ def test_crops_noise_and_repetition(dataset):
     noisy = sample_cloud(one(2, (0.3, 0.3, 0.3)), replace(PLAIN, noise=0.01), rng(1))
     off = np.abs(np.linalg.norm(noisy - [0.3, -0.2, 0.4], axis=1) - 0.3)
     assert 0.005 < off.mean() < 0.01
-    first, same = (sample_cloud(shapes, CloudSettings(), rng(3)) for _ in range(2))
-    np.testing.assert_array_equal(first, same)
 
 
 @pytest.mark.parametrize("measured", [0.0, 1.0])
@@ -162,10 +125,9 @@ def test_measured_clouds_are_those_of_evaluation_cameras():
     theirs = visible_points(scene, seen, rng(1))
     for some, others in ((ours, theirs), (theirs, ours)):
         assert np.median(cKDTree(others).query(some)[0]) < 0.02
-    first, same = (sample_cloud(shapes, settings, rng()) for _ in range(2))
-    np.testing.assert_array_equal(first, same)
-    assert first.shape == (1024, 3) and first.dtype == np.float32
-    assert len(np.unique(first, axis=0)) > 600
+    cloud = sample_cloud(shapes, settings, rng())
+    assert cloud.shape == (1024, 3) and cloud.dtype == np.float32
+    assert len(np.unique(cloud, axis=0)) > 600
 
 
 def test_turning_moves_cloud_and_links_alike(dataset):
@@ -178,10 +140,8 @@ def test_turning_moves_cloud_and_links_alike(dataset):
             moved = u.copy()
             moved[:, 0] += turn.shift(angle)
             assert moved[:, 0].min() >= -1e-6 and moved[:, 0].max() <= 1.0 + 1e-6
-            before, after = (
-                links.configurations(torch.tensor(each))[:, 7:].reshape(-1, 3)
-                for each in (u, moved)
-            )
+            placed = (links.configurations(torch.tensor(each))[:, 7:] for each in (u, moved))
+            before, after = (points.reshape(-1, 3) for points in placed)
             np.testing.assert_allclose(after, turned(before.numpy(), angle), atol=5e-6)
     assert np.std(angles) > 0.2
     assert BaseTurn(dataset, False).draw(paths, rng()) == 0.0
@@ -199,11 +159,8 @@ def test_robots_that_cannot_be_turned_about_their_base_are_not(dataset, tmp_path
 
 @pytest.mark.parametrize("turn_base", [False, True])
 def test_batches_repeat_by_seed_and_have_equal_shares_of_each_scene(dataset, turn_base):
-    cloud = CloudSettings(points=64)
-    batches = SceneBatchSettings(
-        scenes=2, paths_per_scene=4, trivial_share=1.0, turn_base=turn_base, cloud=cloud
-    )
-    settings = MPNetSettings(batches=batches)
+    how = {"trivial_share": 1.0, "turn_base": turn_base, "cloud": CloudSettings(points=64)}
+    settings = MPNetSettings(batches=SceneBatchSettings(scenes=2, paths_per_scene=4, **how))
     stage = MPNetStage(dataset, MPNetConfig(n_points=64), settings, 5, CPU)
     first, same, other = (list(stage.batches(epoch)) for epoch in (0, 0, 1))
     for batch, again in zip(first, same, strict=True):
@@ -222,18 +179,14 @@ def test_batches_repeat_by_seed_and_have_equal_shares_of_each_scene(dataset, tur
 
 def test_validation_batches_are_held_out_paths_as_they_are(dataset):
     settings = MPNetSettings(batches=SceneBatchSettings(scenes=2, paths_per_scene=3))
-    config = MPNetConfig(n_points=1024)
-    stage = MPNetStage(dataset, config, settings, 0, CPU)
+    stage = MPNetStage(dataset, MPNetConfig(n_points=1024), settings, 0, CPU)
     first, same = list(stage.validation_batches()), list(stage.validation_batches())
     np.testing.assert_array_equal(first[0]["cloud"], same[0]["cloud"])
     paths = [dataset.path(row) for row in dataset.split("validation").tolist()]
     held_out = {tuple(path[[0, -1]].ravel()) for path in paths}
-    found = {
-        (*u[0], *u[count - 1])
-        for batch in first
-        for u, count in zip(batch["u"], batch["counts"], strict=True)
-    }
-    assert found <= held_out
+    for batch in first:
+        pairs = zip(batch["u"], batch["counts"], strict=True)
+        assert {(*u[0], *u[count - 1]) for u, count in pairs} <= held_out
 
 
 @pytest.mark.parametrize("config", [compact_config, published_config])
@@ -255,3 +208,101 @@ def test_sequences_of_paths_are_their_codes_without_repeats(dataset, panda, conf
         kept = [c for i, c in enumerate(codes) if i == 0 or codes[i - 1] != c]
         assert found["codes"][slice(*found["code_start"][sequence : sequence + 2])].tolist() == kept
         assert found["path_scene"][sequence] == paths["path_scene"][path]
+
+
+def test_shards_are_joined_with_rows_counted_through(data, dataset):
+    assert dataset.robot.name == "panda" and dataset.families == ("cubes",)
+    arrays = dataset.arrays
+    assert arrays["scene_seed"].tolist() == [20, 1, 2, 40, 3, 4]
+    assert arrays["path_scene"].tolist() == np.repeat(np.arange(6), 7).tolist()
+    second = np.load(data / "shards" / "000001.npz")
+    for path in (0, 20):
+        rows = slice(second["path_start"][path], second["path_start"][path + 1])
+        expected = second["waypoints"][rows] / np.float32(65535)
+        np.testing.assert_array_equal(dataset.path(21 + path), expected)
+    np.testing.assert_array_equal(dataset.shapes(4).size, second["shape_size"][5:10])
+    assert arrays["twin_of"][22] == 21 and arrays["twin_of"][21] == -1
+
+
+def test_splits_go_by_scene_seed_and_leave_twins_out(dataset):
+    train, validation = dataset.split("train"), dataset.split("validation")
+    arrays = dataset.arrays
+    assert set(arrays["scene_seed"][arrays["path_scene"][validation]]) == {20, 40}
+    assert len(train) == 24 and len(validation) == 12  # 6 of 7 paths of a scene are no twins
+    assert (arrays["twin_of"][np.concatenate((train, validation))] == -1).all()
+
+
+def test_the_share_of_trivial_paths_is_capped_and_drawn(dataset):
+    rows, trivial = np.arange(42), dataset.arrays["trivial"]
+    kept, again, other = (
+        dataset.with_few_trivial(rows, 0.2, np.random.default_rng(seed)) for seed in (0, 0, 1)
+    )
+    assert (~trivial[kept]).sum() == 28 and trivial[kept].sum() == 7 and (np.diff(kept) > 0).all()
+    assert kept.tolist() == again.tolist() != other.tolist()
+    for all_kept, share in ((rows, 1.0), (np.flatnonzero(trivial), 0.1)):
+        found = dataset.with_few_trivial(all_kept, share, np.random.default_rng(0))
+        assert found.tolist() == all_kept.tolist()
+
+
+@pytest.mark.parametrize("spacing", [0.5, 100.0])
+def test_thinning_keeps_ends_and_spaces_evenly(dataset, spacing):
+    thin = dataset.thinned(spacing)
+    for path in range(42):
+        before, after = dataset.path(path), thin.path(path)
+        np.testing.assert_array_equal(after[[0, -1]], before[[0, -1]])
+        length = np.linalg.norm(np.diff(before * SPAN, axis=0), axis=1).sum()
+        assert len(after) == max(1, int(np.ceil(length / spacing))) + 1
+        assert np.linalg.norm(np.diff(after * SPAN, axis=0), axis=1).max() <= spacing + 0.131
+        assert {tuple(row) for row in after} <= {tuple(row) for row in before}
+    refused("spacing of waypoints is 0", dataset.thinned, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"schema": 2}, "schema is 2; this version reads 1"),
+        ({"upper": LOWER}, "upper"),
+        ({"lower": "low"}, "lower"),
+        ({"families": []}, "families"),
+        ({"kinematics": {"rotation": [1]}}, "kinematics"),
+    ],
+)
+def test_a_description_that_does_not_fit_is_named(tmp_path, changes, message):
+    refused(message, open_dataset, write_dataset(tmp_path / "d", **changes))
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "message"),
+    [
+        ("shards/000001.npz", lambda b: b[:-100] + bytes(100), "is damaged or lacks an array"),
+        ("shards/000001.npz", lambda b: b[:999] + b"?" + b[1000:], "delete it and generate again"),
+        ("shards/000000.npz", None, "lacks shard 000000 but has 000001.npz: generate"),
+        ("dataset.json", lambda b: b"[]", "one json object"),
+        ("dataset.json", lambda b: b'{"schema": 1}', "dataset.json"),
+        ("dataset.json", lambda b: b'{"schema": 1, "schema": 1}', "occurs twice"),
+    ],
+)
+def test_damaged_and_missing_files_are_named(data, tmp_path, file, change, message):
+    shutil.copytree(data, tmp_path / "d")
+    path = tmp_path / "d" / file
+    before = path.read_bytes()
+    path.unlink()
+    if change is not None:
+        path.write_bytes(change(before))
+    assert Path(file).stem in refused(message, open_dataset, tmp_path / "d")
+
+
+@pytest.mark.parametrize("without", ["waypoints", "twin_of"])
+def test_shards_that_lack_an_array_or_hold_objects_are_named(tmp_path, without):
+    arrays = shard(np.random.default_rng(5), (7, 8), 3)
+    for name, message in ((without, without), ("family", "pickle")):
+        folder = write_dataset(tmp_path / name, shards=())
+        kept = {**arrays, "family": np.array([{}], dtype=object)} if name == "family" else arrays
+        write_shard(folder, 0, {key: array for key, array in kept.items() if key != without})
+        refused(rf"000000.npz.*{message}", open_dataset, folder)
+
+
+def test_without_validation_scenes_nothing_is_trained(tmp_path):
+    refused(r"no dataset in .*nowhere", open_dataset, tmp_path / "nowhere")
+    dataset = open_dataset(write_dataset(tmp_path / "d", shards=((1, 2),)))
+    refused("no validation path", dataset.require_splits)

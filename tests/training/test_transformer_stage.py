@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
+from refusals import refused
 from torch.nn import functional as F
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.labels.generation import generate
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.training.profiles import PROFILES
@@ -47,8 +47,6 @@ def test_the_loss_counts_motions_to_codes_as_labelled(labels):
     assert losses["link"].item() == pytest.approx(expected.item(), abs=1e-5)
     parts = losses["code"] + losses["node"] + 2.0 * losses["edge"] + 2.0 * losses["link"]
     assert losses["loss"].item() == pytest.approx(parts.item(), abs=1e-5)
-    with torch.no_grad():
-        assert 0.0 <= stage.validate()["link_area_under_curve"] <= 1.0
 
 
 def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):
@@ -68,5 +66,4 @@ def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):
 
 
 def test_fine_tuning_with_other_sizes_is_refused(labels):
-    with pytest.raises(InvalidInputError, match="fine_tune needs a --dictionary"):
-        stage_of(labels, "smoke", fine_tune=True)
+    refused("fine_tune needs a --dictionary", stage_of, labels, "smoke", fine_tune=True)

@@ -1,24 +1,19 @@
 """The MPNet planner on tuning environments: real networks, and one that heads for the goal."""
 
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from cvqmpt_lab import pipeline
 from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE
 from cvqmpt_lab.results.store import states_hash
-from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.mpnet_stage import MPNet
-from cvqmpt_lab.vqmpt import mpnet_rollouts
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, stored
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts, line_free
@@ -63,18 +58,22 @@ def heading_network(share=0.5):
     return network
 
 
+def colliding(problem):
+    """A configuration (n,) on the manifold that collides."""
+    space, robot, rng = ConstrainedSpace(problem), problem.robot, np.random.default_rng(0)
+    while True:
+        q = rng.uniform(robot.lower, robot.upper)
+        if space.project(q) and not space.valid(q):
+            return q
+
+
 def stuck_network(problem):
     """Always proposes the same colliding configuration."""
-    space, robot, rng = ConstrainedSpace(problem), problem.robot, np.random.default_rng(0)
-    q = rng.uniform(robot.lower, robot.upper)
-    while not space.project(q) or space.valid(q):
-        q = rng.uniform(robot.lower, robot.upper)
-    network = heading_network()
+    robot, network = problem.robot, heading_network()
     with torch.no_grad():
         network.out.weight.zero_()
-        network.out.bias[:] = torch.from_numpy(
-            2.0 * (q - robot.lower) / (robot.upper - robot.lower) - 1.0
-        )
+        unit = 2.0 * (colliding(problem) - robot.lower) / (robot.upper - robot.lower) - 1.0
+        network.out.bias[:] = torch.from_numpy(unit)
     return network
 
 
@@ -108,8 +107,6 @@ def test_it_computes_what_the_torch_network_does():
         ends = (torch.tensor(q[None], dtype=torch.float32) for q in (current, goal))
         answer = network(*ends, expected, stochastic=False)
     np.testing.assert_allclose(inference.propose(current, goal, code), answer[0], atol=1e-6)
-    with pytest.raises(InvalidInputError, match=r"this network takes \(16, 3\)"):
-        network.encode(torch.rand(3, 9, 3))
 
 
 @pytest.mark.parametrize("make", [heading_network, random_network])
@@ -117,25 +114,14 @@ def test_bridged_rollouts_solve_a_place_problem(tuning, make):
     method = mpnet_of(tuning.robot, make(), bridged=True)
     solution = solve(tuning, method, ENOUGH, seed=0)
     assert solution.plan.status is PlanStatus.SOLVED and solution.certificate.reasons == ()
-    np.testing.assert_array_equal(solution.plan.path.states[0], tuning.start)
-    assert (tuning.goals == solution.plan.path.states[-1]).all(axis=1).any()
     assert solution.plan.detail.startswith(BY_ROLLOUTS)
     assert states_hash(plan(tuning, method).path.states) == states_hash(solution.plan.path.states)
 
 
 def test_published_rollouts_end_at_the_nearest_goal(tuning):
-    solution = solve(tuning, mpnet_of(tuning.robot), ENOUGH, seed=0)
+    states = plan(tuning, mpnet_of(tuning.robot)).path.states
     nearest = min(tuning.goals, key=lambda goal: np.linalg.norm(goal - tuning.start))
-    assert solution.certificate.reasons == ()
-    np.testing.assert_array_equal(solution.plan.path.states[-1], nearest)
-
-
-@pytest.mark.parametrize("limit", [1, 7, 60])
-@pytest.mark.parametrize("bridged", [False, True])
-def test_iterations_stay_within_the_budget(tuning, bridged, limit):
-    result = plan(tuning, mpnet_of(tuning.robot, bridged=bridged), Budget(iterations=limit))
-    assert result.counters.iterations <= limit
-    assert result.path is not None or result.status is PlanStatus.ITERATION_LIMIT
+    np.testing.assert_array_equal(states[-1], nearest)
 
 
 @pytest.mark.parametrize(
@@ -145,61 +131,23 @@ def test_iterations_stay_within_the_budget(tuning, bridged, limit):
         ({}, Budget(iterations=40), 40, "2 of 10 rollouts failed: 1 cut short by the budget, 1"),
     ],
 )
-def test_attempts_are_bounded_where_nothing_proposed_is_free(
-    tuning, limits, budget, iterations, detail
-):
+def test_attempts_are_bounded_where_nothing_is_free(tuning, limits, budget, iterations, detail):
     result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning), **limits), budget)
     assert result.path is None and result.status is PlanStatus.ITERATION_LIMIT
     assert result.detail == f"{detail} without a free state"
     assert result.counters.iterations == iterations
 
 
-@dataclass(frozen=True)
-class RecordedBiRRT(BiRRT):
-    """Tree growth that records its requests."""
-
-    asked: ClassVar[list] = []
-
-    def search(self, space, start, goals, distribution, budget, rng):
-        self.asked.append((start, goals, distribution, budget))
-        return super().search(space, start, goals, distribution, budget, rng)
-
-
-@pytest.fixture
-def asked(monkeypatch):
-    """Tree growth requests and their caller: between rollout states, and the search after them."""
-    monkeypatch.setattr(RecordedBiRRT, "asked", [])
-    monkeypatch.setattr(mpnet_rollouts, "BiRRT", RecordedBiRRT)
-    monkeypatch.setattr(pipeline, "BiRRT", RecordedBiRRT)
-    return RecordedBiRRT.asked
-
-
-def test_sides_that_do_not_meet_are_bridged_or_given_up_without_a_tree(tuning, asked):
+def test_sides_that_do_not_meet_are_bridged_or_given_up(tuning):
     short, settings = heading_network(share=0.1), {"predictions": 1, "rollouts": 1, "share": 1.0}
     published = plan(tuning, mpnet_of(tuning.robot, short, **settings))
-    assert published.path is None and asked == []
     assert published.detail == "all 1 of 1 rollouts failed: 1 whose sides did not meet"
+    assert published.path is None
     bridged = plan(tuning, mpnet_of(tuning.robot, short, bridged=True, **settings))
-    assert bridged.path is not None and len(asked) >= 1 and "a bridge" in bridged.detail
+    assert bridged.path is not None and "a bridge" in bridged.detail
 
 
-def test_trees_grow_between_two_states_and_within_their_share(tuning, asked):
-    total = 0
-    for seed in range(4):
-        asked.clear()
-        result = plan(tuning, mpnet_of(tuning.robot, rollouts=1), ENOUGH, seed)
-        for _, goals, distribution, budget in asked:
-            assert goals.shape == (1, 7) and distribution.name == "uniform"
-            assert budget.iterations <= 0.1 * ENOUGH.iterations
-        if result.path is not None:
-            trees = f"{BY_ROLLOUTS} and trees: {len(asked)} of "
-            assert result.detail.startswith(trees if asked else ROLLOUTS_ALONE)
-        total += len(asked)
-    assert total > 0
-
-
-def test_rollouts_alone_need_no_tree(tuning, asked):
-    """A direct motion reaches the goal."""
+def test_rollouts_alone_reach_a_goal_that_a_direct_motion_does(tuning):
     rng, space = np.random.default_rng(0), ConstrainedSpace(tuning)
     while True:
         near = tuning.start + rng.normal(scale=0.05, size=7)
@@ -207,7 +155,7 @@ def test_rollouts_alone_need_no_tree(tuning, asked):
             break
     easy = replace(tuning, goals=near[None], goal_region=None)
     result = plan(easy, mpnet_of(easy.robot))
-    assert result.detail == ROLLOUTS_ALONE and asked == []
+    assert result.detail == ROLLOUTS_ALONE
     assert result.counters.state_checks >= 100 and result.counters.projections > 0
 
 
@@ -218,6 +166,4 @@ def test_a_straight_line_is_checked_for_collision_alone(tuning):
     assert space.valid(off) and np.linalg.norm(tuning.manifold.residual(off)) > 0.01
     assert line_free(space, tuning.start, off)
     assert space.counters.projections == 0 and space.counters.state_checks == 1 + 100
-    blocked = stuck_network(tuning).out.bias.detach().numpy()
-    lower, upper = tuning.robot.lower, tuning.robot.upper
-    assert not line_free(space, tuning.start, lower + 0.5 * (blocked + 1.0) * (upper - lower))
+    assert not line_free(space, tuning.start, colliding(tuning))

@@ -1,4 +1,4 @@
-"""Both stages as published, against an independent implementation of the formulas."""
+"""Both stages as published, and set abstraction, against independent implementations."""
 
 import math
 
@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import torch
 from published_files import waves
+from refusals import refused
 from torch.nn import functional as F
 
 from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.training.dictionary_stage import stage1_loss
 from cvqmpt_lab.vqmpt.beam_search import beam_search
 from cvqmpt_lab.vqmpt.config import (
@@ -28,7 +29,12 @@ from cvqmpt_lab.vqmpt.dictionary import (
     Quantizer,
     TrajectoryEncoder,
 )
-from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
+from cvqmpt_lab.vqmpt.published_network import (
+    PublishedSequenceModel,
+    SetAbstraction,
+    ball_query,
+    farthest_point_sampling,
+)
 
 SIZES = TransformerConfig(n_layers=2, n_heads=3, d_k=10, d_v=6, d_model=16, d_inner=24, dropout=0.1)
 SMALL = ModelConfig(
@@ -60,14 +66,12 @@ def layer_norm(x, norm):
     return (x - mean) / torch.sqrt(variance + 1e-6) * norm.weight + norm.bias
 
 
-def attention_by_hand(block, query, context, visible=None):
+def attention_by_hand(block, query, context):
     q, kv = layer_norm(query, block.layer_norm), layer_norm(context, block.layer_norm)
     heads = []
     for h in range(3):
         wq, wk = (w.weight[10 * h : 10 * h + 10] for w in (block.w_qs, block.w_ks))
         score = (q @ wq.T) @ (kv @ wk.T).mT / math.sqrt(10)
-        if visible is not None:
-            score = score.masked_fill(~visible[:, None], -torch.inf)
         share = torch.exp(score) / torch.exp(score).sum(-1, keepdim=True)
         heads.append(share @ (kv @ block.w_vs.weight[6 * h : 6 * h + 6].T))
     return query + torch.cat(heads, -1) @ block.fc.weight.T
@@ -78,8 +82,7 @@ def test_attention_is_softmax_of_scaled_products_plus_the_raw_query():
     torch.nn.init.normal_(block.layer_norm.weight)
     torch.nn.init.normal_(block.layer_norm.bias)
     query, context = torch.randn(1, 3, 16), torch.randn(1, 5, 16)
-    visible = torch.tensor([[True, False, True, True, False]])
-    for given in ((query, context), (query, context, visible), (query, query)):
+    for given in ((query, context), (query, query)):
         torch.testing.assert_close(block(*given), attention_by_hand(block, *given))
 
 
@@ -100,8 +103,7 @@ def test_trajectory_encoder_uses_one_layer_norm_three_times():
     for layer in encoder.layer_stack:
         x = layer.pos_ffn(attention_by_hand(layer.slf_attn, x, x))
     torch.testing.assert_close(encoder(u), layer_norm(x, encoder.layer_norm))
-    with pytest.raises(InvalidInputError, match="31 waypoints"):
-        encoder(torch.rand(1, 31, 7))
+    refused("31 waypoints", encoder, torch.rand(1, 31, 7))
 
 
 def test_quantizer_takes_the_nearest_code_by_cosine_and_keeps_codes_unit():
@@ -131,8 +133,7 @@ def test_codes_restart_on_data():
     assert len(set(places.tolist())) == 5
     quantizer.restart_codes(dead & False, latents)
     torch.testing.assert_close(quantizer.embedding.weight.detach(), after)
-    with pytest.raises(InvalidInputError, match="0 latents"):
-        quantizer.restart_codes(dead, latents[:0])
+    refused("0 latents", quantizer.restart_codes, dead, latents[:0])
 
 
 def test_decoder_covariance_is_l_d_l_transposed_in_row_major_order():
@@ -151,9 +152,8 @@ def test_decoder_covariance_is_l_d_l_transposed_in_row_major_order():
         torch.testing.assert_close(gaussians.mean[i], mean)
         u = torch.rand(7)
         reference = torch.distributions.MultivariateNormal(mean, sigma)
-        torch.testing.assert_close(
-            gaussians.log_prob(u)[i], reference.log_prob(u), rtol=1e-4, atol=1e-4
-        )
+        log_prob = gaussians.log_prob(u)[i]
+        torch.testing.assert_close(log_prob, reference.log_prob(u), rtol=1e-4, atol=1e-4)
         torch.testing.assert_close(gaussians.entropy()[i], reference.entropy())
 
 
@@ -166,17 +166,13 @@ def test_stage1_loss_masks_padding():
     loss = stage1_loss(gaussians, quantized, u, visible, commitment=0.25)
     log_prob, entropies = gaussians.log_prob(u), gaussians.entropy()
     seen = [(b, t) for b in range(2) for t in range(6) if visible[b, t]]
-    nll, entropy = (
-        -sum(float(log_prob[at]) for at in seen),
-        sum(float(entropies[at]) for at in seen),
-    )
-    assert float(loss["reconstruction"]) == pytest.approx((nll - 0.1 * entropy) / 2, rel=1e-5)
+    nll = -sum(float(log_prob[at]) for at in seen)
+    reconstruction = (nll - 0.1 * sum(float(entropies[at]) for at in seen)) / 2
     distance = (quantized.latent - quantized.quantized).square().sum(-1)
-    assert float(loss["quantization"]) == pytest.approx(
-        1.25 * float(distance[visible].mean()), rel=1e-5
-    )
-    expected = (nll - 0.1 * entropy) / 2 + float(loss["quantization"])
-    assert float(loss["loss"]) == pytest.approx(expected, rel=1e-5)
+    quantization = 1.25 * float(distance[visible].mean())
+    assert float(loss["reconstruction"]) == pytest.approx(reconstruction, rel=1e-5)
+    assert float(loss["quantization"]) == pytest.approx(quantization, rel=1e-5)
+    assert float(loss["loss"]) == pytest.approx(reconstruction + quantization, rel=1e-5)
 
 
 @pytest.fixture
@@ -201,11 +197,10 @@ def test_prefix_logits_see_the_prefix_in_any_order(sequence_model):
     torch.testing.assert_close(start, sequence_model.autoregressive(tokens))
 
 
-def test_context_tokens_ignore_each_other_and_padding(sequence_model):
-    clouds = [torch.rand(20, 3), torch.rand(12, 3)]
+def test_context_tokens_ignore_each_other(sequence_model):
+    clouds = torch.rand(2, 20, 3)
     scene = sequence_model.encode_scene(clouds)
-    assert scene[0].shape == (2, 12, 16)  # ceil(0.75 * ceil(0.75 * 20))
-    assert scene[1].sum(1).tolist() == [12, 7]
+    assert scene.shape == (2, 12, 16)  # ceil(0.75 * ceil(0.75 * 20))
     start, goal = torch.rand(4, 7), torch.rand(4, 7)
     together = sequence_model.encode_context(scene, start, goal)
     for row, cloud in enumerate((clouds[0], clouds[0], clouds[1], clouds[1])):
@@ -215,27 +210,56 @@ def test_context_tokens_ignore_each_other_and_padding(sequence_model):
     other_goal = sequence_model.encode_context(scene, start, torch.rand(4, 7))
     torch.testing.assert_close(other_goal[:, 0], together[:, 0])
     assert not torch.allclose(other_goal[:, 1], together[:, 1])
-    with pytest.raises(InvalidInputError, match="3 starts and goals for 2 scenes"):
-        sequence_model.encode_context(scene, start[:3], goal[:3])
+
+
+def beam_by_hand(odds, k, length):
+    """Codes with the goal token, if it came, and score, by the rules of the published code.
+
+    `odds` are those of every class after a prefix of codes.
+    """
+    codes, goal = range(SMALL.dictionary.n_codes), SMALL.goal_class
+    ranked = sorted(codes, key=lambda code: -odds(())[code])[:k]
+    beams = [((code,), np.log(odds(())[code])) for code in ranked]
+    for _ in range(length - 1):
+        forbidden = {path[-1] for path, _ in beams}
+        candidates = [
+            ((*path, code), score + odds(path)[code])
+            for path, score in beams
+            for code in {*codes, goal} - forbidden
+        ]
+        beams = sorted(candidates, key=lambda one: -one[1])[:k]
+        for path, score in beams:
+            if path[-1] == goal:
+                return path, score
+    return beams[0]
 
 
 @torch.no_grad()
-def test_beam_search_scores_what_the_model_says(sequence_model):
-    dictionary = Dictionary(SMALL).eval()
-    start, goal = torch.rand(2, 7), torch.rand(2, 7)
+def test_beams_in_a_batch_are_searched_by_the_rules_of_the_published_code(sequence_model):
+    sequence_model.autoregressive.class_pred.weight *= 3.0
+    sequence_model.autoregressive.class_pred.bias[-1] += 3.0
+    dictionary, ends = Dictionary(SMALL).eval(), torch.rand(2, 8, 7)
     scene = sequence_model.encode_scene([torch.rand(20, 3)])
-    context = sequence_model.encode_context(scene, start, goal)
-    decoder = sequence_model.decoder(dictionary, scene, start, goal)
-    for row, (sequence, *_) in enumerate(beam_search(decoder, max_length=9, published=True)):
-        expected, path = 0.0, [*sequence.codes] + [SMALL.goal_class] * sequence.finished
-        for i, code in enumerate(path):
-            prefix = torch.tensor([path[:i]], dtype=torch.int64)
-            logits = sequence_model.prefix_logits(
-                context[row : row + 1], prefix, dictionary.quantizer
-            )
-            odds = logits.softmax(1) if path[:i] else logits.log_softmax(1)
-            expected += float(odds[0, code])
-        assert sequence.score == pytest.approx(expected, abs=1e-4)
+    context, finished = sequence_model.encode_context(scene, *ends), []
+    for beams, length in ((1, 9), (2, 1), (2, 4), (3, 6)):
+        decoder = sequence_model.decoder(dictionary, scene, *ends)
+        searched = beam_search(decoder, beams=beams, max_length=length, published=True)
+        for row, (found, *_) in enumerate(searched):
+
+            def odds(path, tokens=context[row : row + 1]):
+                prefix = torch.tensor([path], dtype=torch.int64).reshape(1, -1)
+                logits = sequence_model.prefix_logits(tokens, prefix, dictionary.quantizer)
+                return logits.softmax(1)[0].numpy()
+
+            codes, score = beam_by_hand(odds, beams, length)
+            assert found.codes + (SMALL.goal_class,) * found.finished == codes
+            assert found.score == pytest.approx(score, abs=1e-4)
+            finished.append(found.finished)
+    assert {*finished} == {True, False}
+    for beams in (0, 13):
+        refused(f"{beams} beams; give 1 to 12", beam_search, decoder, beams=beams)
+    sequence_model.autoregressive.class_pred.weight *= torch.nan
+    refused("not finite", beam_search, sequence_model.decoder(dictionary, scene, *ends))
 
 
 @pytest.mark.parametrize(
@@ -245,14 +269,9 @@ def test_beam_search_scores_what_the_model_says(sequence_model):
         ("joint_dim", "7", "model.joint_dim is '7'; it must be int"),
         ("joint_dim", -7, "cannot be negative"),
         ("joint_dim", 0, "joint_dim is 0; it must be 1 to 65536"),
-        ("dictionary.n_position", 10**12, "n_position is 1000000000000; it must be 1 to 65536"),
         ("dictionary.n_position", 10**400, r"n_position is 1000\S+; it must be 1 to 65536"),
         ("sequence.transformer.n_layers", 10**6, "n_layers is 1000000; it must be 1 to 64"),
-        (
-            "sequence.transformer.dropout",
-            1.5,
-            "dropout is 1.5; it must be 0 or more",
-        ),
+        ("sequence.transformer.dropout", 1.5, "dropout is 1.5; it must be 0 or more"),
         ("point_cloud.sa1.radius", -0.2, "radius is -0.2; it must be a positive length"),
         ("speed", 3, "model.speed is unknown"),
         ("dictionary.n_codes", None, "model.dictionary.n_codes is None"),
@@ -270,5 +289,65 @@ def test_config_names_the_wrong_field(path, value, message):
     for name in outer:
         inner = inner[name]
     inner[last] = value
-    with pytest.raises(CvqmptError, match=message):
-        from_plain(ModelConfig, data, "model", complete=True)
+    refused(message, from_plain, ModelConfig, data, "model", complete=True, error=CvqmptError)
+
+
+@pytest.fixture
+def points():
+    return torch.rand(2, 60, 3, generator=torch.Generator().manual_seed(0))
+
+
+def near(cloud, centre, radius):
+    return [n for n, point in enumerate(cloud) if ((point - centre) ** 2).sum().sqrt() < radius]
+
+
+def farthest_by_hand(cloud, count):
+    chosen = [0]
+    while len(chosen) < count:
+        to_chosen = [min(float(((p - cloud[c]) ** 2).sum()) for c in chosen) for p in cloud]
+        chosen.append(int(np.argmax(to_chosen)))
+    return chosen
+
+
+def test_farthest_points(points):
+    indices = farthest_point_sampling(points, 20)
+    assert indices.tolist() == [farthest_by_hand(cloud, 20) for cloud in points]
+    assert sorted(farthest_point_sampling(points, 60)[0].tolist()) == list(range(60))
+    assert farthest_point_sampling(torch.zeros(1, 4, 3), 2).tolist() == [[0, 0]]
+
+
+@pytest.mark.parametrize("pairs_at_once", [1, 500, 1 << 17])
+@pytest.mark.parametrize("most", [3, 64])
+def test_ball_query_takes_the_first_points_within_the_radius(points, most, pairs_at_once):
+    centres = points[:, 5:17]
+    found = ball_query(points, centres, 0.4, most, pairs_at_once)
+    expected = [
+        (60 * b + n, 12 * b + m)
+        for b in range(2)
+        for m in range(12)
+        for n in near(points[b], centres[b, m], 0.4)[:most]
+    ]
+    assert list(zip(*(part.tolist() for part in found), strict=True)) == expected
+
+
+def test_set_abstraction_is_the_maximum_over_a_perceptron_of_each_ball(points):
+    sizes = SetAbstractionConfig(ratio=0.75, radius=0.3, widths=(8, 12), max_neighbours=5)
+    module = SetAbstraction(4, sizes)
+    features = torch.rand(2, 60, 4)
+    module(features, points)  # moves the running statistics of the batch norms
+    module.eval()
+    found, centres = module(features, points)
+    assert found.shape == (2, 45, 12)
+    chosen = farthest_point_sampling(points, 45)
+    for b in range(2):
+        for m in range(45):
+            centre, messages = points[b, chosen[b, m]], []
+            for n in near(points[b], centre, 0.3)[:5]:
+                x = torch.cat((features[b, n], points[b, n] - centre))
+                for linear, _, norm in module.conv.local_nn:
+                    x = (linear.weight @ x + linear.bias).clamp(min=0.0) - norm.running_mean
+                    x = x / torch.sqrt(norm.running_var + 1e-5) * norm.weight + norm.bias
+                messages.append(x)
+            expected = torch.stack(messages).max(0).values
+            torch.testing.assert_close(found[b, m], expected, rtol=1e-4, atol=1e-5)
+            torch.testing.assert_close(centres[b, m], centre)

@@ -1,19 +1,29 @@
-"""Weights: round trips, every kind of damage named, comparison with the given robot."""
+"""Weights: round trips, damage named, the given robot; folders like the published ones."""
 
 import json
 import os
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from published_files import CONTEXT, SEQUENCE, STAGE1
+from refusals import refused
 from small_models import METADATA, compact_config, random_checkpoint
 from training_data import LOWER, UPPER
 
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt import weights
-from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, stored
+from cvqmpt_lab.vqmpt.checkpoint import (
+    Checkpoint,
+    import_published,
+    load_checkpoint,
+    read_tensors,
+    save_checkpoint,
+    stored,
+)
 from cvqmpt_lab.vqmpt.codebook import Codebook
 from cvqmpt_lab.vqmpt.config import DictionaryConfig, ModelConfig, TransformerConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
@@ -44,15 +54,14 @@ def test_round_trip(folder):
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
 
 
-@pytest.mark.parametrize("name", ["write_bytes", "_move_into_place"])
-def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch, name):
+def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
     before = weights_digest(folder)
-    monkeypatch.setattr(weights, name, full)
-    with pytest.raises(InvalidInputError, match="No space left"):
-        save_checkpoint(folder, Checkpoint(CONFIG, ROBOT, {"dictionary": Dictionary(CONFIG)}))
+    monkeypatch.setattr(weights, "write_bytes", full)
+    checkpoint = Checkpoint(CONFIG, ROBOT, {"dictionary": Dictionary(CONFIG)})
+    refused("No space left", save_checkpoint, folder, checkpoint)
     assert weights_digest(folder) == before
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
 
@@ -61,8 +70,8 @@ def test_weights_that_are_not_finite_are_not_written(tmp_path):
     dictionary = Dictionary(CONFIG)
     with torch.no_grad():
         dictionary.decoder.mu[0].bias[0] = torch.nan
-    with pytest.raises(InvalidInputError, match=r"decoder\.mu\.0\.bias has NaN"):
-        save_checkpoint(tmp_path / "m", Checkpoint(CONFIG, ROBOT, {"dictionary": dictionary}))
+    checkpoint = Checkpoint(CONFIG, ROBOT, {"dictionary": dictionary})
+    refused(r"decoder\.mu\.0\.bias has NaN", save_checkpoint, tmp_path / "m", checkpoint)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -70,32 +79,30 @@ def test_damage_is_named(folder):
     file = folder / "dictionary.safetensors"
     data = file.read_bytes()
     file.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
-    with pytest.raises(InvalidInputError, match=r"dictionary\.safetensors is damaged: sha256"):
-        load_checkpoint(folder)
+    refused(r"dictionary\.safetensors is damaged: sha256", load_checkpoint, folder)
     file.unlink()
-    with pytest.raises(InvalidInputError, match=r"dictionary\.safetensors: No such file"):
-        load_checkpoint(folder)
-    with pytest.raises(InvalidInputError, match=r"config\.json: No such file"):
-        load_checkpoint(folder.parent)
+    refused(r"dictionary\.safetensors: No such file", load_checkpoint, folder)
+    refused(r"config\.json: No such file", load_checkpoint, folder.parent)
     os.mkfifo(file)  # not waited for
-    with pytest.raises(
-        InvalidInputError, match=r"dictionary\.safetensors: it is not a regular file"
-    ):
-        load_checkpoint(folder)
+    refused(r"dictionary\.safetensors: it is not a regular file", load_checkpoint, folder)
+
+
+def words(**changes):
+    return lambda description: description["model"]["dictionary"].update(changes)
+
+
+def layers(count):
+    return lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=count)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d["model"]["dictionary"].update(n_codes=9), r"embedding.weight is \(6, 8\), "
-                                                               r"expected \(9, 8\)"),
-        # not made: 14 GB
-        (lambda d: d["model"]["dictionary"].update(n_codes=60_000, code_dim=60_000), "60000"),
-        (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=2), "layer_stack.1.*is "
-                                                                               "missing"),
-        (lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=0), "n_layers is 0; "
-                                                                               "it must be 1"),
-        (lambda d: d["model"]["dictionary"].update(encoder="mlp"), "and [0-9]+ more"),
+        (words(n_codes=9), r"embedding.weight is \(6, 8\), expected \(9, 8\)"),
+        (words(n_codes=60_000, code_dim=60_000), "60000"),  # not made: 14 GB
+        (layers(2), "layer_stack.1.*is missing"),
+        (layers(0), "n_layers is 0; it must be 1"),
+        (words(encoder="mlp"), "and [0-9]+ more"),
         (lambda d: d.update(format="2"), "format is '2'"),
         (lambda d: d.pop("metadata"), "metadata is None"),
         (lambda d: d["sha256"].clear(), "sha256 lists nothing; it must list dictionary"),
@@ -103,12 +110,12 @@ def test_damage_is_named(folder):
         (lambda d: d["robot"].pop("lower"), "robot.lower is missing"),
         (lambda d: d["robot"].update(lower=[0.0], upper=[1.0]), "limits of 1 joints"),
     ],
-)  # fmt: skip
+)
 def test_config_and_tensors_must_agree(folder, change, message):
     description = json.loads((folder / "config.json").read_text())
     change(description)
     (folder / "config.json").write_text(json.dumps(description))
-    with pytest.raises(InvalidInputError, match=message):
+    with pytest.raises(InvalidInputError, match=message):  # a line for each tensor
         load_checkpoint(folder)
 
 
@@ -130,14 +137,13 @@ def test_the_same_robot_may_have_another_name_or_less_on_record():
         (ARM, replace(ARM, lower=(0.0,), upper=(1.0,), joints=()), "not this one: 2 joints, not 1"),
         (ARM, replace(ARM, joints=("shoulder", "wrist")), "joint 'elbow', not 'wrist'"),
         (ARM, replace(ARM, upper=(2.0, 2.5)), "upper limit of joint 1 2, not 2.5"),
-        (ARM, replace(ARM, kinematics="fedcba9876"), r"placed otherwise \(kinematics 01234567, "
-                                                     r"not fedcba98\)"),
+        (ARM, replace(ARM, kinematics="fedcba9876"), r"\(kinematics 01234567, not fedcba98\)"),
         (OLD, replace(ARM, name="leg"), "not 'leg': another name, and no digest to compare"),
     ],
-)  # fmt: skip
+)
 def test_another_robot_is_refused_with_the_difference(weights, robot, message):
-    with pytest.raises(OtherRobotError, match=f"for robot 'arm', .*{message}"):
-        weights.require_same(robot)
+    told = f"for robot 'arm', .*{message}"
+    refused(told, weights.require_same, robot, error=OtherRobotError)
 
 
 @pytest.mark.parametrize(
@@ -148,8 +154,8 @@ def test_another_robot_is_refused_with_the_difference(weights, robot, message):
     ],
 )
 def test_what_is_no_signature_is_refused(change):
-    with pytest.raises(InvalidInputError, match=r"^config: robot"):
-        from_plain(RobotSignature, to_plain(ARM) | change, "config: robot")
+    data = to_plain(ARM) | change
+    refused("^config: robot", from_plain, RobotSignature, data, "config: robot")
 
 
 @pytest.fixture(scope="module")
@@ -175,8 +181,7 @@ def test_weights_that_do_not_fit_are_named(checkpoint, panda, name, change, mess
     arrays = dict(model.parts["dictionary"])
     arrays[name] = change(arrays[name])
     arrays = {key: array for key, array in arrays.items() if array is not None}
-    with pytest.raises(InvalidInputError, match=message):
-        Codebook(replace(model, parts={"dictionary": arrays}), panda)
+    refused(message, Codebook, replace(model, parts={"dictionary": arrays}), panda)
 
 
 @pytest.mark.parametrize(
@@ -184,12 +189,124 @@ def test_weights_that_do_not_fit_are_named(checkpoint, panda, name, change, mess
     [
         ({"metadata": {}}, "its metadata has no kinematics"),
         ({"points": [1, 2]}, "points and offsets describe 7, 7, 2 and 4"),
-        ({"translation": [[0.01] * 3] * 7}, "translation of joint 'panda_joint5' .difference 0.37"),
         ({"robot": replace(ROBOT, name="ur5", lower=LOWER, upper=UPPER)}, "for robot 'ur5'"),
     ],
 )
 def test_models_of_other_robots_are_refused(checkpoint, panda, change, message):
     if not change.keys() & {"metadata", "robot"}:
         change = {"metadata": {"kinematics": METADATA["kinematics"] | change}}
-    with pytest.raises(InvalidInputError, match=message):
-        Codebook(stored(replace(checkpoint, **change)), panda)
+    refused(message, Codebook, stored(replace(checkpoint, **change)), panda)
+
+
+def test_published_folders_become_a_model_that_runs(published, published_states, tmp_path):
+    imported = import_published(*published(), ROBOT)
+    modules = imported.modules
+    network, dictionary = modules["sequence_model"], modules["dictionary"]
+    assert imported.metadata["epochs"] == [7, 7]
+    for name, tensor in published_states["context_state"].items():
+        assert torch.equal(network.context.state_dict()[name], tensor)
+    codes = dictionary.encode(torch.rand(1, 4, 7))
+    scene = network.encode_scene([torch.rand(30, 3)])
+    context = network.encode_context(scene, torch.rand(1, 7), torch.rand(1, 7))
+    logits = network.prefix_logits(context, codes, dictionary.quantizer)
+    assert logits.shape == (1, 2050) and torch.isfinite(logits).all()
+    save_checkpoint(tmp_path / "ours", imported)
+    after = load_checkpoint(tmp_path / "ours", ROBOT).modules["sequence_model"]
+    assert after.state_dict().keys() == network.state_dict().keys()
+    for name, tensor in network.state_dict().items():
+        assert torch.equal(after.state_dict()[name], tensor)
+
+
+def without(state, name):
+    return {key: tensor for key, tensor in state.items() if key != name}
+
+
+CODES, POSITIONS = "embedding.weight", "position_enc.pos_table"
+VARIANCES = "batch_norm.running_var"
+
+
+def with_bias(bias):
+    return lambda state: state | {"mu.0.bias": bias}
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("encoder_state", lambda s: without(s, "layer_norm.bias"), "norm.bias is missing"),
+        ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"ema \(3,\) is left over"),
+        ("decoder_state", with_bias(torch.zeros(6)), r"mu.0.bias is \(6,\), expected \(7,\)"),
+        ("decoder_state", with_bias(torch.zeros(7).long()), "bias is torch.int64"),
+        ("context_state", lambda s: None, "context_state is missing.*the file has ar_model_state"),
+        ("context_state", lambda s: {"a": 1}, "not made of tensors"),
+        ("decoder_state", with_bias(1e300 * torch.ones(7).double()), "bias has NaN or inf"),
+        ("decoder_state", with_bias(torch.zeros(7).to_sparse()), "mu.0.bias is sparse"),
+        ("decoder_state", with_bias(torch.zeros(7, device="meta")), "bias is .*without data"),
+        ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not that"),
+        ("encoder_state", lambda s: s | {POSITIONS: torch.zeros(1, 40, 512)}, "pos_table is not"),
+        ("quantizer_state", lambda s: s | {CODES: 2 * s[CODES]}, "not of unit length"),
+        ("quantizer_state", lambda s: s | {VARIANCES: -torch.ones(8)}, "negative variances"),
+    ],
+)
+def test_tensors_that_do_not_fit_are_listed(published, published_states, name, change, message):
+    changed = published(**{name: change(published_states[name])})
+    with pytest.raises(InvalidInputError, match=message):  # a line for each tensor
+        import_published(*changed, ROBOT)
+
+
+@pytest.mark.parametrize(
+    ("file", "base", "changes", "message"),
+    [
+        ("model_params", without(STAGE1, "d_v"), {}, r"model_params.json: d_v is missing"),
+        ("cross_attn", CONTEXT, {"size": 1}, r"cross_attn.json: size is unknown"),
+        ("ar_params", SEQUENCE, {"n_heads": "3"}, r"ar_params.json: n_heads is '3'"),
+        ("cross_attn", CONTEXT, {"d_context": 6}, "6 is not the dictionary's c_space_dim 7"),
+        ("ar_params", SEQUENCE, {"num_keys": 2}, "num_keys 2 has no codes"),
+        ("model_params", STAGE1, {"dropout": 1.5}, "ar: dictionary.transformer.dropout is 1.5"),
+        ("ar_params", SEQUENCE, {"d_model": 256}, "one latent width"),
+        ("ar_params", SEQUENCE, {"num_keys": 1026}, r"is \(2048, 8\), expected \(1024, 8\)"),
+    ],
+)
+def test_json_files_are_checked(published, file, base, changes, message):
+    refused(message, import_published, *published(**{file: base | changes}), ROBOT)
+
+
+class Malicious:
+    def __init__(self, marker):
+        self.marker = marker
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.marker),)
+
+
+def legacy(content, path):
+    torch.save(content, path, _use_new_zipfile_serialization=False)
+
+
+@pytest.mark.parametrize("save", [torch.save, legacy])
+def test_a_pickle_that_wants_to_run_code_is_refused(published, tmp_path, save):
+    folders = published()
+    save({"encoder_state": Malicious(tmp_path / "ran")}, folders[0] / "best_model.pkl")
+    refused("is refused: it holds posix.mkdir, .* run code", import_published, *folders, ROBOT)
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"PK\x03\x04 broken", "is no torch checkpoint, or cut short"),
+        (b"", "is empty"),
+        (b"\n<!DOCTYPE html><html><title>Google Drive", "is a web page"),
+        (pickle.dumps({"a": Malicious("ran")}), "is no torch checkpoint"),
+    ],
+)
+def test_files_that_are_something_else_are_called_what_they_are(tmp_path, content, message):
+    (tmp_path / "x.pkl").write_bytes(content)
+    refused(rf"x\.pkl {message}", read_tensors, tmp_path / "x.pkl")
+
+
+def test_files_that_hold_no_states_are_refused(tmp_path):
+    torch.save([1], tmp_path / "list.pkl")
+    os.mkfifo(tmp_path / "fifo.pkl")
+    for name, message in (("list", "holds a list"), ("fifo", "regular"), ("none", "No such file")):
+        refused(message, read_tensors, tmp_path / f"{name}.pkl")

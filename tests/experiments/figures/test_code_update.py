@@ -1,4 +1,4 @@
-"""The update's figures draw what the planners sample; numbers, pictures, the command."""
+"""Figures: the update of codes as the planners sample, prices of checks, curves of trainings."""
 
 import csv
 import json
@@ -7,17 +7,18 @@ from itertools import product
 
 import numpy as np
 import pytest
+from made_rows import a_row
 from refusals import refused
 from small_models import random_checkpoint
 
 from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.results.row import RUNS_FILE, write_rows
 from cvqmpt_lab.search.planner_interface import Observation, Query
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
-from cvqmpt_lab.vqmpt.learned_sampler import codebook_of
 from cvqmpt_lab.vqmpt.weights import weights_digest
 from experiments.figures import paper
 from experiments.figures.code_update import (
@@ -28,6 +29,7 @@ from experiments.figures.code_update import (
 )
 from experiments.figures.drawing import figure_bytes
 from experiments.figures.paper import HandPoses, histogram_figure
+from experiments.figures.row_figures import OURS, draw_cost, draw_training
 from paper_tables.claims import updated_codes
 from paper_tables.statements import PREDICTED, Claim
 
@@ -66,15 +68,6 @@ def test_the_mixtures_are_those_that_the_planners_sample(update, when, planner):
     drawn = np.concatenate([update.draws(when, i) for i in range(len(update.before.means))])
     g = [squared_residual(update.problem.manifold, q).mean() for q in (sampled, drawn)]
     assert g[1] == pytest.approx(g[0], rel=0.1)
-
-
-def test_codes_are_the_decoders_and_move_towards_the_constraint_goals_do_not(problem, update):
-    codebook, c = codebook_of("vq_mpt", problem.robot), len(update.codes)
-    means, covariances = codebook.gaussians(codebook.vectors[update.codes])
-    np.testing.assert_array_equal(update.before.means[:c], means)
-    np.testing.assert_allclose(update.before.covariances[:c], covariances, atol=1e-6)
-    np.testing.assert_array_equal(update.before.means[c:], update.after.means[c:])
-    assert update.g("after")[:c].mean() < 0.8 * update.g("before")[:c].mean()
 
 
 def test_rows_and_bins_count_every_draw_and_figures_repeat_byte_for_byte(update):
@@ -164,3 +157,39 @@ def test_files_of_others_are_left_alone(tmp_path, model, capsys):
 def test_wrong_options_are_one_line(tmp_path, capsys, words, said):
     assert main(["figure", *words.split(), "--out", str(tmp_path / "out")]) == 2
     assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
+    """100 checks + 1 ms of networks against 1100 checks: equal at 1 us more per check."""
+    shared = {"n_projections": 0, "t_goals_s": 0.0}
+    runs = ("birrt", 1100, 0.002), ("learned", 100, 0.003), ("dear", 2000, 0.003)
+    rows = [
+        a_row(f"p{k}", planner, n_state_checks=checks, t_total_s=time, **shared)
+        for k in range(4)
+        for planner, checks, time in runs
+    ]
+    write_rows(tmp_path / RUNS_FILE, rows)
+    written = draw_cost(tmp_path, tmp_path)
+    assert [path.name for path in written] == ["cost.png", "cost.svg", "cost.csv"]
+    with written[-1].open() as file:
+        found = {line["planner"]: line for line in csv.DictReader(file)}
+    assert float(found["learned"]["break_even_us"]) == pytest.approx(1e6 * (OURS + 1e-6), rel=0.02)
+    assert float(found["learned"]["time_at_ours"]) == pytest.approx(1.5)
+    assert float(found["learned"]["work"]) == pytest.approx(1 / 11, rel=1e-5)
+    assert found["dear"]["break_even_us"] == "" and float(found["dear"]["time_at_papers"]) > 1.0
+
+
+def test_trainings_are_drawn_from_their_folders_and_from_the_table(tmp_path):
+    run, other = tmp_path / "runs" / "published-0", tmp_path / "again"
+    run.mkdir(parents=True)
+    other.mkdir()
+    refused("no curves of cvqmpt train", draw_training, other, other)
+    profile = {"published": {"scenes": 4, "paths": 96}}
+    (run / "training.json").write_text(json.dumps({"stage": "published", "profile": profile}))
+    parts = product(("", "wrong_cloud_", "no_cloud_"), ("all", "ways"))
+    names = [f"validation_{cloud}cross_entropy_{which}" for cloud, which in parts]
+    (run / "curves.csv").write_text(f"step,seconds,{','.join(names)}\n400,9.5,4,1,5,2,6,3\n")
+    *_, table = draw_training(run.parent, run.parent)
+    assert table.read_text().splitlines()[1] == "published-0,published,153600,9.5,1,4,2,5,3,6"
+    (other / "training.csv").write_text(table.read_text())
+    assert draw_training(other, other)[-1].read_text() == table.read_text()

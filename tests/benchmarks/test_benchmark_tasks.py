@@ -1,0 +1,207 @@
+"""The place task, the constraint and family tasks: a sound problem for every index."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from refusals import refused
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.benchmarks import family_task
+from cvqmpt_lab.benchmarks.constraint_task import MOVED, NAMES, constraint_problem, trivial
+from cvqmpt_lab.benchmarks.family_task import (
+    ROBOTS,
+    family_problem,
+    held_out_problem,
+    other_robot_problem,
+)
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.place_task import (
+    ENVIRONMENTS,
+    can_com,
+    mirrored_problem,
+    place_problem,
+)
+from cvqmpt_lab.benchmarks.suite import SUITES, Suite, suite_named
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.problem import check_problem
+from cvqmpt_lab.results.row import split_problem
+from cvqmpt_lab.search.motion import motion_free
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
+
+SHELF_COM = (0.555, -0.38, 0.742)  # link frame (0.56, -0.39, 0.642) + (-0.005, 0.010, 0.100)
+
+
+def yaw_about_can(T_world_hand):
+    """Yaw of the hand about the vertical [rad], 0 when it reaches along world x."""
+    return np.arctan2(T_world_hand[1, 2], T_world_hand[0, 2])
+
+
+@pytest.mark.parametrize("with_can", [False, True])
+def test_problems_are_sound(with_can):
+    """Start and goals: on the manifold, free with a margin, grasping the can in its place."""
+    problem = with_sampled_goals(place_problem(0, with_can))[0]
+    check_problem(problem)
+    assert len(problem.attachments) == with_can and problem.name == "0"
+    assert len(problem.goals) == 20
+    roomy = problem.collision_checker(0.0009)  # sampled with 1 mm
+    lifted = can_com(0) + (0.0, 0.0, 0.005 * with_can)
+    for q, com in [(problem.start, lifted), *((q, SHELF_COM) for q in problem.goals)]:
+        T = problem.robot.pose(q)
+        grasped = np.add(com, (0.0, 0.0, 0.05))
+        np.testing.assert_allclose(T[:3, 3] + 0.11 * T[:3, 2], grasped, atol=1e-5)
+        assert abs(yaw_about_can(T)) <= np.pi / 2 + 1e-5 and not roomy.in_collision(q)
+    tilt = Rotation.from_matrix(problem.robot.pose(problem.start)[:3, :3]).apply((1, 0, 0))
+    np.testing.assert_allclose(tilt, (0.0, 0.0, 1.0), atol=1e-5)
+
+
+def test_the_mirrored_kitchen_is_the_same_modules_on_the_other_side():
+    """Left and right swap, walls keep their distance, the can is in the shelf's open cabinet."""
+    known, mirrored = (place_problem(7), mirrored_problem(7))
+    old, new = ({item.name: item for item in p.scene.objects} for p in (known, mirrored))
+    assert list(old) == list(new) and mirrored.scene.articulations == ()
+    sides = [items["range/block"].T_world_object[1, 3] for items in (old, new)]
+    assert sides[1] == pytest.approx(-sides[0])
+    # open: parallel to the cabinet's sides, now left
+    panel = new["dagger_door_left/panel"].T_world_object
+    assert panel[1, 3] > 0.0 > old["dagger_door_left/panel"].T_world_object[1, 3]
+    assert np.linalg.det(panel) == pytest.approx(1.0)
+    T = mirrored.robot.pose(mirrored.start)
+    com = T[:3, 3] + 0.11 * T[:3, 2] - (0.0, 0.0, 0.05)
+    np.testing.assert_allclose(com, can_com(7) * (1.0, -1.0, 1.0), atol=1e-5)
+    shelf = mirrored.goal_region.T0_w[:3, 3]
+    sides = [new[f"dagger/cell1_side_{side}"].T_world_object[1, 3] for side in ("left", "right")]
+    assert min(sides) + 0.05 < shelf[1] < max(sides) - 0.05
+    check_problem(with_sampled_goals(mirrored)[0])
+
+
+@pytest.mark.parametrize("suite", SUITES)
+def test_suites_know_their_problems(suite):
+    last = len(suite_named(suite).problems) - 1
+    sizes = dict.fromkeys(("place-task", "place-task-with-can"), 150)
+    sizes |= dict.fromkeys(("place-task-single-goal", "peers", "sensor"), 30)
+    sizes |= dict.fromkeys(("place-task-mirrored", "factorial"), 60)
+    sizes |= dict.fromkeys(("multi-sequence", "open-door"), 10)
+    sizes |= {"constraints": 160, "factorial-constraints": 80, "robots": 180}
+    assert last + 1 == sizes.get(suite, 50)
+    assert suite_named(suite).item(last).name.partition("/")[0] == str(last)
+    for index in (-1, last + 1, 1000):
+        refused(f"problem {index} of suite {suite}.*0 to {last}", suite_named(suite).item, index)
+
+
+def test_a_problem_without_a_start_is_refused():
+    suite = Suite("hard", range(3), lambda index: UnsolvableProblem(str(index), "no start grasp"))
+    refused("problem 2 of hard has no solution: no start grasp", suite.solvable, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suite", ["place-task", "place-task-with-can"])
+def test_every_environment_is_solved(suite, part):
+    """By birrt within 20 000 iterations, all certified; `solve` checks every start and goal."""
+    planner, budget = planner_named("birrt"), Budget(iterations=20_000)
+    problems = [suite_named(suite).solvable(e) for e in part(ENVIRONMENTS, 30)]
+    solutions = [solve(problem, planner, budget, seed=0, clearance=False) for problem in problems]
+    assert min(len(s.problem.goals) for s in solutions) >= 1
+    failed = {s.problem.name: (s.plan.status, s.certificate) for s in solutions if not s.solved}
+    assert failed == {}
+
+
+ATTACHED = {"tray": ["tray"], "pouring": ["carried_can"]}
+ATTACHED["door"] = ["panel", "handle_bar", "handle_post_lower", "handle_post_upper"]
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_problems_of_a_kind_start_and_end_free_on_the_manifold_and_not_straight_ahead(kind):
+    index = 8 * 60 + NAMES.index(kind)
+    problem, again = constraint_problem(index), constraint_problem(index)
+    assert split_problem(problem.name).phase == kind and index >= 160
+    np.testing.assert_array_equal(problem.start, again.start)
+    np.testing.assert_array_equal(problem.goals, again.goals)
+    check_problem(problem)
+    assert len(problem.goals) > 0 and not trivial(problem)
+    assert [item.name for item in problem.attachments] == ATTACHED.get(kind, [])
+    hands = [problem.robot.pose(q)[:3, 3] for q in (problem.start, problem.goals[0])]
+    assert np.linalg.norm(hands[1] - hands[0]) > 0.8 * MOVED
+
+
+def test_a_door_stays_on_its_hinge():
+    problem = constraint_problem(8 * 60 + NAMES.index("door"))
+    panel = next(item for item in problem.attachments if item.name == "panel")
+    hinge = problem.constraint[0].T0_w
+    edges = []
+    for q in (problem.start, *problem.goals):
+        T = np.linalg.inv(hinge) @ problem.robot.pose(q) @ panel.T_hand_object
+        edges.append((np.hypot(*T[:2, 3]), T[2, 3]))
+    np.testing.assert_allclose(edges, [edges[0]] * len(edges), atol=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("robot", "joints", "sliders"), [("ur5", 6, 0), ("xarm7", 7, 0), ("tiago", 8, 1)]
+)
+def test_an_arm_moves_upright_between_two_hand_poses(robot, joints, sliders):
+    suite, index = suite_named("robots"), 20 * list(ROBOTS).index(robot) + 6
+    problem, again = suite.solvable(index), suite.solvable(index)
+    assert problem.name == f"{index}/{index // 20 + 1}-{robot}"
+    np.testing.assert_array_equal(problem.start, again.start)
+    assert problem.robot.dof == joints and problem.robot.kinematics.prismatic.sum() == sliders
+    check_problem(problem)
+    solution = solve(problem, "birrt", Budget(iterations=20_000), seed=0)
+    assert solution.solved and solution.certificate.reasons == ()
+    ends = solution.simplified.path.states[[0, -1]]
+    np.testing.assert_array_equal(ends[0], problem.start)
+    np.testing.assert_allclose(problem.robot.pose(ends[1]), problem.goal_region.T0_w, atol=1e-4)
+    upright = [problem.robot.pose(q)[2, 0] for q in solution.simplified.path.states]
+    assert min(upright) > np.cos(0.2)
+
+
+@pytest.mark.parametrize(
+    ("robot", "index", "family", "number"),
+    [("panda", 1, "table", 2001), ("z1", 5, "table", 2105), ("panda", 19, "kitchen-like", 2039)],
+)
+def test_a_robot_gets_the_first_scene_of_its_family_that_holds_a_problem(
+    robot, index, family, number
+):
+    source, problem = ROBOTS[robot], other_robot_problem(robot, index)
+    expected = family_problem(family, number, source)
+    assert problem.scene.name.endswith(f"_{number}")
+    np.testing.assert_array_equal(problem.start, expected.start)
+    np.testing.assert_array_equal(problem.goal_region.T0_w, problem.robot.pose(expected.goals[0]))
+    assert not any(map(holds_problem(family, source), range(2000 + index, number, 20)))
+
+
+@pytest.mark.parametrize(("index", "number"), [(0, 0), (1, 8001), (34, 8084)])
+def test_a_family_problem_is_of_its_own_scene_or_of_the_first_spare_one_that_holds_one(
+    index, number
+):
+    expected = family_problem("kitchen-like", number)
+    assert held_out_problem("kitchen-like", index) == replace(expected, name=str(index))
+    earlier = [k for k in (index, *range(8000 + index, number, 50)) if k != number]
+    assert not any(map(holds_problem("kitchen-like"), earlier))
+
+
+def holds_problem(family, *source):
+    return lambda k: not isinstance(family_problem(family, k, *source), UnsolvableProblem)
+
+
+def test_a_robot_without_a_problem_in_all_scenes_is_reported_in_one_line(monkeypatch):
+    tried = []
+
+    def none(family, number, robot_source):
+        tried.append(number)
+        return UnsolvableProblem(str(number), f"nothing in {family} {number}")
+
+    monkeypatch.setattr(family_task, "family_problem", none)
+    found = other_robot_problem("ur5", 3)
+    assert found == UnsolvableProblem("3", "nothing in kitchen-like 2383, the last of 20 scenes")
+    assert tried == list(range(2003, 2400, 20))
+
+
+@pytest.mark.parametrize("family", ["cubes-spheres", "shelves"])
+def test_family_problems_start_and_end_upright_and_free(family):
+    for number in (0, 1001):
+        problem = family_problem(family, number)
+        check_problem(problem)
+        space = ConstrainedSpace(problem)
+        assert not motion_free(space.arrays, problem.start, problem.goals[0])

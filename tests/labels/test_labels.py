@@ -1,0 +1,240 @@
+"""Labels for training: near-shortest paths; motions and paths on the roadmap."""
+
+import dataclasses
+import shutil
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from refusals import refused
+
+from cli.main import main
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.files import locked
+from cvqmpt_lab.labels import generation
+from cvqmpt_lab.labels.generation import SceneRecipe, generate
+from cvqmpt_lab.labels.path_labels import PathRecipe
+from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
+from cvqmpt_lab.robot.kinematics import link_poses
+from cvqmpt_lab.robot.load import panda
+from cvqmpt_lab.scene.families import FAMILIES, family_scene
+from cvqmpt_lab.search.anytime import NearShortestSettings
+from cvqmpt_lab.training.dataset import open_dataset, open_labels
+from cvqmpt_lab.training.shards import (
+    FULL_SCALE,
+    LABEL_ARRAYS,
+    LINKS,
+    SPACING,
+    RoadmapGraph,
+    read_shards,
+)
+from cvqmpt_lab.vqmpt.dictionary import LinkPositions
+
+TINY = PathRecipe(
+    6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32)
+)
+
+
+def make(out, recipe=TINY):
+    return generate(recipe, out, ["test"])
+
+
+@pytest.fixture(scope="module")
+def two_scenes_a_shard():
+    """Shards so small that a tiny dataset has several."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SceneRecipe, "shard_scenes", 2)
+        yield
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory, two_scenes_a_shard):
+    out = tmp_path_factory.mktemp("data")
+    make(out)
+    return out
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_scenes_depend_on_their_number_alone_and_leave_room(family):
+    number = PathRecipe.first_scene
+    scene = family_scene(family, number)
+    assert scene == family_scene(family, number) and scene != family_scene(family, number + 1)
+    robot = panda()
+    states = robot.random_configurations(np.random.default_rng(0), 200)
+    blocked = CollisionChecker(robot, scene).in_collision_batch(states).mean()
+    assert 0.05 < blocked < 0.95
+
+
+def test_paths_are_free_and_join_their_ends_among_the_shapes_of_their_scene(tiny):
+    robot, dataset = panda(), open_dataset(tiny)
+    arrays = dataset.arrays
+    assert len(arrays["path_scene"]) >= 8
+    for scene, seed in enumerate(arrays["scene_seed"].tolist()):
+        made = family_scene(dataset.families[arrays["family"][scene]], seed)
+        poses = [item.T_world_object[:3] for item in made.obstacles]
+        np.testing.assert_allclose(dataset.shapes(scene).pose, poses, atol=1e-6)
+        checker = CollisionChecker(robot, made)
+        for path in np.flatnonzero(arrays["path_scene"] == scene).tolist():
+            q = robot.lower + dataset.path(path) * (robot.upper - robot.lower)
+            steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
+            assert steps.max() < SPACING + 1e-3
+            # waypoints cut corners by less than a tenth of their spacing
+            assert steps.sum() == pytest.approx(arrays["length"][path], rel=0.01)
+            assert arrays["length"][path] >= arrays["straight"][path] - 1e-4
+            assert not checker.in_collision_batch(q[[0, -1]]).any()
+
+
+def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path):
+    shutil.copytree(tiny, tmp_path / "d")
+    (tmp_path / "d" / "shards" / "000000.npz").unlink()
+    make(tmp_path / "d")
+    for file in ("README.md", *(f"shards/{number:06d}.npz" for number in range(3))):
+        assert (tmp_path / "d" / file).read_bytes() == (tiny / file).read_bytes()
+
+
+def test_a_folder_that_another_run_writes_or_of_another_recipe_is_refused(tiny):
+    with locked(tiny):
+        refused("in use by another run", make, tiny)
+    for change in ({"paths_per_scene": 3}, {"robot": {"name": "ur5"}}):
+        refused("another recipe", make, tiny, replace(TINY, **change))
+
+
+def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(slider_arm):
+    chain = generation.serial_chain(slider_arm)
+    q = slider_arm.random_configurations(np.random.default_rng(0), 20)
+    links = LinkPositions(tuple(slider_arm.lower), tuple(slider_arm.upper), chain)
+    found = links.positions(torch.tensor(q)).reshape(20, -1, 3)
+    _, translations = link_poses(slider_arm.kinematics, q)
+    np.testing.assert_allclose(found[:, :-1], translations[:, 2:], atol=1e-5)
+    np.testing.assert_allclose(found[:, -1], [slider_arm.pose(x)[:3, 3] for x in q], atol=1e-5)
+    assert chain.sliders == (0,)
+    mixed = replace(chain, points=chain.points[::-1], offsets=chain.offsets[::-1].copy())
+    links = LinkPositions(tuple(slider_arm.lower), tuple(slider_arm.upper), mixed)
+    again = links.positions(torch.tensor(q)).reshape(20, -1, 3)
+    np.testing.assert_array_equal(again, found.flip(1))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ("--scenes 2 --family castle", "castle"),
+        ("--scenes 2 --seed -1", "-1"),
+        ("--scenes 0", "'0'"),
+        ("--scenes 2 --out /dev/null/x", "/dev/null"),
+    ],
+)
+def test_bad_input_is_named(capsys, tmp_path, options, says):
+    assert main(["data", "generate", "--out", str(tmp_path / "d"), *options.split()]) == 2
+    # the line before may say that kernels are compiled
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith("cvqmpt: ") and says in last
+
+
+FEW = RoadmapRecipe(4, 12, ("table", "cage"))
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory, two_scenes_a_shard):
+    out = tmp_path_factory.mktemp("roadmap")
+    make(out, FEW)
+    return out
+
+
+@pytest.fixture(scope="module")
+def graph(labelled):
+    return RoadmapGraph.read(labelled)
+
+
+@pytest.fixture(scope="module", params=[0, 1])
+def scene(request, labelled):
+    """A scene of the first shard: its row, its exact checker, and the shard's arrays."""
+    arrays, row = read_shards(labelled, LABEL_ARRAYS)[0], request.param
+    shapes = family_scene(FEW.families[arrays["family"][row]], int(arrays["scene_seed"][row]))
+    return row, CollisionChecker(panda(), shapes), arrays
+
+
+def configurations(stored):
+    robot = panda()
+    return robot.lower + stored / FULL_SCALE * (robot.upper - robot.lower)
+
+
+def collisions(checker, starts, ends):
+    """Whether each straight motion (..., n) collides, at 40 states."""
+    marks = np.linspace(0.0, 1.0, 40)[:, None]
+    states = (1.0 - marks) * starts[..., None, :] + marks * ends[..., None, :]
+    return checker.in_collision_batch(states.reshape(-1, 7)).reshape(states.shape[:-1]).any(-1)
+
+
+def codes_of(arrays, row):
+    return arrays["codes"][slice(*arrays["code_start"][row : row + 2])].astype(int)
+
+
+def test_nodes_edges_and_links_called_free_are_free_by_the_exact_checker(scene, graph):
+    row, checker, arrays = scene
+    node_free = np.unpackbits(arrays["node_free"][row], count=len(graph.nodes)).astype(bool)
+    assert not checker.in_collision_batch(graph.nodes[node_free]).any()
+    # others are at least very near
+    assert checker.in_collision_batch(graph.nodes[~node_free]).mean() > 0.8
+    edge_free = np.unpackbits(arrays["edge_free"][row], count=len(graph.edges)).astype(bool)
+    edges = graph.edges[edge_free][::37]
+    assert not collisions(checker, graph.nodes[edges[:, 0]], graph.nodes[edges[:, 1]]).any()
+    rows = slice(*arrays["link_start"][row : row + 2])
+    link_free, ends = arrays["link_free"][rows], configurations(arrays["link_end"][rows])
+    assert 0.02 < link_free.mean() < 0.98
+    nodes = graph.nodes[arrays["link_code"][rows]]
+    farthest = np.sort(np.linalg.norm(ends[:, None] - graph.nodes, axis=2))[:, [LINKS - 1]]
+    # as far as ends are rounded
+    assert (np.linalg.norm(ends[:, None] - nodes, axis=2) <= farthest + 1e-3).all()
+    collides = collisions(checker, ends[:, None], nodes)
+    assert not collides[link_free].any() and collides[~link_free].mean() > 0.9
+
+
+def test_paths_walk_free_edges_and_cost_what_they_say(scene, graph):
+    number, _, arrays = scene
+    edge_free = np.unpackbits(arrays["edge_free"][number], count=len(graph.edges)).astype(bool)
+    pairs = {tuple(edge) for edge in graph.edges[edge_free].tolist()}
+    rows = np.flatnonzero((arrays["path_scene"] == number) & np.isfinite(arrays["cost"]))
+    assert len(rows) >= 2
+    for row in rows:
+        codes = codes_of(arrays, row)
+        assert len(codes) > 0
+        assert all((min(a, b), max(a, b)) in pairs for a, b in pairwise(codes))
+        start, goal = configurations(arrays["ends"][row])
+        states = np.concatenate([[start], graph.nodes[codes], [goal]])
+        length = np.linalg.norm(np.diff(states, axis=0), axis=1).sum()
+        assert length == pytest.approx(arrays["cost"][row], rel=1e-3)
+
+
+def test_shards_that_are_missing_are_made_again_as_they_were(labelled, tmp_path):
+    shutil.copytree(labelled, tmp_path / "again")
+    (tmp_path / "again/shards/000001.npz").unlink()
+    make(tmp_path / "again", FEW)
+    again, before = (folder / "shards/000001.npz" for folder in (tmp_path / "again", labelled))
+    assert again.read_bytes() == before.read_bytes()
+
+
+def test_motions_of_all_shards_are_read(labelled):
+    arrays = open_labels(labelled).arrays
+    start = arrays["link_start"]
+    assert len(start) == len(arrays["scene_seed"]) + 1 == 5
+    assert (np.diff(start)[arrays["path_scene"]] > 0).all()
+    assert len(arrays["link_end"]) == start[-1] > 4
+    assert arrays["link_free"].shape == arrays["link_code"].shape == (start[-1], LINKS)
+
+
+def test_labels_are_no_paths(labelled):
+    refused("holds labels on a roadmap, not paths; make those", open_dataset, labelled)
+
+
+def test_labels_of_another_dictionary_are_refused_and_damage_is_named(labelled, graph, tmp_path):
+    dataclasses.replace(graph, nodes=graph.nodes + 0.1).write(tmp_path)
+    refused("another roadmap", make, tmp_path, FEW)
+    (tmp_path / "roadmap.npz").write_bytes((labelled / "roadmap.npz").read_bytes()[:200])
+    refused("is damaged or lacks an array", RoadmapGraph.read, tmp_path)
+
+
+def test_an_arm_that_the_dictionary_is_not_of_is_refused():
+    recipe = RoadmapRecipe(1, 2, ("table",), 0, {"name": "ur5"})
+    refused(r"for robot 'panda', not 'ur5'.*train stage1", recipe.check)
