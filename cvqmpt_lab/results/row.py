@@ -137,6 +137,9 @@ class ResultRow:
     n_clearances: int | None = None
     # Wall clock of `pipeline.solve` without goals, clouds, `t_improve_s` and certificate.
     t_wall_s: float | None = None
+    # The two parts of `min_clearance_m`: from obstacles, and of the robot's own pieces.
+    obstacle_clearance_m: float | None = None
+    self_clearance_m: float | None = None
 
     def __post_init__(self) -> None:
         for column in _COLUMNS:
@@ -241,7 +244,12 @@ PLAIN = {int: re.compile(r"\d{1,9}"), float: re.compile(r"\d{1,9}\.\d+(e-\d+)?")
 _COLUMNS = _columns()
 COLUMNS = tuple(column.name for column in _COLUMNS)
 FIRST_COLUMNS = COLUMNS.index("t_sense_s")  # so many are in every file; older files lack later ones
-SIGNED = ("min_clearance_m", "true_clearance_m")
+SIGNED = (
+    "min_clearance_m",
+    "true_clearance_m",
+    "obstacle_clearance_m",
+    "self_clearance_m",
+)
 
 
 def one_line(text: str) -> str | None:

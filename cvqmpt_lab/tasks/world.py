@@ -122,7 +122,7 @@ def _require_in_hand(
     if phase.attachment is None:
         scene = Scene(item.name, (replace(item, obstacle=True),))
         checker = CollisionChecker(robot, scene, margin=IN_HAND)
-        if checker.clear_of_obstacles(q[None], q[None, None]).all():
+        if checker.clear_of_obstacles(q[None], q[None, None])[0].all():
             raise InvalidInputError(
                 f"phase {phase.name!r}: {item.name!r} is more than {IN_HAND} m from the arm; let "
                 "the phase before end at the object, or say by an 'attachment' where a hand "
