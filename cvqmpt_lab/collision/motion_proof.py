@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.exact import CollidingPair, CollisionChecker, Nearest
+from cvqmpt_lab.collision.exact import ROUNDING, CollidingPair, CollisionChecker, Nearest
 
 
 class Unproven(NamedTuple):
@@ -99,11 +99,11 @@ class _Least:
             self.measure(q)
 
     def measure(self, q: np.ndarray) -> float:
-        """The distance at q (n,) [m], remembered if it is the least."""
+        """The distance at q (n,) [m] less its rounding; the distance is kept if it is the least."""
         found = self._nearest(q)
         if found.distance < self.found.distance:
             self.found, self._q = found, q
-        return found.distance
+        return (1.0 - 2.0 * ROUNDING) * found.distance - 2.0 * ROUNDING
 
     def aim(self, doublings: int) -> float:
         """The distance that is to be proven of the next stretches [m]."""
