@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.exact import CollisionChecker, Nearest
-from cvqmpt_lab.collision.motion_proof import MotionProof, prove_free
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.motion_proof import Least, prove_free
 from cvqmpt_lab.constraints.between_states import largest_violation
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
@@ -55,6 +55,15 @@ class Fault(NamedTuple):
     at: float | None = None
 
 
+class Clearance(NamedTuple):
+    """The least distance of pieces on a path: at_least_m <= true least distance <= distance_m."""
+
+    distance_m: float  # [m], the least one found; negative in collision
+    at_least_m: float  # [m], what every state is proven to keep; -inf where nothing is proven
+    pair: str  # the two pieces it is between
+    at: float  # where it was found, as `Fault.at`
+
+
 @dataclass(frozen=True)
 class Certificate:
     """The result of `certify`."""
@@ -62,7 +71,7 @@ class Certificate:
     faults: tuple[Fault, ...]
     max_violation_rad: float  # largest rotation outside the constraint's bounds [rad]
     max_violation_m: float  # largest translation outside them [m]
-    # smallest distance at the states with the least room [m]; nan when not asked for
+    # the smaller one of the two clearances below [m]; inf without pairs, nan when not asked for
     min_clearance_m: float
     states_checked: int  # configurations at which distances were compared
     min_clearance_pair: str = ""  # the two pieces it is between
@@ -70,6 +79,9 @@ class Certificate:
     unproven_rad: float = 0.0  # longest stretch not proven free although its middle is free [rad]
     # the furthest that a point of the robot can move in half of that stretch [m]
     unproven_m: float = 0.0
+    # from obstacles, and of the robot's own pieces; None without pairs, or when not asked for
+    obstacle_clearance: Clearance | None = None
+    self_clearance: Clearance | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -102,7 +114,7 @@ def certify(
         problem: start, goals, constraint, robot and scene.
         path: straight joint motions between states.
         checker: the exact checker; None for the problem's own.
-        clearance: whether the smallest distance is measured.
+        clearance: whether the least distances are found and proven.
     """
     checker = checker or problem.collision_checker()
     unusable = _unusable(problem, path.states)
@@ -111,7 +123,7 @@ def certify(
     violation = largest_violation(
         problem.robot, problem.constraint, path.states, SPACING, TOLERANCE
     )
-    proof = prove_free(checker, path.states)
+    proof = prove_free(checker, path.states, clearance)
     faults = [*_end_faults(problem, path), *_motion_faults(problem, path)]
     if violation.at is not None and violation.largest > TOLERANCE:
         seen = max(violation.radians, violation.metres) > TOLERANCE
@@ -135,17 +147,21 @@ def certify(
             f"middle, where {pair} are {1e3 * gap:.2g} mm apart"
         )
         faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))
-    near, where = _closest(checker, proof) if clearance else (Nearest(np.nan, None), path.states[0])
+    rooms = [_clearance(path.states, least) for least in (proof.obstacles, proof.itself)]
+    closest = min(filter(None, rooms), key=lambda room: room.distance_m, default=None)
+    least_m = np.inf if clearance else np.nan
     return Certificate(
         faults=tuple(faults),
         max_violation_rad=violation.radians,
         max_violation_m=violation.metres,
-        min_clearance_m=near.distance,
+        min_clearance_m=closest.distance_m if closest else least_m,
         states_checked=proof.looks,
-        min_clearance_pair=str(near.pair or ""),
-        min_clearance_at=_place(path.states, where) if near.pair else None,
+        min_clearance_pair=closest.pair if closest else "",
+        min_clearance_at=closest.at if closest else None,
         unproven_rad=proof.unproven.length if proof.unproven else 0.0,
         unproven_m=moved,
+        obstacle_clearance=rooms[0],
+        self_clearance=rooms[1],
     )
 
 
@@ -158,12 +174,12 @@ def _place(states: np.ndarray, q: np.ndarray) -> float:
     return float(off.argmin() + share[off.argmin()])
 
 
-def _closest(
-    checker: CollisionChecker, proof: MotionProof, most: int = 8
-) -> tuple[Nearest, np.ndarray]:
-    """The smallest distance at up to `most` states with the least room, and its state (n,)."""
-    places = proof.tightest[:most] if proof.colliding is None else [proof.colliding]
-    return min(((checker.nearest(q), q) for q in places), key=lambda found: found[0].distance)
+def _clearance(states: np.ndarray, least: Least | None) -> Clearance | None:
+    """The least distance along a path (m, n) for people; None without a pair."""
+    if least is None or least.pair is None:
+        return None
+    proven = least.distance - least.bound
+    return Clearance(least.distance, proven, str(least.pair), _place(states, least.q))
 
 
 def _unusable(problem: PlanningProblem, states: np.ndarray) -> tuple[Fault, ...]:

@@ -14,6 +14,7 @@ from cvqmpt_lab.certificate import (
     END_TOLERANCE,
     LARGEST_STEP,
     TOLERANCE,
+    Clearance,
     FaultKind,
     Verdict,
 )
@@ -56,7 +57,13 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
         "faults": faults,
         "apart_m": found.apart,
         "curve": found.curve,
-        **finite({name: value for name, value in vars(certificate).items() if name != "faults"}),
+        **finite(
+            {
+                name: value._asdict() if isinstance(value, Clearance) else value
+                for name, value in vars(certificate).items()
+                if name != "faults"
+            }
+        ),
         "tolerances": {
             "constraint": TOLERANCE,
             "step_rad": LARGEST_STEP,
@@ -106,12 +113,16 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         lines.append(f"fault       {fault.text}{where}")
     if certificate.states_checked == 0:
         return lines
-    distance = "there is nothing to keep a distance from"
-    if certificate.min_clearance_at is not None:
-        distance = (
-            f"{1e3 * certificate.min_clearance_m:.2f} mm, the smallest found, "
-            f"{_where(found, certificate.min_clearance_at)}: {certificate.min_clearance_pair}"
+    distances = [
+        f"{what} {1e3 * room.distance_m:.2f} mm, {_at_least(room)}, {_where(found, room.at)}: "
+        f"{room.pair}"
+        for what, room in (
+            ("obstacles", certificate.obstacle_clearance),
+            ("self", certificate.self_clearance),
         )
+        if room
+    ]
+    distances = distances or ["there is nothing to keep a distance from"]
     collides = any(fault.kind == FaultKind.COLLISION for fault in certificate.faults)
     proven = f"no gaps: every state{' before that collision' if collides else ''} is proven"
     if certificate.unproven_rad > 0.0:
@@ -127,7 +138,7 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         *lines,
         f"constraint  at most {certificate.max_violation_rad:.2g} rad, "
         f"{certificate.max_violation_m:.2g} m outside; {TOLERANCE:g} is allowed",
-        f"clearance   {distance}",
+        *(f"clearance   {distance}" for distance in distances),
         f"resolution  {proven}, by {certificate.states_checked} looks{curve}",
         f"compared    {it['moving_pieces']} moving and {it['carried_pieces']} carried pieces: "
         f"{it['own_pairs']} pairs with each other, all with the {it['obstacle_pieces']} pieces of "
@@ -140,6 +151,13 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         f"record      version {contents['version']}, problem {contents['problem_sha256'][:12]}, "
         f"motion {contents['motion_sha256'][:12]}",
     ]
+
+
+def _at_least(room: Clearance) -> str:
+    """What is proven of a least distance, in words."""
+    if not math.isfinite(room.at_least_m):
+        return "the least found"
+    return f"at least {1e3 * max(room.at_least_m, 0.0):.2f} mm everywhere"
 
 
 def _where(found: DryRun, at: float) -> str:

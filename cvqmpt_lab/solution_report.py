@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from cvqmpt_lab.certificate import Certificate
 from cvqmpt_lab.constraints.report import BoundUse, bound_usage
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
@@ -53,9 +54,19 @@ def solution_lines(solution: Solution, planner: str, why: str = "") -> list[str]
             verdict, gaps = f"{verdict.upper()}: {'; '.join(certificate.reasons)}", ""
         lines.append(
             f"certificate {verdict} ({certificate.states_checked} states{gaps}, clearance "
-            f"{1e3 * certificate.min_clearance_m:.1f} mm)"
+            f"{_rooms(certificate)})"
         )
     return lines
+
+
+def _rooms(certificate: Certificate) -> str:
+    """The least distances found, to obstacles and of the robot's own pieces."""
+    rooms = (
+        ("obstacles", certificate.obstacle_clearance),
+        ("self", certificate.self_clearance),
+    )
+    texts = [f"{what} {1e3 * room.distance_m:.1f} mm" for what, room in rooms if room]
+    return ", ".join(texts) or f"{1e3 * certificate.min_clearance_m:.1f} mm"
 
 
 def _gain(made: Improvement) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
-from cvqmpt_lab.certificate import FaultKind, certify
+from cvqmpt_lab.certificate import Clearance, FaultKind, certify
 from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, one_line, phase_problem
 from cvqmpt_lab.results.store import states_hash
@@ -114,6 +114,8 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         max_violation_rad=_defined(certificate.max_violation_rad) if certificate else None,
         max_violation_m=_defined(certificate.max_violation_m) if certificate else None,
         min_clearance_m=_defined(certificate.min_clearance_m) if certificate else None,
+        obstacle_clearance_m=_room(certificate.obstacle_clearance if certificate else None),
+        self_clearance_m=_room(certificate.self_clearance if certificate else None),
         path_sha256=states_hash(shorter.path.states) if shorter else None,
         t_improve_s=more.seconds if more else None,
         n_restarts=more.searches if more else None,
@@ -129,6 +131,10 @@ def _sampler_columns(choice: SamplerChoice | None) -> dict[str, Any]:
     if choice is None:
         return {}
     return asdict(choice) | {"reach": choice.reach if math.isfinite(choice.reach) else None}
+
+
+def _room(clearance: Clearance | None) -> float | None:
+    return _defined(clearance.distance_m) if clearance else None
 
 
 def _sampled_g(solution: Solution, draws: int = 256) -> float | None:

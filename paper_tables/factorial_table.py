@@ -1,6 +1,7 @@
 """Ablation of learned samplers: predictor, Gaussians, update and cloud, beside uniform samples."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from itertools import product
 from operator import attrgetter
@@ -60,6 +61,11 @@ WIDE: Mapping[str, object] = {"gaussians": "wide"}
 SEEING: Mapping[str, object] = {"predictor": "transformer"}
 SEEING_DECODED, SEEING_WIDE = {**SEEING, **DECODED}, {**SEEING, **WIDE}
 SAME: Mapping[str, object] = {"uniform_share": 0.15}
+BEFORE_PROJECTED_DRAWS = (
+    "By name: cvq-mpt is transformer, decoded, none, likeliest, opt-cvq-mpt is transformer, "
+    "decoded, algorithm-2, likeliest, cvq-published is published, decoded, none, likeliest, "
+    "cvq-wide is transformer, wide, projected, all-beams."
+)
 NOTES = (
     f"Work (projections and state checks), projections, length and G: over those of {REFERENCE}, "
     "geometric mean of the ratio over problems that both solved, bootstrap interval [95 %]. "
@@ -152,11 +158,7 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
     for item in contrasts:
         pairs = str(item.measured["work"].n)
         compared_lines.append([item.planner, pairs, *map(item.cell, COMPARED)])
-    named = (
-        f"{name} is {choice.predictor}, {choice.gaussians}, {choice.update}, {choice.sequences}"
-        for name, choice in NAMED.items()
-    )
-    notes = [*NOTES, f"By name: {', '.join(named)}.", *table.seed_notes(runs)]
+    notes = [*NOTES, _named(runs.rows), *table.seed_notes(runs)]
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
     caption = f"{size}: products of predictor, Gaussians and update. {NOTES[0]}"
     short = [[line[0], line[1].removeprefix(PREFIX), *line[2:]] for line in lines]
@@ -169,6 +171,18 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
         table.latex_groups(caption, suite, lines),
         [*brief, "", *text_lines([[line[0], *line[2:4]] for line in compared_lines])],
     )
+
+
+def _named(rows: Sequence[ResultRow]) -> str:
+    """What the planners' names stood for when these rows were made."""
+    # rows of before draws were projected have no such columns
+    if not any(row.draws for row in rows):
+        return BEFORE_PROJECTED_DRAWS
+    named = (
+        f"{name} is {', '.join(f'{value}' for value in asdict(choice).values())}"
+        for name, choice in NAMED.items()
+    )
+    return f"By name: {'; '.join(named)}."
 
 
 def _place(row: ResultRow) -> tuple[int, ...]:

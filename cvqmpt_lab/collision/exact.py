@@ -77,8 +77,8 @@ class CollisionChecker:
         margin: float = 0.0,
         clearance: float = 0.0,
     ) -> None:
-        self.robot, self._margin, self._clearance = robot, margin, clearance
-        self._outer = margin + clearance  # kept from obstacles [m]
+        self.robot, self.margin, self._clearance = robot, margin, clearance
+        self.outer = margin + clearance  # kept from obstacles [m]
         self._model, self._data = robot.model, robot.model.createData()
         self._geometry = _robot_geometry(robot, attachments)
         self._own_results = pin.GeometryData(self._geometry)
@@ -116,13 +116,15 @@ class CollisionChecker:
         """Whether configuration q (n,) touches anything. About 20 us."""
         if pin.computeCollisions(self._model, self._data, self._own, q, True):
             return True
-        return self._meets_obstacle(np.full(len(self._links), self._outer))
+        return self._meets_obstacle(np.full(len(self._links), self.outer))
 
     def in_collision_batch(self, configurations: np.ndarray) -> np.ndarray:
         """Whether each row of configurations (b, n) touches anything, (b,) bool."""
         return np.array([self.in_collision(q) for q in configurations], dtype=bool)
 
-    def clear_of_obstacles(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
+    def clear_of_obstacles(
+        self, q: np.ndarray, hulls: np.ndarray, least: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Whether the robot is proven to touch no obstacle anywhere in hulls, (k,) bool.
 
         A link l is free in a hull H if its distance to obstacles at q exceeds the margin and how
@@ -132,23 +134,35 @@ class CollisionChecker:
         Args:
             q: (k, n), a configuration in each hull.
             hulls: (k, c, n), corners of convex hulls of configurations.
-        """
-        moved = _needed(self._sweep.in_world(q, hulls), self._outer)
-        clear = moved.max(axis=1, initial=0.0) <= INFLATIONS[-1]
-        for k in np.flatnonzero(clear):
-            pin.updateGeometryPlacements(
-                self._model, self._data, self._geometry, self._own_results, q[k]
-            )
-            self._own.update()
-            clear[k] = not self._meets_obstacle(moved[k])
-        return clear
+            least: distance that is to be proven [m], if it is more than the checker's margin.
 
-    def clear_of_itself(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
+        Returns:
+            (k,) bool, and how far any point of the robot can move in each hull (k,) [m].
+        """
+        moved = self._sweep.in_world(q, hulls)
+        needed = _needed(moved, max(self.outer, least))
+        clear = needed.max(axis=1, initial=0.0) <= INFLATIONS[-1]
+        for k in np.flatnonzero(clear):
+            self._pose(q[k])
+            clear[k] = not self._meets_obstacle(needed[k])
+        return clear, moved.max(axis=1, initial=0.0)
+
+    def clear_of_itself(
+        self, q: np.ndarray, hulls: np.ndarray, least: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
         """As `clear_of_obstacles` for pairs of links and of what is carried."""
         if len(self._geometry.collisionPairs) == 0:
-            return np.ones(len(q), dtype=bool)
-        moved = _needed(self._sweep.between(q, hulls), self._margin)
-        return np.array([self._apart(*pair) for pair in zip(q, moved, strict=True)], dtype=bool)
+            return np.ones(len(q), dtype=bool), np.zeros(len(q))
+        moved = self._sweep.between(q, hulls)
+        needed = _needed(moved, max(self.margin, least))
+        pairs = zip(q, needed, strict=True)
+        clear = np.array([self._apart(*pair) for pair in pairs], dtype=bool)
+        return clear, moved.max(axis=1)
+
+    def _pose(self, q: np.ndarray) -> None:
+        """Move all pieces to configuration q (n,)."""
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q)
+        self._own.update()
 
     def moved(self, q: np.ndarray, hull: np.ndarray) -> float:
         """Bound [m] on the motion of any point of the robot from q (n,) in a hull (c, n)."""
@@ -176,10 +190,10 @@ class CollisionChecker:
                 return self._own_pair(k)
         self._own.update()
         request = self._callback.data.request
-        request.security_margin = self._outer
+        request.security_margin = self.outer
         _, objects = self._world(0.0)
         gaps = _box_gaps(self._obstacle_boxes, _boxes(self._moving))
-        for j, i in np.argwhere(gaps <= self._outer):
+        for j, i in np.argwhere(gaps <= self.outer):
             if coal.collide(self._moving[i], objects[j], request, coal.CollisionResult()):
                 return CollidingPair(self._pieces[i], self._obstacles[j].name)
         return None
@@ -200,21 +214,35 @@ class CollisionChecker:
         return self.nearest(q).distance
 
     def nearest(self, q: np.ndarray) -> Nearest:
-        """The smallest distance of all pairs, and the pair.
+        """The smallest distance of all pairs, and the pair."""
+        itself = self.nearest_of_itself(q)
+        return min(itself, self._nearest_obstacle(itself.distance), key=lambda it: it.distance)
+
+    def nearest_of_itself(self, q: np.ndarray) -> Nearest:
+        """The smallest distance of the robot's own pieces, and the pair."""
+        geometry, results = self._geometry, self._own_results
+        self._pose(q)
+        if len(geometry.collisionPairs) == 0:
+            return Nearest(np.inf, None)
+        k = pin.computeDistances(geometry, results)
+        return Nearest(float(results.distanceResults[k].min_distance), self._own_pair(k))
+
+    def nearest_obstacle(self, q: np.ndarray) -> Nearest:
+        """The smallest distance of a piece of the robot to an obstacle, and the pair."""
+        self._pose(q)
+        return self._nearest_obstacle(np.inf)
+
+    def _nearest_obstacle(self, least: float) -> Nearest:
+        """The smallest distance to an obstacle of the posed robot, if it is below `least` [m].
 
         Pairs are measured in the order of the gaps between their boxes until a gap exceeds the
         smallest distance so far.
         """
         # coal's broad phases would return the last pair's distance, not the smallest
-        nearest, geometry, results = Nearest(np.inf, None), self._geometry, self._own_results
-        pin.updateGeometryPlacements(self._model, self._data, geometry, results, q)
-        self._own.update()
-        if len(geometry.collisionPairs) > 0:
-            k = pin.computeDistances(geometry, results)
-            nearest = Nearest(float(results.distanceResults[k].min_distance), self._own_pair(k))
+        nearest = Nearest(least, None)
         _, objects = self._world(0.0)
         gaps = _box_gaps(self._obstacle_boxes, _boxes(self._moving))
-        close = np.flatnonzero(gaps <= max(nearest.distance, 0.0))
+        close = np.flatnonzero(gaps <= max(least, 0.0))
         by_gap = close[gaps.flat[close].argsort(kind="stable")]
         for k, gap in zip(by_gap.tolist(), gaps.flat[by_gap].tolist(), strict=True):
             if gap > max(nearest.distance, 0.0):
@@ -251,7 +279,7 @@ class CollisionChecker:
         for (_, manager, _), margin in zip(self._links, margins.tolist(), strict=True):
             request.security_margin = margin
             # few inflations serve all margins: a broad phase of 10 000 obstacles is slow to make
-            inflation = self._outer
+            inflation = self.outer
             if margin > inflation:
                 inflation = next((size for size in INFLATIONS if size >= margin), margin)
             world = self._worlds.get(inflation) or self._world(inflation)

@@ -2,8 +2,9 @@
 
 A stretch of a motion is free when the distance by coal at its middle exceeds how far any link can
 move inside the stretch. A stretch that is not proven is cut in two, down to `finest`; one still not
-proven is reported, although its middle is free. The result does not depend on the arbitrary order
-in which coal reports several colliding pairs.
+proven is reported, although its middle is free. The least distance is found in the same walk: every
+stretch is proven to keep a little less than the least distance found so far. The result does not
+depend on the arbitrary order in which coal reports several colliding pairs.
 """
 
 from collections import deque
@@ -13,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.exact import ROUNDING, CollidingPair, CollisionChecker, Nearest
 
 
 class Unproven(NamedTuple):
@@ -24,50 +25,122 @@ class Unproven(NamedTuple):
     hull: np.ndarray  # (c, n), its ends and the states between them
 
 
+class Least(NamedTuple):
+    """The least distance found along a motion, and what is proven of every state.
+
+    distance - bound <= true least distance <= distance
+    """
+
+    distance: float  # [m], negative in collision; inf without pairs
+    bound: float  # [m]; inf where nothing is proven, after a collision
+    pair: CollidingPair | None
+    q: np.ndarray  # (n,), where it was found
+
+
 @dataclass(frozen=True, eq=False)
 class MotionProof:
     """The result of `prove_free`."""
 
     colliding: np.ndarray | None  # (n,), the first colliding configuration found, or None
     unproven: Unproven | None  # the longest such stretch; None when there is none, or a collision
-    tightest: np.ndarray  # (k, n), middles of all stretches, those proven with the least room first
-    looks: int  # stretches whose middles were measured
+    looks: int  # stretches whose middles were compared
+    obstacles: Least | None = None  # to obstacles; None when it was not asked for
+    itself: Least | None = None  # of the robot's own pieces, likewise
 
 
-def prove_free(checker: CollisionChecker, states: np.ndarray) -> MotionProof:
+def prove_free(
+    checker: CollisionChecker, states: np.ndarray, clearance: bool = False
+) -> MotionProof:
     """Prove that straight joint motions through states (m, n), m >= 1, touch nothing.
 
-    Returns at the first collision.
+    Returns at the first collision. clearance: whether least distances are found and proven, too.
     """
-    line = _Polyline(states)
-    obstacles = _walk(line, checker.clear_of_obstacles, checker.in_collision)
-    if obstacles.colliding is not None:
-        return obstacles
-    itself = _walk(line, checker.clear_of_itself, checker.in_collision)
-    looks = obstacles.looks + itself.looks
-    if itself.colliding is not None:
-        return replace(itself, looks=looks)
-    unproven = max(obstacles.unproven, itself.unproven, key=lambda it: it.length if it else -1.0)
-    return MotionProof(None, unproven, obstacles.tightest, looks)
+    line, itself = _Polyline(states), None
+    own = _Least(checker.nearest_of_itself, line) if clearance else None
+    room = _Least(checker.nearest_obstacle, line) if clearance else None
+    proof = _walk(line, checker.clear_of_obstacles, checker.in_collision, room, checker.outer)
+    if proof.colliding is None:
+        itself = _walk(line, checker.clear_of_itself, checker.in_collision, own, checker.margin)
+        both = proof.unproven, itself.unproven
+        longest = max(both, key=lambda it: it.length if it else -1.0)
+        unproven = None if itself.colliding is not None else longest
+        proof = MotionProof(itself.colliding, unproven, proof.looks + itself.looks)
+    if room is None or own is None:
+        return proof
+    if proof.colliding is not None:
+        for least in (room, own):
+            least.lower = -np.inf
+            least.measure(proof.colliding)
+    return replace(proof, obstacles=room.result(), itself=own.result())
+
+
+class _Least:
+    """The least distance found so far, and a distance that every state is proven to keep.
+
+    Args:
+        nearest: distance and pair at a configuration.
+        line: the motion, whose ends are measured first: most motions come closest there.
+        share: of the least distance that is not proven, in order to be fast.
+        finest: the same at least [m].
+        far: distances above it are only proven to exceed it [m].
+    """
+
+    def __init__(
+        self,
+        nearest: Callable[[np.ndarray], Nearest],
+        line: "_Polyline",
+        share: float = 0.2,
+        finest: float = 1e-3,
+        far: float = 0.1,
+    ) -> None:
+        self._nearest, self._share, self._finest, self._far = nearest, share, finest, far
+        self.found, self._q, self.lower = Nearest(np.inf, None), line.ends[0], far
+        for q in line.ends:
+            self.measure(q)
+
+    def measure(self, q: np.ndarray) -> float:
+        """The distance at q (n,) [m] less its rounding; the distance is kept if it is the least."""
+        found = self._nearest(q)
+        if found.distance < self.found.distance:
+            self.found, self._q = found, q
+        return (1.0 - 2.0 * ROUNDING) * found.distance - 2.0 * ROUNDING
+
+    def aim(self, doublings: int) -> float:
+        """The distance that is to be proven of the next stretches [m]."""
+        unproven = min(1.0, self._share * 2.0**doublings) * self.found.distance
+        return max(0.0, min(self.found.distance - max(unproven, self._finest), self._far))
+
+    def result(self) -> Least:
+        """What was found."""
+        distance, pair = self.found
+        if pair is None:
+            return Least(distance, 0.0, None, self._q)
+        return Least(distance, max(0.0, distance - self.lower), pair, self._q)
 
 
 def _walk(
     line: "_Polyline",
-    clear: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    clear: Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]],
     hits: Callable[[np.ndarray], bool],
+    least: _Least | None,
+    margin: float,
     longest: float = 0.2,
     finest: float = 1e-7,
     coarse: float = 1e-4,
     doubtful: float = 0.01,
     most_fine: int = 4000,
     most_at_once: int = 64,
+    effort: int = 200,
 ) -> MotionProof:
     """Prove stretch after stretch with `CollisionChecker.clear_of_obstacles` or `_of_itself`.
 
     Args:
         line: the motion.
-        clear: (middles, hulls) -> which stretches are proven free.
+        clear: (middles, hulls, distance) -> which stretches are proven to keep it, how far
+            points move in each.
         hits: whether a configuration collides.
+        least: where the least distance is kept; None: it is not asked for.
+        margin: that the checker keeps [m].
         longest: half of a stretch that is tried first [rad].
         finest: half of the shortest stretches: unproven ones whose middle is free are not cut
             further [rad].
@@ -77,6 +150,8 @@ def _walk(
         most_fine: about 0.2 s; else sliding along an obstacle at micrometres would take hours.
         most_at_once: neighbouring stretches in one call: few, because work behind a collision is
             wasted.
+        effort: checks, or ten for each stretch that is tried first, after which the share of the
+            least distance that is not proven doubles.
     """
     half_length = 0.5 * line.length
     count = max(1, int(np.ceil(half_length / longest)))
@@ -84,27 +159,37 @@ def _walk(
     ahead = deque((2.0 * k * half_length / count, half_length / count) for k in range(count))
     looks = fine = 0
     unproven: Unproven | None = None
-    proven: list[tuple[float, np.ndarray]] = []
     while ahead:
         batch = [ahead.popleft() for _ in range(min(most_at_once, len(ahead)))]
         middles, hulls = line.stretches(np.array(batch))
+        aim = least.aim(looks // max(effort, 10 * count)) if least else 0.0
+        proven, moved = clear(middles, hulls, aim)
+        if least:
+            least.lower = min(least.lower, aim)
         left: list[tuple[float, float]] = []
-        judged = zip(batch, middles, hulls, clear(middles, hulls), strict=True)
-        for (begin, half), middle, hull, free in judged:
+        judged = zip(batch, middles, hulls, proven, moved.tolist(), strict=True)
+        for (begin, half), middle, hull, free, apart in judged:
             looks += 1
             fine += half < coarse
-            if not free:
-                if half <= doubtful and hits(middle):
-                    return MotionProof(middle, None, np.empty((0, len(middle))), looks)
-                if half > (coarse if unproven or fine > most_fine else finest):
-                    left += (begin, 0.5 * half), (begin + half, 0.5 * half)
+            if free:
+                continue
+            if half <= doubtful and hits(middle):
+                return MotionProof(middle, None, looks)
+            if least and apart < 0.5 * least.found.distance:
+                # the middle may be closer than any before; no state is `apart` closer than it
+                kept = least.measure(middle) - apart
+                if kept > margin and kept >= least.aim(looks // max(effort, 10 * count)):
+                    least.lower = min(least.lower, kept)
                     continue
-                if unproven is None or 2.0 * half > unproven.length:
-                    unproven = Unproven(2.0 * half, middle, hull)
-            proven.append((half, middle))
+            if half > (coarse if unproven or fine > most_fine else finest):
+                left += (begin, 0.5 * half), (begin + half, 0.5 * half)
+                continue
+            if least:
+                least.lower = min(least.lower, least.measure(middle) - apart)
+            if unproven is None or 2.0 * half > unproven.length:
+                unproven = Unproven(2.0 * half, middle, hull)
         ahead.extendleft(reversed(left))
-    order = np.argsort([half for half, _ in proven], kind="stable")
-    return MotionProof(None, unproven, np.array([proven[k][1] for k in order]), looks)
+    return MotionProof(None, unproven, looks)
 
 
 class _Polyline:
@@ -116,6 +201,7 @@ class _Polyline:
         self._states = states[np.concatenate([[True], apart])]
         self._along = np.concatenate([[0.0], along[apart]])
         self.length = float(self._along[-1])
+        self.ends = self._states[[0, -1]]
 
     def stretches(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Middles (k, n) of stretches (k, 2), begin and half length, and their hulls.

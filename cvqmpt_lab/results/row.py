@@ -137,6 +137,9 @@ class ResultRow:
     n_clearances: int | None = None
     # Wall clock of `pipeline.solve` without goals, clouds, `t_improve_s` and certificate.
     t_wall_s: float | None = None
+    # The two parts of `min_clearance_m`: from obstacles, and of the robot's own pieces.
+    obstacle_clearance_m: float | None = None
+    self_clearance_m: float | None = None
     # Of learned samplers, like `predictor`.
     reading: str | None = None
     draws: str | None = None

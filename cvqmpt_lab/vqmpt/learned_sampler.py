@@ -18,6 +18,7 @@ import numpy as np
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
+from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.controls import unconstrained_path
 from cvqmpt_lab.search.planner_interface import (
     GaussianMixture,
@@ -380,7 +381,7 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
     }
     return Stages(
         sampler.propose,
-        choice.tree_search,
+        BiRRT(reach=choice.reach, draws=choice.draws.removesuffix("-draws")),
         observe,
         updates[choice.update],
         goals_apart=choice.goals == "goals-apart",

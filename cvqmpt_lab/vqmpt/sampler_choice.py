@@ -32,7 +32,6 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.search.birrt import DRAWS, BiRRT
 
 PREFIX = "cvq:"
 CHOICES = {
@@ -42,7 +41,7 @@ CHOICES = {
     "update": ("none", "algorithm-2", "printed", "projected"),
     "sequences": ("likeliest", "all-beams"),
     "cloud": ("own-cloud", "other-cloud", "no-cloud"),
-    "draws": tuple(f"{name}-draws" for name in DRAWS),
+    "draws": ("projected-draws", "raw-draws", "free-draws"),
     "goals": ("goals-together", "goals-apart"),
 }
 # field: its word before "=", and what stands behind it
@@ -86,12 +85,10 @@ class SamplerChoice:
             raise InvalidInputError(
                 f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1"
             )
-        _ = self.tree_search  # refuses a reach that is none
-
-    @property
-    def tree_search(self) -> BiRRT:
-        """Algorithm 3 with this reach and these draws."""
-        return BiRRT(reach=self.reach, draws=self.draws.removesuffix("-draws"))
+        if not self.reach > 0.0:
+            raise InvalidInputError(
+                f"reach {self.reach} of a learned sampler: give more than 0 [rad]; inf is no limit"
+            )
 
     @classmethod
     def of(cls, text: str, wide_share: float = 0.15) -> Self:

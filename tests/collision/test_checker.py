@@ -52,7 +52,7 @@ def near_contact(checker, rng, count):
 def missed(exact, states, answers):
     """Whether coal sees a collision of each state (b,); fails where the answers miss a deep one."""
     expected = exact.in_collision_batch(states)
-    depths = [exact.clearance(q) - exact._margin for q in states[expected & ~answers]]
+    depths = [exact.clearance(q) - exact.margin for q in states[expected & ~answers]]
     assert expected.any() and [depth for depth in depths if depth < -CONTACT] == []
     return expected
 

@@ -134,7 +134,7 @@ def test_only_pairs_whose_balls_are_close_are_measured_and_none_is_missed(name):
         pin.computeDistances(robot.model, data, geometry, results, q)
         room = [result.min_distance for result in results.distanceResults]
         expected.append((room > gaps + 2e-6).all())
-    assert checker.clear_of_itself(states, hulls).tolist() == expected
+    assert checker.clear_of_itself(states, hulls)[0].tolist() == expected
     assert 20 < sum(expected) < 380
 
 
@@ -252,3 +252,30 @@ def test_a_thin_sheet_in_the_hand_is_seen_to_pass_through_another(panda, thickne
         sheet = Attachment("sheet", Box((0.05, 0.05, thickness)), in_hand)
         proof = prove_free(CollisionChecker(panda, scene, (sheet,)), np.array([HOME, HOME + way]))
         assert proof.colliding is not None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_sampled_state_is_closer_than_the_least_distance_less_its_bound(
+    panda, open_kitchen, seed
+):
+    scene = open_kitchen if seed == 0 else random_scene(seed)
+    checker = CollisionChecker(panda, scene, (carried_can(),) if seed == 2 else ())
+    rng, judged = np.random.default_rng(seed), 0
+    for q in panda.random_configurations(rng, 60):
+        motion = q + np.cumsum(rng.normal(0.0, 0.05, (4, 7)), axis=0)
+        proof = prove_free(checker, motion, clearance=True)
+        if proof.colliding is not None:
+            continue
+        judged += 1
+        states = sampled(motion, 0.005)
+        for least, nearest in (
+            (proof.obstacles, checker.nearest_obstacle),
+            (proof.itself, checker.nearest_of_itself),
+        ):
+            closest = min(nearest(state).distance for state in states)
+            assert least.distance == pytest.approx(nearest(least.q).distance, abs=1e-9)
+            assert least.distance - least.bound <= closest + 1e-6
+            # distances above 0.1 m are proven to exceed 0.1 m only
+            assert min(least.distance, 0.1) - closest <= max(1e-3, 0.2 * least.distance) + 1e-6
+            assert least.bound <= max(1e-3, 0.2 * least.distance, least.distance - 0.08) + 1e-9
+    assert judged > 5

@@ -93,7 +93,7 @@ def test_words_say_the_product(words, choice):
         ("random+all-beams", "all-beams goes with predictor transformer, not random"),
         ("random+uniform=x", "give a number, 0 to 1, behind 'uniform='"),
         ("random+reach=near", "give a number, above 0 [rad], or inf, behind 'reach='"),
-        ("random+reach=0", "reach 0.0: give the longest extension towards a sample [rad], above 0"),
+        ("random+reach=0", "reach 0.0 of a learned sampler: give more than 0 [rad]"),
         ("random+reach=1+reach=2", "two parts of one kind, 'reach=2'"),
         ("random+every-waypoint", "every-waypoint goes with predictor transformer, not random"),
         ("transformer+along+printed", "printed moves codes: along has none; leave one of them out"),
