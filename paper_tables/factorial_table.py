@@ -30,7 +30,12 @@ from paper_tables.writers import text_lines
 
 # in their order in the table; no planner has predictor graph any more, but committed rows do
 PREDICTORS = ("transformer", "published", "graph", "random", "oracle")
-GAUSSIANS, UPDATES, CLOUDS = CHOICES["gaussians"], CHOICES["update"], CHOICES["cloud"]
+# the words whose products these tables compare
+GAUSSIANS, UPDATES, CLOUDS = (
+    ("decoded", "wide"),
+    ("none", "algorithm-2", "projected"),
+    CHOICES["cloud"],
+)
 CONTRAST_HEAD = ["the first / the second", "problems", "work", "projections", "length", "G"]
 _UNIFORM = "uniform=0.15"  # the share that wide Gaussians have, for decoded ones
 _PRODUCTS = (

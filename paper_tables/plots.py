@@ -37,6 +37,7 @@ STAGES = {  # of a run, by the column of their time
 }
 COLOURS = {  # of planners
     "birrt": "#70757d",
+    "birrt-printed": "#b3a58f",
     "ompl-projected": "#8c6d1f",
     "atlas-rrt": "#3aa6a6",
     "tb-rrt": "#7cae3c",
@@ -45,6 +46,7 @@ COLOURS = {  # of planners
     "cvq-mpt": "#e58a2f",
     "opt-cvq-mpt": "#c8452d",
     "cvq-wide": "#2e8b57",
+    "cvq-tuned": "#6b1d3c",
     "graph-cvq": "#b8336a",
     "roadmap": "#1b3fa0",
     "roadmap-cvq": "#4f9fd9",
