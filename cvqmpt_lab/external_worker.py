@@ -32,17 +32,19 @@ from cvqmpt_lab.search.space import ConstrainedSpace
 Answer: TypeAlias = tuple[dict[str, Any], dict[str, np.ndarray]]  # words, and arrays by name
 LENGTH = 8  # bytes of a length
 MOST_BYTES = 2**26  # of an answer
-MOST_MEMORY = 2**33  # bytes of this process; half of the machine's where that is less
 
 
-def main(connection: int, parent: int) -> None:
-    """Answer the messages of process `parent`, which come through a socket."""
+def main(connection: int, parent: int, most_memory: int = 2**33) -> None:
+    """Answer the messages of process `parent`, which come through a socket.
+
+    most_memory: bytes of this process; half of the machine's where that is less.
+    """
     # here, because planning without external planners imports this file and does not need it
     import safetensors.numpy
 
     end_with_parent(parent, signal.SIGKILL)
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    limit_memory(min(MOST_MEMORY, machine // 2))
+    limit_memory(min(most_memory, machine // 2))
     worker, stream = Worker(), socket.socket(fileno=connection).makefile("rwb")
     while size := int.from_bytes(stream.read(LENGTH)):
         message = stream.read(size)

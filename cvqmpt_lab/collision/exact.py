@@ -216,7 +216,7 @@ class CollisionChecker:
     def nearest(self, q: np.ndarray) -> Nearest:
         """The smallest distance of all pairs, and the pair."""
         itself = self.nearest_of_itself(q)
-        return min(itself, self._nearest_obstacle(itself.distance), key=lambda it: it.distance)
+        return min(itself, self.nearest_obstacle(q, itself.distance), key=lambda it: it.distance)
 
     def nearest_of_itself(self, q: np.ndarray) -> Nearest:
         """The smallest distance of the robot's own pieces, and the pair."""
@@ -227,19 +227,15 @@ class CollisionChecker:
         k = pin.computeDistances(geometry, results)
         return Nearest(float(results.distanceResults[k].min_distance), self._own_pair(k))
 
-    def nearest_obstacle(self, q: np.ndarray) -> Nearest:
-        """The smallest distance of a piece of the robot to an obstacle, and the pair."""
-        self._pose(q)
-        return self._nearest_obstacle(np.inf)
-
-    def _nearest_obstacle(self, least: float) -> Nearest:
-        """The smallest distance to an obstacle of the posed robot, if it is below `least` [m].
+    def nearest_obstacle(self, q: np.ndarray, least: float = np.inf) -> Nearest:
+        """The smallest distance of the robot to an obstacle, if it is below `least` [m].
 
         Pairs are measured in the order of the gaps between their boxes until a gap exceeds the
         smallest distance so far.
         """
         # coal's broad phases would return the last pair's distance, not the smallest
         nearest = Nearest(least, None)
+        self._pose(q)
         _, objects = self._world(0.0)
         gaps = _box_gaps(self._obstacle_boxes, _boxes(self._moving))
         close = np.flatnonzero(gaps <= max(least, 0.0))

@@ -147,9 +147,6 @@ def reach_free(
     return found
 
 
-LOOK = 16  # seeds compared for an attempt
-
-
 def sample_goals(
     problem: PlanningProblem,
     rng: np.random.Generator,
@@ -158,6 +155,7 @@ def sample_goals(
     within: Sequence[TaskSpaceRegion] = (),
     near: np.ndarray | None = None,
     project: bool = False,
+    look: int = 16,
 ) -> GoalSample:
     """Up to count collision-free configurations in a problem's goal region, one per pose.
 
@@ -172,6 +170,7 @@ def sample_goals(
         within: regions kept at the same time; that of a held handle puts its door at the hand.
         near: configuration (n,) around which Newton's method starts, instead of anywhere.
         project: onto the region itself, not onto poses drawn in it.
+        look: seeds of Newton's method compared for an attempt.
     """
     robot, region = problem.robot, problem.goal_region
     assert region is not None
@@ -180,7 +179,7 @@ def sample_goals(
     else:
         scattered = near + NEAR * rng.standard_normal((512, robot.dof))
         seeds = _seeds(robot, np.clip(scattered, robot.lower, robot.upper))
-    T, look = region.sample_poses(rng, max_poses), LOOK
+    T = region.sample_poses(rng, max_poses)
     regions = stack_regions(robot, (ONE_POSE, *within))
     if project:
         # no pose is the one to start near to

@@ -37,8 +37,6 @@ from cvqmpt_lab.tasks.world import Load, World
 # red, green, blue in [0, 1]; GHOST: poses between start and goal; TRACE: path of the hand
 ROBOT, GHOST, GOAL = (0.90, 0.90, 0.92), (0.25, 0.50, 0.90), (0.16, 0.68, 0.38)
 LOAD, TRACE, CONSTRAINT = (0.86, 0.24, 0.20), (0.96, 0.55, 0.05), (0.60, 0.25, 0.72)
-# of the x, y and z axis of a frame
-AXES: tuple[Colour, ...] = ((0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85))
 # of scene objects, by the beginning of a word in their name; the first match is used
 KIND_COLOURS: Mapping[str, Colour] = {
     "floor": (0.88, 0.87, 0.85),
@@ -234,7 +232,8 @@ def _over(
     for k, mark in enumerate(constraint_marks(problem, states)):
         layer = f"constraint/{k}"
         yield Body("constraint", layer, "mark", mark, CONSTRAINT, opacity=0.3, behind=0.12)
-    for name, colour, mesh in zip("xyz", AXES, axes_marks(problem.robot.reach), strict=True):
+    of_axes = (0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85)  # red, green, blue
+    for name, colour, mesh in zip("xyz", of_axes, axes_marks(problem.robot.reach), strict=True):
         yield Body("axes of the hand", "hand", name, mesh, colour, T_world_hand)
         for T in T_world_hand[[0, -1]]:
             yield Body("axes", "axes", name, mesh, colour, T[None], behind=0.5)
