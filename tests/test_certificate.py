@@ -42,7 +42,7 @@ def test_a_planned_path_is_accepted(problem, solution, states):
 def touching(problem, states, gap):
     """A problem of two states, and a ball a gap [m] away at the first, behind what moves."""
     (a, b), scene = (problem.robot.pose(q)[:3, 3] for q in states[:2]), problem.scene
-    ball = SceneObject("ball", Sphere(1e-3), pose(a + 0.1 * (a - b) / np.linalg.norm(a - b)))
+    ball = SceneObject("ball", Sphere(1e-3), pose(a + 0.2 * (a - b) / np.linalg.norm(a - b)))
     room = replace(problem, scene=scene.with_objects(ball)).collision_checker().nearest(states[0])
     assert room.pair.second == "ball"
     scene = scene.with_objects(replace(ball, shape=Sphere(1e-3 + room.distance - gap)))
@@ -52,7 +52,7 @@ def touching(problem, states, gap):
 def test_a_path_that_begins_too_close_to_an_obstacle_for_a_proof_is_not_proven(problem, states):
     """A gap of 0.5 um is below the rounding of coal's distances; 10 um is proven."""
     # the first joint alone turns: the hand keeps its tilt, and the ball lies behind it
-    states = states[0] + np.outer((0.0, -0.02), np.eye(7)[0])
+    states = states[0] + np.outer((0.0, 0.02), np.eye(7)[0])
     certificate = certify(touching(problem, states, 5e-7), JointPath(states[:2]))
     assert certificate.verdict is Verdict.NOT_PROVEN and not certificate.valid
     (fault,) = certificate.faults
