@@ -54,18 +54,18 @@ def solution_lines(solution: Solution, planner: str, why: str = "") -> list[str]
             verdict, gaps = f"{verdict.upper()}: {'; '.join(certificate.reasons)}", ""
         lines.append(
             f"certificate {verdict} ({certificate.states_checked} states{gaps}, clearance "
-            f"{_rooms(certificate)})"
+            f"{_distances(certificate)})"
         )
     return lines
 
 
-def _rooms(certificate: Certificate) -> str:
+def _distances(certificate: Certificate) -> str:
     """The least distances found, to obstacles and of the robot's own pieces."""
-    rooms = (
+    parts = (
         ("obstacles", certificate.obstacle_clearance),
         ("self", certificate.self_clearance),
     )
-    texts = [f"{what} {1e3 * room.distance_m:.1f} mm" for what, room in rooms if room]
+    texts = [f"{what} {1e3 * part.distance_m:.1f} mm" for what, part in parts if part]
     return ", ".join(texts) or f"{1e3 * certificate.min_clearance_m:.1f} mm"
 
 

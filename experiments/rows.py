@@ -114,8 +114,8 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         max_violation_rad=_defined(certificate.max_violation_rad) if certificate else None,
         max_violation_m=_defined(certificate.max_violation_m) if certificate else None,
         min_clearance_m=_defined(certificate.min_clearance_m) if certificate else None,
-        obstacle_clearance_m=_room(certificate.obstacle_clearance if certificate else None),
-        self_clearance_m=_room(certificate.self_clearance if certificate else None),
+        obstacle_clearance_m=_distance(certificate.obstacle_clearance if certificate else None),
+        self_clearance_m=_distance(certificate.self_clearance if certificate else None),
         path_sha256=states_hash(shorter.path.states) if shorter else None,
         t_improve_s=more.seconds if more else None,
         n_restarts=more.searches if more else None,
@@ -133,7 +133,7 @@ def _sampler_columns(choice: SamplerChoice | None) -> dict[str, Any]:
     return asdict(choice) | {"reach": choice.reach if math.isfinite(choice.reach) else None}
 
 
-def _room(clearance: Clearance | None) -> float | None:
+def _distance(clearance: Clearance | None) -> float | None:
     return _defined(clearance.distance_m) if clearance else None
 
 

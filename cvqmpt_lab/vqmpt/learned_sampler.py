@@ -358,7 +358,7 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         predict = partial(oracle_codes, partial(codes_of, model_of(model), robot))
     else:
         predictor = sequence_predictor(model, robot, choice.predictor == "published")
-        nodes = dictionary_roadmap(model, robot).nodes
+        nodes = dictionary_nodes(model_of(model), robot)
         predict = partial(network_codes, predictor, choice.sequences == "all-beams", nodes)
         clouds: dict[str, Callable[[Scene], np.ndarray]] = {
             "own-cloud": observer(),
