@@ -5,10 +5,11 @@ links against obstacles are coal's broad phases, one a link and one for the worl
 obstacles need no pairs.
 """
 
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import coal
 import numpy as np
@@ -23,6 +24,7 @@ from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
 
+Number = TypeVar("Number", float, np.ndarray)
 ROUNDING = 1e-6  # [m] coal stops when a distance d is known to ROUNDING (1 + d)
 # [m] by which boxes in a broad phase are inflated: it reports obstacles that are that close
 INFLATIONS = (1e-3, 1e-2, 0.05, 0.25)
@@ -90,8 +92,8 @@ class CollisionChecker:
         self._own = pin.TreeBroadPhaseManager_DynamicAABBTreeCollisionManager(
             self._model, self._geometry, self._own_results
         )
-        # links in order from the tip, without the base
-        phases = list(enumerate(self._own.getBroadPhaseManagers()))[:0:-1]
+        # links in order from the base, without it
+        phases = list(enumerate(self._own.getBroadPhaseManagers()))[1:]
         links = [(k, phase.getManager(), phase.getCollisionObjects()) for k, phase in phases]
         self._links = [link for link in links if link[1].size() > 0]
         objects = self._geometry.geometryObjects
@@ -99,65 +101,74 @@ class CollisionChecker:
             item.name for k, *_ in self._links for item in objects if item.parentJoint == k
         ]
         self._moving = [item for *_, items in self._links for item in items]
+        self.links = len(self._links)
         balls = np.array([ball_around([item]) for item in objects]).reshape(-1, 4)
         self._balls = np.array([item.parentJoint for item in objects], dtype=int), balls
         pairs = [(p.first, p.second) for p in self._geometry.collisionPairs]
         self._own_pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
+        self.pairs = len(pairs)
         self._obstacles = list(obstacles_within(scene, reach_with(robot, attachments) + clearance))
         # broad phases by inflation [m], with the objects whose boxes they read: both must live on
         self._worlds: dict[
             float, tuple[coal.DynamicAABBTreeCollisionManager, list[coal.CollisionObject]]
         ] = {}
         self._callback = coal.CollisionCallBackDefault()
-        self._callback.data.request.enable_contact = True
+        self._request, self._result = self._callback.data.request, self._callback.data.result
+        self._request.enable_contact = True
         self._sweep = Sweep(robot, self._geometry, [k for k, *_ in self._links])
 
     def in_collision(self, q: np.ndarray) -> bool:
         """Whether configuration q (n,) touches anything. About 20 us."""
         if pin.computeCollisions(self._model, self._data, self._own, q, True):
             return True
-        return self._meets_obstacle(np.full(len(self._links), self.outer))
+        return self._near_obstacles(self.outer)
 
     def in_collision_batch(self, configurations: np.ndarray) -> np.ndarray:
         """Whether each row of configurations (b, n) touches anything, (b,) bool."""
         return np.array([self.in_collision(q) for q in configurations], dtype=bool)
 
     def clear_of_obstacles(
-        self, q: np.ndarray, hulls: np.ndarray, least: float = 0.0
+        self, q: np.ndarray, hulls: np.ndarray, known: np.ndarray, least: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Whether the robot is proven to touch no obstacle anywhere in hulls, (k,) bool.
+        """How many links are proven to touch no obstacle anywhere in hulls, in order from the base.
 
         A link l is free in a hull H if its distance to obstacles at q exceeds the margin and how
         far its points can move in H: d_l(q) > margin + max_{x on l, q' in H} |x(q') - x(q)|.
-        False may mean "not known".
+        The first link that is not proven may be free, too.
 
         Args:
             q: (k, n), a configuration in each hull.
             hulls: (k, c, n), corners of convex hulls of configurations.
+            known: (k,) int, how many links are known to be free: they are not looked at.
             least: distance that is to be proven [m], if it is more than the checker's margin.
 
         Returns:
-            (k,) bool, and how far any point of the robot can move in each hull (k,) [m].
+            (k,) int, and how far any point of the links that are looked at can move in each hull
+            (k,) [m]. All are free if the number is `links`.
         """
-        moved = self._sweep.in_world(q, hulls)
+        moved = self._sweep.in_world(q, hulls, known)
         needed = _needed(moved, max(self.outer, least))
-        clear = needed.max(axis=1, initial=0.0) <= INFLATIONS[-1]
-        for k in np.flatnonzero(clear):
+        free = known.copy()
+        for k in np.flatnonzero(free < self.links):
             self._pose(q[k])
-            clear[k] = not self._meets_obstacle(needed[k])
-        return clear, moved.max(axis=1, initial=0.0)
+            for link in range(free[k], self.links):
+                gap = needed[k, link]
+                if gap > INFLATIONS[-1] or self._meets_obstacle(link, gap):
+                    break
+                free[k] += 1
+        return free, moved.max(axis=1, initial=0.0)
 
     def clear_of_itself(
-        self, q: np.ndarray, hulls: np.ndarray, least: float = 0.0
+        self, q: np.ndarray, hulls: np.ndarray, known: np.ndarray, least: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
         """As `clear_of_obstacles` for pairs of links and of what is carried."""
-        if len(self._geometry.collisionPairs) == 0:
-            return np.ones(len(q), dtype=bool), np.zeros(len(q))
+        if self.pairs == 0:
+            return known, np.zeros(len(q))
         moved = self._sweep.between(q, hulls)
+        moved[np.arange(self.pairs) < known[:, None]] = 0.0
         needed = _needed(moved, max(self.margin, least))
-        pairs = zip(q, needed, strict=True)
-        clear = np.array([self._apart(*pair) for pair in pairs], dtype=bool)
-        return clear, moved.max(axis=1)
+        free = [self._apart(*it) for it in zip(q, needed, known.tolist(), strict=True)]
+        return np.array(free, dtype=int), moved.max(axis=1)
 
     def _pose(self, q: np.ndarray) -> None:
         """Move all pieces to configuration q (n,)."""
@@ -168,19 +179,26 @@ class CollisionChecker:
         """Bound [m] on the motion of any point of the robot from q (n,) in a hull (c, n)."""
         return float(self._sweep.in_world(q[None], hull[None]).max(initial=0.0))
 
-    def _apart(self, q: np.ndarray, gaps: np.ndarray) -> bool:
-        """Whether the robot's own pairs are further apart at q (n,) than gaps (p,) [m]."""
-        geometry, results = self._geometry, self._own_results
-        pin.updateGeometryPlacements(self._model, self._data, geometry, results, q)
+    def _apart(self, q: np.ndarray, gaps: np.ndarray, known: int) -> int:
+        """How many of the robot's own pairs are further apart at q (n,) than gaps (p,) [m].
+
+        In order up to the first that is not; the first `known` ones are not looked at.
+        """
+        near = self._near_pairs(q, gaps)
+        for k in near[bisect_left(near, known) :]:
+            if pin.computeDistance(self._geometry, self._own_results, k).min_distance <= gaps[k]:
+                return k
+        return self.pairs
+
+    def _near_pairs(self, q: np.ndarray, gaps: np.ndarray | float) -> list[int]:
+        """Own pairs whose balls are no further apart at q (n,), to which pieces move, than gaps."""
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._own_results, q)
         (first, second), (joints, balls) = self._own_pairs, self._balls
         R = np.array([T.rotation for T in self._data.oMi])
         t = np.array([T.translation for T in self._data.oMi])
         centres = np.einsum("kij,kj->ki", R[joints], balls[:, :3]) + t[joints]
         between = np.linalg.norm(centres[first] - centres[second], axis=1)
-        near = np.flatnonzero(between - balls[first, 3] - balls[second, 3] <= gaps)
-        return all(
-            pin.computeDistance(geometry, results, k).min_distance > gaps[k] for k in near.tolist()
-        )
+        return np.flatnonzero(between - balls[first, 3] - balls[second, 3] <= gaps).tolist()
 
     def colliding_pair(self, q: np.ndarray) -> CollidingPair | None:
         """The first overlapping pair by name, or None."""
@@ -189,12 +207,11 @@ class CollisionChecker:
             if result.isCollision():
                 return self._own_pair(k)
         self._own.update()
-        request = self._callback.data.request
-        request.security_margin = self.outer
+        self._request.security_margin = self.outer
         _, objects = self._world(0.0)
         gaps = _box_gaps(self._obstacle_boxes, _boxes(self._moving))
         for j, i in np.argwhere(gaps <= self.outer):
-            if coal.collide(self._moving[i], objects[j], request, coal.CollisionResult()):
+            if coal.collide(self._moving[i], objects[j], self._request, coal.CollisionResult()):
                 return CollidingPair(self._pieces[i], self._obstacles[j].name)
         return None
 
@@ -218,14 +235,14 @@ class CollisionChecker:
         itself = self.nearest_of_itself(q)
         return min(itself, self.nearest_obstacle(q, itself.distance), key=lambda it: it.distance)
 
-    def nearest_of_itself(self, q: np.ndarray) -> Nearest:
-        """The smallest distance of the robot's own pieces, and the pair."""
-        geometry, results = self._geometry, self._own_results
-        self._pose(q)
-        if len(geometry.collisionPairs) == 0:
-            return Nearest(np.inf, None)
-        k = pin.computeDistances(geometry, results)
-        return Nearest(float(results.distanceResults[k].min_distance), self._own_pair(k))
+    def nearest_of_itself(self, q: np.ndarray, least: float = np.inf) -> Nearest:
+        """The smallest distance of the robot's own pieces, if it is below `least` [m]."""
+        nearest = Nearest(least, None)
+        for k in self._near_pairs(q, least):
+            found = pin.computeDistance(self._geometry, self._own_results, k).min_distance
+            if found < nearest.distance:
+                nearest = Nearest(found, self._own_pair(k))
+        return nearest
 
     def nearest_obstacle(self, q: np.ndarray, least: float = np.inf) -> Nearest:
         """The smallest distance of the robot to an obstacle, if it is below `least` [m].
@@ -236,6 +253,9 @@ class CollisionChecker:
         # coal's broad phases would return the last pair's distance, not the smallest
         nearest = Nearest(least, None)
         self._pose(q)
+        margin = _needed(least, 0.0)
+        if margin <= INFLATIONS[-1] and not self._near_obstacles(margin):
+            return nearest
         _, objects = self._world(0.0)
         gaps = _box_gaps(self._obstacle_boxes, _boxes(self._moving))
         close = np.flatnonzero(gaps <= max(least, 0.0))
@@ -269,23 +289,24 @@ class CollisionChecker:
             self._worlds[inflation] = phase, objects
         return self._worlds[inflation]
 
-    def _meets_obstacle(self, margins: np.ndarray) -> bool:
-        """Whether a posed link l is closer to an obstacle than margins[l] [m]."""
-        request, result = self._callback.data.request, self._callback.data.result
-        for (_, manager, _), margin in zip(self._links, margins.tolist(), strict=True):
-            request.security_margin = margin
-            # few inflations serve all margins: a broad phase of 10 000 obstacles is slow to make
-            inflation = self.outer
-            if margin > inflation:
-                inflation = next((size for size in INFLATIONS if size >= margin), margin)
-            world = self._worlds.get(inflation) or self._world(inflation)
-            manager.collide(world[0], self._callback)
-            if result.isCollision():
-                return True
-        return False
+    def _near_obstacles(self, margin: float) -> bool:
+        """Whether the robot, posed before, is closer to an obstacle than that [m]."""
+        # from the tip: the hand is near most often
+        return any(self._meets_obstacle(link, margin) for link in range(self.links - 1, -1, -1))
+
+    def _meets_obstacle(self, link: int, margin: float) -> bool:
+        """Whether a posed link, in order from the base, is closer to an obstacle than that [m]."""
+        self._request.security_margin = margin
+        # few inflations serve all margins: a broad phase of 10 000 obstacles is slow to make
+        inflation = self.outer
+        if margin > inflation:
+            inflation = next((size for size in INFLATIONS if size >= margin), margin)
+        world = self._worlds.get(inflation) or self._world(inflation)
+        self._links[link][1].collide(world[0], self._callback)
+        return self._result.isCollision()
 
 
-def _needed(moved: np.ndarray, margin: float) -> np.ndarray:
+def _needed(moved: Number, margin: float) -> Number:
     """Distances [m] that coal must report where points may have moved that far."""
     # coal never reports less than the true distance
     return (moved + margin + ROUNDING) * (1.0 + 2.0 * ROUNDING)

@@ -37,22 +37,38 @@ class Sweep:
         self._sides = np.concatenate([a, b])
         self._moving_sides = np.concatenate([support[a] & ~support[b], support[b] & ~support[a]])
 
-    def in_world(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
+    def in_world(
+        self, q: np.ndarray, hulls: np.ndarray, skipped: np.ndarray | None = None
+    ) -> np.ndarray:
         """Bounds (k, l) [m] on the motion of any point of each link.
 
         Args:
             q: (k, n), where motions begin.
             hulls: (k, c, n), corners of the hulls that configurations stay in.
+            skipped: (k,) int, how many links at the front are left out of each: their bound is 0.
         """
-        return self._bounds(self._links, self._moving, q, hulls)
+        if skipped is None:
+            skipped = np.zeros(len(q), dtype=int)
+        bounds = np.zeros((len(q), len(self._links)))
+        first = int(skipped.min(initial=len(self._links)))
+        links, moving = self._links[first:], self._moving[first:]
+        bounds[:, first:] = self._bounds(links, moving, q, hulls, skipped - first)
+        bounds[np.arange(len(self._links)) < skipped[:, None]] = 0.0
+        return bounds
 
     def between(self, q: np.ndarray, hulls: np.ndarray) -> np.ndarray:
         """Bounds (k, p) [m] on the relative motion of two points of a pair: the sum of theirs."""
-        bounds = self._bounds(self._sides, self._moving_sides, q, hulls)
+        none = np.zeros(len(q), dtype=int)
+        bounds = self._bounds(self._sides, self._moving_sides, q, hulls, none)
         return bounds.reshape(len(q), 2, -1).sum(1)[:, self._pair.reshape(-1)]
 
     def _bounds(
-        self, links: np.ndarray, moving: np.ndarray, q: np.ndarray, hulls: np.ndarray
+        self,
+        links: np.ndarray,
+        moving: np.ndarray,
+        q: np.ndarray,
+        hulls: np.ndarray,
+        skipped: np.ndarray,
     ) -> np.ndarray:
         """Bounds (k, l) [m] on the motion of any point x of each link, by some joints alone.
 
@@ -70,16 +86,17 @@ class Sweep:
             moving: (l, n) bool, the joints that move each; the others stand still.
             q: (k, n).
             hulls: (k, c, n).
+            skipped: (k,) int, how many links at the front may get any number.
         """
         if len(links) == 0:
             return np.zeros((len(q), 0))
         # Jacobian columns (6, k, n), and centres of the links' balls (3, k, joints) [m]
-        columns, centres = np.empty((6, *q.shape)), np.empty((3, len(q), len(self._balls)))
-        poses, posed = self._data.oMi, set(links.tolist())
+        columns, centres = np.empty((6, *q.shape)), np.zeros((3, len(q), len(self._balls)))
+        poses, posed = self._data.oMi, list(dict.fromkeys(links.tolist()))
         for k, row in enumerate(q):
             jacobian = pin.computeJointJacobians(self._model, self._data, row)
             columns[:, k] = jacobian.reshape(6, -1)  # (6,) of a single joint
-            for link in posed:
+            for link in posed[skipped[k] :]:
                 centres[:, k, link] = poses[link].act(self._balls[link, :3])
         v0, v1, v2, w0, w1, w2 = columns[:, :, None]
         x, y, z = centres[:, :, links, None]

@@ -58,9 +58,11 @@ def prove_free(
     line, itself = _Polyline(states), None
     own = _Least(checker.nearest_of_itself, line) if clearance else None
     room = _Least(checker.nearest_obstacle, line) if clearance else None
-    proof = _walk(line, checker.clear_of_obstacles, checker.in_collision, room, checker.outer)
+    clear, hits = checker.clear_of_obstacles, checker.in_collision
+    proof = _walk(line, checker.links, clear, hits, room, checker.outer)
     if proof.colliding is None:
-        itself = _walk(line, checker.clear_of_itself, checker.in_collision, own, checker.margin)
+        clear = checker.clear_of_itself
+        itself = _walk(line, checker.pairs, clear, hits, own, checker.margin)
         both = proof.unproven, itself.unproven
         longest = max(both, key=lambda it: it.length if it else -1.0)
         unproven = None if itself.colliding is not None else longest
@@ -78,7 +80,7 @@ class _Least:
     """The least distance found so far, and a distance that every state is proven to keep.
 
     Args:
-        nearest: distance and pair at a configuration.
+        nearest: distance and pair at a configuration, if it is below a distance.
         line: the motion, whose ends are measured first: most motions come closest there.
         share: of the least distance that is not proven, in order to be fast.
         finest: the same at least [m].
@@ -87,7 +89,7 @@ class _Least:
 
     def __init__(
         self,
-        nearest: Callable[[np.ndarray], Nearest],
+        nearest: Callable[[np.ndarray, float], Nearest],
         line: "_Polyline",
         share: float = 0.2,
         finest: float = 1e-3,
@@ -99,8 +101,8 @@ class _Least:
             self.measure(q)
 
     def measure(self, q: np.ndarray) -> float:
-        """The distance at q (n,) [m] less its rounding; the distance is kept if it is the least."""
-        found = self._nearest(q)
+        """At most the distance at q (n,) [m], or the least found so far, which may change."""
+        found = self._nearest(q, self.found.distance)
         if found.distance < self.found.distance:
             self.found, self._q = found, q
         return (1.0 - 2.0 * ROUNDING) * found.distance - 2.0 * ROUNDING
@@ -120,7 +122,8 @@ class _Least:
 
 def _walk(
     line: "_Polyline",
-    clear: Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]],
+    parts: int,
+    clear: Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]],
     hits: Callable[[np.ndarray], bool],
     least: _Least | None,
     margin: float,
@@ -136,8 +139,9 @@ def _walk(
 
     Args:
         line: the motion.
-        clear: (middles, hulls, distance) -> which stretches are proven to keep it, how far
-            points move in each.
+        parts: of the robot, links or pairs, that a stretch is proven for, one after the other.
+        clear: (middles, hulls, known parts, distance) -> how many parts are proven to keep it in
+            each stretch, how far points of the others move.
         hits: whether a configuration collides.
         least: where the least distance is kept; None: it is not asked for.
         margin: that the checker keeps [m].
@@ -155,23 +159,25 @@ def _walk(
     """
     half_length = 0.5 * line.length
     count = max(1, int(np.ceil(half_length / longest)))
-    # begin and half the length of each stretch
-    ahead = deque((2.0 * k * half_length / count, half_length / count) for k in range(count))
+    # begin and half the length of each stretch, and how many parts are proven for it
+    half = half_length / count
+    ahead = deque((2.0 * k * half, half, 0) for k in range(count))
     looks = fine = 0
     unproven: Unproven | None = None
     while ahead:
         batch = [ahead.popleft() for _ in range(min(most_at_once, len(ahead)))]
-        middles, hulls = line.stretches(np.array(batch))
+        begins, halves, known = np.array(batch).T
+        middles, hulls = line.stretches(begins, halves)
         aim = least.aim(looks // max(effort, 10 * count)) if least else 0.0
-        proven, moved = clear(middles, hulls, aim)
+        proven, moved = clear(middles, hulls, known.astype(int), aim)
         if least:
             least.lower = min(least.lower, aim)
-        left: list[tuple[float, float]] = []
-        judged = zip(batch, middles, hulls, proven, moved.tolist(), strict=True)
-        for (begin, half), middle, hull, free, apart in judged:
+        left: list[tuple[float, float, int]] = []
+        judged = zip(batch, middles, hulls, proven.tolist(), moved.tolist(), strict=True)
+        for (begin, half, _), middle, hull, free, apart in judged:
             looks += 1
             fine += half < coarse
-            if free:
+            if free == parts:
                 continue
             if half <= doubtful and hits(middle):
                 return MotionProof(middle, None, looks)
@@ -182,7 +188,7 @@ def _walk(
                     least.lower = min(least.lower, kept)
                     continue
             if half > (coarse if unproven or fine > most_fine else finest):
-                left += (begin, 0.5 * half), (begin + half, 0.5 * half)
+                left += (begin, 0.5 * half, free), (begin + half, 0.5 * half, free)
                 continue
             if least:
                 least.lower = min(least.lower, least.measure(middle) - apart)
@@ -203,15 +209,15 @@ class _Polyline:
         self.length = float(self._along[-1])
         self.ends = self._states[[0, -1]]
 
-    def stretches(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Middles (k, n) of stretches (k, 2), begin and half length, and their hulls.
+    def stretches(self, begins: np.ndarray, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Middles (k, n) of stretches, by their begins and half lengths (k,), and their hulls.
 
         Hulls (k, c, n) are the ends with all states between them; shorter ones repeat their end.
         """
         states, along = self._states, self._along
         if len(states) == 1:
             return states, states[None]
-        marks = stretches[:, :1] + stretches[:, 1:] * (0.0, 1.0, 2.0)
+        marks = begins[:, None] + halves[:, None] * (0.0, 1.0, 2.0)
         rows = np.clip(np.searchsorted(along, marks, side="right") - 1, 0, len(along) - 2)
         share = (marks - along[rows]) / (along[rows + 1] - along[rows])
         along = states[rows] + share[..., None] * (states[rows + 1] - states[rows])

@@ -128,8 +128,7 @@ def _require_in_hand(
     """
     if phase.attachment is None:
         scene = Scene(item.name, (replace(item, obstacle=True),))
-        checker = CollisionChecker(robot, scene, margin=gap)
-        if checker.clear_of_obstacles(q[None], q[None, None])[0].all():
+        if CollisionChecker(robot, scene).nearest_obstacle(q, gap).pair is None:
             raise InvalidInputError(
                 f"phase {phase.name!r}: {item.name!r} is more than {gap} m from the arm; let "
                 "the phase before end at the object, or say by an 'attachment' where a hand "

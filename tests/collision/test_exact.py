@@ -134,7 +134,8 @@ def test_only_pairs_whose_balls_are_close_are_measured_and_none_is_missed(name):
         pin.computeDistances(robot.model, data, geometry, results, q)
         room = [result.min_distance for result in results.distanceResults]
         expected.append((room > gaps + 2e-6).all())
-    assert checker.clear_of_itself(states, hulls)[0].tolist() == expected
+    free, _ = checker.clear_of_itself(states, hulls, np.zeros(400, dtype=int))
+    assert (free == checker.pairs).tolist() == expected
     assert 20 < sum(expected) < 380
 
 
