@@ -18,7 +18,8 @@ from cvqmpt_lab.certificate import (
     FaultKind,
     Verdict,
 )
-from cvqmpt_lab.collision.exact import ROUNDING, carried_pairs, obstacles_within, reach_with, solids
+from cvqmpt_lab.collision.exact import ROUNDING
+from cvqmpt_lab.collision.solids import carried_pairs, obstacles_within, reach_with, solids
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import finite, read_json_object
 from cvqmpt_lab.motion_check import DryRun

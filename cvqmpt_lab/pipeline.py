@@ -2,10 +2,10 @@
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,15 @@ from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.search.anytime import Improvement, check_units, improve, restarted
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
-from cvqmpt_lab.search.planner_interface import Observation, Query, SamplingDistribution, search
+from cvqmpt_lab.search.planner_interface import (
+    Observation,
+    Proposal,
+    Query,
+    SamplingDistribution,
+    Search,
+    Stages,
+    search,
+)
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.search.shortcut import Simplified, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -86,7 +94,7 @@ def solve(
     use_cache: bool = True,
     near_goals_first: bool = False,
 ) -> Solution:
-    """Draw goals, observe, predict, update, search, shorten, certify.
+    """Draw goals, observe, predict, update, search, shorten, certify; search on if it is refused.
 
     All randomness comes from seed and start. Calls from several threads run one after the other:
     OMPL's random numbers, caches and the number of BLAS threads belong to the process. Several
@@ -135,40 +143,31 @@ def solve(
     query = Query.of(space, budget, rng, seed)
     tree_search = stages.search or BiRRT()
     near = NEAR_GOALS if near_goals_first and problem.robot.turning.any() else 0
-    plan: PlanResult | None = None
-    for part in query.one_by_one() if stages.goals_apart else (query,):
-        # what was computed from the cloud for the first goal serves the others
-        proposal = stages.predict(part, Observation(cloud, use_cache or plan is not None))
-        if stages.update is not None:
-            proposal = stages.update(part, proposal)
-        proposed = 1e3 * query.deadline.seconds
-        _log.info("%s proposed after %.1f ms", proposal.distribution.name, proposed)
-        plan = search(tree_search, part, proposal, near).after(plan)
-        _log.info("search ended after %.1f ms: %s", 1e3 * plan.seconds, plan.status)
-        if plan.path is not None or query.deadline.spent() is not None:
+    attempts: list[_Attempt] = []
+    observed = Observation(cloud, use_cache)
+    for attempt in _attempts(query, stages, observed, tree_search, near, clearance):
+        attempts.append(attempt)
+        if query.deadline.spent() is not None or attempt.certified:
             break
-    assert plan is not None
+    plan, proposal = attempts[-1].plan, attempts[-1].proposal
+    # a later search may have ended without a path
+    best = next((attempt for attempt in reversed(attempts) if attempt.path), attempts[-1])
+    shorter, certificate, improvement = best.path, best.certificate, None
+    plan = replace(plan, status=best.plan.status, path=best.plan.path)
 
     if space.doubtful:
         exact = f"exact checks near {', '.join(space.doubtful)}"
         plan = replace(plan, detail="; ".join(filter(None, (plan.detail, exact))))
     sampled = isinstance(tree_search, BiRRT) and proposal.path is None and not proposal.as_is
-    shorter = certificate = improvement = None
-    if plan.path is not None:
-        # the path of an external planner is not post-processed
-        shorter = Simplified(plan.path, 0.0, Counters())
-        if not plan.as_is:
-            shorter = simplify(space, plan.path, rng)
     wall = time.perf_counter() - called - goal_seconds - observe_seconds
-    if shorter is not None:
-        certificate = certify(problem, shorter.path, clearance=clearance)
+    wall -= sum(attempt.certifying for attempt in attempts)
     if shorter is not None and optimize is not None and not plan.as_is:
         rng = problem.random_stream(seed, 1)
         paths = stages.path_source or partial(restarted, tree_search, proposal.distribution)
-        best, improvement = improve(space, paths, shorter.path, optimize, rng)
-        better = certify(problem, best, clearance=clearance)
+        shortest, improvement = improve(space, paths, shorter.path, optimize, rng)
+        better = certify(problem, shortest, clearance=clearance)
         if better.valid:
-            shorter, certificate = replace(shorter, path=best), better
+            shorter, certificate = replace(shorter, path=shortest), better
         else:
             improvement = replace(improvement, lengths=improvement.lengths[:1])
     return Solution(
@@ -183,6 +182,60 @@ def solve(
         proposal.distribution if sampled else None,
         left_out,
     )
+
+
+class _Attempt(NamedTuple):
+    """One search, and what became of its path."""
+
+    plan: PlanResult  # its counts are of the whole run
+    proposal: Proposal
+    path: Simplified | None = None
+    certificate: Certificate | None = None
+    certifying: float = 0.0  # [s]
+
+    @property
+    def certified(self) -> bool:
+        return self.certificate is not None and self.certificate.valid
+
+
+def _attempts(
+    query: Query,
+    stages: Stages,
+    observed: Observation,
+    tree_search: Search,
+    near: int,
+    clearance: bool,
+) -> Iterator[_Attempt]:
+    """Search goal after goal if they are apart, and again where a path is refused."""
+    space, plan = query.space, None
+    for part in query.one_by_one() if stages.goals_apart else (query,):
+        # what was computed from the cloud for the first goal serves the others
+        use_cache = observed.use_cache or plan is not None
+        proposal = stages.predict(part, replace(observed, use_cache=use_cache))
+        if stages.update is not None:
+            proposal = stages.update(part, proposal)
+        proposed = 1e3 * query.deadline.seconds
+        _log.info("%s proposed after %.1f ms", proposal.distribution.name, proposed)
+        searching = True
+        while searching:
+            plan = search(tree_search, part, proposal, near).after(plan)
+            _log.info("search ended after %.1f ms: %s", 1e3 * plan.seconds, plan.status)
+            if plan.path is None:
+                yield _Attempt(plan, proposal)
+                break
+            # the path of an external planner is not post-processed
+            shorter = Simplified(plan.path, 0.0, Counters())
+            if not plan.as_is:
+                shorter = simplify(space, plan.path, query.rng)
+            began = time.perf_counter()
+            certificate = certify(space.problem, shorter.path, clearance=clearance)
+            certifying = time.perf_counter() - began
+            yield _Attempt(plan, proposal, shorter, certificate, certifying)
+            _log.info("refused by the certificate: %s", "; ".join(certificate.reasons))
+            # a search may find another path; one that was proposed would be the same again
+            searching = not plan.as_is and proposal.path is None
+            # a search that needs no iteration must not go on for ever
+            query.deadline.count()
 
 
 def solve_many(

@@ -32,7 +32,8 @@ from typing import Annotated, Any, ClassVar, Self
 import numpy as np
 
 from cvqmpt_lab.codec import Document, OneOrMore
-from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.solids import reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, find_in_region, why_none
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements

@@ -11,12 +11,14 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import NEAR_GOALS, solve, solve_many, with_sampled_goals
+from cvqmpt_lab.planners import Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import ConvexMesh, Cylinder, PointCloud, Sphere
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.tasks.solve import solve_task
 
@@ -49,6 +51,29 @@ def test_iterations_left_make_the_path_shorter_and_repeat(problem, planner):
     assert made.gained == pytest.approx(1.0 - lengths[-1] / lengths[0]) and made.iterations >= 60
     assert better.plan.counters == plain.plan.counters
     assert better.solved and certify(problem, better.simplified.path).valid
+
+
+class Careless:
+    """A search whose first path is the straight line to a goal, whatever is in between."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def search(self, space, start, goals, *others):
+        """Return the straight line at first, then what `BiRRT` finds."""
+        self.calls += 1
+        found = BiRRT().search(space, start, goals, *others)
+        line = JointPath(np.linspace(start, goals[0], 200))
+        return replace(found, status=PlanStatus.SOLVED, path=line) if self.calls == 1 else found
+
+
+@pytest.mark.parametrize("iterations, solved", [(20_000, True), (1, False)])
+def test_the_search_goes_on_after_a_path_that_is_refused(problem, iterations, solved):
+    careless = Careless()
+    method = Method.simple("careless", search=careless)
+    found = solve(problem, method, Budget(iterations=iterations), seed=0, clearance=False)
+    assert found.solved == solved == (careless.calls == 2)
+    assert found.plan.status == "solved" and found.certificate.valid == solved
 
 
 def test_seconds_left_are_used_and_hardly_more(problem):

@@ -11,7 +11,6 @@ import numpy as np
 
 from cvqmpt_lab.caches import cached_arrays
 from cvqmpt_lab.collision.covers import ANY_RADIUS, Cloud
-from cvqmpt_lab.collision.exact import carried_pairs, reach_with
 from cvqmpt_lab.collision.geometry import (
     CELL,
     RobotGeometry,
@@ -22,6 +21,7 @@ from cvqmpt_lab.collision.geometry import (
     scene_geometry,
 )
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
+from cvqmpt_lab.collision.solids import carried_pairs, reach_with
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.jit import SOURCES
 from cvqmpt_lab.robot.robot import Robot

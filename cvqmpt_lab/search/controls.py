@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.collision.arrays import scene_arrays
-from cvqmpt_lab.collision.exact import reach_with
+from cvqmpt_lab.collision.solids import reach_with
 from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.edge_costs import EdgeCosts

@@ -22,8 +22,6 @@ STOPPED, ADVANCED, REACHED = range(3)
 # OMPL's lambda: how much longer a projected step may be than planned, a motion than straight
 DEVIATION = 2.0
 GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
-# [m, rad] |F| on a straight motion between two states; above half the inset of bounds
-CHORD = 6e-4
 MOST_HALVINGS = 8
 NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
 KINK = 1.25e-3  # [rad] between states checked near that angle, where F may rise to a point anywhere
@@ -39,6 +37,7 @@ class Space(NamedTuple):
     robot: RobotGeometry  # convex pieces
     scene: SceneGeometry  # obstacles
     tolerance: float  # of |F| after projection [m, rad]
+    chord: float  # |F| allowed on straight motions between two states [m, rad]
     max_iterations: int  # newton steps per projection
     step: float  # longest motion between neighbouring states [rad]
     resolution: float  # spacing of the exact backend's final check of a motion [rad]
@@ -234,7 +233,7 @@ def _near_half_turn(space):
 
 @kernel
 def chord_on_manifold(space, a, b):
-    """Whether |F| stays below CHORD on the straight motion between two states on the manifold.
+    """Whether |F| stays below space.chord on the straight motion between states on the manifold.
 
     The middle is worst, except near the kink of the rotation vector at angle pi: there the motion
     is checked every KINK.
@@ -252,7 +251,7 @@ def chord_on_manifold(space, a, b):
             scratch.residual,
             scratch.displacement,
         )
-        if violation > CHORD * CHORD:
+        if violation > space.chord * space.chord:
             return False
         k += 1
         if pieces == 2 and _near_half_turn(space):

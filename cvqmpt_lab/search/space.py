@@ -6,9 +6,10 @@ from typing import Annotated
 import numpy as np
 
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
-from cvqmpt_lab.collision.exact import CollisionChecker, reach_with
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.solids import reach_with
 from cvqmpt_lab.constraints.project import projection_scratch
-from cvqmpt_lab.constraints.regions import jacobian, residual
+from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.jit import check_arrays, entry
@@ -56,6 +57,18 @@ def constraint_one(
         out_residual,
         out_jacobian,
     )
+
+
+def _chord(regions: Regions, inset: float, most: float = 6e-4, certified: float = 4e-4) -> float:
+    """|F| [m, rad] of tightened bounds that straight motions between two states may reach.
+
+    Where a bound was moved by the whole `inset`, the motion is still inside the true one at `most`.
+    A narrow one was moved less: there |F| may exceed what it was moved by `certified`, which is
+    below the tolerance of the certificate.
+    """
+    # a tenth of the width was taken from both sides
+    taken = min(inset, float((regions.upper - regions.lower).min(initial=np.inf)) / 8.0)
+    return min(most, certified + taken)
 
 
 class StateCheck:
@@ -119,6 +132,7 @@ class ConstrainedSpace:
             robot=robot_arrays(robot, problem.attachments),
             scene=scene_arrays(problem.scene, reach, problem.clearance),
             tolerance=TOLERANCE,
+            chord=_chord(regions, inset),
             max_iterations=MAX_ITERATIONS,
             step=step,
             resolution=0.01,

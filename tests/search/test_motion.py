@@ -5,7 +5,10 @@ import pytest
 from compiled_kernels import from_python
 from properties.test_differential import near_contact
 
+from cvqmpt_lab.certificate import SPACING, TOLERANCE
 from cvqmpt_lab.collision.arrays import robot_swing
+from cvqmpt_lab.constraints.between_states import largest_violation
+from cvqmpt_lab.constraints.task_space_region import FREE, symmetric_region
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -197,3 +200,24 @@ def test_nodes_moved_away_later_are_never_found():
     for target in queries(rng, nodes[:50], 50):
         found = nearest_node(index, 0, nodes, len(nodes), np.clip(target, -5.0, 5.0))
         assert found == int(((nodes - np.clip(target, -5.0, 5.0)) ** 2).sum(axis=1).argmin())
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1e-4, 0.01])
+def test_refined_motions_keep_narrow_bounds_as_the_certificate_asks(panda, tolerance):
+    # of a point 0.6 m in front of the hand, so that short motions leave the plane
+    bounds = [FREE, FREE, tolerance, FREE, FREE, FREE]
+    flat = symmetric_region(pose((0.0, 0.0, 0.5)), pose((0.0, 0.0, -0.6)), bounds)
+    problem = PlanningProblem("flat", panda, Scene("empty", ()), HOME, HOME[None], (flat,))
+    space, rng = ConstrainedSpace(problem), np.random.default_rng(0)
+    found = 0
+    for begin in panda.random_configurations(rng, 2000):
+        direction = rng.normal(size=panda.dof)
+        space.project(begin)
+        end = begin + 1.4 * space.arrays.step * direction / np.linalg.norm(direction)
+        space.project(end)
+        path, _ = space.checked_path(np.array([begin, end]))
+        if path is not None:
+            found += 1
+            worst = largest_violation(panda, (flat,), path.states, SPACING, TOLERANCE)
+            assert worst.largest <= TOLERANCE
+    assert found > 1500

@@ -1,0 +1,83 @@
+"""Pieces of collision geometry: obstacles within a robot's reach, and what its hand carries."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.cells import blocks_of
+from cvqmpt_lab.scene.coal_shapes import coal_shape
+from cvqmpt_lab.scene.scene import Attachment, Scene
+from cvqmpt_lab.scene.shapes import Measured, PointCloud, Shape, bounding_radius
+
+
+class Solid(NamedTuple):
+    """One piece of collision geometry."""
+
+    name: str
+    shape: coal.CollisionGeometry
+    T_parent_shape: np.ndarray  # (4, 4), pose in the world or in the hand [m]
+
+
+def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
+    """(link piece, attachment) index pairs, without pieces fixed to the hand."""
+    frame = robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)
+    hand = robot.model.frames[frame].parentJoint
+    joints = [item.parentJoint for item in robot.collision_model.geometryObjects]
+    return [
+        (i, k) for k in range(len(attachments)) for i, joint in enumerate(joints) if joint != hand
+    ]
+
+
+def reach_with(robot: Robot, attachments: Sequence[Attachment], longest: float = 20.0) -> float:
+    """Radius [m] of a ball around the base that neither the robot nor what it carries can leave.
+
+    InvalidInputError names what reaches further than `longest` [m]: its distance grid would take
+    all memory. The usual cause is a wrong unit.
+    """
+    reaches = {f"robot {robot.name}": robot.reach}
+    carried = 0.0
+    for item in attachments:
+        far = float(np.linalg.norm(item.T_hand_object[:3, 3])) + bounding_radius(item.shape)
+        reaches[f"attachment {item.name!r}"] = far
+        carried = max(carried, far)
+    for name, length in reaches.items():
+        if not length <= longest:
+            raise InvalidInputError(
+                f"{name} reaches {length:.3g} m, more than {longest:g}: give positions, sizes and "
+                "slider limits in metres"
+            )
+    return robot.reach + carried
+
+
+def obstacles_within(scene: Scene, reach: float) -> Iterator[Solid]:
+    """The obstacles of a scene that something within reach [m] of the world's origin can touch."""
+    for item in scene.obstacles:
+        position = float(np.linalg.norm(item.T_world_object[:3, 3]))
+        if isinstance(item.shape, Measured) or position - bounding_radius(item.shape) <= reach:
+            yield from solids(item.name, item.shape, item.T_world_object, reach)
+
+
+def solids(name: str, shape: Shape, T: np.ndarray, reach: float = np.inf) -> Iterator[Solid]:
+    """The shape at pose T; a small cloud as balls; a large one, or a map, as boxes in reach.
+
+    Boxes are three times as fast to check as coal's octrees, which descend from 2^16 cells.
+    """
+    if not isinstance(shape, Measured):
+        yield Solid(name, coal_shape(shape), T)
+        return
+    low, high, padding = blocks_of(shape, T, reach)
+    poses = np.tile(T, (len(low), 1, 1))
+    poses[:, :3, 3] += 0.5 * (low + high) @ T[:3, :3].T
+    ball, edges = coal.Sphere(padding), high - low
+    numbered = isinstance(shape, PointCloud) and len(low) == len(shape.points)
+    for k, (is_box, T_block) in enumerate(zip(edges.any(axis=1).tolist(), poses, strict=True)):
+        core = ball
+        if is_box:
+            core = coal.Box(edges[k])
+            core.setSweptSphereRadius(padding)
+        yield Solid(f"{name}/{k}" if numbered else name, core, T_block)
