@@ -53,8 +53,8 @@ COMMENTS = {
         "planners.",
     ],
     "constraint": [
-        "A region by name, upright, fixed-orientation, plane, line or pose, or in full: T0_w, the "
-        "frame w in the world,",
+        "A region by name, upright, upright-box, fixed-orientation, plane, line or pose, or in "
+        "full: T0_w, the frame w in the world,",
         f"Tw_e, the end effector in w, and Bw, {ROWS_TEXT}. Several in a list are kept all.",
     ],
 }
