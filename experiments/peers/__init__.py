@@ -49,7 +49,7 @@ def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
         or region.bounded_rows.tolist() != [4, 5]
     ):
         raise InvalidInputError(
-            f"{problem.name}: this adapter keeps one upright constraint, rotation y and z bounded"
+            f"{problem.name}: this adapter keeps one upright constraint, a tilt or rotation y, z"
         )
     if not np.array_equal(np.abs(region.Bw[4:]), np.full((2, 2), region.Bw[4, 1])):
         raise InvalidInputError(

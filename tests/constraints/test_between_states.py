@@ -4,12 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties.random_arms import ARMS, arm
+from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.constraints.between_states import evenly_spaced, largest_violation
+from cvqmpt_lab.constraints.between_states import _between, evenly_spaced, largest_violation
 from cvqmpt_lab.constraints.report import bound_usage, displacements
 from cvqmpt_lab.constraints.task_space_region import (
     RegionConstraint,
     TaskSpaceRegion,
+    TaskSpaceRegionChain,
     symmetric_region,
     upright,
     upright_box,
@@ -43,6 +48,34 @@ def test_the_bound_holds_and_is_close(panda, slider_arm, kind, tolerance):
         assert max(found.radians, found.metres) <= max(truth, 0.0) + 2e-3
         if truth <= 0.5 * tolerance:
             assert found.largest <= tolerance
+
+
+@given(
+    robot=st.integers(0, ARMS - 1).map(arm),
+    tilt=st.floats(0.0, np.pi),
+    step=st.sampled_from([0.03, 0.3, 1.0]),
+    about=st.sampled_from([None, "link1"]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_the_bound_on_the_tilt_between_states_holds(robot, tilt, step, about, seed):
+    """Long steps too, from any tilt, past 0 and pi, and seen from a link that moves."""
+    rng = np.random.default_rng(seed)
+    q = robot.random_configurations(rng, 1)[0]
+    states = np.array([q, q + step * rng.standard_normal(robot.dof)])
+    # a frame w in which the hand leans by the tilt at the first state
+    lean = Rotation.from_rotvec(tilt * np.array([np.cos(seed), np.sin(seed), 0.0]))
+    T0_w, bounds = robot.pose(q), np.tile((-np.inf, np.inf), (6, 1))
+    T0_w[:3, :3] = T0_w[:3, :3] @ lean.as_matrix()
+    region = TaskSpaceRegion(T0_w, np.eye(4), bounds, tilt=1e-3)
+    if about is not None:
+        T_link_w = np.linalg.inv(robot.pose(q, about)) @ T0_w
+        region = TaskSpaceRegionChain(T_link_w, np.eye(4), bounds, about, tilt=1e-3)
+    x = displacements(robot, region, states)
+    assert x[0, 6] == pytest.approx(tilt, abs=1e-7)
+    more, _ = _between(robot, region, states, x)
+    shares = np.linspace(0.0, 1.0, 2000)[:, None]
+    truth = displacements(robot, region, states[0] + shares * (states[1] - states[0]))[:, 6].max()
+    assert truth <= x[:, 6].max() + more[0] + 1e-9
 
 
 def test_a_kink_between_two_good_states_is_found(panda):
