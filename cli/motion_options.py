@@ -32,8 +32,8 @@ MOTION: Options = {
             metavar="X,Y,Z,R,P,Y",
         ),
         "--constraint": option(
-            f"{', '.join(NAMED)} (the first two keep how the end effector is "
-            "oriented at the start), or a region as json; repeatable",
+            f"{', '.join(NAMED)} (the first three keep how the end effector "
+            "is oriented at the start), or a region as json; repeatable",
             metavar="NAME[=VALUE]|JSON",
             **REPEATED,
         ),
@@ -97,7 +97,7 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
     if name not in NAMED:
         raise UnknownChoiceError("--constraint", name, NAMED)
     fields: dict[str, Any] = {}
-    if name == "upright":
+    if name in ("upright", "upright-box"):
         fields["axis"] = upper_axis(robot.pose(start))
     if name == "fixed-orientation":
         from scipy.spatial.transform import Rotation  # takes 0.3 s to import

@@ -42,6 +42,7 @@ _HOME = {
     "time_path": "trajectory.timing",
     "TimingSettings": "trajectory.timing",
     "upright": "constraints.task_space_region",
+    "upright_box": "constraints.task_space_region",
 }
 """Each public name and the module it lives in;
 a module is imported when a name of it is first used.

@@ -114,6 +114,15 @@ class PoseForm:
 Pose = Annotated[FloatArray, PoseForm()]
 
 
+def tilts(matrices: np.ndarray) -> np.ndarray:
+    """Angles (k,) [rad] between z = (0, 0, 1) and R z of rotations (k, 3, 3), exact near 0 and pi.
+
+    Of unit vectors a, b it is 2 atan2(|a - b|, |a + b|).
+    """
+    z, turned = np.array([0.0, 0.0, 1.0]), np.asarray(matrices)[:, :, 2]
+    return 2.0 * np.arctan2(np.linalg.norm(z - turned, axis=1), np.linalg.norm(z + turned, axis=1))
+
+
 def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     """Return the rotation vectors (k, 3) [rad] of rotations (k, 3, 3), of angles up to pi.
 

@@ -10,7 +10,8 @@ Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors:
      "scene": {"name", "objects": [{"name", "shape", "T_world_object"}, ...]}  or  "scene.json",
      "attachments": [{"name", "shape", "T_hand_object"}],
      "constraint": {"upright": 0.1}, or a list of such and of full regions
-                   {"T0_w": pose, "Tw_e": pose, "Bw": 6 rows [lower, upper], null = free},
+                   {"T0_w": pose, "Tw_e": pose, "Bw": 6 rows [lower, upper], null = free,
+                    "tilt": 0.1 (not needed)},
                    with "base" a frame of the robot, T0_w is the pose of w in that frame,
      "start": configuration  or  "start_region": region,
      "goals": [configuration, ...]  and / or  "goal_region": region,
@@ -309,7 +310,7 @@ def _faults(problem: PlanningProblem) -> Iterator[tuple[int, str, str]]:
             yield k, *_off_manifold(problem, label, q)
     if problem.goal_region is None:
         return
-    lower, upper = problem.goal_region.Bw.T
+    lower, upper = problem.goal_region.bounds.T
     x = displacements(problem.robot, problem.goal_region, problem.goals)
     outside = np.maximum(lower - x, x - upper).max(axis=1)
     for k in np.flatnonzero(outside > 1e-3).tolist():

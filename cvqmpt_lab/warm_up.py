@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright_box
 from cvqmpt_lab.jit import compile_all, compiled_before
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import Method, planner_named
@@ -48,7 +48,7 @@ def compile_kernels(announce: Callable[[str], None]) -> float:
         Scene("empty", ()),
         start,
         np.empty((0, robot.dof)),
-        (upright(),),
+        (upright_box(),),
         goal_region=pose,
     )
     warm_up(problem, planner_named("birrt"), "compiled")  # goals, trees and shortcuts

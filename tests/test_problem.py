@@ -12,7 +12,7 @@ import pytest
 from cvqmpt_lab.benchmarks.door_task import door_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
@@ -134,13 +134,23 @@ def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
         (r"start is in collision: panda_.* and brick", {"scene": with_brick(problem, at_start)}),
         (r"goal \d+ is in collision: .*brick", {"scene": with_brick(problem, at_goal)}),
         (
-            rf"start breaks `upright` by {amount:.3g} rad: rotation about . .* \(it tilts by "
+            rf"start breaks `upright-box` by {amount:.3g} rad: rotation about . .* \(it tilts by "
             rf"\d+°\)",
             {"start": tilted},
         ),
     ):
         with pytest.raises(InvalidProblemError, match=pattern):
             check_problem(replace(problem, **changes))
+
+
+def test_a_start_outside_its_cone_is_refused_with_the_tilt_in_degrees(problem):
+    """Of a tilt of 0, which is kept as two turns of 0, the same is said."""
+    lean = np.degrees(np.arccos(problem.robot.pose(problem.start)[2, 2]))
+    for tilt, what in ((0.1, "tilt .* of 0.1 rad"), (0.0, "rotation about . .*")):
+        told = rf"start breaks `upright` by .* rad: {what} \(it tilts by {lean:.0f}°\)"
+        with pytest.raises(InvalidProblemError, match=told):
+            # the hand's own x axis points up at the start, its z axis does not
+            check_problem(replace(problem, constraint=(upright(tilt, "z"),)))
 
 
 def test_the_reasons_why_there_is_no_goal_are_named(problem):
@@ -161,7 +171,7 @@ def test_the_reasons_why_there_is_no_goal_are_named(problem):
     )
     quarter = pose((0, 0, 0))[:, [2, 1, 0, 3]] * [1, 1, -1, 1]  # a turn about y
     tilted = at_goal @ quarter
-    assert re.search(r"every pose breaks `upright` by .*it tilts by \d\d°\)", why(tilted))
+    assert re.search(r"every pose breaks `upright-box` by .*it tilts by \d\d°\)", why(tilted))
     goals = problem.goals[:3].copy()
     goals[:, 6] += np.where(goals[:, 6] < 0, 0.4, -0.4)
     wide = TaskSpaceRegion(
@@ -184,12 +194,12 @@ def test_goals_that_cannot_be_used_are_left_out_while_one_is_left(problem):
     found, left_out = with_usable_goals(hindered)
     reasons = {int(text.split()[1]): text for text in left_out}
     assert met[2] and sorted(reasons) == sorted([*np.flatnonzero(met), k])
-    assert "brick" in reasons[2] and "breaks `upright`" in reasons[k]
+    assert "brick" in reasons[2] and "breaks `upright-box`" in reasons[k]
     np.testing.assert_array_equal(found.goals, np.delete(goals, [*reasons], axis=0))
     check_problem(found)
     assert with_usable_goals(problem) == (problem, ())
     alone = replace(hindered, goals=goals[[2, k]])
-    told = r"none of 2 goals can be used: goal 1 breaks `upright`.*; `cvqmpt ik` finds"
+    told = r"none of 2 goals can be used: goal 1 breaks `upright-box`.*; `cvqmpt ik` finds"
     with pytest.raises(InvalidProblemError, match=told):
         with_usable_goals(alone)
     at_start = with_brick(problem, problem.robot.pose(problem.start))

@@ -16,7 +16,7 @@ from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import line, plane
-from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright_box
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
@@ -75,13 +75,13 @@ def _direction(rng: np.random.Generator) -> tuple[float, float, float]:
 
 
 KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]] = {
-    "upright": lambda T, rng: HandConstraint(upright()),
+    "upright": lambda T, rng: HandConstraint(upright_box()),
     "fixed-orientation": lambda T, rng: HandConstraint(_turned_like(T, TURN)),
     "plane": lambda T, rng: HandConstraint(plane(_direction(rng), tuple(T[:3, 3]), EXACT)),
     "line": lambda T, rng: HandConstraint(line(_direction(rng), tuple(T[:3, 3]), EXACT)),
     "arc": _arc,
     "tray": lambda T, rng: HandConstraint(
-        upright(LEVEL), (Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19))),)
+        upright_box(LEVEL), (Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19))),)
     ),
     # a can is tipped about the axis along which the fingers reach, which keeps its direction
     "pouring": lambda T, rng: HandConstraint(_turned_like(T, FREE), (carried_can(),)),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright_box
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.load import robot_from_source
@@ -53,7 +53,7 @@ def upright_problem(
 ) -> PlanningProblem | UnsolvableProblem:
     """Problem between a `blocked_pair` of upright states, `clear` [m] from all obstacles."""
     middle = 0.5 * (robot.lower + robot.upper)
-    problem = PlanningProblem(name, robot, scene, middle, middle[None], (upright(),))
+    problem = PlanningProblem(name, robot, scene, middle, middle[None], (upright_box(),))
     pair = blocked_pair(problem, rng, clear)
     if pair is None:
         reason = (

@@ -16,7 +16,7 @@ from cvqmpt_lab.benchmarks.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
 from cvqmpt_lab.benchmarks.place_task import DOOR, LIFT, SHELF_LINK, grasp_region
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright_box
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.results.row import PAPER_PHASES
@@ -73,7 +73,7 @@ def multi_sequence_task(number: int) -> Task:
             Move(reach_can, pregrasp),
             Slide("approach", approach),
             Grasp("grasp-can", CAN_NAME, {"finger_opening": can_grip}),
-            Move(carry, grasp_region(target), (upright(),)),
+            Move(carry, grasp_region(target), (upright_box(),)),
             Release("put-down", open_fingers),
         ),
     )

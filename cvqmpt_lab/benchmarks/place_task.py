@@ -18,7 +18,7 @@ import numpy as np
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.objects import CAN
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
-from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright
+from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright_box
 from cvqmpt_lab.pipeline import drawn_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
@@ -133,7 +133,7 @@ def _problem(
         scene=scene,
         start=start.configurations[0],
         goals=np.empty((0, robot.dof)),
-        constraint=(upright(),),
+        constraint=(upright_box(),),
         attachments=attachments,
         goal_region=shelf,
     )

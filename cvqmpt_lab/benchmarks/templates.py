@@ -53,8 +53,8 @@ COMMENTS = {
         "planners.",
     ],
     "constraint": [
-        "A region by name, upright, fixed-orientation, plane, line or pose, or in full: T0_w, the "
-        "frame w in the world,",
+        "A region by name, upright, upright-box, fixed-orientation, plane, line or pose, or in "
+        "full: T0_w, the frame w in the world,",
         f"Tw_e, the end effector in w, and Bw, {ROWS_TEXT}. Several in a list are kept all.",
     ],
 }
@@ -121,14 +121,18 @@ def task_template(source: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _solved(problem: PlanningProblem, matters: bool) -> bool:
-    """Whether a path is found, and, where the obstacle matters, no straight motion to its goal."""
+    """Whether a path is found, and, where the obstacle matters, no straight motion to a goal.
+
+    Every second goal is left out: those are turned by whole turns towards the start.
+    """
     solution = solve(problem, "birrt", Budget(iterations=1000), seed=0, clearance=False)
     if not solution.solved or solution.simplified is None:
         return False
     if not matters:
         return True
-    space, goal = ConstrainedSpace(solution.problem), solution.simplified.path.states[-1]
-    return direct_motion(space, problem.start, goal) is None
+    space, last = ConstrainedSpace(solution.problem), solution.simplified.path.states[-1]
+    goals = (last, *solution.problem.goals[1::2])
+    return all(direct_motion(space, problem.start, goal) is None for goal in goals)
 
 
 def _axes(robot: Robot) -> list[Axis]:

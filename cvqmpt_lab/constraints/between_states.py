@@ -38,7 +38,8 @@ def largest_violation(
     """How far straight joint motions leave regions, between states too, by pinocchio.
 
     On a stretch with turns D = sum_j |dq_j|, no rotation entry exceeds the larger of its ends by
-    more than BEND / 8 D^2 (or RATE / 2 D near angle pi, where its sign changes).
+    more than BEND / 8 D^2 (or RATE / 2 D near angle pi, where its sign changes), and no tilt by
+    more than D^2 / 8 (see `_between_tilts`).
 
     Args:
         robot: the robot.
@@ -66,7 +67,7 @@ def largest_violation(
             counts = np.where(doubtful, np.clip(parts, 2, most_parts).astype(int), 1)
             known, q = np.concatenate([[0], np.cumsum(counts)]), _cut(q, counts)
             new, before = np.ones(len(q), dtype=bool), x
-            new[known], x = False, np.empty((len(q), 6))
+            new[known], x = False, np.empty((len(q), 7))
             x[known], x[new] = before, displacements(robot, region, q[new])
         radians, metres = max(radians, beyond[:, 3:].max()), max(metres, beyond[:, :3].max())
         highest = max(highest, (at_ends + between).max(initial=outside.max()))
@@ -101,18 +102,52 @@ def _between(
         robot: the robot.
         region: the region.
         q: (m, n) [rad or m].
-        x: (m, 6), displacements [m, rad].
+        x: (m, 7), displacements [m, rad].
 
     Returns:
-        The bound (m - 1,) [m, rad], and whether the rotation vector may change its sign in the
-        stretch (m - 1,): then the bound is linear in its length.
+        The bound (m - 1,) [m, rad], and whether it is linear in the length of the stretch (m - 1,):
+        where the rotation vector may change its sign, or the tilt comes close to pi.
     """
     change, rows = np.abs(np.diff(q, axis=0)), region.bounded_rows
     slides = robot.kinematics.prismatic
     turn, slide = change[:, ~slides].sum(1), change[:, slides].sum(1)
-    angle = np.linalg.norm(x[:, 3:], axis=1)
+    angle = np.linalg.norm(x[:, 3:6], axis=1)
     flips = np.maximum(angle[:-1], angle[1:]) + RATE * turn > np.pi
     rotation = np.where(flips, 0.5 * RATE * turn, BEND / 8.0 * turn**2)
     lever = 2.0 * robot.reach + np.linalg.norm(np.linalg.inv(region.Tw_e)[:3, 3])
     position = 0.25 * turn * (lever * turn + slide)
-    return np.maximum(rotation * bool((rows >= 3).any()), position * bool((rows < 3).any())), flips
+    turns = bool(((rows >= 3) & (rows < 6)).any())
+    between = np.maximum(rotation * turns, position * bool((rows < 3).any()))
+    if 6 not in rows:
+        return between, flips
+    tilting, linear = _between_tilts(turn, x[:, 6])
+    return np.maximum(between, tilting), linear | (flips & turns)
+
+
+def _between_tilts(turn: np.ndarray, tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far the tilt b may exceed the larger one of both ends of stretches.
+
+    b is the angle between a fixed unit vector and z(s), which turns with angular velocity w(s), 0
+    <= s <= 1. With |w| <= D = sum_j |dq_j|, |b'| <= D: b exceeds the larger end by at most D / 2.
+
+    For the other bound let (b, p) be the polar angles of z on the sphere. The acceleration of z in
+    the sphere has the part b'' - sin(b) cos(b) p'^2 along b. It is the part of w' x z + (w . z) w
+    across z, at most |w'| + |w|^2 / 2. The axis of a joint is turned by the joints before it, so
+    |w'| <= sum_{i < j} |dq_i| |dq_j| <= D^2 / 2. As sin(b) p' <= D, with c = max(0, -cot b),
+
+        b'' >= -(1 + c) D^2,    b <= larger end + (1 + c) D^2 / 8,
+
+    c at the largest tilt possible, the larger end + D / 2. At b = 0, where b has no derivative, b'
+    only jumps upwards, which leaves the second bound true.
+
+    Args:
+        turn: D (m - 1,) [rad].
+        tilt: (m,), at the ends [rad].
+
+    Returns:
+        The smaller one of both bounds (m - 1,) [rad], and whether it is the linear one (m - 1,).
+    """
+    largest = np.maximum(tilt[:-1], tilt[1:]) + 0.5 * turn
+    c = np.maximum(0.0, -1.0 / np.tan(largest.clip(0.5 * np.pi, np.pi)))
+    linear, bent = 0.5 * turn, (1.0 + c) / 8.0 * turn**2
+    return np.minimum(linear, bent), linear < bent

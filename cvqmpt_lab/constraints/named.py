@@ -13,6 +13,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegionChain,
     symmetric_region,
     upright,
+    upright_box,
 )
 from cvqmpt_lab.errors import (
     InvalidInputError,
@@ -83,17 +84,19 @@ def near_pose(
     Args:
         at: its pose in the world (4, 4).
         position: tolerance of x, y and z [m].
-        tilt: tolerance about the world's x and y [rad].
+        tilt: largest angle by which a line of the hand that is vertical there may lean [rad].
         yaw: tolerance about the world's vertical [rad]; 3.15 leaves it free.
     """
     turned = at.copy()
     turned[:3, 3] = 0.0
-    return symmetric_region(pose(at[:3, 3]), turned, [position] * 3 + [tilt] * 2 + [yaw])
+    bounds = [position] * 3 + [FREE] * 2 + [yaw]
+    return symmetric_region(pose(at[:3, 3]), turned, bounds, tilt)
 
 
 # what may stand for a region: `{"upright": {...}}` or `{"upright": 0.1}`, its first argument
 NAMED: Mapping[str, Any] = {
     "upright": upright,
+    "upright-box": upright_box,
     "fixed-orientation": fixed_orientation,
     "plane": plane,
     "line": line,

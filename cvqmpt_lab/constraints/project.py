@@ -28,7 +28,7 @@ class ProjectionScratch(NamedTuple):
 
     link_rotation: Annotated[np.ndarray, "p 3 3"]  # link poses
     link_translation: Annotated[np.ndarray, "p 3"]  # link poses [m]
-    displacement: Annotated[np.ndarray, "k 9"]  # written by `residual` for `jacobian`
+    displacement: Annotated[np.ndarray, "k 12"]  # written by `residual` for `jacobian`
     residual: Annotated[np.ndarray, "m"]  # F [m, rad]
     jacobian: Annotated[np.ndarray, "m n"]  # J
     normal: Annotated[np.ndarray, "m m"]  # Cholesky factor of J J^T
@@ -42,7 +42,7 @@ def projection_scratch(n: int, regions: Regions) -> ProjectionScratch:
     shapes: tuple[Any, ...] = (
         (n + 1, 3, 3),
         (n + 1, 3),
-        (len(regions.link), 9),
+        (len(regions.link), 12),
         m,
         (m, n),
         (m, m),

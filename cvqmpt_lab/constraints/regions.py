@@ -11,6 +11,12 @@ exp([e]x) has de/dt = Jl^-1(e) w, with the angular velocity w in the frame that 
     Jl^-1(e) = I - [e]x / 2 + (1 / t^2 - cot(t / 2) / (2 t)) [e]x^2,    t = |e|.
 
 cot(t / 2) stays finite at t = pi, where the usual (1 + cos t) / sin t is 0 / 0.
+
+One more entry of x is the tilt, the angle between a = (0, 0, 1) and b = R a, with c = a x b:
+
+    tilt = atan2(|c|, a . b),    d tilt / dt = c . w / |c|.
+
+Its bound is a cone. F is smooth at the bound; where c = 0, inside it, the derivative is set to 0.
 """
 
 from typing import Annotated, NamedTuple
@@ -72,7 +78,7 @@ class Regions(NamedTuple):
     reference_rotation: Annotated[np.ndarray, "k 3 3"]  # Rotation of T_base_w
     reference_translation: Annotated[np.ndarray, "k 3"]  # Its translation [m]
     region: Annotated[np.ndarray, "int64 m"]  # Region of each row
-    axis: Annotated[np.ndarray, "int64 m"]  # 0-2 position, 3-5 rotation vector
+    axis: Annotated[np.ndarray, "int64 m"]  # 0-2 position, 3-5 rotation vector, 6 tilt
     lower: Annotated[np.ndarray, "m"]  # Bounds [m or rad]
     upper: Annotated[np.ndarray, "m"]  # Bounds [m or rad]
 
@@ -108,7 +114,7 @@ def _into_reference(regions, k, link_rotation, x, y, z):
 
 @kernel(inline="source")
 def _displacement(regions, k, link_rotation, link_translation):
-    """End point in the world (3); then x of region k: position (3), rotation vector (3)."""
+    """End point in the world (3); of region k: position (3), columns of R (3, 3)."""
     link, base = regions.link[k], regions.base[k]
     offset, origin = regions.end_translation, regions.reference_translation
     x, y, z = _turned(link_rotation, link, offset[k, 0], offset[k, 1], offset[k, 2])
@@ -130,12 +136,12 @@ def _displacement(regions, k, link_rotation, link_translation):
     a = _turned(link_rotation, link, turn[k, 0, 0], turn[k, 1, 0], turn[k, 2, 0])
     b = _turned(link_rotation, link, turn[k, 0, 1], turn[k, 1, 1], turn[k, 2, 1])
     c = _turned(link_rotation, link, turn[k, 0, 2], turn[k, 1, 2], turn[k, 2, 2])
-    vector = rotation_vector(
+    columns = (
         _into_reference(regions, k, link_rotation, a[0], a[1], a[2]),
         _into_reference(regions, k, link_rotation, b[0], b[1], b[2]),
         _into_reference(regions, k, link_rotation, c[0], c[1], c[2]),
     )
-    return end, position, vector
+    return end, position, columns
 
 
 @kernel(inline="source")
@@ -171,17 +177,40 @@ def _pick(vector, axis):
 
 
 @kernel(inline="machine")
+def _orientation_rows(regions, k, first):
+    """Whether region k, whose rows begin at first, bounds the tilt, and the rotation vector."""
+    tilts = turns = False
+    row = first
+    while row < regions.region.shape[0] and regions.region[row] == k:
+        tilts = tilts or regions.axis[row] == 6
+        turns = turns or 2 < regions.axis[row] < 6
+        row += 1
+    return tilts, turns
+
+
+@kernel(inline="machine")
 def residual(regions, link_rotation, link_translation, out, displacement):
     """Write F = min(x - lower, 0) + max(x - upper, 0) (m,) into out; return |F|^2.
 
     x is the displacement of the regions, see above. Link poses come from forward_kinematics.
-    displacement: (k, 9), written for `jacobian`: end point in the world, position and rotation
-        vector of each region.
+    displacement: (k, 12), written for `jacobian`: of each region, the end point in the world,
+        position and rotation vector; where it bounds the tilt, that and x and y of c / |c|.
     """
     m = regions.region.shape[0]
     first, square = 0, 0.0
     for k in range(regions.link.shape[0]):
-        end, position, vector = _displacement(regions, k, link_rotation, link_translation)
+        end, position, columns = _displacement(regions, k, link_rotation, link_translation)
+        tilts, turns = _orientation_rows(regions, k, first)
+        vector = (0.0, 0.0, 0.0)
+        if turns or not tilts:
+            vector = rotation_vector(columns[0], columns[1], columns[2])
+        if tilts:
+            x, y, z = columns[2]
+            sine = np.sqrt(x * x + y * y)
+            scale = 1.0 / sine if sine > 0.0 else 0.0
+            displacement[k, 9] = np.arctan2(sine, z)
+            displacement[k, 10] = -scale * y
+            displacement[k, 11] = scale * x
         for a in range(3):
             displacement[k, a] = _pick(end, a)
             displacement[k, 3 + a] = _pick(position, a)
@@ -210,7 +239,7 @@ def _log_map_rate(vector, factor, square, w):
 def jacobian(
     kinematics, regions, link_rotation, link_translation, displacement, full, out_of_bounds, out
 ):
-    """Write J = dF/dq (m, n) into out: rows of v_j and of Jl^-1(e) w_j for each joint j.
+    """Write J = dF/dq (m, n) into out: of v_j, Jl^-1(e) w_j and c . w_j / |c| for each joint j.
 
     v_j, w_j: velocity and angular velocity of the end frame against the reference.
     displacement, out_of_bounds: what `residual` wrote for the same link poses.
@@ -244,6 +273,8 @@ def jacobian(
                 axis = regions.axis[row]
                 if out_of_bounds[row] == 0.0 and not full:
                     out[row, j] = 0.0
+                elif axis == 6:
+                    out[row, j] = displacement[k, 10] * w[0] + displacement[k, 11] * w[1]
                 else:
                     out[row, j] = _pick(v, axis) if axis < 3 else _pick(rate, axis - 3)
         first = last
@@ -257,7 +288,7 @@ def batch_residual_and_jacobian(
     full: bool,
     rotation: Annotated[np.ndarray, "p 3 3"],
     translation: Annotated[np.ndarray, "p 3"],
-    displacement: Annotated[np.ndarray, "k 9"],
+    displacement: Annotated[np.ndarray, "k 12"],
     residuals: Annotated[np.ndarray, "count m"],
     jacobians: Annotated[np.ndarray, "count m n"],
 ):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import ROWS, TOLERANCE, UNITS, TaskSpaceRegion
-from cvqmpt_lab.poses import rotation_matrices, rotation_vectors
+from cvqmpt_lab.poses import rotation_matrices, rotation_vectors, tilts
 from cvqmpt_lab.robot.robot import Robot
 
 
@@ -15,7 +15,7 @@ class BoundUse:
     """Largest use of one entry's bounds along a path."""
 
     region: int  # which of the regions, from 0
-    row: int  # of its `Bw`, 0 to 5
+    row: int  # of its `bounds`, 0 to 6
     value: float  # displacement closest to a bound, or furthest beyond it [m] or [rad]
     lower: float  # lower bound, -inf where there is none [m] or [rad]
     upper: float  # upper bound, inf where there is none [m] or [rad]
@@ -43,9 +43,12 @@ def bounds_text(regions: Sequence[TaskSpaceRegion]) -> str:
     """For people: "rotation about y -0.1 to 0.1 rad, rotation about z ..."; ";" between regions."""
     texts = []
     for region in regions:
-        bounds = [(row, *region.Bw[row]) for row in region.bounded_rows]
+        bounds = [(row, *region.bounds[row]) for row in region.bounded_rows]
         texts.append(
-            ", ".join(f"{ROWS[k]} {low:g} to {high:g} {UNITS[k]}" for k, low, high in bounds)
+            ", ".join(
+                f"{ROWS[k]} {max(low, 0.0) if k == 6 else low:g} to {high:g} {UNITS[k]}"
+                for k, low, high in bounds
+            )
         )
     return "; ".join(texts) or "none"
 
@@ -59,17 +62,18 @@ def bound_usage(
         x = displacements(robot, region, states)
         worst = excess(region, x).argmax(axis=0)
         for row in map(int, region.bounded_rows):
-            uses.append(BoundUse(k, row, float(x[worst[row], row]), *map(float, region.Bw[row])))
+            bounds = map(float, region.bounds[row])
+            uses.append(BoundUse(k, row, float(x[worst[row], row]), *bounds))
     return tuple(uses)
 
 
 def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
-    """Displacements x (m, 6) of the end effector at states (m, n), which `Bw` bounds [m, rad]."""
+    """Displacements x (m, 7) of the end effector at states (m, n), see `bounds` [m, rad]."""
     return displaced(region, robot.poses(states), region.reference_poses(robot, states))
 
 
 def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray) -> np.ndarray:
-    """Displacements (m, 6): x = (t, Log R) of T = (T0_w)^-1 T0_e (Tw_e)^-1 with parts t and R.
+    """Displacements (m, 7): x = (t, Log R, tilt of R), t and R of T = (T0_w)^-1 T0_e (Tw_e)^-1.
 
     Args:
         region: the region.
@@ -77,33 +81,39 @@ def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray
         references: T0_w (1 or m, 4, 4) of the region's frame [m].
     """
     T = np.linalg.inv(references) @ poses @ np.linalg.inv(region.Tw_e)
-    return np.hstack([T[:, :3, 3], rotation_vectors(T[:, :3, :3])])
+    R = T[:, :3, :3]
+    return np.column_stack([T[:, :3, 3], rotation_vectors(R), tilts(R)])
 
 
 def excess(region: TaskSpaceRegion, x: np.ndarray) -> np.ndarray:
-    """max(lower - x, x - upper) of displacements x (m, 6), negative inside; -inf without bounds."""
-    lower, upper = region.Bw.T
-    bounded = np.isin(np.arange(6), region.bounded_rows)
+    """max(lower - x, x - upper) of displacements x (m, 7), negative inside; -inf without bounds."""
+    lower, upper = region.bounds.T
+    bounded = np.isin(np.arange(7), region.bounded_rows)
     return np.where(bounded, np.maximum(lower - x, x - upper), -np.inf)
 
 
 def broken_bound(region: TaskSpaceRegion, x: np.ndarray) -> str:
-    """The bound that the best of displacements x (m, 6) breaks most, in words, or ""."""
+    """The bound that the best of displacements x (m, 7) breaks most, in words, or ""."""
     beyond = excess(region, x)
     k = int(beyond.max(axis=1).argmin())
     if beyond[k].max() <= TOLERANCE:
         return ""
     row = int(beyond[k].argmax())
-    use = BoundUse(0, row, float(x[k, row]), *map(float, region.Bw[row]))
+    use = BoundUse(0, row, float(x[k, row]), *map(float, region.bounds[row]))
     # names of regions in problem files (see `named`) by the rows that they bound
     kinds = {
-        (4, 5): "upright",
+        (6,): "upright",
+        (3, 4): "upright",
+        (4, 5): "upright-box",
         (3, 4, 5): "fixed-orientation",
         (2,): "plane",
         (0, 1): "line",
         (0, 1, 2, 3, 4, 5): "pose",
+        (0, 1, 2, 5, 6): "pose",
     }
     kind = kinds.get(tuple(region.bounded_rows.tolist()), "the region")
-    tilt = np.degrees(np.arccos(np.clip(rotation_matrices(x[k, None, 3:])[0, 0, 0], -1.0, 1.0)))
-    tilts = f" (it tilts by {tilt:.0f}°)" if kind == "upright" else ""
-    return f"`{kind}` by {use.excess:.3g} {use.unit}: {use}{tilts}"
+    told = ""
+    if kind.startswith("upright"):
+        leans = np.arccos(rotation_matrices(x[k, None, 3:6])[0, 0, 0].clip(-1.0, 1.0))
+        told = f" (it tilts by {np.degrees(leans if kind == 'upright-box' else x[k, 6]):.0f}°)"
+    return f"`{kind}` by {use.excess:.3g} {use.unit}: {use}{told}"

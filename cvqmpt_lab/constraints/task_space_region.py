@@ -3,7 +3,7 @@
 from __future__ import annotations  # so `help` shows forms by their names
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -13,7 +13,7 @@ from cvqmpt_lab.codec import Checked
 from cvqmpt_lab.constraints.project import project, projection_scratch
 from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.errors import InvalidInputError, shown
-from cvqmpt_lab.poses import Pose, rotation_matrices
+from cvqmpt_lab.poses import Pose, rotation_matrices, tilts
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.values import TURN, Angle, FloatArray, Name, frozen, numbers
 
@@ -23,8 +23,12 @@ MAX_ITERATIONS = 50  # Newton steps, OMPL's default
 FREE = np.inf
 # hand x = world z
 UPRIGHT_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-ROWS = (*(f"position {axis}" for axis in "xyz"), *(f"rotation about {axis}" for axis in "xyz"))
-UNITS = ("m",) * 3 + ("rad",) * 3
+ROWS = (
+    *(f"position {axis}" for axis in "xyz"),
+    *(f"rotation about {axis}" for axis in "xyz"),
+    "tilt",
+)
+UNITS = ("m",) * 3 + ("rad",) * 4
 ROWS_TEXT = (
     "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [rad]; null = free"
 )
@@ -74,7 +78,9 @@ Bounds = Annotated[FloatArray, BoundsForm()]
 class TaskSpaceRegion(Checked):
     """Poses T0_e of the end effector whose displacement x from a frame w lies within bounds.
 
-    lower <= x <= upper, x = (t, Log R), with t, R the parts of (T0_w)^-1 T0_e (Tw_e)^-1.
+    lower <= x <= upper, x = (t, Log R, tilt), with t, R the parts of (T0_w)^-1 T0_e (Tw_e)^-1.
+    The tilt is the angle between the z axes of w and of the displaced frame, (0, 0, 1) and R z. A
+    bound of 0 becomes rotation about x and y of 0: the same poses, and smooth there.
     """
 
     T0_w: Pose  # (4, 4), pose of w in the world
@@ -82,6 +88,21 @@ class TaskSpaceRegion(Checked):
     # (6, 2), lower and upper bounds of position x, y, z [m] and rotation vector x, y, z [rad];
     # +-inf (null in json) leaves an entry free, a rotation entry also when it spans [-pi, pi]
     Bw: Bounds
+    # upper bound of the tilt [rad], a cone; None, or pi and more, leaves it free
+    tilt: Angle | None = field(default=None, kw_only=True)
+
+    def _check(self) -> None:
+        if self.tilt != 0.0:
+            return
+        Bw = self.Bw.copy()
+        if (Bw[3:5, 0] > 0.0).any() or (Bw[3:5, 1] < 0.0).any():
+            raise InvalidInputError(
+                "tilt is 0, and Bw[3] or Bw[4], rotation about x or y, leaves out 0: leave out one "
+                "of the two"
+            )
+        Bw[3:5] = 0.0
+        object.__setattr__(self, "Bw", frozen(Bw))
+        object.__setattr__(self, "tilt", None)
 
     def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
         """Pose row that carries frame w (0 = the world), and T_link_w (4, 4)."""
@@ -92,31 +113,45 @@ class TaskSpaceRegion(Checked):
         return self.T0_w[None]
 
     @cached_property
+    def bounds(self) -> np.ndarray:
+        """Lower and upper bounds (7, 2) of the displacement x: `Bw` and of the tilt [m, rad]."""
+        tilt = FREE if self.tilt is None else self.tilt
+        return frozen(np.vstack([self.Bw, (-tilt, tilt)]))
+
+    @cached_property
     def bounded_rows(self) -> np.ndarray:
-        """Indices (m,) of the entries of Bw that can be violated."""
-        lower, upper = self.Bw.T
-        limit = np.array([np.inf] * 3 + [np.pi] * 3)
+        """Indices (m,) of the entries of x that can be out of bounds."""
+        lower, upper = self.bounds.T
+        limit = np.array([np.inf] * 3 + [np.pi] * 4)
         return frozen(np.flatnonzero((lower > -limit) | (upper < limit)))
 
     def sample_poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Poses T0_w T(x) Tw_e (count, 4, 4), x uniform in the bounds; free turns in +-pi."""
+        """Poses T0_w T(x) Tw_e (count, 4, 4), x uniform in the bounds; free turns in +-pi.
+
+        Of a rotation vector e = (e_x, e_y, e_z), t = |e| <= pi, the tilt b has sin(b / 2) =
+        |(e_x, e_y)| sin(t / 2) / t >= |(e_x, e_y)| / pi: candidates are drawn in a box.
+        """
         lower, upper = self.Bw.T.copy()
         if np.isinf(self.Bw[:3]).any():
             raise InvalidInputError(
                 "cannot sample poses: the position is unbounded: bound Bw rows 0-2"
             )
-        lower[3:], upper[3:] = np.maximum(lower[3:], -np.pi), np.minimum(upper[3:], np.pi)
+        tilt = np.pi if self.tilt is None else min(self.tilt, np.pi)
+        most = np.pi * np.array([np.sin(0.5 * tilt), np.sin(0.5 * tilt), 1.0])
+        lower[3:], upper[3:] = np.maximum(lower[3:], -most), np.minimum(upper[3:], most)
         x = np.empty((0, 6))
-        for _ in range(1000):
+        for _ in range(1000 if (lower <= upper).all() else 0):
             drawn = rng.uniform(lower, upper, (count - len(x), 6))
             # a longer vector stands for another turn
-            short = (drawn[:, 3:] ** 2).sum(axis=1) <= np.pi**2
-            x = np.concatenate([x, drawn[short]])
+            x = np.concatenate([x, drawn[(drawn[:, 3:] ** 2).sum(axis=1) <= np.pi**2]])
+            if tilt < np.pi:
+                x = x[tilts(rotation_matrices(x[:, 3:])) <= tilt]
             if len(x) == count:
                 break
         else:
             raise InvalidInputError(
-                "cannot sample poses of a region: its rotation bounds lie beyond angle pi"
+                "cannot sample poses of a region: its rotation bounds lie beyond angle pi, or its "
+                "tilt"
             )
         T_w_displaced = np.tile(np.eye(4), (count, 1, 1))
         T_w_displaced[:, :3, :3] = rotation_matrices(x[:, 3:])
@@ -159,33 +194,52 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
 
     def at(self, T_world_base: np.ndarray) -> TaskSpaceRegion:
         """The region in the world while the base stands at a pose (4, 4)."""
-        return TaskSpaceRegion(T_world_base @ self.T0_w, self.Tw_e, self.Bw)
+        return TaskSpaceRegion(T_world_base @ self.T0_w, self.Tw_e, self.Bw, tilt=self.tilt)
 
 
 def symmetric_region(
-    T0_w: np.ndarray, Tw_e: np.ndarray, bounds: Sequence[float]
+    T0_w: np.ndarray, Tw_e: np.ndarray, bounds: Sequence[float], tilt: float | None = None
 ) -> TaskSpaceRegion:
-    """A region whose entries x (6,) lie in +-bounds (6,) [m, rad]."""
-    return TaskSpaceRegion(T0_w, Tw_e, np.array([[-bound, bound] for bound in bounds]))
+    """A region whose entries x (6,) lie in +-bounds (6,), its tilt in its bound [m, rad]."""
+    Bw = np.array([[-bound, bound] for bound in bounds])
+    return TaskSpaceRegion(T0_w, Tw_e, Bw, tilt=tilt)
 
 
 def upright(tilt: Angle = 0.1, axis: Axis = "x") -> TaskSpaceRegion:
-    """An axis of the hand points up; yaw about it and position are free.
-
-    With R_t the upright orientation, entries 1 and 2 of Log(R_t^T R) lie in +-tilt. With the hand's
-    x and 0.1 rad this is the constraint of the published experiment code.
+    """An axis of the hand points up, in a cone; yaw about it and position are free.
 
     Args:
-        tilt: [rad].
+        tilt: largest angle between axis and vertical [rad].
         axis: of the end-effector frame.
     """
-    T0_w, Tw_e = np.eye(4), np.eye(4)
+    return symmetric_region(np.eye(4), _standing(axis), [FREE] * 6, tilt)
+
+
+def upright_box(tilt: Angle = 0.1, axis: Axis = "x") -> TaskSpaceRegion:
+    """An axis of the hand points up, in the box of the paper; yaw and position are free.
+
+    With R_t the upright orientation, entries 1 and 2 of Log(R_t^T R) lie in +-tilt. With the hand's
+    x and 0.1 rad this is the constraint of the published experiment code. The axis may lean by up
+    to 1.41 tilt at yaw 0; at yaw pi leaning by 0.64 tilt can be too much.
+
+    Args:
+        tilt: bound of both entries [rad].
+        axis: of the end-effector frame.
+    """
+    T0_w = np.eye(4)
     T0_w[:3, :3] = UPRIGHT_ROTATION
-    # the axis of e is x of w, ...
-    Tw_e[:3, :3] = np.roll(np.eye(3), -"xyz".index(axis[-1]), axis=0)
+    return symmetric_region(T0_w, T0_w.T @ _standing(axis), [FREE] * 4 + [tilt] * 2)
+
+
+def _standing(axis: Axis) -> np.ndarray:
+    """A pose (4, 4) of the hand, at the origin, in which an axis of it points up."""
+    T = np.eye(4)
+    # the axis of e is x of the upright orientation, ...
+    T[:3, :3] = np.roll(np.eye(3), -"xyz".index(axis[-1]), axis=0)
     if axis[0] == "-":
-        Tw_e[:3, :3] = np.diag([-1.0, -1.0, 1.0]) @ Tw_e[:3, :3]  # ... or opposite to it
-    return symmetric_region(T0_w, Tw_e, [FREE] * 4 + [tilt] * 2)
+        T[:3, :3] = np.diag([-1.0, -1.0, 1.0]) @ T[:3, :3]  # ... or opposite to it
+    T[:3, :3] = UPRIGHT_ROTATION @ T[:3, :3]
+    return T
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +302,7 @@ def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: floa
     references = [member.reference_link(robot) for member in members]
     ends = [T_link_e @ np.linalg.inv(member.Tw_e) for member in members]
     rows = [(k, row) for k, member in enumerate(members) for row in member.bounded_rows]
-    bounds = np.array([members[k].Bw[row] for k, row in rows]).reshape(-1, 2)
+    bounds = np.array([members[k].bounds[row] for k, row in rows]).reshape(-1, 2)
     inset = np.minimum(shrink, 0.1 * (bounds[:, 1] - bounds[:, 0]))
     k = len(members)
     return Regions(

@@ -38,22 +38,25 @@ class Plot:
 def plots_along(problem: PlanningProblem, states: np.ndarray) -> list[Plot]:
     """The plots of a path's states (m, n), clearance last but one, joints last.
 
-    For each region with one free rotation, the angle between its axis in w and the hand's. For
-    every bounded entry of every region, the displacement between its bounds. The smallest distance
-    between any two pieces that must not touch.
+    For each region with a bound on the tilt or one free rotation, the angle between its axis in w
+    and the hand's. For every bounded entry of every region, the displacement between its bounds.
+    The smallest distance between any two pieces that must not touch.
     """
     robot, tilts, found = problem.robot, [], []
     for k, region in enumerate(problem.constraint):
         x = displacements(robot, region, states)
-        free = {3, 4, 5} - set(region.bounded_rows.tolist())
+        rows = set(region.bounded_rows.tolist())
+        free = {5} if 6 in rows else {3, 4, 5} - rows
         if len(free) == 1:
             axis = free.pop() - 3
-            cosine = rotation_matrices(x[:, 3:])[:, axis, axis]
+            cosine = rotation_matrices(x[:, 3:6])[:, axis, axis]
             tilt = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
             tilts.append(Plot(f"tilt/{k}", "tilt of the hand [deg]", {"tilt": tilt}, {}))
         number = f" of region {k}" if len(problem.constraint) > 1 else ""
         for row in map(int, region.bounded_rows):
-            named = dict(zip(("lower bound", "upper bound"), region.Bw[row].tolist(), strict=True))
+            named = dict(
+                zip(("lower bound", "upper bound"), region.bounds[row].tolist(), strict=True)
+            )
             bounds = {name: bound for name, bound in named.items() if np.isfinite(bound)}
             title = f"{ROWS[row]}{number} against its bounds [{UNITS[row]}]"
             name = f"bounds/{k}_{ROWS[row].replace(' ', '_')}"

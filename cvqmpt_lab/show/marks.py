@@ -22,8 +22,8 @@ def constraint_marks(
     """Planes, lines, arcs and cones of a problem's regions around a path.
 
     A plane or line shows where the origin of e in w may be. A cone, at both ends of the path,
-    shows where an axis with free rotation about itself may point. An arc shows the path of a region
-    that is attached to a door, over the door's range.
+    shows where an axis whose tilt is bounded, or with free rotation about itself, may point. An arc
+    shows the path of a region that is attached to a door, over the door's range.
 
     Args:
         problem: with the regions.
@@ -57,8 +57,9 @@ def constraint_marks(
             T = region.T0_w.copy()
             T[:3, 3] += R @ (0.5 * (low + high))
             yield shape_mesh(Box((x, y, z))).placed(T)
-        turning = [k for k in range(3) if k + 3 not in rows]
-        tilt = float(np.abs(region.Bw[[k for k in rows if k > 2]]).max(initial=0.0))
+        turning = [2] if 6 in rows else [k for k in range(3) if k + 3 not in rows]
+        leaning = [6] if 6 in rows else [k for k in rows if k > 2]
+        tilt = float(np.abs(region.bounds[leaning]).max(initial=0.0))
         if len(turning) == 1 and tilt < widest:
             for T in T_world_w[[0, -1]]:
                 yield cone(T[:3, 3], length * reach * region.T0_w[:3, turning[0]], tilt)

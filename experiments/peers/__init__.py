@@ -4,6 +4,7 @@ The library does not know them: they are entry points of this distribution, as a
 be. They keep one upright constraint and plan to one goal, with an empty hand.
 """
 
+from dataclasses import replace
 from importlib import metadata
 
 import numpy as np
@@ -27,16 +28,28 @@ def versions(planner: str, *distributions: str) -> str:
 def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
     """The region of a problem that bounds rotation y and z of the hand by +-b, and nothing else.
 
+    A cone of tilt b is turned to that form, x of w along its axis: `rpy_box` lies in the cone too.
+
     InvalidInputError: other constraints, several goals, a load, which adapters do not translate.
     """
     region = problem.constraint[0] if len(problem.constraint) == 1 else None
+    if region is not None and region.bounded_rows.tolist() == [6]:
+        turn = np.eye(4)[:, [2, 0, 1, 3]]
+        upper = np.array([np.inf] * 4 + [region.tilt] * 2)
+        region = replace(
+            region,
+            T0_w=region.T0_w @ turn,
+            Tw_e=turn.T @ region.Tw_e,
+            Bw=np.stack([-upper, upper], axis=1),
+            tilt=None,
+        )
     if (
         region is None
         or isinstance(region, TaskSpaceRegionChain)
         or region.bounded_rows.tolist() != [4, 5]
     ):
         raise InvalidInputError(
-            f"{problem.name}: this adapter keeps one upright constraint, rotation y and z bounded"
+            f"{problem.name}: this adapter keeps one upright constraint, a tilt or rotation y, z"
         )
     if not np.array_equal(np.abs(region.Bw[4:]), np.full((2, 2), region.Bw[4, 1])):
         raise InvalidInputError(
@@ -59,7 +72,7 @@ def rpy_box(region: TaskSpaceRegion, share: float = 0.55) -> np.ndarray:
     Roll r is free; pitch and yaw are at most s b, with b the region's bound on rotation vector
     entries y and z. To first order these entries are then at most s b h (cot h + 1), h = r / 2,
     which is 1.67 s b at the most: s = 0.60 fits. The rest is for the planners' tolerances and for
-    what lies between states.
+    what lies between states. The tilt t has cos t = cos(pitch) cos(yaw), so it is at most 0.78 b.
 
     Args:
         region: an `upright_region`.

@@ -4,14 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties.random_arms import ARMS, arm
+from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.constraints.between_states import evenly_spaced, largest_violation
+from cvqmpt_lab.constraints.between_states import _between, evenly_spaced, largest_violation
 from cvqmpt_lab.constraints.report import bound_usage, displacements
 from cvqmpt_lab.constraints.task_space_region import (
     RegionConstraint,
     TaskSpaceRegion,
+    TaskSpaceRegionChain,
     symmetric_region,
     upright,
+    upright_box,
 )
 from cvqmpt_lab.poses import pose
 
@@ -20,20 +26,21 @@ HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 
 def dense(robot, region, states, spacing=5e-4):
     """The largest distance outside a region at very many states."""
-    x, (lower, upper) = displacements(robot, region, evenly_spaced(states, spacing)), region.Bw.T
+    x = displacements(robot, region, evenly_spaced(states, spacing))
+    lower, upper = region.bounds.T
     return float(np.maximum(lower - x, x - upper)[:, region.bounded_rows].max())
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 0.1])
-@pytest.mark.parametrize("kind", ["upright", "pose", "slider"])
+@pytest.mark.parametrize("kind", ["upright", "upright-box", "pose", "slider"])
 def test_the_bound_holds_and_is_close(panda, slider_arm, kind, tolerance):
     robot = slider_arm if kind == "slider" else panda
     rng = np.random.default_rng(0)
     for _ in range(25):
         steps = rng.normal(0.0, 0.03, (4, robot.dof))
         states = robot.random_configurations(rng, 1) + np.cumsum(steps, axis=0)
-        region = upright()
-        if kind != "upright":
+        region = upright_box() if kind == "upright-box" else upright()
+        if not kind.startswith("upright"):
             region = symmetric_region(robot.pose(states[0]), np.eye(4), [0.02] * 6)
         found = largest_violation(robot, (region,), states, 0.04, tolerance)
         truth = dense(robot, region, states)
@@ -41,6 +48,45 @@ def test_the_bound_holds_and_is_close(panda, slider_arm, kind, tolerance):
         assert max(found.radians, found.metres) <= max(truth, 0.0) + 2e-3
         if truth <= 0.5 * tolerance:
             assert found.largest <= tolerance
+
+
+@given(
+    robot=st.integers(0, ARMS - 1).map(arm),
+    tilt=st.floats(0.0, np.pi) | st.sampled_from([0.0, 0.5 * np.pi, np.pi]),
+    step=st.sampled_from([0.03, 0.3, 1.0]),
+    about=st.sampled_from([None, "link1"]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_the_bound_on_the_tilt_between_states_holds(robot, tilt, step, about, seed):
+    """Steps of one joint or all, past tilts of 0 and pi, and seen from a link that moves.
+
+    The hand leans most in the middle: there its z axis moves along the edge of the cone.
+    """
+    rng = np.random.default_rng(seed)
+    middle = robot.random_configurations(rng, 1)[0]
+    for joints in (*np.eye(robot.dof), rng.standard_normal(robot.dof)):
+        half = 0.5 * step * joints
+        states = np.array([middle - half, middle + half])
+        dense = states[0] + np.linspace(0.0, 1.0, 501)[:, None] * (2.0 * half)
+        T = robot.poses(dense)
+        if about is not None:
+            T = np.linalg.inv(robot.poses(dense, about)) @ T
+        z, rate = T[250, :3, 2], T[251, :3, 2] - T[249, :3, 2]
+        across = np.cross(z, rate) if np.linalg.norm(rate) > 1e-6 else T[250, :3, 0]
+        for side in (-1.0, 1.0):
+            # frame w leans from the middle by the tilt
+            T0_w = T[250].copy()
+            axis = np.cross(z, side * across)
+            lean = Rotation.from_rotvec(tilt * axis / np.linalg.norm(axis))
+            T0_w[:3, :3] = lean.as_matrix() @ T0_w[:3, :3]
+            bounds = np.tile((-np.inf, np.inf), (6, 1))
+            region = TaskSpaceRegion(T0_w, np.eye(4), bounds, tilt=1e-3)
+            if about is not None:
+                region = TaskSpaceRegionChain(T0_w, np.eye(4), bounds, about, tilt=1e-3)
+            x = displacements(robot, region, dense)
+            assert x[250, 6] == pytest.approx(tilt, abs=1e-7)
+            more, _ = _between(robot, region, states, x[[0, -1]])
+            assert x[:, 6].max() <= x[[0, -1], 6].max() + more[0] + 1e-9
 
 
 def test_a_kink_between_two_good_states_is_found(panda):
@@ -55,7 +101,7 @@ def test_a_kink_between_two_good_states_is_found(panda):
 def test_flips_at_angle_pi_are_no_violation_of_symmetric_bounds(panda):
     """In a frame turned by pi about the vertical, the arm's rotation vector changes sign."""
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
-    region = replace(upright(0.02), T0_w=upright().T0_w @ half_turn)
+    region = replace(upright_box(0.02), T0_w=upright_box().T0_w @ half_turn)
     manifold = RegionConstraint(panda, (region,))
     states = [manifold.project(np.array([-0.8, 0.3, 0.0, -2.0, 0.0, 2.0, 0.8]))]
     for _ in range(40):
@@ -63,7 +109,7 @@ def test_flips_at_angle_pi_are_no_violation_of_symmetric_bounds(panda):
     states = np.array(states)
     x = displacements(panda, region, states)
     assert np.abs(np.diff(x[:, 3])).max() > 6.0, "no flip, nothing tested"
-    wider = replace(region, Bw=upright(0.021).Bw)
+    wider = replace(region, Bw=upright_box(0.021).Bw)
     assert largest_violation(panda, (wider,), states, 0.04, 1e-3).largest <= 1e-3
 
 
@@ -77,7 +123,7 @@ def test_a_stretch_through_half_a_turn_near_the_bound_is_shown_to_be_inside(pand
     first = np.array([-1.14812, 0.38627, -0.63918, -1.13516, -1.36829, 1.75537, 2.18154])
     last = np.array([-1.19274, 0.36491, -0.61858, -1.12574, -1.38658, 1.74428, 2.15945])
     states = np.array([first, last])
-    region = (upright(),)
+    region = (upright_box(),)
     assert largest_violation(panda, region, evenly_spaced(states, 1e-4), 1.0, 1.0).radians == 0.0
     assert largest_violation(panda, region, states, 0.11, 5e-4).largest <= 5e-4
 
@@ -86,7 +132,7 @@ def test_the_largest_tilt_of_a_path_is_found_against_its_bound(solution):
     problem, states = solution.problem, solution.simplified.path.states
     uses = bound_usage(problem.robot, problem.constraint, states)
     assert [(use.region, use.row, use.unit) for use in uses] == [(0, 4, "rad"), (0, 5, "rad")]
-    tilts = np.abs(displacements(problem.robot, problem.constraint[0], states)[:, 4:])
+    tilts = np.abs(displacements(problem.robot, problem.constraint[0], states)[:, 4:6])
     assert [abs(use.value) for use in uses] == pytest.approx(tilts.max(axis=0))
     assert str(uses[0]) == f"rotation about y {tilts[:, 0].max():.3g} of 0.1 rad"
 
@@ -107,4 +153,4 @@ def test_displacements_are_seen_from_the_frame_of_the_region(panda):
     beside = panda.pose(np.zeros(7)) @ pose((0.1, 0.0, 0.0))
     region = TaskSpaceRegion(beside, np.eye(4), np.zeros((6, 2)))
     found = displacements(panda, region, np.zeros((1, 7)))[0]
-    np.testing.assert_allclose(found, [-0.1, 0, 0, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(found, [-0.1, 0, 0, 0, 0, 0, 0], atol=1e-12)

@@ -83,8 +83,10 @@ def test_goals_have_the_door_where_the_hand_takes_it(door):
 
 
 def test_json_round_trip():
-    for chain in (handle_region(np.inf), handle_region(0.7)):
+    leaning = replace(handle_region(), tilt=0.2)
+    for chain in (handle_region(np.inf), handle_region(0.7), leaning):
         for region in (chain, chain.at(np.eye(4))):
+            assert region.tilt == chain.tilt
             again = from_plain(Region, json.loads(json.dumps(to_plain(region, Region))))
             assert type(again) is type(region) and again == region
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.task_space_region import upright
+from cvqmpt_lab.constraints.task_space_region import upright, upright_box
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.poses import pose
 
@@ -20,7 +20,7 @@ def inside(data, T_world_e):
     """Whether an end-effector pose (4, 4) satisfies a region, by its definition."""
     r = region(data)
     x = displacement(r, T_world_e)
-    return bool(((x >= r.Bw[:, 0] - 1e-9) & (x <= r.Bw[:, 1] + 1e-9)).all())
+    return bool(((x >= r.bounds[:, 0] - 1e-9) & (x <= r.bounds[:, 1] + 1e-9)).all())
 
 
 def turned(xyz, rotvec):
@@ -29,26 +29,42 @@ def turned(xyz, rotvec):
     return T
 
 
-def test_the_short_upright_is_the_papers_constraint():
-    in_full = {"upright": {"tilt": 0.1, "axis": "x"}}
-    assert region({"upright": 0.1}) == region(in_full) == upright(0.1)
-    assert region(to_plain(upright(0.2), Region)) == upright(0.2)
-    np.testing.assert_array_equal(upright(0.2).Bw[4:], [[-0.2, 0.2]] * 2)
+@pytest.mark.parametrize(("name", "kind"), [("upright", upright), ("upright-box", upright_box)])
+def test_a_short_form_is_the_first_field_and_what_is_written_is_read_again(name, kind):
+    in_full = {name: {"tilt": 0.1, "axis": "x"}}
+    assert region({name: 0.1}) == region(in_full) == kind(0.1) != kind(0.2)
+    assert region(to_plain(kind(0.2), Region)) == kind(0.2)
+
+
+def test_the_box_is_the_papers_constraint_and_is_written_as_before_there_were_cones():
+    np.testing.assert_array_equal(upright_box(0.2).Bw[4:], [[-0.2, 0.2]] * 2)
+    assert set(to_plain(upright_box(0.2))) == {"T0_w", "Tw_e", "Bw"}
+    assert to_plain(upright(0.2))["tilt"] == 0.2
 
 
 @pytest.mark.parametrize("axis", ["x", "-x", "y", "-y", "z", "-z"])
 def test_upright_keeps_any_axis_of_the_hand_up_and_leaves_yaw_free(axis):
-    rng, data = np.random.default_rng(0), {"upright": {"tilt": 0.2, "axis": axis}}
+    """To the angle asked for in any direction; the box lets a hand lean by more."""
+    rng, fields, seen = np.random.default_rng(0), {"tilt": 0.2, "axis": axis}, set()
+    zero = [region({name: {**fields, "tilt": 0.0}}) for name in ("upright", "upright-box")]
     direction = np.eye(3)["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
-    for _ in range(50):
+    for _ in range(200):
         up = Rotation.align_vectors([[0, 0, 1]], [direction])[0]
-        about = np.append(np.eye(2)[rng.integers(2)], 0.0)
-        tilt = Rotation.from_rotvec(rng.uniform(0.0, 0.4) * about)
+        way = rng.uniform(-np.pi, np.pi)
+        about = np.array([np.cos(way), np.sin(way), 0.0])
+        tilt = Rotation.from_rotvec(rng.uniform(0.0, 0.5) * about)
         rotation = tilt * Rotation.from_rotvec([0, 0, rng.uniform(-3, 3)]) * up
         T = pose(rng.uniform(-1, 1, 3))
         T[:3, :3] = rotation.as_matrix()
         angle = np.arccos(np.clip((rotation.as_matrix() @ direction)[2], -1, 1))
-        assert angle < 0.2 * np.sqrt(2) + 0.1 if inside(data, T) else angle > 0.1
+        in_cone, in_box = inside({"upright": fields}, T), inside({"upright-box": fields}, T)
+        assert in_cone == (angle <= 0.2)
+        assert angle < 1.42 * 0.2 if in_box else angle > 0.63 * 0.2
+        seen.add((in_cone, in_box))
+        level = np.eye(4)
+        level[:3, :3] = (tilt.inv() * rotation).as_matrix()
+        assert all(np.abs(displacement(one, level)[one.bounded_rows]).max() < 1e-9 for one in zero)
+    assert {(True, True), (False, True), (False, False)} <= seen
 
 
 def test_a_fixed_orientation_leaves_the_position_free():

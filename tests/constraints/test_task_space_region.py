@@ -18,6 +18,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegionChain,
     stack_regions,
     upright,
+    upright_box,
 )
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
@@ -47,13 +48,19 @@ def random_pose(rng, spread=0.5):
 
 
 def random_region(rng, base=None):
-    """Random frames and bounds; about a third of the rows free or bounded on one side only."""
+    """Random frames and bounds; about a third of the rows free or bounded on one side only.
+
+    Every second one bounds the tilt, too.
+    """
     centre, width = rng.uniform(-1, 1, 6), rng.uniform(0, 1, 6)
     Bw = np.stack([centre - width, centre + width], axis=1)
     Bw[rng.random((6, 2)) < 0.2] = np.inf
     Bw[:, 0] = np.where(np.isinf(Bw[:, 0]), -np.inf, Bw[:, 0])
     frames = random_pose(rng), random_pose(rng)
-    return TaskSpaceRegionChain(*frames, Bw, base) if base else TaskSpaceRegion(*frames, Bw)
+    tilt = rng.uniform(0.1, 2.0) if rng.random() < 0.5 else None
+    if base:
+        return TaskSpaceRegionChain(*frames, Bw, base, tilt=tilt)
+    return TaskSpaceRegion(*frames, Bw, tilt=tilt)
 
 
 def box(half, **changes):
@@ -63,20 +70,22 @@ def box(half, **changes):
 
 
 def displacement(region, T_world_e):
-    """Position and rotation vector (6,) of a pose in a region, by the definition."""
+    """Position, rotation vector and tilt (7,) of a pose in a region, by the definition."""
     T = np.linalg.inv(region.T0_w) @ T_world_e @ np.linalg.inv(region.Tw_e)
-    return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+    chord = np.linalg.norm(T[:3, 2] - (0.0, 0.0, 1.0))
+    tilt = 2.0 * np.arcsin(min(0.5 * chord, 1.0))
+    return np.array([*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_rotvec(), tilt])
 
 
 def of_hand(robot, region, q):
-    """The displacement (6,) of the hand at q, seen from the frame that the region hangs on."""
+    """The displacement (7,) of the hand at q, seen from the frame that the region hangs on."""
     base = robot.pose(q, region.base) if isinstance(region, TaskSpaceRegionChain) else np.eye(4)
     return displacement(region, np.linalg.inv(base) @ robot.pose(q))
 
 
 def outside(region, x):
-    """Signed distance of displacements (6,) outside the bounds, bounded rows only."""
-    lower, upper = region.Bw.T
+    """Signed distance of displacements (7,) outside the bounds, bounded rows only."""
+    lower, upper = region.bounds.T
     return (np.minimum(x - lower, 0.0) + np.maximum(x - upper, 0.0))[region.bounded_rows]
 
 
@@ -92,7 +101,7 @@ def random_cases(robot, bases, count):
     while count:
         region = random_region(rng, bases[count % len(bases)])
         q = robot.random_configurations(rng, 1)[0]
-        if np.linalg.norm(of_hand(robot, region, q)[3:]) < np.pi - KINK:
+        if np.linalg.norm(of_hand(robot, region, q)[3:6]) < np.pi - KINK:
             count -= 1
             yield region, q
 
@@ -113,7 +122,7 @@ def test_jacobian_is_the_residual_s_derivative(robot_and_bases):
     compared, robot, columns = 0, robot_and_bases[0], 0.0
     for region, q in random_cases(*robot_and_bases, 200):
         constraint, rows = RegionConstraint(robot, (region,)), region.bounded_rows
-        lower, upper = region.Bw[rows].T
+        lower, upper = region.bounds[rows].T
         x = of_hand(robot, region, q)[rows]
         smooth = np.minimum(abs(x - lower), abs(x - upper)) > KINK
         expected = differences(lambda q, r=region: of_hand(robot, r, q)[r.bounded_rows], q)
@@ -151,7 +160,9 @@ def test_bounded_rows_leave_out_what_cannot_be_violated():
     turn = (-np.pi, np.pi)
     Bw = np.array([FREE, (0, np.inf), (-np.inf, 1), turn, (-4, 4), (-np.pi, 3)])
     np.testing.assert_array_equal(box(1, Bw=Bw).bounded_rows, [1, 2, 5])
-    np.testing.assert_array_equal(upright().bounded_rows, [4, 5])
+    np.testing.assert_array_equal(upright_box().bounded_rows, [4, 5])
+    np.testing.assert_array_equal(upright().bounded_rows, [6])
+    assert len(upright(np.pi).bounded_rows) == 0
 
 
 def test_shrunken_bounds_lie_inside(panda):
@@ -167,9 +178,37 @@ def test_sampled_poses_lie_inside():
         centre, width = rng.uniform(-0.8, 0.8, 6), rng.uniform(0, 0.8, 6)
         bounds = np.stack([centre - width, centre + width], axis=1)
         region = TaskSpaceRegion(random_pose(rng), random_pose(rng), bounds)
-        x = np.array([displacement(region, T) for T in region.sample_poses(rng, 20)])
+        x = np.array([displacement(region, T)[:6] for T in region.sample_poses(rng, 20)])
         assert (x >= region.Bw[:, 0] - 1e-9).all() and (x <= region.Bw[:, 1] + 1e-9).all()
         assert (np.ptp(x, axis=0) >= 0.5 * np.ptp(region.Bw, axis=1)).all()
+
+
+def test_sampled_poses_fill_a_cone():
+    """However thin; of its tilts, the larger half is met more often."""
+    rng = np.random.default_rng(8)
+    for tilt in (1e-3, 0.3, 2.5):
+        bounds = np.array([(0.0, 0.1)] * 3 + [FREE, FREE, (-1.0, 2.0)])
+        region = TaskSpaceRegion(random_pose(rng), random_pose(rng), bounds, tilt=tilt)
+        x = np.array([displacement(region, T) for T in region.sample_poses(rng, 200)])
+        lower, upper = region.bounds.T
+        assert (x >= lower - 1e-9).all() and (x <= upper + 1e-9).all()
+        assert (x[:, 6] > 0.5 * tilt).sum() > 110 and np.ptp(x[:, 5]) > 2.0
+        assert (x[:, 3:5].min(axis=0) < 0.0).all() and (x[:, 3:5].max(axis=0) > 0.0).all()
+
+
+def test_a_tilt_of_zero_is_kept_as_turns_of_zero_which_are_smooth():
+    """The bound of 0 of the tilt itself has no derivative there."""
+    region = box(1.0, tilt=0.0)
+    assert region.tilt is None and "tilt" not in to_plain(region)
+    np.testing.assert_array_equal(region.Bw[3:5], np.zeros((2, 2)))
+    off = np.array([FREE] * 3 + [(0.1, 0.2), FREE, FREE])
+    refused(r"tilt is 0, and Bw\[3\] or Bw\[4\].*leaves out 0", box, 1.0, Bw=off, tilt=0.0)
+    refused(
+        "its tilt",
+        box(1.0, Bw=np.tile((0.5, 0.6), (6, 1)), tilt=0.1).sample_poses,
+        np.random.default_rng(0),
+        1,
+    )
 
 
 ROWS = "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [rad]; null = free"

@@ -9,6 +9,7 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.benchmarks.place_task import place_problem, single_goal_problem
+from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.external import entry_point_names, external_planner
 from cvqmpt_lab.pipeline import solve
@@ -70,6 +71,20 @@ def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_twelfth_left(pr
     angles = np.column_stack([np.linspace(-3.14, 3.14, 4000), tilts])
     vectors = np.abs([pin.log3(pin.rpy.rpyToMatrix(*each))[1:] for each in angles])
     assert 0.09 < vectors.max() < 0.092
+
+
+@pytest.mark.parametrize("tilt", [0.1, 1.5])
+def test_the_same_box_lies_in_a_cone(problem, tilt):
+    """Its axis and the vertical, at the corners of the box and any roll."""
+    cone = upright(tilt, "-z")
+    region = upright_region(replace(problem, constraint=(cone,)))
+    for roll, *rest in np.column_stack(
+        [np.linspace(-3.14, 3.14, 400), np.tile(rpy_box(region)[4:].T, (200, 1))]
+    ):
+        T = np.eye(4)
+        T[:3, :3] = pin.rpy.rpyToMatrix(roll, *rest)
+        hand = region.T0_w @ T @ region.Tw_e
+        assert 0.7 * tilt < np.arccos(-hand[2, 2]) < 0.8 * tilt
 
 
 def test_other_constraints_and_goals_are_refused(problem):

@@ -45,8 +45,9 @@ placements = st.builds(
 half_widths = st.tuples(*[st.sampled_from(WIDTHS)] * 6).map(np.array)
 bounds = half_widths.map(lambda halves: np.stack([-halves, halves], axis=1))
 frames = placements.map(lambda placement: placement.matrix)
+tilts = st.sampled_from([None, 0.0, 2e-4, 0.3, 2.0, 3.15])
 # wide, narrow, a single value or no bound
-regions = st.builds(TaskSpaceRegion, frames, frames, bounds)
+regions = st.builds(TaskSpaceRegion, frames, frames, bounds, tilt=tilts)
 shorts = st.sampled_from([1e-4, 1e-3, 0.01, 0.1])
 latents = arrays(
     float, st.integers(1, 4).map(lambda count: (count, 8)), elements=st.floats(-1e3, 1e3)

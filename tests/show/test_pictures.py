@@ -11,6 +11,7 @@ from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
 from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.task_space_region import upright, upright_box
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.show.bodies import (
     frames,
@@ -73,13 +74,15 @@ def test_planes_and_lines_are_drawn_where_the_hand_may_be(problem, region, thin)
     assert (0.5 * (low + high))[thin] == pytest.approx(np.array([0.4, 0.1, 0.5])[thin])
 
 
-def test_the_cone_of_a_tilt_is_as_wide_as_its_bound(problem):
-    cone, *_ = constraint_marks(problem, problem.start[None])
+@pytest.mark.parametrize("region", [upright(0.2), upright_box(0.1)])
+def test_the_cone_of_a_tilt_is_as_wide_as_its_bound(problem, region):
+    bounded = replace(problem, constraint=(region,))
+    cone, *_ = constraint_marks(bounded, problem.start[None])
     apex = problem.robot.pose(problem.start)[:3, 3]
     rays = cone.corners.reshape(-1, 3) - apex
     rays = rays[np.linalg.norm(rays, axis=1) > 1e-6]
     angles = np.arccos(rays[:, 2] / np.linalg.norm(rays, axis=1))
-    assert angles == pytest.approx(problem.constraint[0].Bw[4, 1], abs=1e-6)
+    assert angles == pytest.approx(region.bounds[region.bounded_rows[-1], 1], abs=1e-6)
 
 
 def test_what_cannot_be_written_is_refused(unsolved, tmp_path):

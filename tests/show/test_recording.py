@@ -8,6 +8,7 @@ from matplotlib.image import imread
 
 from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
@@ -73,12 +74,17 @@ def test_unwritable_recording_is_refused(unsolved, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"folder", "file"}
 
 
-def test_plots_say_what_the_certificate_says(problem, solution):
+@pytest.mark.parametrize("rows", [("rotation about y", "rotation about z"), ("tilt",)])
+def test_plots_say_what_the_certificate_says(problem, solution, rows):
+    if rows == ("tilt",):
+        problem = replace(problem, constraint=(upright(),))
     states = problem.robot.random_configurations(np.random.default_rng(0), 5)
     plots = {plot.title: plot for plot in plots_along(problem, states)}
     outside = np.zeros(len(states))
-    for axis in "yz":
-        plot = plots[f"rotation about {axis} against its bounds [rad]"]
+    leans = np.degrees(np.arccos(problem.robot.poses(states)[:, 2, 0]))
+    assert plots["tilt of the hand [deg]"].curves["tilt"] == pytest.approx(leans)
+    for row in rows:
+        plot = plots[f"{row} against its bounds [rad]"]
         tilt, low, high = plot.lines.values()
         outside = np.maximum(outside, np.maximum(low - tilt, tilt - high))
     for q, excess in zip(states, outside, strict=True):
