@@ -1,11 +1,13 @@
 """Objects that several test files share; each is made once and must not be changed."""
 
+import shlex
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
 import pytest
+from command_line import run_here
 
 from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, place_problem
@@ -97,6 +99,18 @@ def task():
 def task_solution(task):
     """`task`, every phase solved and certified."""
     return solve_task(task, "birrt", Budget(seconds=20.0), seed=0)
+
+
+@pytest.fixture
+def cvqmpt(capsys):
+    """Runs `cvqmpt WORDS` in this process to its end, which must be `code`; gives its output."""
+
+    def output(words, *more, code=0):
+        capsys.readouterr()
+        run_here([*shlex.split(words), *more], code)
+        return capsys.readouterr().out
+
+    return output
 
 
 @pytest.fixture

@@ -47,8 +47,7 @@ def test_a_link_is_followed_and_what_is_no_file_is_not_replaced(tmp_path):
     write_bytes(tmp_path / "link", b"new")
     assert (tmp_path / "link").is_symlink() and (tmp_path / "target").read_bytes() == b"new"
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(InvalidInputError, match=r"write file .*/pipe: it is not a regular file"):
-        write_bytes(tmp_path / "pipe", b"new")
+    refused(r"write file .*/pipe: it is not a regular file", write_bytes, tmp_path / "pipe", b"new")
 
 
 def test_what_fails_while_writing_is_not_moved_into_place(tmp_path):

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.spatial import cKDTree
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.cells import CELL, blocks_of, cells_with, distinct, map_of_points, merged
 from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud
@@ -18,8 +18,12 @@ def filled(boxes):
 
 
 def test_cells_finer_than_a_millimetre_are_refused_before_any_are_made():
-    with pytest.raises(InvalidInputError, match=r"resolution is 1e-09 m; give 0\.001 m or more"):
-        map_of_points(np.array([[0.0, 0.0, 0.0], [1e3, 1e3, 1e3]]), 1e-9)
+    refused(
+        r"resolution is 1e-09 m; give 0\.001 m or more",
+        map_of_points,
+        np.array([[0.0, 0.0, 0.0], [1e3, 1e3, 1e3]]),
+        1e-9,
+    )
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
@@ -78,5 +82,4 @@ def test_a_map_with_many_cells_across_is_held_by_larger_ones():
     ids=str,
 )
 def test_maps_that_are_none_are_refused(fields, message):
-    with pytest.raises(InvalidInputError, match=message):
-        OccupancyMap(**fields)
+    refused(message, OccupancyMap, **fields)
