@@ -91,11 +91,7 @@ def office(rng, height):
 @pytest.mark.parametrize(
     ("points", "down", "words"),
     [
-        (
-            lambda rng: office(rng, 1.6),
-            20.0,
-            "1.60 m above .* of 25% .* at most 1.20 m",
-        ),
+        (lambda rng: office(rng, 1.6), 20.0, "1.60 m above .* of 25% .* at most 1.20 m"),
         (lambda rng: office(rng, -1.1), 20.0, "the camera is -1.10 m above"),
         (lambda rng: office(rng, 1.1)[:6000], 20.0, "largest plane, of 100% .* 70 deg off level"),
         (lambda rng: office(rng, 1.1)[:6000] * (1, 1, 0.2), 40.0, "50 deg off level"),

@@ -72,17 +72,6 @@ def test_the_table_becomes_a_box_or_goes(files, capture, plane):
         np.testing.assert_allclose(made.table.T_world_object[2, 3], 0.0, atol=0.005)
 
 
-def test_scans_without_sense_are_refused(capture):
-    refused("nothing of the scan is left", cleaned, capture, crop=BoxCrop((5, 5, 5), (6, 6, 6)))
-    refused(
-        "2 captures cannot be levelled",
-        scan,
-        [capture, capture],
-        ScanSettings(level=True),
-        np.random.default_rng(0),
-    )
-
-
 def test_obstacles_cover_the_surface_that_the_camera_saw(capture):
     made = cleaned(capture, neighbours=0)
     cells = made.scene()["scan"].shape
