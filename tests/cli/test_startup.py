@@ -22,6 +22,8 @@ REPORT = "import json, sys; print(json.dumps(sorted(sys.modules)))"
 PEAK = (
     "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
 )
+PACKAGES = ("cvqmpt_lab", "paper_tables", "experiments", "cli")
+MOST_MODULES = 110  # of our own that a classical plan imports
 MOST_MB = 40  # that weights and prediction add to the memory of a plan
 
 
@@ -45,10 +47,13 @@ def imported(*words):
     return set(json.loads(python(run + REPORT)))
 
 
-def test_a_classical_plan_imports_nothing_heavy():
-    modules = imported("plan", "place-task", "--problem", "3", "--planner", "birrt")
+@pytest.mark.parametrize("planner", [("--planner", "birrt"), ()], ids=["birrt", "default"])
+def test_a_classical_plan_imports_nothing_heavy_and_few_modules(planner):
+    modules = imported("plan", "place-task", "--problem", "7", *planner)
     assert "cvqmpt_lab.pipeline" in modules
     assert not modules & {*HEAVY, *LEARNED}
+    own = [name for name in modules if name.split(".")[0] in PACKAGES]
+    assert len(own) <= MOST_MODULES, sorted(own)
 
 
 def test_a_learned_plan_reads_weights_and_imports_nothing_else():
