@@ -153,11 +153,7 @@ def test_our_search_goes_on_from_a_proposal():
         ("far", PlanStatus.MALFORMED_PATH, r"row 1 of 3 .* 1e\+07 rad or m outside the joint"),
         ("long", PlanStatus.MALFORMED_PATH, "a path of 60000 states"),
         ("own", PlanStatus.MALFORMED_PATH, "a Proposal that draws from a Own: give Uniform or"),
-        (
-            "nan",
-            PlanStatus.MALFORMED_PATH,
-            "row 0 of 4 of the states that it",
-        ),
+        ("nan", PlanStatus.MALFORMED_PATH, "row 0 of 4 of the states that it"),
         ("flat", PlanStatus.MALFORMED_PATH, r"states of shape \(7,\): give \(m, 7\)"),
         ("text", PlanStatus.MALFORMED_PATH, "it returned 'a path'"),
         ("nothing", PlanStatus.NO_PATH, ""),
