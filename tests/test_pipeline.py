@@ -1,10 +1,13 @@
-"""Many problems at once, and time left for a better path."""
+"""Many problems at once, threads and processes, time left for a better path, wrong arguments."""
 
+import multiprocessing
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from refusals import refused
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate import certify
@@ -12,6 +15,7 @@ from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.pipeline import NEAR_GOALS, solve, solve_many, with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.processes import end_with_parent, one_thread
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import ConvexMesh, Cylinder, PointCloud, Sphere
@@ -114,6 +118,31 @@ def test_four_threads_find_the_paths_and_verdicts_of_one(four_threads, number, p
     for path, same in zip(together, 2 * alone, strict=True):
         np.testing.assert_array_equal(path.states, same.states)
     assert all(four_threads(lambda path: certify(problem, path).valid, together))
+
+
+@pytest.mark.parametrize(("off", "code"), [(0, 0), (1, 1)])
+def test_a_worker_whose_parent_is_another_by_now_ends_at_once(off, code):
+    worker = multiprocessing.get_context("fork").Process(
+        target=end_with_parent, args=(os.getpid() + off,)
+    )
+    worker.start()
+    worker.join(20)
+    assert worker.exitcode == code
+
+
+def test_libraries_have_one_thread_meanwhile_and_a_learned_path_is_the_same_on_four(problem):
+    with threadpool_limits(3):
+        before = threadpool_info()
+        with one_thread():
+            assert {library["num_threads"] for library in threadpool_info()} == {1}
+        assert threadpool_info() == before
+
+    def states(threads):
+        with threadpool_limits(threads):
+            found = solve(problem, "mpnet-bridged", Budget(iterations=300), seed=0)
+        return found.plan.path.states.tobytes()
+
+    assert states(1) == states(4)
 
 
 SEEDS = (-1, 2.5, np.nan, "3", None, True, [1])
