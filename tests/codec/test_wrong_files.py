@@ -66,10 +66,6 @@ NONE = type(None)  # take the field out
         (SHAPE, BOX | {"size": [500] * 3}, "'b', is 500 m large, more than 250: no metres?"),
         (SHAPE, {"type": "cloud_file", "path": "a", "sclae": 1}, "did you mean 'scale'?"),
         (SHAPE, {"type": "mesh_file", "path": "a.npy"}, "'.npy'; valid choices: .stl"),
-        (
-            SHAPE,
-            "shape.scale is -1.0; it must",
-        ),
         (POSE, np.diag([1.0, 1, -1, 1]).tolist(), "is no rigid pose: its rotation part is mirr"),
         (POSE, {"rpy": [0, 0, 90]}, "'rpy' holds 90, more than 2 pi: degrees? Give radians"),
         (f"{POSE}.xyz", [float("nan"), 0, 0], "T_world_object.xyz[0] is nan; it must be a finite"),
