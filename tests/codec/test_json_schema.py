@@ -94,7 +94,7 @@ def test_what_the_code_writes_and_wrote_is_valid(name, request):
 )
 def test_what_the_code_refuses_is_marked(mine, change):
     assert errors("problem", mine | change)
-    refused("", PlanningProblem.from_dict, mine | change)
+    refused(".", PlanningProblem.from_dict, mine | change)
 
 
 def test_the_example_of_the_docs_is_valid_and_can_be_planned(request):

@@ -115,5 +115,6 @@ def test_one_line_names_the_field_and_the_cure(field, value, line, tmp_path, mon
     assert said.startswith("mine.json: ")
 
 
-def test_the_good_file_is_good():
+def test_the_good_file_is_good_and_a_list_is_no_problem():
     PlanningProblem.from_dict(GOOD)
+    refused("must be an object with schema, name, robot", PlanningProblem.from_dict, [])
