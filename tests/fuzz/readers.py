@@ -35,7 +35,6 @@ from cvqmpt_lab.results.row import RUNS_FILE, csv_text, read_rows
 from cvqmpt_lab.robot.load import load_robot, panda
 from cvqmpt_lab.scene.cloud_files import read_cloud
 from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
-from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget
@@ -271,10 +270,6 @@ READERS = (
     *(
         Reader("meshes", f"mesh.{kind}", partial(ring, kind), damaged, triangles, 33_000)
         for kind in ("stl", "obj", "dae")
-    ),
-    *(
-        Reader("MoveIt scenes", name, (DATA / name).read_bytes, damaged, read_moveit_scene, 5000)
-        for name in ("older.scene", "newer.scene")
     ),
     Reader("meshes, cut into convex pieces", "mesh.obj", partial(ring, "obj"),
            damaged, read_mesh, 500, 5.0),

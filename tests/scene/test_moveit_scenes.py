@@ -8,6 +8,7 @@ import pytest
 from command_line import refused as refused_command
 from refusals import refused
 
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
@@ -88,6 +89,20 @@ def test_a_scene_without_something_is_refused(tmp_path):
     refused("object 'the box': unknown shape 'cone'", read, tmp_path, cone)
     refused(r"'\* late' follows '\.'", read, tmp_path, OLDER + "* late\n")
     refused(r"'\.xml'; valid choices: \.scene, \.yaml", read_moveit_scene, tmp_path / "a.xml")
+
+
+@pytest.mark.parametrize("text", [OLDER, NEWER], ids=["older", "newer"])
+def test_damaged_text_is_refused_in_one_line(tmp_path, text):
+    lines = text.splitlines()
+    for k, line in enumerate(lines):
+        damaged = [lines[:k], lines[:k] + lines[k + 1 :]]
+        for wrong in ("nan 1", "-1", "999999999", f"{line} 7"):
+            damaged += [[*lines[:k], wrong, *lines[k:]], [*lines[:k], wrong, *lines[k + 1 :]]]
+        for each in damaged:
+            try:
+                read(tmp_path, "\n".join(each))
+            except InvalidInputError as error:
+                assert str(error).startswith("MoveIt scene ") and str(error).isprintable()
 
 
 def test_import_writes_a_scene_that_problems_name(tmp_path, cvqmpt, capsys):
