@@ -97,7 +97,7 @@ def test_damaged_text_is_refused_in_one_line(tmp_path, text):
     for k, line in enumerate(lines):
         damaged = [lines[:k], lines[:k] + lines[k + 1 :]]
         for wrong in ("nan 1", "-1", "999999999", f"{line} 7"):
-            damaged += [[*lines[:k], wrong, *lines[k:]], [*lines[:k], wrong, *lines[k + 1 :]]]
+            damaged.append([*lines[:k], wrong, *lines[k + 1 :]])
         for each in damaged:
             try:
                 read(tmp_path, "\n".join(each))
