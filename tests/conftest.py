@@ -1,18 +1,29 @@
 """Objects that several test files share; each is made once and must not be changed."""
 
+import shlex
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
+from command_line import SCAN_START, run_here
 
 from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, place_problem
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
+from cvqmpt_lab.scene.cloud_files import write_cloud
 from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.scene.scene import SceneObject
+from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
+from cvqmpt_lab.sensing.depth import write_view
+from cvqmpt_lab.sensing.render import view_of
+from cvqmpt_lab.sensing.virtual import arm_objects, solids_of
 from cvqmpt_lab.tasks.solve import solve_task
 
 DATA = Path(__file__).parent / "data"
@@ -97,6 +108,43 @@ def task():
 def task_solution(task):
     """`task`, every phase solved and certified."""
     return solve_task(task, "birrt", Budget(seconds=20.0), seed=0)
+
+
+OBJECTS = (
+    SceneObject("table", Box((0.8, 1.4, 0.04)), pose((0.7, 0.0, -0.02))),
+    SceneObject("post", Box((0.08, 0.08, 0.5)), pose((0.62, 0.0, 0.25))),
+    SceneObject("crate", Box((0.12, 0.12, 0.2)), pose((0.6, 0.3, 0.1), 0.4)),
+)
+LENS = Intrinsics.from_fov(width=200, height=160, vertical_fov=60.0, near=0.2)
+CAMERA = Camera(LENS, look_at((-0.4, 0.3, 1.2), (0.6, 0.0, 0.0)))
+
+
+@pytest.fixture(scope="session")
+def scan_view(panda):
+    """What a depth camera sees of a table, a post, a crate and the arm at the start."""
+    arm = arm_objects(panda, np.fromstring(SCAN_START, sep=","))
+    return view_of(solids_of((*OBJECTS, *arm)), CAMERA)
+
+
+@pytest.fixture(scope="session")
+def scan_folder(tmp_path_factory, scan_view):
+    """The view as a depth image with its camera, and as a cloud."""
+    folder, T = tmp_path_factory.mktemp("scan"), CAMERA.T_world_camera
+    write_view(scan_view, folder, "depth")
+    write_cloud(folder / "cloud.ply", (scan_view.points - T[:3, 3]) @ T[:3, :3])
+    return folder
+
+
+@pytest.fixture
+def cvqmpt(capsys):
+    """Runs `cvqmpt WORDS` in this process to its end, which must be `code`; gives its output."""
+
+    def output(words, *more, code=0):
+        capsys.readouterr()
+        run_here([*shlex.split(words), *more], code)
+        return capsys.readouterr().out
+
+    return output
 
 
 @pytest.fixture

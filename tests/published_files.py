@@ -1,6 +1,7 @@
 """Folders like the published checkpoints; names and shapes follow their description."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -19,78 +20,7 @@ SEQUENCE = {
 }  # fmt: skip
 
 
-def linear(name, out_dim, in_dim):
-    return {f"{name}.weight": (out_dim, in_dim), f"{name}.bias": (out_dim,)}
-
-
-def norm(name, dim):
-    return {f"{name}.weight": (dim,), f"{name}.bias": (dim,)}
-
-
-def feed_forward(name, sizes):
-    d, inner = sizes["d_model"], sizes["d_inner"]
-    return (
-        linear(f"{name}.w_1", inner, d)
-        | linear(f"{name}.w_2", d, inner)
-        | norm(f"{name}.layer_norm", d)
-    )
-
-
-def layers(attention, sizes, prefix=""):
-    d, heads, shapes = sizes["d_model"], sizes["n_heads"], {}
-    for i in range(sizes["n_layers"]):
-        block = f"{prefix}layer_stack.{i}.{attention}"
-        shapes |= {f"{block}.{name}.weight": (heads * sizes["d_k"], d) for name in ("w_qs", "w_ks")}
-        shapes[f"{block}.w_vs.weight"] = (heads * sizes["d_v"], d)
-        shapes[f"{block}.fc.weight"] = (d, heads * sizes["d_v"])
-        shapes |= norm(f"{block}.layer_norm", d)
-        shapes |= feed_forward(f"{prefix}layer_stack.{i}.pos_ffn", sizes)
-    return shapes
-
-
-def statistics(name, dim):
-    return {
-        f"{name}.running_mean": (dim,),
-        f"{name}.running_var": (dim,),
-        f"{name}.num_batches_tracked": (),
-    }
-
-
-def set_abstraction(name, widths):
-    shapes = {}
-    for i in range(2):
-        layer = f"env_encoder.{name}.conv.local_nn.{i}"
-        shapes |= linear(f"{layer}.0", widths[i + 1], widths[i])
-        shapes |= norm(f"{layer}.2", widths[i + 1]) | statistics(f"{layer}.2", widths[i + 1])
-    return shapes
-
-
-SHAPES = {
-    "encoder_state": linear("to_embedding.0", 512, 7)
-    | linear("to_embedding.2", 512, 512)
-    | {"position_enc.pos_table": (1, 40, 512)}
-    | layers("slf_attn", STAGE1)
-    | norm("layer_norm", 512),
-    "quantizer_state": linear("input_linear_map", 8, 512)
-    | linear("output_linear_map", 512, 8)
-    | {"embedding.weight": (2048, 8)}
-    | statistics("batch_norm", 8),
-    "decoder_state": {"l_index": (2, 21)}
-    | feed_forward("pos_ffn", STAGE1)
-    | linear("mu.0", 7, 512)
-    | linear("diag.0", 7, 512)
-    | linear("l.0", 21, 512),
-    "context_state": set_abstraction("sa1_module", (6, 64, 128))
-    | set_abstraction("sa2_module", (131, 256, 512))
-    | linear("context_encoder.to_latent_embedding.0", 9, 7)
-    | linear("context_encoder.to_latent_embedding.2", 512, 9)
-    | norm("context_encoder.to_latent_embedding.4", 512)
-    | layers("enc_attn", CONTEXT, "context_encoder.")
-    | norm("context_encoder.layer_norm", 512),
-    "ar_model_state": layers("slf_attn", SEQUENCE)
-    | norm("layer_norm", 512)
-    | linear("class_pred", 2050, 512),
-}
+SHAPES = json.loads((Path(__file__).parent / "data" / "published_shapes.json").read_text())
 
 
 def waves(positions, width):

@@ -10,7 +10,6 @@ from refusals import refused
 
 from cvqmpt_lab import external
 from cvqmpt_lab.benchmarks.place_task import single_goal_problem
-from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.results.provenance import ProvenanceFile
@@ -154,11 +153,7 @@ def test_our_search_goes_on_from_a_proposal():
         ("far", PlanStatus.MALFORMED_PATH, r"row 1 of 3 .* 1e\+07 rad or m outside the joint"),
         ("long", PlanStatus.MALFORMED_PATH, "a path of 60000 states"),
         ("own", PlanStatus.MALFORMED_PATH, "a Proposal that draws from a Own: give Uniform or"),
-        (
-            "nan",
-            PlanStatus.MALFORMED_PATH,
-            "row 0 of 4 of the states that it",
-        ),
+        ("nan", PlanStatus.MALFORMED_PATH, "row 0 of 4 of the states that it"),
         ("flat", PlanStatus.MALFORMED_PATH, r"states of shape \(7,\): give \(m, 7\)"),
         ("text", PlanStatus.MALFORMED_PATH, "it returned 'a path'"),
         ("nothing", PlanStatus.NO_PATH, ""),
@@ -219,7 +214,7 @@ def test_a_planner_that_is_not_there_is_refused_in_one_line():
     refused("there is no module 'no_such_module'", planner_named, "no_such_module:plan")
     refused("is 3: give a function", planner_named, "their_planners:number")
     refused("did you mean 'good'", planner_named, "their_planners:godo")
-    refused("module:planner", planner_named, "unlucky", error=UnknownChoiceError)
+    refused("module:planner", planner_named, "unlucky")
 
 
 def test_the_command_plans_with_it_and_keeps_json_clean(capfd):

@@ -1,10 +1,13 @@
-"""Packaging: pins, licences, layers, and no host names in installation files."""
+"""Packaging: pins, licences, layers, no circle of imports, no host names in installation files."""
 
+import ast
 import os
 import re
 import subprocess
 import sys
 import tomllib
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from importlib.metadata import requires, version
 from pathlib import Path
 
@@ -18,12 +21,10 @@ from cvqmpt_lab.vqmpt.weights import SHIPPED
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+PACKAGES = ("cvqmpt_lab", "paper_tables", "experiments", "cli")
 EXTRAS = PROJECT["optional-dependencies"]
 RUNTIME = [Requirement(text) for text in PROJECT["dependencies"]]
-DECLARED = [
-    *RUNTIME,
-    *(Requirement(text) for name in ("dev", "docs", "train") for text in EXTRAS[name]),
-]
+DECLARED = [*RUNTIME, *map(Requirement, EXTRAS["dev"] + EXTRAS["docs"] + EXTRAS["train"])]
 
 
 def pinned():
@@ -81,17 +82,10 @@ def test_the_licence_of_all_that_ships_or_is_installed_is_listed():
     assert [name for name, licence in listed.items() if licence == "UNKNOWN"] == ["cmeel-qhull"]
 
 
-INSTALLING = [
-    "Makefile",
-    "Dockerfile",
-    ".ci/run",
-    "constraints.txt",
-    "locked.txt",
-    "pyproject.toml",
-]
+INSTALLING = "Makefile Dockerfile .ci/run constraints.txt locked.txt pyproject.toml"
 
 
-@pytest.mark.parametrize("name", INSTALLING)
+@pytest.mark.parametrize("name", INSTALLING.split())
 def test_no_package_index_is_named(name):
     text = (ROOT / name).read_text()
     assert re.search(r"https?://|--index-url|--find-links|--trusted-host", text) is None
@@ -119,24 +113,59 @@ def test_layers_and_doors_are_kept(tmp_path):
 
 
 def test_contracts_can_break(tmp_path):
-    text = (ROOT / ".importlinter").read_text()
-    assert text.count("    rerun\n    torch\n") == 1
-    (tmp_path / "c.ini").write_text(
-        text.replace("    rerun\n    torch\n", "    rerun\n    numba\n")
-    )
+    text, forbidden = (ROOT / ".importlinter").read_text(), "    rerun\n    torch\n"
+    assert text.count(forbidden) == 1
+    wrong = text.replace(forbidden, forbidden.replace("torch", "numba"))
+    (tmp_path / "c.ini").write_text(wrong)
     done = linted(["--config", str(tmp_path / "c.ini")], tmp_path)
     assert done.returncode != 0 and "-> numba" in done.stdout, done.stdout
 
 
 def test_the_plan_of_the_house_names_every_room():
     block = (ROOT / "docs" / "architecture.md").read_text().split("```")[1]
-    rooms = {
-        word
-        for line in block.splitlines()
-        if re.match(r"  \w", line)
-        for word in line[2:28].split()
-    }
+    rooms = set(" ".join(re.findall(r"^  (\w.{,25})", block, re.MULTILINE)).split())
     package = ROOT / "cvqmpt_lab"
     found = {path.stem for path in package.glob("*.py")} - {"__init__"}
     found |= {f"{path.parent.name}/" for path in package.glob("*/__init__.py")}
     assert rooms == found
+
+
+@cache
+def modules():
+    """The file of each module; a package has the name of its folder."""
+    files = [file for name in PACKAGES for file in (ROOT / name).rglob("*.py")]
+    relative = {file: file.relative_to(ROOT).with_suffix("").parts for file in files}
+    return {".".join(part for part in relative[f] if part != "__init__"): f for f in files}
+
+
+def imported(file, known):
+    """Names of own modules that a file imports, or names in a string, which may import them."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            inside = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from (name if name in known else node.module for name in inside)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+@cache
+def arrows():
+    """The own modules that each module imports; imports of a package's own `__init__` left out."""
+    known = modules()
+    return {
+        name: {other for other in imported(file, known) if other in known and other != name}
+        for name, file in known.items()
+    }
+
+
+def test_no_circle():
+    graph = {
+        name: {other for other in others if modules()[other].name != "__init__.py"}
+        for name, others in arrows().items()
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))

@@ -1,23 +1,27 @@
-"""Many problems at once, and time left for a better path."""
+"""Many problems at once, threads and processes, time left for a better path, wrong arguments."""
 
+import multiprocessing
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from refusals import refused
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import NEAR_GOALS, solve, solve_many, with_sampled_goals
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.processes import end_with_parent, one_thread
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.planner_interface import GaussianMixture, Uniform
 from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.tasks.solve import solve_task
@@ -93,23 +97,17 @@ def test_a_clearance_is_planned_for_and_certified(problem, backend):
     plain = solve(world, "birrt", ENOUGH, seed=0, backend=backend)
     clear = solve(replace(world, clearance=0.02), "birrt", ENOUGH, seed=0, backend=backend)
     assert plain.solved and plain.certificate.min_clearance_m < 0.02 and clear.solved
-    refused = certify(replace(world, clearance=0.02), plain.simplified.path)
-    assert any("closer than the clearance of 20 mm" in reason for reason in refused.reasons)
-    robot = replace(
-        problem.robot, self_collision_pairs=(), collision_model=without_pairs(problem.robot)
-    )
+    near = certify(replace(world, clearance=0.02), plain.simplified.path)
+    assert any("closer than the clearance of 20 mm" in reason for reason in near.reasons)
+    geometry = problem.robot.collision_model.copy()
+    geometry.removeAllCollisionPairs()
+    robot = replace(problem.robot, self_collision_pairs=(), collision_model=geometry)
     alone = CollisionChecker(robot, world.scene)
     assert all(alone.nearest(q).distance >= 0.02 for q in clear.simplified.path.states)
     space = ConstrainedSpace(replace(world, clearance=0.02))
     states = problem.robot.random_configurations(np.random.default_rng(0), 2000)
     free = states[space.valid_batch(states)]
     assert len(free) > 50 and not space.problem.collision_checker().in_collision_batch(free).any()
-
-
-def without_pairs(robot):
-    geometry = robot.collision_model.copy()
-    geometry.removeAllCollisionPairs()
-    return geometry
 
 
 def test_near_goals_are_tried_first_where_joints_turn_more_than_once():
@@ -125,8 +123,9 @@ def test_near_goals_are_tried_first_where_joints_turn_more_than_once():
 
 
 def test_a_run_without_a_clock_takes_no_seconds(problem):
-    with pytest.raises(InvalidInputError, match=r"optimize: 0\.05 s in a run of 20000 iterations"):
-        solve(problem, "birrt", ENOUGH, seed=0, optimize=Budget(seconds=0.05))
+    how = {"seed": 0, "optimize": Budget(seconds=0.05)}
+    told = r"optimize: 0\.05 s in a run of 20000 iterations"
+    refused(told, solve, problem, "birrt", ENOUGH, **how)
 
 
 @pytest.mark.parametrize(
@@ -146,47 +145,90 @@ def test_four_threads_find_the_paths_and_verdicts_of_one(four_threads, number, p
     assert all(four_threads(lambda path: certify(problem, path).valid, together))
 
 
-@pytest.mark.parametrize("seed", [-1, 2.5, np.nan, "3", None, True, [1]])
-@pytest.mark.parametrize("call", [solve, solve_task, solve_many])
-def test_a_seed_that_is_no_whole_number_is_refused(problem, task, call, seed):
-    given = {solve: problem, solve_task: task, solve_many: [problem]}[call]
-    refused(r"seed .*: give a whole number of 0 or more", call, given, "birrt", ENOUGH, seed)
+@pytest.mark.parametrize(("off", "code"), [(0, 0), (1, 1)])
+def test_a_worker_whose_parent_is_another_by_now_ends_at_once(off, code):
+    worker = multiprocessing.get_context("fork").Process(
+        target=end_with_parent, args=(os.getpid() + off,)
+    )
+    worker.start()
+    worker.join(20)
+    assert worker.exitcode == code
 
 
-def test_objects_of_a_wrong_type_are_refused_by_their_type(problem, task):
-    loads = r"it must be a PlanningProblem: PlanningProblem\.load"
+def test_libraries_have_one_thread_meanwhile_and_a_learned_path_is_the_same_on_four(problem):
+    with threadpool_limits(3):
+        before = threadpool_info()
+        with one_thread():
+            assert {library["num_threads"] for library in threadpool_info()} == {1}
+        assert threadpool_info() == before
+
+    def states(threads):
+        with threadpool_limits(threads):
+            found = solve(problem, "mpnet-bridged", Budget(iterations=300), seed=0)
+        return found.plan.path.states.tobytes()
+
+    assert states(1) == states(4)
+
+
+SEEDS = (-1, 2.5, np.nan, "3", None, True, [1])
+BUDGETS = (2.5, None, "3", {"iterations": 3})
+ITERATIONS = (2.5, np.nan, "3", 0, -1, 1e300, np.inf, True, [1], 2**70)
+LOADS = r"it must be a PlanningProblem: PlanningProblem\.load"
+
+
+def test_arguments_of_a_wrong_type_are_refused_by_their_type(problem, task):
     for call, given, told in (
-        (solve, ("mine.json", "birrt"), f"problem is a str, 'mine.json'; {loads}"),
+        (solve, ("mine.json", "birrt"), f"problem is a str, 'mine.json'; {LOADS}"),
         (solve, (task, "birrt"), "problem is a Task, .*; a Task is for solve_task"),
         (solve, (problem, 3), "method is a int, 3; it must be a Method: or the name of a planner"),
         (solve_many, (problem, "birrt"), "problems is a PlanningProblem, .*a list of problems"),
-        (solve_many, ([problem, None], "birrt"), rf"problems\[1\] is a NoneType, None; {loads}"),
+        (solve_many, ([problem, None], "birrt"), rf"problems\[1\] is a NoneType, None; {LOADS}"),
         (solve_task, (problem, "birrt"), "task is a PlanningProblem, .*a Task: .*for solve"),
         (solve_task, (task, None), "method is a NoneType"),
     ):
         refused(told, call, *given, ENOUGH, 0)
+    for call, given in ((solve, problem), (solve_task, task), (solve_many, [problem])):
+        for seed in SEEDS:
+            told = "seed .*: give a whole number of 0 or more"
+            refused(told, call, given, "birrt", ENOUGH, seed)
+    told = r"{} .*: give Budget\(seconds=\.\.\.\)"
+    for budget in BUDGETS:
+        for call, given in ((solve, problem), (solve_task, task)):
+            refused(told.format("budget"), call, given, "birrt", budget, 0)
+        if budget is not None:
+            how = {"seed": 0, "optimize": budget}
+            refused(told.format("optimize"), solve, problem, "birrt", ENOUGH, **how)
 
 
-@pytest.mark.parametrize("budget", [2.5, None, "3", {"iterations": 3}])
-def test_what_is_no_budget_is_refused(problem, task, budget):
-    for call, given in ((solve, problem), (solve_task, task)):
-        refused(r"budget .*: give Budget\(seconds=\.\.\.\)", call, given, "birrt", budget, 0)
-    if budget is not None:
-        refused(r"optimize .*: give Budget", solve, problem, "birrt", ENOUGH, 0, optimize=budget)
+def test_a_budget_of_nothing_is_refused():
+    for iterations in ITERATIONS:
+        told = "budget iterations .*: give a whole number from 1"
+        refused(told, Budget, iterations=iterations)
+    for seconds in (np.nan, "3", 0, -1, [1]):
+        refused("budget seconds .*: give a number above 0", Budget, seconds=seconds)
+    refused("budget needs", Budget)
+
+
+LIMITS = Uniform(np.array([-1.0, 2.0]), np.array([1.0, 5.0]))
+MEANS = np.array([[0.0, 0.0], [10.0, -10.0]])
+COVARIANCES = np.array([[[0.04, 0.03], [0.03, 0.09]], [[1.0, -0.5], [-0.5, 0.5]]])
+GOOD = {"means": MEANS, "covariances": COVARIANCES, "weights": np.array([0.3, 0.7])}
 
 
 @pytest.mark.parametrize(
-    ("field", "values", "must"),
+    ("changes", "pattern"),
     [
-        (
-            "iterations",
-            [2.5, np.nan, "3", 0, -1, 1e300, np.inf, True, [1], 2**70],
-            "whole number from 1",
-        ),
-        ("seconds", [np.nan, "3", 0, -1, [1]], "number above 0"),
+        ({"covariances": COVARIANCES[:1]}, r"covariances \(1, 2, 2\)"),
+        ({"weights": np.ones(3) / 3}, r"weights \(3,\)"),
+        ({"weights": np.array([0.3, 0.3])}, "sum to 1, not 0.6"),
+        ({"weights": np.array([1.5, -0.5])}, "non-negative"),
+        ({"weights": np.array([np.nan, 1.0])}, "sum to 1, not nan"),
+        ({"uniform_share": 0.1}, "0.1: give 0 to 1, with a uniform distribution"),
+        ({"uniform_share": 1.2, "uniform": LIMITS}, "1.2: give 0 to 1"),
+        ({"uniform_share": np.nan, "uniform": LIMITS}, "nan: give 0 to 1"),
+        ({"means": MEANS * np.nan}, "means"),
+        ({"covariances": -COVARIANCES}, "covariance"),
     ],
 )
-def test_a_budget_of_nothing_is_refused(field, values, must):
-    for value in values:
-        refused(f"budget {field} .*: give a {must}", Budget, **{field: value})
-    refused("budget needs", Budget)
+def test_unusable_mixtures_are_refused(changes, pattern):
+    refused(pattern, GaussianMixture, **GOOD | changes)

@@ -1,6 +1,5 @@
 """Planning problems: json, and the one-line messages that name what is wrong."""
 
-import copy
 import json
 import re
 from dataclasses import replace
@@ -8,117 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from cvqmpt_lab.benchmarks.door_task import door_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
-from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
+from cvqmpt_lab.errors import InvalidProblemError
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, check_problem, with_usable_goals
 from cvqmpt_lab.robot.load import group_states
-from cvqmpt_lab.scene.scene import SceneObject
-from cvqmpt_lab.scene.shapes import Box, shape_vertices
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box
 
 DATA = Path(__file__).parent / "data"
-
-
-@pytest.fixture(scope="module")
-def data():
-    """A problem with every field in use, as json gives it back."""
-    problem = with_sampled_goals(place_problem(0, with_can=True))[0]
-    return json.loads(json.dumps(problem.to_dict(), allow_nan=False))
-
-
-def changed(data, path, value):
-    """A copy of the json with one entry replaced, or taken out when value is None."""
-    result = place = copy.deepcopy(data)
-    *way, last = entry(path)
-    for key in way:
-        place = place[key]
-    if value is None:
-        del place[last]
-    else:
-        place[last] = value
-    return result
-
-
-def refused(pattern, data):
-    with pytest.raises(CvqmptError, match=pattern) as caught:
-        PlanningProblem.from_dict(data)
-    assert "\n" not in str(caught.value)
-
-
-def entry(path):
-    """Keys of a dotted path; numbers are places in lists."""
-    return [int(key) if key.isdigit() else key for key in path.split(".")]
-
-
-# the first two planned without the constraint, and without the can, and were certified
-MISSPELT = {
-    "constraint": "constraints", "attachments": "attachment",
-    "goals": "goal", "goal_region": "goal_regoin",
-    "constraint.0.Bw": "BW", "constraint.0.base": "bass", "scene.articulations": "articulation",
-    "scene.objects.3.shape": "sahpe",
-}  # fmt: skip
-
-
-def test_missing_fields_are_named(data):
-    for path in ("name", "robot", "scene", "constraint.0.Bw", "attachments.0.shape"):
-        refused(rf"{entry(path)[-1]} is missing; fields: ", changed(data, path, None))
-
-
-@pytest.mark.parametrize(("path", "misspelt"), MISSPELT.items())
-def test_a_misspelt_field_is_refused_with_the_nearest_known_one(data, path, misspelt):
-    folder, _, field = path.rpartition(".")
-    wrong = changed(data, f"{folder}.{misspelt}".lstrip("."), 0)
-    refused(f"{misspelt} is unknown; did you mean '{field}'", wrong)
-
-
-MIRRORED = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
-FAR, HERE = pose((1e300, 0.0, 0.0)).tolist(), np.eye(4).tolist()
-FAR_OFF = r"is no rigid pose: its position is 1e\+300 m off"
-HUGE = {"type": "sphere", "radius": 1e300}
-FAR_CLOUD = {"type": "point_cloud", "points": [[1e300, 0.0, 0.0]], "radius": 0.01}
-LEAF = {"name": "leaf", "T": HERE, "vertices": shape_vertices(Box((1.0, 1.0, 1.0))).tolist()}
-HINGE = {"name": "door", "kind": "hinge", "T_world_joint": HERE, "lower": 0.0, "upper": 1.0}
-FAR_CASING = HINGE | {"parts": [LEAF], "casing": [LEAF | {"name": "post", "T": FAR}]}
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "pattern"),
-    [
-        ("schema", "cvqmpt-problem/2", "cvqmpt-problem/1"),
-        ("robot", "panda", "must be an object"),
-        ("robot", {"name": "ur5-misspelt"}, "ur5-misspelt"),
-        ("start.0", "0.5", r"start is \['0.5'"),
-        ("start", [0.0] * 6, r"start has shape \(6,\), robot panda needs \(7,\)"),
-        ("start.3", 0.1, "start.*panda_joint4 by 0.1698"),
-        ("goals", [[0.0] * 7, [0.0] * 6], "must be numbers"),
-        ("goals", [[0.0] * 6], r"panda needs \(k, 7\)"),
-        ("goals.1.0", -3.0, "goal 1.*panda_joint1 by 0.1027"),
-        ("constraint", {}, "constraint.T0_w is missing"),
-        ("constraint.0.Bw", [[0, 1]] * 5, "must be 6 rows"),
-        ("attachments.0.T_hand_object", MIRRORED, "mirrored"),
-        ("attachments.0.T_hand_object", FAR, FAR_OFF),
-        ("attachments.0.shape", HUGE, r"positive length, up to 1e\+06"),
-        ("attachments.0.shape", FAR_CLOUD, r"points holds 1e\+300, more than 1e\+06; give metres"),
-        ("constraint.0.Tw_e", FAR, rf"constraint\[0\].Tw_e {FAR_OFF}"),
-        ("robot.articulated", FAR_CASING, r"casing\[0\].T is no rigid pose: its position"),
-        ("name", "two\nlines", "printable"),
-    ],
-)
-def test_malformed_fields_are_named(data, path, value, pattern):
-    refused(pattern, changed(data, path, value))
-
-
-def test_what_is_no_problem_as_a_whole_is_refused(data):
-    refused("must be an object with schema, name, robot", [])
-    refused("schema is None", {})
-    refused("'carried_can' occurs twice", changed(data, "attachments", data["attachments"] * 2))
-    refused("100 regions; at most 32", changed(data, "constraint", data["constraint"] * 100))
-    refused("'goals'.*or a 'goal_region'", changed(changed(data, "goals", []), "goal_region", None))
 
 
 def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
@@ -134,13 +37,11 @@ def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):
         (r"start is in collision: panda_.* and brick", {"scene": with_brick(problem, at_start)}),
         (r"goal \d+ is in collision: .*brick", {"scene": with_brick(problem, at_goal)}),
         (
-            rf"start breaks `upright-box` by {amount:.3g} rad: rotation about . .* \(it tilts by "
-            rf"\d+°\)",
+            rf"start breaks `upright-box` by {amount:.3g} rad: rotation about . .*\d+°",
             {"start": tilted},
         ),
     ):
-        with pytest.raises(InvalidProblemError, match=pattern):
-            check_problem(replace(problem, **changes))
+        refused(pattern, check_problem, replace(problem, **changes), error=InvalidProblemError)
 
 
 def test_a_start_outside_its_cone_is_refused_with_the_tilt_in_degrees(problem):
@@ -161,26 +62,21 @@ def test_the_reasons_why_there_is_no_goal_are_named(problem):
         region = TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2)))
         return replace(problem, goals=np.empty((0, 7)), goal_region=region, **changes).why_no_goal()
 
-    assert re.fullmatch(
-        r"they lie 3.\d\d m or more from panda_joint1, the hand reaches 0.86 m",
-        why(pose((3, 0, 0)) @ at_goal),
-    )
+    told = r"they lie 3.\d\d m or more from panda_joint1, the hand reaches 0.86 m"
+    assert re.fullmatch(told, why(pose((3, 0, 0)) @ at_goal))
     buried = why(at_goal, scene=with_brick(problem, at_goal @ pose((0, 0, 0.1))))
-    assert re.match(
-        r"all (\d+) configurations that reach them collide: .*panda_hand_0 and brick in \d+", buried
-    )
+    told = r"all (\d+) configurations that reach them collide: .*panda_hand_0 and brick in \d+"
+    assert re.match(told, buried)
     quarter = pose((0, 0, 0))[:, [2, 1, 0, 3]] * [1, 1, -1, 1]  # a turn about y
     tilted = at_goal @ quarter
     assert re.search(r"every pose breaks `upright-box` by .*it tilts by \d\d°\)", why(tilted))
     goals = problem.goals[:3].copy()
     goals[:, 6] += np.where(goals[:, 6] < 0, 0.4, -0.4)
-    wide = TaskSpaceRegion(
-        np.eye(4), np.eye(4), np.array([[-3.0, 3.0]] * 3 + [[-np.pi, np.pi]] * 3)
-    )
-    with pytest.raises(
-        InvalidProblemError, match="'goal_region' leaves the constraint: the best of 3 goals in it"
-    ):
-        check_problem(replace(problem, goals=goals, goal_region=wide))
+    bounds = np.array([[-3.0, 3.0]] * 3 + [[-np.pi, np.pi]] * 3)
+    wide = TaskSpaceRegion(np.eye(4), np.eye(4), bounds)
+    left = replace(problem, goals=goals, goal_region=wide)
+    told = "'goal_region' leaves the constraint: the best of 3 goals in it"
+    refused(told, check_problem, left, error=InvalidProblemError)
 
 
 def test_goals_that_cannot_be_used_are_left_out_while_one_is_left(problem):
@@ -200,21 +96,20 @@ def test_goals_that_cannot_be_used_are_left_out_while_one_is_left(problem):
     assert with_usable_goals(problem) == (problem, ())
     alone = replace(hindered, goals=goals[[2, k]])
     told = r"none of 2 goals can be used: goal 1 breaks `upright-box`.*; `cvqmpt ik` finds"
-    with pytest.raises(InvalidProblemError, match=told):
-        with_usable_goals(alone)
-    at_start = with_brick(problem, problem.robot.pose(problem.start))
-    with pytest.raises(InvalidProblemError, match="start is in collision"):
-        with_usable_goals(replace(problem, scene=at_start))
+    refused(told, with_usable_goals, alone, error=InvalidProblemError)
+    at_start = replace(problem, scene=with_brick(problem, problem.robot.pose(problem.start)))
+    refused("start is in collision", with_usable_goals, at_start, error=InvalidProblemError)
 
 
 def with_brick(problem, T):
     return problem.scene.with_objects(SceneObject("brick", Box((0.1,) * 3), T))
 
 
-def test_a_start_region_gives_a_start_free_of_collision_that_keeps_the_constraint(data):
+def test_a_start_region_gives_a_start_free_of_collision_that_keeps_the_constraint(problem):
     at = {"xyz": [0.4, 0.2, 0.6], "rpy": [np.pi, -np.pi / 2, 0]}
-    start = {"pose": {"at": at, "position": 0.05, "yaw": 3.2}}
-    asked = changed(changed(data, "start", None), "start_region", start)
+    asked = problem.to_dict()
+    del asked["start"]
+    asked["start_region"] = {"pose": {"at": at, "position": 0.05, "yaw": 3.2}}
     problem = PlanningProblem.from_dict(asked)
     check_problem(problem)
     reached = problem.robot.pose(problem.start)[:3, 3]
@@ -223,10 +118,9 @@ def test_a_start_region_gives_a_start_free_of_collision_that_keeps_the_constrain
     # the file that is written holds the start alone
     again = PlanningProblem.from_dict(problem.to_dict())
     np.testing.assert_array_equal(again.start, problem.start)
-    refused("'start' or 'start_region', one of the two", changed(data, "start_region", start))
-    refused("'start' or 'start_region', one of the two", changed(data, "start", None))
-    far = changed(asked, "start_region.pose.at.xyz", [5.0, 0.0, 0.0])
-    refused("no start in 'start_region': of 100 poses, 100 without inverse kinematics", far)
+    at["xyz"] = [5.0, 0.0, 0.0]
+    told = "no start in 'start_region': of 100 poses, 100 without inverse kinematics"
+    refused(told, PlanningProblem.from_dict, asked)
 
 
 def test_files_of_before_still_load(tmp_path):
@@ -244,34 +138,14 @@ def test_files_of_before_still_load(tmp_path):
     assert len((tmp_path / "now.json").read_text().splitlines()) < 130
 
 
-def test_millimetres_and_degrees_are_suspected(data, caplog):
-    """A 300 x 600 x 20 "mm" box 670 m off was certified; tilt 10 made the constraint empty."""
-    shelf = {
-        "name": "shelf",
-        "shape": {"type": "box", "size": [0.3, 0.6, 0.02]},
-        "T_world_object": {"xyz": [0.6, 0, 0.3]},
-    }
-    own = changed(changed(data, "scene", {"name": "room", "objects": [shelf]}), "attachments", [])
-    own = changed(changed(own, "goals", []), "constraint", [{"upright": 0.1}])
-    PlanningProblem.from_dict(own)
-    assert not caplog.messages
-    goal = {"pose": {"at": {"xyz": [0.5, 0, 0.3], "rpy": [3.14, 0, 0]}}}
-    far = {"plane": {"normal": [1, 0, 0], "point": [500, 0, 0]}}
-    in_degrees = [0, -45, 0, -135, 0, 90, 45]
-    aimed = changed(own, "goal_region", goal)
-    size, xyz = "scene.objects.0.shape.size", "scene.objects.0.T_world_object.xyz"
-    for given, path, value, told in (
-        (own, size, [300, 600, 20], "'shelf', is 600 m large.*no metres"),
-        (own, xyz, [600, 0, 300], "'shelf', is 67\\d.* m off.*no metres"),
-        (own, "goal_region", far, "goal_region: its frame is 500 m off"),
-        (aimed, "goal_region.pose.at.rpy", [180, 0, 0], "'rpy' holds 180, more than 2 pi: degrees"),
-        (aimed, "constraint", {"upright": 10}, "tilt is 10.0; .*degrees"),
-        (aimed, "start", in_degrees, "start is outside the limits: panda_joint4 by .*; degrees"),
-    ):
-        refused(told, changed(given, path, value))
-    own = aimed
-    PlanningProblem.from_dict(changed(own, "scene.objects.0.T_world_object.xyz", [6, 0, 3]))
-    assert "the arm can touch nothing of it: 'shelf' is nearest, 6" in caplog.text
+def test_a_scene_out_of_reach_is_suspected(problem, caplog):
+    """A 300 x 600 x 20 "mm" box 670 m off was certified."""
+    box = SceneObject("shelf", Box((0.3, 0.6, 0.02)), pose((0.6, 0.0, 0.3)))
+    for far, told in ((0.0, False), (5.4, True)):
+        moved = replace(box, T_world_object=pose((0.6 + far, 0.0, 0.3)))
+        own = replace(problem, scene=Scene("room", (moved,)), goals=problem.goals[:0])
+        PlanningProblem.from_dict(own.to_dict())
+        assert ("the arm can touch nothing of it: 'shelf' is nearest" in caplog.text) == told
 
 
 def test_configurations_by_joint_and_by_the_srdf(problem):
@@ -284,13 +158,6 @@ def test_configurations_by_joint_and_by_the_srdf(problem):
     np.testing.assert_array_equal(found.goals[0], problem.start)
     default = group_states(problem.robot)["default"]
     np.testing.assert_array_equal(found.goals[1], [default[name] for name in names])
-    first_six = dict(list(values.items())[:6])
-    for start, told in (
-        ("redy", "unknown group_state of start 'redy'; valid choices: default"),
-        ({**values, "joint1": 0.0}, "unknown joint of start 'joint1'.*did you mean"),
-        (first_six, "start has no value for panda_joint7; give"),
-    ):
-        refused(told, {**plain, "start": start})
 
 
 def arrays_of(value, where, seen):

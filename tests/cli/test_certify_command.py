@@ -27,6 +27,10 @@ from experiments.run import executor_for, run_experiment
 MIDDLE = 40
 
 
+def save(path, states):
+    np.savetxt(path, states, delimiter=",", fmt="%.17g")
+
+
 @pytest.fixture(scope="module")
 def states(solution):
     return solution.simplified.path.states
@@ -48,9 +52,10 @@ def judged(tmp_path, region_problem, capsys):
     """Certifies states or a text against a problem; gives the exit code and the printed json."""
 
     def judge(what, problem=None, name="motion.csv", options=()):
-        if not isinstance(what, str):
-            what = "\n".join(",".join(repr(float(x)) for x in q) for q in what)
-        (tmp_path / name).write_text(what)
+        if isinstance(what, str):
+            (tmp_path / name).write_text(what)
+        else:
+            save(tmp_path / name, what)
         (problem or region_problem).save(tmp_path / "problem.json")
         files = [str(tmp_path / name), "--problem-file", str(tmp_path / "problem.json")]
         code = main(["certify", *files, "--json", *options])
@@ -73,9 +78,8 @@ def test_paths_in_every_form_are_certified(judged, states, region_problem):
     }
     for name, text in forms.items():
         code, found = judged(text, name=name)
-        assert (
-            code == 0 and found["valid"] and found["faults"] == [] and found["unproven_rad"] == 0.0
-        )
+        assert code == 0 and found["valid"] and found["faults"] == []
+        assert found["unproven_rad"] == 0.0
     assert found["min_clearance_m"] > 0.0 and found["states_checked"] > 10
 
 
@@ -85,9 +89,8 @@ def test_what_is_not_proven_is_not_certified(judged, states, monkeypatch):
     (fault,) = found["faults"]
     assert code == 1 and not found["valid"] and found["verdict"] == "not proven"
     assert fault["kind"] == "not_proven" and fault["state"] is not None
-    assert fault["text"].startswith(
-        "off the manifold by 0 rad, 0 m where it was looked at, not shown"
-    )
+    told = "off the manifold by 0 rad, 0 m where it was looked at, not shown"
+    assert fault["text"].startswith(told)
 
 
 def test_the_record_says_what_was_compared_and_where_it_was_closest(judged, region_problem, states):
@@ -99,16 +102,13 @@ def test_the_record_says_what_was_compared_and_where_it_was_closest(judged, regi
     assert counts["obstacles"] == len(problem.scene.obstacles) and "far" in counts["out_of_reach"]
     assert counts["moving_pieces"] + counts["standing_pieces"] == len(robot.links)
     hand = [pair["first"] for pair in counts["left_out"] if pair["second"] == "carried_can"]
-    assert all(
-        name.startswith(("panda_hand", "panda_left", "panda_right", "panda_link7")) for name in hand
-    )
+    held_by = ("panda_hand", "panda_left", "panda_right", "panda_link7")
+    assert all(name.startswith(held_by) for name in hand)
     assert len(counts["left_out"]) == len(robot.left_out_pairs) + len(hand)
     assert counts["own_pairs"] == len(robot.self_collision_pairs) + len(robot.links) - len(hand)
-    k = int(found["min_clearance_at"])
-    q = states[k] + (found["min_clearance_at"] - k) * (
-        states[min(k + 1, len(states) - 1)] - states[k]
-    )
-    distance, pair = problem.collision_checker().nearest(q)
+    places = np.arange(len(states))
+    q = [np.interp(found["min_clearance_at"], places, column) for column in states.T]
+    distance, pair = problem.collision_checker().nearest(np.array(q))
     assert distance == pytest.approx(found["min_clearance_m"], abs=1e-9)
     assert str(pair) == found["min_clearance_pair"]
 
@@ -117,27 +117,27 @@ def test_two_certificates_of_one_path_are_compared(
     judged, states, tmp_path, region_problem, capsys
 ):
     """Also from an earlier version with other bound and reason; not of another path or problem."""
+    record, motion, file = (tmp_path / name for name in ("old.json", "motion.csv", "problem.json"))
+    options = ["--against", str(record)]
     earlier = judged(states)[1]
-    (tmp_path / "now.json").write_text(json.dumps(earlier))
-    assert judged(states, options=["--against", str(tmp_path / "now.json")])[1]["differences"] == {}
+    record.write_text(json.dumps(earlier))
+    assert judged(states, options=options)[1]["differences"] == {}
     earlier["tolerances"]["step_rad"] = 0.2
     pair = earlier["compared"]["left_out"][3]
     reason, pair["reason"] = pair["reason"], "SRDF: Never seen"
-    (tmp_path / "earlier.json").write_text(json.dumps(earlier))
-    options = ["--against", str(tmp_path / "earlier.json")]
+    record.write_text(json.dumps(earlier))
     code, found = judged(states, options=options)
     assert code == 0 and found["differences"] == {
         "tolerances.step_rad": [0.2, 0.11],
         f"compared.left_out.{pair['first']} and {pair['second']}": ["SRDF: Never seen", reason],
     }
-    np.savetxt(tmp_path / "a.csv", states, delimiter=",", fmt="%.17g")
-    words = ["certify", tmp_path / "a.csv", "--problem-file", tmp_path / "problem.json", *options]
-    replace(region_problem, goals=states[-1:]).save(tmp_path / "problem.json")
+    words = ["certify", motion, "--problem-file", file, *options]
+    replace(region_problem, goals=states[-1:]).save(file)
     assert "is of another problem" in refused(capsys, *words)
-    region_problem.save(tmp_path / "problem.json")
-    np.savetxt(tmp_path / "a.csv", states[:-1], delimiter=",", fmt="%.17g")
+    region_problem.save(file)
+    save(motion, states[:-1])
     assert "is of another motion" in refused(capsys, *words)
-    (tmp_path / "earlier.json").write_text("{}")
+    record.write_text("{}")
     assert "has no problem_sha256" in refused(capsys, *words)
 
 
@@ -166,12 +166,9 @@ def tilted(problem, states):
 def inside_by_1_mm(problem, states):
     """One state moved sideways until it is in collision by 1 mm."""
     checker, moved = problem.collision_checker(), states.copy()
-    q = next(
-        k
-        for k in range(20, len(states))
-        if checker.clearance(states[k] + 0.6 * np.eye(7)[0]) < -1e-3
-    )
-    moved[q] = until(states[q], np.eye(7)[0], lambda q: checker.clearance(q) <= -1e-3)
+    aside = states[20:] + 0.6 * np.eye(7)[0]
+    k = next(k for k, q in enumerate(aside, 20) if checker.clearance(q) < -1e-3)
+    moved[k] = until(states[k], np.eye(7)[0], lambda q: checker.clearance(q) <= -1e-3)
     return moved
 
 
@@ -182,9 +179,7 @@ def changed(states, index, by):
 
 
 def beyond_limit(problem, states):
-    tampered = states.copy()
-    tampered[MIDDLE, 6] = problem.robot.upper[6] + 1e-3
-    return tampered
+    return changed(states, (MIDDLE, 6), problem.robot.upper[6] + 1e-3 - states[MIDDLE, 6])
 
 
 TAMPERED = {
@@ -230,13 +225,12 @@ def test_a_trajectory_is_dry_run(judged, trajectory, states, form, name):
     code, found = judged(form(trajectory), name=name, options=["--current", here])
     assert code == 0 and found["valid"] and 0.0 < found["apart_m"] < 1e-4
     away = " ".join(map(repr, (states[0] + 0.011 * np.eye(7)[2]).tolist()))
-    code, found = judged(form(trajectory), name=name, options=["--current", away])
+    options = ["--current", away]
+    code, found = judged(form(trajectory), name=name, options=options)
     assert code == 1 and [fault["kind"] for fault in found["faults"]] == ["current"]
     assert "panda_joint3 stands 0.011" in found["faults"][0]["text"]
-    assert (
-        judged(form(trajectory), name=name, options=["--current", away, "--tolerance", "0.02"])[0]
-        == 0
-    )
+    options += ["--tolerance", "0.02"]
+    assert judged(form(trajectory), name=name, options=options)[0] == 0
 
 
 def test_a_trajectory_that_swings_out_between_its_points_is_refused(judged, trajectory):
@@ -263,11 +257,7 @@ def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(
     problem = PlanningProblem("swing", panda, Scene("board", (board,)), start, goal[None])
     mean = 0.3 / 1.5 * np.eye(7)[0]
     a = np.array([6.0 * mean / 1.5, -6.0 * mean / 1.5 + (acceleration or 0.0) * np.eye(7)[1]])
-    kinds = (
-        ("position", "velocity")
-        if acceleration is None
-        else ("position", "velocity", "acceleration")
-    )
+    kinds = ("position", "velocity", "acceleration")[: 2 if acceleration is None else 3]
     rows = np.column_stack([(0.0, 1.5), (start, goal), np.zeros((2, 7)), a][: 1 + len(kinds)])
     header = ["time", *(f"{name}_{kind}" for kind in kinds for name in panda.joint_names)]
     lines = [",".join(header), *(",".join(map(repr, map(float, row))) for row in rows)]
@@ -287,16 +277,9 @@ def test_a_speed_is_judged_at_its_peak(judged, panda, share, code):
     start = np.array([-2.0, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8])
     goal = start + 4.0 * v.integ()(1.0) * np.eye(7)[0]
     problem = PlanningProblem("sweep", panda, Scene("empty", ()), start, goal[None])
-    ends = zip((0, 4), (start, goal), (0.0, v.deriv()(1.0) / 4.0), strict=True)
-    points = [
-        {
-            "positions": q.tolist(),
-            "velocities": [0.0] * 7,
-            "accelerations": [a, *[0.0] * 6],
-            "time_from_start": {"sec": sec},
-        }
-        for sec, q, a in ends
-    ]
+    points = [{"positions": q.tolist(), "velocities": [0.0] * 7} for q in (start, goal)]
+    for point, sec, a in zip(points, (0, 4), (0.0, v.deriv()(1.0) / 4.0), strict=True):
+        point |= {"accelerations": [a, *[0.0] * 6], "time_from_start": {"sec": sec}}
     text = json.dumps({"joint_names": panda.joint_names, "points": points})
     found = judged(text, problem, "motion.json")
     faults = found[1]["faults"]
@@ -314,37 +297,31 @@ def test_a_trajectory_that_begins_or_ends_on_the_move_is_refused(
     problem = replace(region_problem, start=half.positions[0], goals=half.positions[-1:])
     code, found = judged(as_csv(half), problem)
     (fault,) = found["faults"]
-    assert (
-        code == 1 and fault["kind"] == "velocity" and f"where the motion {words}" in fault["text"]
-    )
+    assert code == 1 and fault["kind"] == "velocity"
+    assert f"where the motion {words}" in fault["text"]
 
 
-def test_the_report_says_where_a_path_leaves_the_manifold_in_short_lines(tmp_path, states, capsys):
+def test_the_report_says_where_a_path_leaves_the_manifold_in_short_lines(tmp_path, states, cvqmpt):
+    save(tmp_path / "bent.csv", changed(states, MIDDLE, 0.5 * np.eye(7)[5]))
+    save(tmp_path / "far.csv", [states[0], states[0] + 1e300])
     bent, far = (
-        changed(states, MIDDLE, 0.5 * np.eye(7)[5]),
-        np.array([states[0], states[0] + 1e300]),
+        cvqmpt("certify", tmp_path / f"{name}.csv", "place-task", code=1)
+        for name in ("bent", "far")
     )
-    for motion, words in ((bent, ("off the manifold by", "at state 40")), (far, ())):
-        np.savetxt(tmp_path / "a.csv", motion, delimiter=",", fmt="%.17g")
-        assert main(["certify", str(tmp_path / "a.csv"), "place-task"]) == 1
-        out, err = capsys.readouterr()
-        assert err == "" and out.startswith("certified   NO") and all(part in out for part in words)
-        assert motion is bent or (
-            len(out.splitlines()) == 3 and max(map(len, out.splitlines())) < 120
-        )
+    assert bent.startswith("certified   NO") and far.startswith("certified   NO")
+    assert "off the manifold by" in bent and "at state 40" in bent
+    assert len(far.splitlines()) == 3 and max(map(len, far.splitlines())) < 120
 
 
 def test_a_trajectory_without_velocities_with_times_that_go_back_or_in_other_units_is_one_line(
     tmp_path, capsys, trajectory
 ):
-    lines = as_csv(trajectory).splitlines()
-    quick = replace(
-        trajectory, times=trajectory.times / 1000.0, velocities=trajectory.velocities * 1000.0
-    )
-    ends = {kind: getattr(trajectory, kind)[[0, -1]] for kind in ("positions", "accelerations")}
-    swinging = replace(
-        trajectory, **ends, times=np.array([0.0, 1000.0]), velocities=np.full((2, 7), 20.0)
-    )
+    lines, kinds = as_csv(trajectory).splitlines(), ("positions", "accelerations")
+    times, velocities = trajectory.times / 1000.0, trajectory.velocities * 1000.0
+    quick = replace(trajectory, times=times, velocities=velocities)
+    ends = {kind: getattr(trajectory, kind)[[0, -1]] for kind in kinds}
+    ends |= {"times": np.array([0.0, 1000.0]), "velocities": np.full((2, 7), 20.0)}
+    swinging = replace(trajectory, **ends)
     for text, words in (
         ("\n".join([lines[0], lines[2], lines[1]]), "increase"),
         ("\n".join(",".join(line.split(",")[:8]) for line in lines), "needs velocities"),
@@ -355,12 +332,12 @@ def test_a_trajectory_without_velocities_with_times_that_go_back_or_in_other_uni
         assert words in refused(capsys, "certify", tmp_path / "a.csv", "place-task")
 
 
-def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, capsys):
+def test_every_path_of_a_run_is_judged_again_from_its_rows(tmp_path, cvqmpt, capsys):
     experiment = Experiment("place-task", (2, 10), ("birrt",), (0,), Budget(iterations=20_000))
     with executor_for(experiment, 1) as executor:
         run_experiment(experiment, tmp_path, executor, ["test"], lambda *_: None)
-    assert main(["certify", str(tmp_path)]) == 0
-    assert capsys.readouterr().out == "2 paths, 2 certified, 0 refused, 0 unlike their rows\n"
+    told = cvqmpt("certify", tmp_path)
+    assert told == "2 paths, 2 certified, 0 refused, 0 unlike their rows\n"
 
     rows = read_rows(tmp_path / RUNS_FILE)
     kept = dict(stored_paths(tmp_path))

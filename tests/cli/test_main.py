@@ -1,5 +1,6 @@
-"""The whole command line: bad words give one line and exit code 2; help is fast, with examples."""
+"""The whole command line: a table of commands; help is fast, with examples; an error is a line."""
 
+import csv
 import os
 import shlex
 import signal
@@ -7,11 +8,53 @@ import statistics
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
-from command_line import ROOT, refused, run
+from command_line import ROOT, SCAN_START, run
 
 from cli.main import COMMANDS, entry_point, main
+
+with Path(__file__).with_name("commands.csv").open(newline="") as file:
+    TABLE = list(csv.DictReader(file))
+
+
+@pytest.fixture
+def places(problem_file, scan_folder, tmp_path):
+    """What stands for a file or for options in the table of commands."""
+    for suffix in ("csv", "json", "yaml", "ply", "png", "urdf", "srdf"):
+        os.mkfifo(tmp_path / f"pipe.{suffix}")
+    depth = scan_folder / "depth"
+    extrinsics = f"--extrinsics {depth}.extrinsics.json"
+    return {
+        "{problem}": problem_file,
+        "{task}": "tests/data/task-1.json",
+        "{path}": "x.csv",
+        "{pipe}": tmp_path / "pipe",
+        "{scan}": f"{depth}.png --intrinsics {depth}.intrinsics.json {extrinsics}",
+        "{cloud}": f"--cloud {scan_folder / 'cloud.ply'} {extrinsics}",
+        "{ends}": f"--start {SCAN_START} --goal {SCAN_START[1:]}",
+        "{start}": SCAN_START,
+    }
+
+
+@pytest.mark.parametrize("row", TABLE, ids=[row["command"] for row in TABLE])
+def test_a_command_ends_with_its_code_and_first_line(row, places, capsys, monkeypatch):
+    """A refusal is one line on standard error, and no file is written."""
+    monkeypatch.chdir(ROOT)
+    before, command = set(Path().iterdir()), row["command"]
+    for name, meaning in places.items():
+        command = command.replace(name, str(meaning))
+    signal.alarm(60)  # ends this process where a command waits for a pipe
+    code = main(shlex.split(command))
+    signal.alarm(0)
+    out, err = (text.splitlines() for text in capsys.readouterr())
+    assert code == int(row["code"]), (out, err)
+    if code == 2:
+        assert out == [] and len(err) == 1 and err[0].startswith("cvqmpt: ")
+    (line, *_) = err if code == 2 else out
+    assert row["line"] in line and row["also"] in line
+    assert set(Path().iterdir()) == before
 
 
 def test_help_is_fast():
@@ -31,40 +74,6 @@ def test_every_command_has_help_with_examples(capsys, command):
     assert end.value.code == 0 and "examples:\n  cvqmpt " in out
 
 
-def test_as_a_process_an_error_is_one_line_without_traceback():
-    words = [sys.executable, "-m", "cli.main", "plan", "nope"]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 2 and done.stdout == "" and len(done.stderr.splitlines()) == 1
-
-
-PIPES = (
-    "certify {pipe}.csv place-task",
-    "plan --problem-file {pipe}.json",
-    "plan --task-file {pipe}.json",
-    "plan --scene {pipe}.json --start 0,0,0,-1,0,1,0 --goal 0,0,0,-1,0,1,1",
-    "scan {pipe}.ply",
-    "scan {pipe}.png --intrinsics {pipe}.json",
-    "scan {pipe}.ply --extrinsics {pipe}.yaml",
-    "robot {pipe}.urdf --end-effector tool",
-    "robot tests/data/slider_arm.urdf --end-effector tool --srdf {pipe}.srdf",
-    "ik --problem-file {pipe}.json --pose '0 0 0 0 0 0'",
-    "check-tables --expected {pipe}.json",
-    "train stage1 --config {pipe}.json --data x --out y",
-)
-
-
-@pytest.mark.parametrize("command", PIPES)
-def test_nothing_waits_for_a_named_pipe(command, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(ROOT)
-    for suffix in ("csv", "json", "yaml", "ply", "png", "urdf", "srdf"):
-        os.mkfifo(tmp_path / f"pipe.{suffix}")
-    # what waits would end this process
-    signal.alarm(60)
-    line = refused(capsys, *shlex.split(command.format(pipe=tmp_path / "pipe")))
-    signal.alarm(0)
-    assert "pipe." in line and "not a regular file" in line
-
-
 def test_no_verdict_where_standard_output_is_closed():
     said = run(["certify", "x.csv", "place-task"], lambda: os.close(1), code=2)
     assert said == "cvqmpt: standard output is closed; give one, such as /dev/null\n"
@@ -79,19 +88,21 @@ def test_a_fault_of_ours_is_no_verdict(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("where", "code", "told"), [("/dev/full", 2, "cvqmpt: [Errno 28]"), ("closed", 141, "")]
+    ("where", "words", "code", "told"),
+    [
+        (os.devnull, ("plan", "nope"), 2, "cvqmpt: unknown suite 'nope'"),
+        ("/dev/full", ("problems", "list", "place-task", "--problems", "3"), 2, "cvqmpt: [Errno"),
+        ("closed", ("problems", "list", "place-task", "--problems", "3"), 141, ""),
+    ],
 )
-def test_what_cannot_be_printed_is_no_success(where, code, told):
-    words = [sys.executable, "-m", "cli.main", "problems", "list", "place-task", "--problems", "3"]
+def test_a_process_that_cannot_do_or_print_it_ends_in_one_line(where, words, code, told):
     if where == "closed":
         reading, writing = os.pipe()
         os.close(reading)
     else:
         writing = os.open(where, os.O_WRONLY)
+    words = [sys.executable, "-m", "cli.main", *words]
     done = subprocess.run(words, cwd=ROOT, stdout=writing, stderr=subprocess.PIPE, text=True)
     os.close(writing)
-    assert (
-        done.returncode == code
-        and done.stderr.startswith(told)
-        and len(done.stderr.splitlines()) == bool(told)
-    )
+    assert done.returncode == code and done.stderr.startswith(told)
+    assert len(done.stderr.splitlines()) == bool(told)

@@ -10,7 +10,6 @@ from command_line import refused
 from published_files import STAGE1
 from small_models import random_checkpoint
 
-from cli.main import main
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor
@@ -24,37 +23,25 @@ from cvqmpt_lab.vqmpt.weights import (
 )
 
 
-def info(capsys, *words):
-    """What `model info --json` prints."""
-    assert main(["model", "info", "--json", *map(str, words)]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
 def test_published_folders_are_converted_and_predict(
-    panda, published, published_states, tmp_path, capsys
+    panda, published, published_states, tmp_path, cvqmpt, capsys
 ):
-    huge = published_states["decoder_state"] | {
-        "mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)
-    }
-    dictionary_dir, ar_dir = published(decoder_state=huge)
-    words = ["model", "import", "--dictionary-dir", dictionary_dir, "--ar-dir", ar_dir]
-    words += ["--out", tmp_path / "ours"]
-    assert "mu.0.bias has NaN or infinite values" in refused(capsys, *words)
+    huge = {"mu.0.bias": torch.full((7,), 1e300, dtype=torch.float64)}
+    dictionary_dir, ar_dir = published(decoder_state=published_states["decoder_state"] | huge)
+    ours = tmp_path / "ours"
+    words = f"model import --dictionary-dir {dictionary_dir} --ar-dir {ar_dir} --out {ours}"
+    assert "mu.0.bias has NaN or infinite values" in refused(capsys, *words.split())
     assert {path.name for path in tmp_path.iterdir()} == {"dictionary", "ar"}
-    dictionary_dir, ar_dir = published()
-    assert main([str(word) for word in words]) == 0
-    assert "published checkpoint" in capsys.readouterr().out
-    assert (
-        info(capsys, "--model", words[-1])["model"]["dictionary"]["n_position"]
-        == STAGE1["n_position"]
-    )
+    published()
+    assert "published checkpoint" in cvqmpt(words)
+    told = json.loads(cvqmpt("model info --json --model", ours))
+    assert told["model"]["dictionary"]["n_position"] == STAGE1["n_position"]
     rng = np.random.default_rng(0)
     q = panda.random_configurations(rng, 2)
-    predictor = PublishedPredictor(load_vq_mpt(panda, words[-1]), panda)
+    predictor = PublishedPredictor(load_vq_mpt(panda, ours), panda)
     scene = predictor.encode(rng.uniform(-0.5, 0.5, (50, 3)))
     assert len(predictor.hypotheses(scene, q[0], q[1:])[0][0].codes) > 0
-    again = refused(capsys, "model", *words[1:])
-    assert "is there and not empty; choose another --out" in again
+    assert "is there and not empty; choose another --out" in refused(capsys, *words.split())
 
 
 def test_damaged_and_foreign_folders(panda, tmp_path, capsys):
@@ -78,13 +65,9 @@ def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp
     assert load_vq_mpt(panda, tmp_path / "run" / "model").config == checkpoint.config
     with pytest.raises(InvalidInputError, match="architecture is 'vq-mpt'; expected 'mpnet'"):
         resolve_model(tmp_path / "run", "mpnet")
-    with pytest.raises(
-        OtherRobotError, match=r"weights are for robot 'panda', not .*: 7 joints, not 4"
-    ):
+    with pytest.raises(OtherRobotError, match=r"for robot 'panda', not .*: 7 joints, not 4"):
         load_vq_mpt(slider_arm, tmp_path / "run")
-    with pytest.raises(
-        InvalidInputError, match="no weights in gnn; give one of vq_mpt, or the folder"
-    ):
+    with pytest.raises(InvalidInputError, match="no weights in gnn; give one of vq_mpt, or the"):
         load_vq_mpt(panda, "gnn")
 
 

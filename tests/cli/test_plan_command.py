@@ -7,19 +7,16 @@ import pytest
 from command_line import refused
 from jsonschema import Draft202012Validator
 
-from cli.main import main
-from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
 from cvqmpt_lab.trajectory.trajectory import read_motion
 
 
-def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem, tmp_path):
+def test_plan_prints_a_report_and_writes_the_path(cvqmpt, problem_file, problem, tmp_path):
     out = tmp_path / "path.csv"
-    words = f"plan --problem-file {problem_file} --iterations 20000 --save-path {out}".split()
-    assert main(words) == 0
-    lines = capsys.readouterr().out.splitlines()
+    words = f"plan --problem-file {problem_file} --iterations 20000 --save-path {out}"
+    lines = cvqmpt(words).splitlines()
     heads = "problem constraint planner status time counts length certificate path"
     assert [line.split()[0] for line in lines] == heads.split()
     assert lines[3].split() == ["status", "solved"] and " valid " in lines[7]
@@ -28,62 +25,55 @@ def test_plan_prints_a_report_and_writes_the_path(capsys, problem_file, problem,
     np.testing.assert_array_equal(states[[0, -1]], [problem.start, problem.goals[0]])
 
 
-def test_a_goal_that_collides_is_left_out_and_named(capsys, problem_file, data, problem):
+def test_a_goal_that_collides_is_left_out_and_named(cvqmpt, capsys, problem_file, data, problem):
     folded = [0.0, 0.0, 0.0, -3.07, 0.0, 0.0, 0.0]
-    data["goals"] = [*problem.goals[:2].tolist(), folded]
     del data["goal_region"]
-    data["constraint"] = []
+    data |= {"goals": [*problem.goals[:2].tolist(), folded], "constraint": []}
     problem_file.write_text(json.dumps(data))
-    words = ["plan", "--problem-file", str(problem_file), "--iterations", "20000"]
-    assert main(words) == 0
-    lines = capsys.readouterr().out.splitlines()
+    words = f"plan --problem-file {problem_file} --iterations 20000"
+    lines = cvqmpt(words).splitlines()
     assert lines[0].endswith("2 goals")
     assert lines[1].startswith("left out    goal 2 is in collision: panda_")
-    assert main([*words, "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    said = json.loads(cvqmpt(words, "--json"))
     assert said["goals"] == 2 and [f"left out    {x}" for x in said["goals_left_out"]] == lines[1:2]
-    data["goals"] = [folded, folded]
-    problem_file.write_text(json.dumps(data))
-    assert "none of 2 goals can be used: goal 1 is in collision" in refused(capsys, *words)
+    problem_file.write_text(json.dumps(data | {"goals": [folded, folded]}))
+    told = "none of 2 goals can be used: goal 1 is in collision"
+    assert told in refused(capsys, *words.split())
 
 
-def test_the_planner_that_nobody_names_is_a_roadmap_but_where_the_hand_holds_a_door(capsys):
-    for suite, planner, why in (
-        ("place-task", "roadmap", "work"),
-        ("open-door", "birrt", "mechanism"),
-    ):
-        main(["plan", suite, "--problem", "0", "--iterations", "3000", "--json"])
-        said = json.loads(capsys.readouterr().out)
-        assert said["planner"] == planner and why in said["chosen_because"]
+@pytest.mark.parametrize(
+    ("suite", "planner", "why"),
+    [("place-task", "roadmap", "work"), ("open-door", "birrt", "mechanism")],
+)
+def test_the_planner_that_nobody_names_is_a_roadmap_but_where_the_hand_holds_a_door(
+    cvqmpt, suite, planner, why
+):
+    said = json.loads(cvqmpt(f"plan {suite} --problem 0 --iterations 3000 --json"))
+    assert said["planner"] == planner and why in said["chosen_because"]
 
 
-def test_plan_without_success_exits_with_1_and_writes_no_motion(capsys, tmp_path):
-    words = ["plan", "place-task", "--problem", "5", "--planner", "birrt", "--iterations", "1"]
-    assert main([*words, "--trajectory", str(tmp_path / "motion.csv")]) == 1
-    out = capsys.readouterr().out
+def test_plan_without_success_exits_with_1_and_writes_no_motion(cvqmpt, tmp_path):
+    words = "plan place-task --problem 5 --planner birrt --iterations 1 --trajectory"
+    out = cvqmpt(words, tmp_path / "motion.csv", code=1)
     assert "iteration_limit: no path found within " in out and "trajectory  none" in out
     assert not (tmp_path / "motion.csv").exists()
 
 
-def test_command_line(task, tmp_path, capsys):
-    task.save(tmp_path / "task.json")
-    assert main(["plan", "--task-file", str(tmp_path / "task.json")]) == 0
-    out = capsys.readouterr().out
+def test_a_task_is_exported_and_planned(cvqmpt, task, tmp_path):
+    cvqmpt("problems export multi-sequence --problems 1 --out", tmp_path)
+    out = cvqmpt("plan --task-file", tmp_path / "multi-sequence-000.json")
     names = [phase.name for phase in task.phases if isinstance(phase, PlannedPhase)]
     assert all(name in out for name in (*names, "solved"))
-    assert main(f"problems export multi-sequence --problems 1 --out {tmp_path}".split()) == 0
     exported = Task.load(tmp_path / "multi-sequence-000.json")
-    assert exported.to_dict() == multi_sequence_task(0).to_dict()
+    assert exported.to_dict() == task.to_dict()
 
 
-def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_path, capsys):
+def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_path, cvqmpt):
     path, folder = tmp_path / "drawer.json", tmp_path / "motions"
-    assert main(["problems", "new", str(path), "--task"]) == 0
+    cvqmpt("problems new --task", path)
     schema = json.loads((tmp_path / json.loads(path.read_text())["$schema"]).read_text())
     Draft202012Validator(schema).validate(json.loads(path.read_text()))
-    capsys.readouterr()
-    assert main(["plan", "--task-file", str(path), "--json", "--trajectory", str(folder)]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(cvqmpt(f"plan --task-file {path} --json --trajectory {folder}"))
     index = json.loads((folder / "task.json").read_text())["steps"]
     names = ["reach", "approach", "close", "pull", "let-go", "back", "away/1", "away"]
     assert told["solved"] and [phase["phase"] for phase in told["phases"]] == names
@@ -92,9 +82,8 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
         "close": {"finger_opening": 0.007},
         "let-go": {"finger_opening": 0.04},
     }
-    assert sorted(p.name for p in folder.iterdir()) == sorted(
-        ["task.json", *(s["file"] for s in index if "file" in s)]
-    )
+    written = {"task.json", *(step["file"] for step in index if "file" in step)}
+    assert {path.name for path in folder.iterdir()} == written
     task = Task.load(path)
     q = task.start
     for step, phase in zip(index, told["phases"], strict=True):
@@ -113,10 +102,8 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
                 assert np.abs(off[:3]).max() <= 0.0201 and np.abs(off[3:]).max() < 1e-3
 
 
-def test_json_holds_the_record_that_certify_prints(tmp_path, capsys):
-    words = ["place-task", "--problem", "7"]
-    plan = ["plan", *words, "--planner", "birrt", "--iterations", "20000", "--json"]
-    assert main([*plan, "--save-path", str(tmp_path / "path.csv")]) == 0
-    planned = json.loads(capsys.readouterr().out)["certificate"]
-    assert main(["certify", str(tmp_path / "path.csv"), *words, "--json"]) == 0
-    assert planned == json.loads(capsys.readouterr().out) and planned["valid"]
+def test_json_holds_the_record_that_certify_prints(tmp_path, cvqmpt):
+    path, words = tmp_path / "path.csv", "place-task --problem 7 --json"
+    told = cvqmpt(f"plan {words} --planner birrt --iterations 20000 --save-path {path}")
+    planned = json.loads(told)["certificate"]
+    assert planned == json.loads(cvqmpt(f"certify {path} {words}")) and planned["valid"]

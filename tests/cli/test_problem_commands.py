@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from cli.main import main
 from cvqmpt_lab.benchmarks.templates import problem_template
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
+IK = "ik --pose '-0.3, 0.5, 0.3, 3.14, 0, 0' --problem-file"
+
 
 @pytest.fixture
-def mine(tmp_path, capsys):
+def mine(tmp_path, cvqmpt):
     """A problem that `problems new` wrote."""
     path = tmp_path / "mine.json"
-    assert main(["problems", "new", str(path)]) == 0
-    assert f"cvqmpt plan --problem-file {path}" in capsys.readouterr().out
+    assert f"cvqmpt plan --problem-file {path}" in cvqmpt("problems new", path)
     return path
 
 
@@ -29,12 +29,11 @@ def test_a_new_problem_suits_arms_with_narrow_limits_and_few_joints(robot):
     check_problem(PlanningProblem.from_dict(problem_template({"name": robot})))
 
 
-def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tmp_path, capsys):
+def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tmp_path, cvqmpt):
     """Once a UR10 started with a joint at 4.98 rad, in the air, and the box was not in its way."""
     urdf, path = read_source({"name": "ur10"}).urdf, tmp_path / "new" / "mine.json"
     path.parent.mkdir()
-    assert main(["problems", "new", str(path), "--urdf", urdf]) == 0
-    assert "end effector tool0, a guess" in capsys.readouterr().out
+    assert "end effector tool0, a guess" in cvqmpt("problems new", path, "--urdf", urdf)
     data = json.loads(path.read_text())
     assert set(data["start"]) == set(PlanningProblem.load(path).robot.joint_names)
     assert max(map(abs, data["start"].values())) < np.pi
@@ -49,10 +48,10 @@ def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tm
     assert any(direct_motion(empty, problem.start, goal) is not None for goal in problem.goals)
 
 
-def test_goals_are_exported_on_request_and_the_file_says_that_they_win(tmp_path):
-    words = ["problems", "export", "place-task", "--problems", "1"]
-    assert main([*words, "--out", str(tmp_path / "a")]) == 0
-    assert main([*words, "--goals", "--out", str(tmp_path / "b")]) == 0
+def test_goals_are_exported_on_request_and_the_file_says_that_they_win(tmp_path, cvqmpt):
+    words = "problems export place-task --problems 1 --out"
+    cvqmpt(words, tmp_path / "a")
+    cvqmpt(words, tmp_path / "b", "--goals")
     without, with_goals = ((tmp_path / name / "place-task-000.json") for name in "ab")
     data = json.loads(with_goals.read_text())
     assert "goals" not in json.loads(without.read_text()) and len(data["goals"]) == 20
@@ -62,10 +61,8 @@ def test_goals_are_exported_on_request_and_the_file_says_that_they_win(tmp_path)
         check_problem(PlanningProblem.load(path))
 
 
-def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, capsys):
-    words = ["ik", "--problem-file", str(mine), "--pose", "-0.3, 0.5, 0.3, 3.14, 0, 0"]
-    assert main([*words, "--count", "3", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, cvqmpt):
+    found = json.loads(cvqmpt(IK, mine, "--count", 3, "--json"))
     problem = PlanningProblem.load(mine)
     assert found["joints"] == list(problem.robot.joint_names) and len(found["configurations"]) == 3
     for q in np.array(found["configurations"]):
@@ -74,15 +71,13 @@ def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, c
         assert not problem.manifold.residual(q).any()
 
 
-def test_files_that_a_problem_names_lie_beside_it(mine, capsys):
+def test_files_that_a_problem_names_lie_beside_it(mine, cvqmpt):
     data = json.loads(mine.read_text())
     (mine.parent / "room.json").write_text(json.dumps(data["scene"]))
     mine.write_text(json.dumps({**data, "scene": "room.json"}))
-    words = ["ik", "--problem-file", str(mine), "--pose", "-0.3, 0.5, 0.3, 3.14, 0, 0"]
-    assert main([*words, "--seed", "0"]) == 0
+    cvqmpt(IK, mine, "--seed", 0)
 
 
-def test_a_pose_out_of_reach_has_no_configuration(mine, capsys):
-    assert main(["ik", "--problem-file", str(mine), "--pose", "5 0 0 0 0 0"]) == 1
-    said = "0 of 1 configurations; of 100 poses, 100 without inverse kinematics"
-    assert said in capsys.readouterr().out
+def test_a_pose_out_of_reach_has_no_configuration(mine, cvqmpt):
+    told = cvqmpt("ik --pose '5 0 0 0 0 0' --problem-file", mine, code=1)
+    assert "0 of 1 configurations; of 100 poses, 100 without inverse kinematics" in told

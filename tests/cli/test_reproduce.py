@@ -6,7 +6,6 @@ import os
 import pytest
 from command_line import refused
 
-from cli.main import main
 from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import CONTROLS, PLANNERS
@@ -17,35 +16,28 @@ from paper_tables.suites import ALL, Amount, Suite
 from paper_tables.suites import SUITES as reported
 
 
-def test_it_writes_its_files_and_refuses_to_mix_them_with_another_run(capsys, tmp_path):
-    words = ["reproduce", "place-task", "--problems", "1", "--planners", "birrt", "--jobs", "1"]
-    words += ["--out", str(tmp_path)]
-    assert main([*words, "--iterations", "20000"]) == 0
-    out = capsys.readouterr().out
+def test_it_writes_its_files_and_refuses_to_mix_them_with_another_run(cvqmpt, capsys, tmp_path):
+    words = f"reproduce place-task --problems 1 --planners birrt --jobs 1 --out {tmp_path}"
+    out = cvqmpt(words, "--iterations", 20000)
     assert str(tmp_path / "table.md") in out and "birrt" in out
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert {"runs.csv", "table.md", "table.tex", "table.csv"} <= before.keys()
-    assert "iterations was 20000, now 9" in refused(capsys, *words, "--iterations", "9")
+    assert "iterations was 20000, now 9" in refused(capsys, *words.split(), "--iterations", 9)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_read_only_directory_is_refused(capsys, tmp_path):
     tmp_path.chmod(0o555)
-    assert "read-only" in refused(
-        capsys, "reproduce", "place-task", "--problems", "1", "--out", tmp_path
-    )
+    words = ["reproduce", "place-task", "--problems", "1", "--out"]
+    assert "read-only" in refused(capsys, *words, tmp_path)
 
 
 def test_every_suite_and_the_controls_are_part_of_everything():
     full = {part.folder: part.experiment for part in parts_of("full")}
     # needs planners that not everybody installs
     assert full.keys() == {*SUITES, "controls"} - {"peers"}
-    for name, (most, slow) in {
-        "place-task": (5, 3),
-        "multi-sequence": (5, 1),
-        "sensor": (3, 3),
-    }.items():
+    for name, most, slow in (("place-task", 5, 3), ("multi-sequence", 5, 1), ("sensor", 3, 3)):
         parts = [part.experiment for part in parts_of("full") if part.folder == name]
         seeds = {planner: len(part.seeds) for part in reversed(parts) for planner in part.planners}
         assert seeds == {p: slow if p in ("atlas-rrt", "tb-rrt") else most for p in PLANNERS}
@@ -57,15 +49,14 @@ def test_every_suite_and_the_controls_are_part_of_everything():
 
 
 def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
-    capsys, monkeypatch, tmp_path
+    cvqmpt, monkeypatch, tmp_path
 ):
     one = Amount(profile="small", problems=1, cutoff=5.0)
     suite = Suite(title="Place task", planners=("birrt",), amounts=(one,))
     monkeypatch.setattr(experiment, "SUITES", {"place-task": suite})
-    words = ["reproduce", "all", "--profile", "small", "--jobs", "1", "--out", str(tmp_path)]
-    assert main(words) == 0
+    words = f"reproduce all --profile small --jobs 1 --out {tmp_path}"
+    lines = cvqmpt(words).splitlines()
     assert "A path to turn: problem 0, birrt, seed 0" in (tmp_path / "report.html").read_text()
-    lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 15 and max(map(len, lines)) <= 100 + len(str(tmp_path))
     assert str(tmp_path / "report.html") in lines[-1] and str(tmp_path / "claims.md") in lines[-2]
     for name in ("report.html", "claims.md", "histogram/values.csv", "place-task/table.md"):
@@ -75,4 +66,5 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     for page in ("claims.md", "report.html"):
         assert "These rows are of --profile small" in (tmp_path / page).read_text()
     rows = (tmp_path / "place-task" / RUNS_FILE).read_bytes()
-    assert main(words) == 0 and (tmp_path / "place-task" / RUNS_FILE).read_bytes() == rows
+    cvqmpt(words)
+    assert (tmp_path / "place-task" / RUNS_FILE).read_bytes() == rows

@@ -4,10 +4,9 @@ import re
 
 import numpy as np
 import pytest
-from command_line import SCAN_START, refused
+from command_line import SCAN_START, refused, run_here
 from scipy.spatial import cKDTree
 
-from cli.main import main
 from cvqmpt_lab.scene.cloud_files import read_cloud, write_cloud
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.sensing.filters import near_robot
@@ -17,23 +16,19 @@ START, GOAL = SCAN_START, SCAN_START[1:]
 
 @pytest.fixture
 def camera(scan_folder):
-    intrinsics, extrinsics = (
-        scan_folder / f"depth.{part}.json" for part in ("intrinsics", "extrinsics")
-    )
-    return ["--intrinsics", intrinsics, "--extrinsics", extrinsics]
-
-
-def run(*words):
-    return main([str(word) for word in words])
+    return [
+        *("--intrinsics", scan_folder / "depth.intrinsics.json"),
+        *("--extrinsics", scan_folder / "depth.extrinsics.json"),
+    ]
 
 
 def test_a_depth_image_becomes_a_clean_cloud_and_a_scene(
-    scan_folder, camera, tmp_path, capsys, panda
+    scan_folder, camera, tmp_path, cvqmpt, panda
 ):
     out = [tmp_path / name for name in ("clean.pcd", "scene.json")]
     words = ["--arm-at", START, "--plane", "box", "--out", out[0], "--out", out[1]]
-    assert run("scan", scan_folder / "depth.png", *camera, *words) == 0
-    lines = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    told = cvqmpt("scan", scan_folder / "depth.png", *camera, *words)
+    lines = [line.split()[0] for line in told.splitlines()]
     assert lines[:6] == ["scan", "voxels", "robot", "outliers", "supporting", "plane"]
     points = read_cloud(out[0]).points
     assert not near_robot(points, panda, np.fromstring(START, sep=","), 0.049).any()
@@ -54,9 +49,9 @@ def test_an_unknown_file_becomes_a_certified_path_in_one_command(
     scan_folder, camera, file, kind, bound, capsys
 ):
     """The axis of the hand that points up at the start is the one that is kept up."""
-    words = camera if file == "depth.png" else camera[2:]
+    words = ["--cloud", scan_folder / file, *(camera if file == "depth.png" else camera[2:])]
     ends = ["--start", START, "--goal", GOAL, "--constraint", kind]
-    assert run("plan", "--cloud", scan_folder / file, *words, *ends, "--iterations", 5000) == 0
+    run_here(["plan", *words, *ends, "--iterations", 5000])
     said = capsys.readouterr()
     assert re.search(bound, said.out) and "certificate valid" in said.out
     assert "robot " in said.err
@@ -64,7 +59,7 @@ def test_an_unknown_file_becomes_a_certified_path_in_one_command(
 
 def test_a_network_may_be_shown_the_scan_beside_a_suite(scan_folder, camera, capsys):
     words = ["--cloud", scan_folder / "depth.png", *camera, "--iterations", 1]
-    assert run("plan", "place-task", *words) == 2
+    run_here(["plan", "place-task", *words], code=2)
     assert "roadmap uses no cloud" in capsys.readouterr().err.splitlines()[-1]
 
 
@@ -82,4 +77,3 @@ def test_a_wall_is_no_table(tmp_path, capsys):
     write_cloud(file, np.concatenate([wall, floor]))
     line = refused(capsys, "scan", file, "--level", "table", "--down", 10)
     assert "the camera is 1.60 m above the largest plane" in line and "1.44 m (the arm's" in line
-    assert "--down is that of --level table" in refused(capsys, "scan", file, "--down", 10)

@@ -49,52 +49,50 @@ def test_bash_offers(script, words, offered):
     assert set(done.stdout.split()) == offered, done.stderr
 
 
-def findings(capsys):
-    """State and text of everything that was printed, by name."""
-    line = r"^(ok|BROKEN|without) +(\S+) +(.*(?:\n {20}.*)*)"
-    found = re.findall(line, capsys.readouterr().out, re.MULTILINE)
-    return {what: (state, " ".join(text.split())) for state, what, text in found}
+@pytest.fixture
+def findings(cvqmpt):
+    """State and text of everything that `doctor` prints, by name; its exit code."""
+
+    def told(code):
+        line = r"^(ok|BROKEN|without) +(\S+) +(.*(?:\n {20}.*)*)"
+        found = re.findall(line, cvqmpt("doctor", code=code), re.MULTILINE)
+        return {what: (state, " ".join(text.split())) for state, what, text in found}
+
+    return told
 
 
-def test_here_everything_needed_is_fine(capsys):
-    assert main(["doctor"]) == 0
-    found = findings(capsys)
+def test_here_everything_needed_is_fine(findings):
+    found = findings(0)
     assert "BROKEN" not in {state for state, _ in found.values()}
     assert f"numba {metadata.version('numba')}" in found["packages"][1]
     assert found["[train]"] == ("ok", f"torch {metadata.version('torch')}")
     assert weights_digest(weights.WEIGHTS / "vq_mpt")[:16] in found["vq_mpt"][1]
 
 
-def test_a_missing_package_and_a_missing_extra_name_their_cure(capsys, monkeypatch):
+def test_a_missing_package_and_a_missing_extra_name_their_cure(findings, monkeypatch):
     real = metadata.version
-    gone = {"coal", "torch"}
 
     def version(name):
-        if name in gone:
+        if name in ("coal", "torch"):
             raise metadata.PackageNotFoundError(name)
         return real(name)
 
     monkeypatch.setattr(setup_command.metadata, "version", version)
-    assert main(["doctor"]) == 1
-    found = findings(capsys)
+    found = findings(1)
     state, text = found["packages"]
     assert state == "BROKEN" and "coal MISSING" in text and "pip install 'coal" in text
-    assert found["[train]"] == (
-        "without",
-        "torch MISSING; .venv/bin/pip install -c constraints.txt -e '.[train]'",
-    )
+    cure = "torch MISSING; .venv/bin/pip install -c constraints.txt -e '.[train]'"
+    assert found["[train]"] == ("without", cure)
 
 
-def test_damaged_weights_are_broken(capsys, monkeypatch, tmp_path):
+def test_damaged_weights_are_broken(findings, monkeypatch, tmp_path):
     folder = tmp_path / "vq_mpt"
     folder.mkdir()
     for path in (weights.WEIGHTS / "vq_mpt").iterdir():
-        (folder / path.name).write_bytes(
-            path.read_bytes()[: 2000 if path.suffix == ".safetensors" else None]
-        )
+        end = 2000 if path.suffix == ".safetensors" else None
+        (folder / path.name).write_bytes(path.read_bytes()[:end])
     monkeypatch.setattr(weights, "WEIGHTS", tmp_path)
-    assert main(["doctor"]) == 1
-    found = findings(capsys)
+    found = findings(1)
     assert found["vq_mpt"][0] == found["mpnet"][0] == "BROKEN"
     assert "is damaged" in found["vq_mpt"][1] and "no weights in" in found["mpnet"][1]
 
@@ -103,13 +101,13 @@ def test_damaged_weights_are_broken(capsys, monkeypatch, tmp_path):
     ("bench", "figure"),
     [("stages", "certificate"), ("paper-check", "PyBullet: 66 distances between 11 links")],
 )
-def test_benches_print_their_figures_and_write_them(capsys, tmp_path, bench, figure):
+def test_benches_print_their_figures_and_write_them(cvqmpt, tmp_path, bench, figure):
     """Checks that they run; no time is required."""
     if bench == "paper-check":
         pytest.importorskip("pybullet")
     out = tmp_path / "figures.json"
-    assert main(["bench", bench, "--problems", "1", "--json", str(out)]) == 0
-    lines, figures = capsys.readouterr().out.splitlines(), json.loads(out.read_text())
+    lines = cvqmpt(f"bench {bench} --problems 1 --json {out}").splitlines()
+    figures = json.loads(out.read_text())
     assert [line.split("  ")[0] for line in lines] == [item["name"] for item in figures]
     assert figure in [item["name"] for item in figures]
     assert all(0.0 < item["low"] <= item["median"] <= item["high"] for item in figures)

@@ -4,9 +4,10 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 
 import pytest
-from command_line import ROOT, environment
+from command_line import ROOT, run
 
 from cli.train_command import PROFILE_NAMES, STAGES
 from cvqmpt_lab.planners import PLANNERS
@@ -21,21 +22,21 @@ REPORT = "import json, sys; print(json.dumps(sorted(sys.modules)))"
 PEAK = (
     "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
 )
+PACKAGES = ("cvqmpt_lab", "paper_tables", "experiments", "cli")
+MOST_MODULES = 110  # of our own that a classical plan imports
 MOST_MB = 40  # that weights and prediction add to the memory of a plan
 
 
-@pytest.fixture(scope="module")
-def bare(tmp_path_factory):
-    """Environment of a machine without torch."""
-    folder = tmp_path_factory.mktemp("bare") / "torch"
-    folder.mkdir()
-    (folder / "__init__.py").write_text("raise ImportError('torch is not installed here')\n")
-    return environment(PYTHONPATH=f"{folder.parent}{os.pathsep}{ROOT}")
+@pytest.fixture
+def without_torch(tmp_path):
+    """Runs a command in a process that cannot import torch."""
+    (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['torch'] = None")
+    return partial(run, PYTHONPATH=f"{tmp_path}{os.pathsep}{ROOT}")
 
 
-def python(code, env=None):
+def python(code):
     """Last line printed by a fresh process."""
-    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()[-1]
 
@@ -46,10 +47,13 @@ def imported(*words):
     return set(json.loads(python(run + REPORT)))
 
 
-def test_a_classical_plan_imports_nothing_heavy():
-    modules = imported("plan", "place-task", "--problem", "3", "--planner", "birrt")
+@pytest.mark.parametrize("planner", [("--planner", "birrt"), ()], ids=["birrt", "default"])
+def test_a_classical_plan_imports_nothing_heavy_and_few_modules(planner):
+    modules = imported("plan", "place-task", "--problem", "7", *planner)
     assert "cvqmpt_lab.pipeline" in modules
     assert not modules & {*HEAVY, *LEARNED}
+    own = [name for name in modules if name.split(".")[0] in PACKAGES]
+    assert len(own) <= MOST_MODULES, sorted(own)
 
 
 def test_a_learned_plan_reads_weights_and_imports_nothing_else():
@@ -76,33 +80,23 @@ def test_the_package_alone_and_help_import_next_to_nothing():
     assert not modules & {"numpy", "numba", "scipy", "pinocchio", *HEAVY, *LEARNED}
 
 
-def test_all_planners_reproduce_and_render_without_torch(bare, tmp_path):
+def test_all_planners_reproduce_and_render_without_torch(without_torch, tmp_path):
     few = "reproduce place-task --problems 1 --seeds 1 --cutoff 1 --jobs 1 --planners all"
-    words = [*few.split(), "--out", str(tmp_path / "run")]
-    code = f"from cli.main import main; raise SystemExit(main({words!r}))"
-    done = subprocess.run([sys.executable, "-c", code], env=bare, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    without_torch([*few.split(), "--out", tmp_path / "run"])
     rows = (tmp_path / "run" / "runs.csv").read_text().splitlines()[1:]
     assert len(rows) == len(PLANNERS)
     assert not [row for row in rows if "torch" in row]
 
 
-def without_torch(*words):
-    """A command in a process that cannot import torch."""
-    code = "import sys; sys.modules['torch'] = None; from cli.main import main; "
-    code += f"sys.exit(main({words!r}))"
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-
-
-def test_help_of_train_needs_no_torch_and_names_what_the_profiles_have():
-    done = without_torch("train", "--help")
-    assert done.returncode == 0 and "stage1, mpnet, transformer" in done.stdout, done.stderr
+def test_help_of_train_needs_no_torch_and_names_what_the_profiles_have(without_torch):
+    without_torch(["train", "--help"])
     profiles = pytest.importorskip("cvqmpt_lab.training.profiles")
     assert tuple(profiles.MODELS) == STAGES and tuple(profiles.PROFILES) == PROFILE_NAMES
 
 
-def test_what_needs_torch_says_how_to_get_it():
-    for words in ("train stage1 --data d --out o", "model import " + IMPORT):
-        done = without_torch(*words.split())
-        assert done.returncode == 2 and done.stderr.count("\n") == 1
-        assert "pip install -c constraints.txt -e '.[train]'" in done.stderr
+@pytest.mark.parametrize(
+    "words", ["train stage1 --data d --out o", f"model import {IMPORT}"], ids=["train", "model"]
+)
+def test_what_needs_torch_says_how_to_get_it(without_torch, words):
+    said = without_torch(words.split(), code=2)
+    assert said.count("\n") == 1 and "pip install -c constraints.txt -e '.[train]'" in said

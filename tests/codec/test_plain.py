@@ -1,13 +1,14 @@
 """The codec: values from json, and one-line errors that name the wrong field."""
 
+import re
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from cvqmpt_lab.codec import Checked, Document, Tagged, from_plain, to_plain
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.poses import Pose, pose
 from cvqmpt_lab.values import Array, Length, Name
 
@@ -42,21 +43,13 @@ class Heap(Document):
 BALL = {"name": "a", "shape": {"type": "ball", "radius": 0.1}}
 
 
-def refused(data, kind=Heap):
-    with pytest.raises(CvqmptError) as caught:
-        from_plain(kind, data)
-    message = str(caught.value)
-    assert "\n" not in message and "\x1b" not in message and len(message) < 600
-    return message
-
-
 def test_defaults_are_left_out_and_may_be_missing_unless_all_is_asked_for():
     thing = from_plain(Thing, BALL)
     assert to_plain(thing) == BALL
     complete = to_plain(thing, complete=True)
     assert complete["mass"] is None and complete["count"] == 1
-    with pytest.raises(InvalidInputError, match="place is missing; fields: name, shape, place"):
-        from_plain(Thing, BALL, complete=True)
+    told = "place is missing; fields: name, shape, place"
+    refused(told, from_plain, Thing, BALL, complete=True)
 
 
 def mesh(points):
@@ -102,8 +95,9 @@ def mesh(points):
     ],
 )
 def test_the_wrong_field_is_named_by_its_path(change, message):
-    said = refused({"things": [BALL | {"_comment": "what it is for"} | change]})
-    assert message in said and "things[0]." in said
+    data = {"things": [BALL | {"_comment": "what it is for"} | change]}
+    said = refused(re.escape(message), from_plain, Heap, data)
+    assert "things[0]." in said and len(said) < 600
 
 
 @pytest.mark.parametrize(
@@ -118,10 +112,9 @@ def test_the_wrong_field_is_named_by_its_path(change, message):
     ids=["mirrored", "bottom row 5", "scaled", "huge", "sheared"],
 )
 def test_only_rigid_poses_are_poses(matrix, fault):
-    said = refused({"things": [BALL | {"place": matrix.tolist()}]})
-    assert f"things[0].place is no rigid pose: its {fault}" in said
-    with pytest.raises(InvalidInputError, match="Thing 'a': place is no rigid pose"):
-        Thing("a", Ball(0.1), matrix)
+    told = re.escape(f"things[0].place is no rigid pose: its {fault}")
+    refused(told, from_plain, Heap, {"things": [BALL | {"place": matrix.tolist()}]})
+    refused("Thing 'a': place is no rigid pose", Thing, "a", Ball(0.1), matrix)
 
 
 def test_poses_are_written_by_people_in_three_ways():
@@ -152,7 +145,4 @@ def test_poses_are_written_by_people_in_three_ways():
 def test_a_file_that_cannot_be_read_is_named_in_one_line(tmp_path, text, message):
     path = tmp_path / "heap.json"
     path.write_text(text)
-    with pytest.raises(InvalidInputError) as caught:
-        Heap.load(path)
-    said = str(caught.value)
-    assert message in said and "\n" not in said and len(said) < 400
+    assert len(refused(re.escape(message), Heap.load, path)) < 400

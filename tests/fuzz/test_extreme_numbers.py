@@ -113,36 +113,29 @@ def denormal(rng):
     return replace(made, constraint=(plane,), goals=goal[:0], goal_region=near)
 
 
-EXTREME = "extreme numbers end in a certified path or in no path, within the budget"
-
-
-def extreme(make, solved, planners=("birrt",), budget=STEPS, ci=1, long=100):
+def extreme(what, make, solved, planners=("birrt",), budget=STEPS, ci=1, long=100):
     """solved: whether a path exists; None where either is possible."""
-    return make, solved, planners, budget, ci, long
-
-
-CASES = {
-    "singular configurations": extreme(singular, True, ci=4, long=200),
-    "joints at their limits": extreme(at_limits, True, ci=4, long=200),
-    "the start is a goal": extreme(already_there, True, ANY, ci=5, long=200),
-    "nothing in the scene": extreme(between, True, ANY, ci=5, long=200),
-    "no way out": extreme(blocked, False, BOTH, Budget(seconds=0.5), ci=2, long=20),
-    "regions of no width": extreme(narrow, True, ci=2),
-    "regions of 0.2 mm": extreme(lambda rng: narrow(rng, 2e-4), True, ci=2),
-    "10 000 obstacles": extreme(lambda rng: crowded(rng, 10_000, 0.02, 0.9), None, long=5),
-    "obstacles of 0.1 mm": extreme(lambda rng: crowded(rng, 200, 1e-4, 0.4), None, ci=2),
-    "obstacles of 100 m": extreme(lambda rng: crowded(rng, 6, 100.0, 0.7), None, ci=2),
-    "denormal numbers": extreme(denormal, True, ci=4, long=200),
-}
-
-
-def promised(what):
     words = "extreme numbers end in a certified path or in no path, within the budget"
-    mark = pytest.mark.promise(words, "plans", ci=CASES[what][4], long=CASES[what][5])
-    return pytest.param(*CASES[what][:4], marks=mark, id=what)
+    mark = pytest.mark.promise(words, "plans", ci=ci, long=long)
+    return pytest.param(make, solved, planners, budget, marks=mark, id=what)
 
 
-@pytest.mark.parametrize(("make", "solved", "planners", "budget"), map(promised, CASES))
+CASES = [
+    extreme("singular configurations", singular, True, ci=4, long=200),
+    extreme("joints at their limits", at_limits, True, ci=4, long=200),
+    extreme("the start is a goal", already_there, True, ANY, ci=5, long=200),
+    extreme("nothing in the scene", between, True, ANY, ci=5, long=200),
+    extreme("no way out", blocked, False, BOTH, Budget(seconds=0.5), ci=2, long=20),
+    extreme("regions of no width", narrow, True, ci=2),
+    extreme("regions of 0.2 mm", lambda rng: narrow(rng, 2e-4), True, ci=2),
+    extreme("10 000 obstacles", lambda rng: crowded(rng, 10_000, 0.02, 0.9), None, long=5),
+    extreme("obstacles of 0.1 mm", lambda rng: crowded(rng, 200, 1e-4, 0.4), None, ci=2),
+    extreme("obstacles of 100 m", lambda rng: crowded(rng, 6, 100.0, 0.7), None, ci=2),
+    extreme("denormal numbers", denormal, True, ci=4, long=200),
+]
+
+
+@pytest.mark.parametrize(("make", "solved", "planners", "budget"), CASES)
 def test_plans(make, solved, planners, budget, trials):
     for seed in range(trials):
         planner = planners[seed % len(planners)]

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.scene.cells import CELL, blocks_of, cells_with, distinct, map_of_points, merged
+from cvqmpt_lab.scene.cells import CELL, blocks_of, cells_with, distinct, merged
 from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud
 
 
@@ -15,11 +14,6 @@ def filled(boxes):
     corners = zip(boxes.low, boxes.high, strict=True)
     cells = [low + np.argwhere(np.ones(high - low, dtype=bool)) for low, high in corners]
     return np.concatenate(cells)
-
-
-def test_cells_finer_than_a_millimetre_are_refused_before_any_are_made():
-    with pytest.raises(InvalidInputError, match=r"resolution is 1e-09 m; give 0\.001 m or more"):
-        map_of_points(np.array([[0.0, 0.0, 0.0], [1e3, 1e3, 1e3]]), 1e-9)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
@@ -63,20 +57,3 @@ def test_a_map_with_many_cells_across_is_held_by_larger_ones():
     low, high, _ = blocks_of(OccupancyMap(cells, 0.1), np.eye(4))
     for corner in (0.1 * cells + 1e-6, 0.1 * cells + 0.1 - 1e-6):
         assert ((corner[:, None] > low) & (corner[:, None] < high)).all(axis=2).any(axis=1).all()
-
-
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"cells": [[0.5, 0, 0]]}, "holds 0.5; give whole numbers"),
-        ({"cells": [[10_000_000, 0, 0]]}, "whole numbers from -1000000"),
-        ({"cells": []}, r"must be \(any, 3\)"),
-        ({"cells": np.empty((0, 3))}, "is empty"),
-        ({"cells": [[0, 0, 0]], "resolution": 1e-5}, "give 0.001 m or more"),
-        ({"cells": [[0, 0, 0]], "padding": -0.01}, "0 or more"),
-    ],
-    ids=str,
-)
-def test_maps_that_are_none_are_refused(fields, message):
-    with pytest.raises(InvalidInputError, match=message):
-        OccupancyMap(**fields)

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 import trimesh
+from refusals import refused
 
 from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Articulation, Scene
 from cvqmpt_lab.scene.shapes import ConvexMesh, OccupancyMap, PointCloud
@@ -80,11 +80,13 @@ def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp
     (tmp_path / "parts" / "scene.json").write_text(json.dumps(data["scene"]))
     path = saved(data | {"scene": "parts/scene.json"}, tmp_path)
     assert PlanningProblem.load(path).scene == whole.scene
-    with pytest.raises(InvalidInputError, match=r"scene is 'parts/scene.json', a file: load what"):
-        PlanningProblem.from_dict(data | {"scene": "parts/scene.json"})
+    refused(
+        r"scene is 'parts/scene.json', a file: load what",
+        PlanningProblem.from_dict,
+        data | {"scene": "parts/scene.json"},
+    )
     (tmp_path / "parts" / "scene.json").write_text("{}")
-    with pytest.raises(InvalidInputError, match=r"parts/scene.json: name is missing"):
-        PlanningProblem.load(path)
+    refused(r"parts/scene.json: name is missing", PlanningProblem.load, path)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +95,6 @@ def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp
         ({"type": "cloud_file", "path": "gone.pcd", "radius": 1}, "cannot read cloud .*gone.pcd"),
         ({"type": "cloud_file", "path": "parts/scan.npy"}, "radius is missing"),
         ({"type": "cloud_file", "path": "parts/scan.npy", "raduis": 1}, "did you mean 'radius'"),
-        ({"type": "mesh_file", "path": "parts/scan.npy"}, r"'\.npy'; valid choices: \.stl"),
         ({"type": "mesh_file", "path": "parts/ring.stl"}, "millimetres: 0.001"),
         ({"type": "mesh_file", "path": "parts/box.obj", "scale": -1}, "scale"),
     ],
@@ -101,11 +102,9 @@ def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp
 def test_errors_name_the_problem_the_object_and_the_cure(data, tmp_path, shape, message):
     data["scene"]["objects"].append(item_of("bad", **shape))
     where = r"problem\.json: scene\.objects\[4\]\.shape: "
-    with pytest.raises(InvalidInputError, match=f"{where}.*{message}"):
-        PlanningProblem.load(saved(data, tmp_path))
+    refused(f"{where}.*{message}", PlanningProblem.load, saved(data, tmp_path))
 
 
 def test_a_scene_without_a_file_around_it_cannot_name_one():
     scan = item_of("scan", type="cloud_file", path="a.npy", radius=0.01)
-    with pytest.raises(InvalidInputError, match="'cloud_file' names a file"):
-        from_plain(Scene, {"name": "s", "objects": [scan]})
+    refused("'cloud_file' names a file", from_plain, Scene, {"name": "s", "objects": [scan]})

@@ -7,7 +7,6 @@ import pytest
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
 
 PLAIN = {"width": 640, "height": 480, "fx": 525.0, "fy": 526.0, "cx": 319.5, "cy": 239.5}
@@ -108,9 +107,9 @@ BAD = [
 @pytest.mark.parametrize(("read", "name", "text", "told"), BAD, ids=[told for *_, told in BAD])
 def test_bad_files_are_refused_by_field_in_one_line(read, name, text, told, tmp_path):
     (tmp_path / name).write_text(text)
-    line = refused(told, read, tmp_path / name, error=CvqmptError)
+    line = refused(told, read, tmp_path / name)
     assert str(tmp_path / name) in line and len(line) < 400
 
 
 def test_another_suffix_is_refused(tmp_path):
-    refused(r"suffix '\.xml'", read_intrinsics, tmp_path / "cam.xml", error=CvqmptError)
+    refused(r"suffix '\.xml'", read_intrinsics, tmp_path / "cam.xml")

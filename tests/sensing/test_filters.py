@@ -4,7 +4,6 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from refusals import refused
 
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.sensing.filters import near_robot, outliers, voxel_means
@@ -57,4 +56,3 @@ def test_voxels_keep_means_and_cells(voxel):
         cells.setdefault(tuple(np.floor((point - low) / voxel).astype(int)), []).append(point)
     expected = [np.mean(cells[key], axis=0) for key in sorted(cells)]
     np.testing.assert_allclose(means, expected, atol=1e-12)
-    refused("voxel of 1e-07 m is too small", voxel_means, 900.0 * points, 1e-7)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from refusals import refused
 
 from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.pipeline import solve
@@ -71,16 +70,6 @@ def test_rays_cross_what_fine_samples_of_them_are_in():
     box = np.prod(np.round(np.subtract(ROOM.upper, ROOM.lower) / 0.02))
     few = len(np.unique(np.floor(walked[inside] / 0.02), axis=0))
     assert 0.97 * few <= box - len(scanned.cells) <= 1.1 * few
-
-
-def test_maps_that_cannot_be_are_refused():
-    captures, huge = [sight(EYE, np.ones((1, 3)))], (50.0, 50.0, 50.0)
-    for settings, seen, message in (
-        (MapSettings(), captures, "no point is left"),
-        (ROOM, [], "captures with their cameras"),
-        (replace(ROOM, resolution=1e-3, upper=huge), captures, "smaller box or larger"),
-    ):
-        refused(message, occupancy_map, np.empty((0, 3)), settings, seen)
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.sensing.plane import (
     box_around,
     level_pose,
@@ -71,8 +71,14 @@ WALL = SCATTERED * (0, 1, 1)
 
 @pytest.mark.parametrize("points", [SCATTERED, np.zeros((1, 3)), np.zeros((50, 3)), WALL])
 def test_a_cloud_without_a_table_is_refused(points):
-    with pytest.raises(InvalidInputError, match="no supporting plane"):
-        supporting_plane(points, np.array([0, 0, 1.0]), 0.2, np.random.default_rng(0))
+    refused(
+        "no supporting plane",
+        supporting_plane,
+        points,
+        np.array([0, 0, 1.0]),
+        0.2,
+        np.random.default_rng(0),
+    )
 
 
 def office(rng, height):
@@ -85,11 +91,7 @@ def office(rng, height):
 @pytest.mark.parametrize(
     ("points", "down", "words"),
     [
-        (
-            lambda rng: office(rng, 1.6),
-            20.0,
-            "1.60 m above .* of 25% .* at most 1.20 m",
-        ),
+        (lambda rng: office(rng, 1.6), 20.0, "1.60 m above .* of 25% .* at most 1.20 m"),
         (lambda rng: office(rng, -1.1), 20.0, "the camera is -1.10 m above"),
         (lambda rng: office(rng, 1.1)[:6000], 20.0, "largest plane, of 100% .* 70 deg off level"),
         (lambda rng: office(rng, 1.1)[:6000] * (1, 1, 0.2), 40.0, "50 deg off level"),
@@ -98,8 +100,7 @@ def office(rng, height):
 )
 def test_no_wall_ceiling_or_far_floor_is_taken_for_a_table(points, down, words):
     rng = np.random.default_rng(0)
-    with pytest.raises(InvalidInputError, match=words):
-        table_below(points(rng), np.radians(down), 1.2, rng)
+    refused(words, table_below, points(rng), np.radians(down), 1.2, rng)
 
 
 def test_a_level_plane_is_found_before_a_larger_wall():

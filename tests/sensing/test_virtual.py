@@ -1,5 +1,7 @@
 """Clouds of scenes: the published set-up, training's clouds, the arm in the picture."""
 
+from dataclasses import replace
+from functools import partial
 from itertools import compress
 
 import numpy as np
@@ -10,14 +12,15 @@ from cvqmpt_lab.benchmarks.objects import CAN
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.load import panda
+from cvqmpt_lab.scene.cloud_files import Cloud
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.sensing.camera import KINECT, Intrinsics, cameras_on_sphere, look_at
-from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop
+from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.sensing.observation import Observer
-from cvqmpt_lab.sensing.occupancy import MapSettings
-from cvqmpt_lab.sensing.scan import ScanSettings
+from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
+from cvqmpt_lab.sensing.scan import ScanSettings, scan
 from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, camera_cloud, visible_points
 
 
@@ -48,28 +51,40 @@ def test_clouds_depend_on_the_seed_alone_and_have_the_points_asked_for():
 
 
 RNG = np.random.default_rng(0)
+NOTHING = np.empty((0, 3))
 CLOUD = Scene("s", (SceneObject("scan", PointCloud(np.eye(3), 0.01), np.eye(4)),))
+ROOM = MapSettings(unknown="occupied", lower=(-0.5, -0.5, 0.0), upper=(1.0, 0.5, 0.8))
+HUGE = replace(ROOM, resolution=1e-3, upper=(50.0, 50.0, 50.0))
+CAPTURE = Cloud(np.ones((1, 3)), T_world_camera=np.eye(4))
+AWAY = ScanSettings(crop=BoxCrop((5, 5, 5), (6, 6, 6)))
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: CameraSettings(voxel=0.0), "voxel of 0.0 m"),
-        (lambda: CameraSettings(points=0), "cloud of 0 points"),
-        (lambda: CameraSettings(noise=-0.1), "noise of -0.1 m"),
-        (lambda: Observer(scenes=0), "of 1 or more"),
-        (lambda: camera_cloud(CLOUD, CameraSettings(), RNG), "'scan', a PointCloud"),
-        (lambda: look_at((1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "cannot look at"),
-        (lambda: Intrinsics.from_fov(width=0), "width is 0"),
-        (lambda: Intrinsics.from_fov(height=0), "height is 0"),
-        (lambda: Intrinsics.from_fov(vertical_fov=180.0), "give one between 0 and 180"),
-        (lambda: Intrinsics.from_fov(near=2.0, far=1.0), "give 0 <= near < far"),
-        (lambda: ScanSettings(voxel=0.0), "give more than 0"),
-        (lambda: ScanSettings(voxel=float("nan")), "give more than 0"),
-        (lambda: ScanSettings(robot_margin=-0.1), "give 0 or more"),
-        (lambda: ScanSettings(neighbours=-1), "give 0 or more"),
-        (lambda: MapSettings(lower=(1.0, 0.0, 0.0), upper=(0.0, 1.0, 1.0)), "lower corner below"),
-        (lambda: MapSettings(resolution=1e-9), r"resolution is 1e-09 m; give 0\.001 m or more"),
+        (partial(CameraSettings, voxel=0.0), "voxel of 0.0 m"),
+        (partial(CameraSettings, points=0), "cloud of 0 points"),
+        (partial(CameraSettings, noise=-0.1), "noise of -0.1 m"),
+        (partial(Observer, scenes=0), "of 1 or more"),
+        (partial(Observer().of_points, np.full((50, 3), 9.0)), "none of the cloud's 50 points"),
+        (partial(camera_cloud, CLOUD, CameraSettings(), RNG), "'scan', a PointCloud"),
+        (partial(look_at, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "cannot look at"),
+        (partial(Intrinsics.from_fov, width=0), "width is 0"),
+        (partial(Intrinsics.from_fov, height=0), "height is 0"),
+        (partial(Intrinsics.from_fov, vertical_fov=180.0), "give one between 0 and 180"),
+        (partial(Intrinsics.from_fov, near=2.0, far=1.0), "give 0 <= near < far"),
+        (partial(ScanSettings, voxel=0.0), "give more than 0"),
+        (partial(ScanSettings, voxel=float("nan")), "give more than 0"),
+        (partial(ScanSettings, robot_margin=-0.1), "give 0 or more"),
+        (partial(ScanSettings, neighbours=-1), "give 0 or more"),
+        (partial(scan, [CAPTURE], AWAY, RNG), "nothing of the scan is left"),
+        (partial(scan, 2 * [CAPTURE], ScanSettings(level=True), RNG), "2 captures cannot be lev"),
+        (partial(voxel_means, np.array([[-900.0] * 3, [900.0] * 3]), 1e-7), "1e-07 m is too small"),
+        (partial(replace, ROOM, upper=ROOM.lower), "lower corner below"),
+        (partial(MapSettings, resolution=1e-9), r"resolution is 1e-09 m; give 0\.001 m or more"),
+        (partial(occupancy_map, NOTHING, MapSettings(), [CAPTURE]), "no point is left"),
+        (partial(occupancy_map, NOTHING, ROOM, []), "captures with their cameras"),
+        (partial(occupancy_map, NOTHING, HUGE, [CAPTURE]), "smaller box or larger"),
     ],
 )
 def test_settings_and_scenes_are_checked(make, message):

@@ -7,10 +7,10 @@ import re
 
 import pytest
 from PIL import Image
+from refusals import refused
 
 import cvqmpt_lab
 from cvqmpt_lab import Scene, draw, region
-from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.show import load_ipython_extension
 
 
@@ -39,8 +39,7 @@ def test_draw_takes_all_of_them_and_writes(solution, task_solution, tmp_path):
     assert drawn.size == Image.open(tmp_path / "a.png").size == (90, 60)
     assert draw(solution.problem, size=(90, 60)).size == (90, 60)
     assert draw(task_solution, size=(90, 60)).width > 90
-    with pytest.raises(UnknownChoiceError, match="'int'; valid choices: Robot, Scene, Pl"):
-        draw(3)
+    refused("'int'; valid choices: Robot, Scene, Pl", draw, 3)
 
 
 def test_help_of_the_package_is_readable():
@@ -48,5 +47,4 @@ def test_help_of_the_package_is_readable():
         assert not re.search("Annotated| at 0x|<class", str(inspect.signature(kind)))
     text = pydoc.plain(pydoc.render_doc(cvqmpt_lab.PlanningProblem))
     assert "start: 'State' = <factory>, goals: 'States' = <factory>, constraint: 'Regions'" in text
-    with pytest.raises(UnknownChoiceError, match="plain"):
-        region("plain")
+    refused("plain", region, "plain")

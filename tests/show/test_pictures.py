@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from PIL import Image
+from refusals import refused
 
 from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
 from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import upright, upright_box
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.show.bodies import (
     frames,
     ground_height,
@@ -86,16 +86,18 @@ def test_the_cone_of_a_tilt_is_as_wide_as_its_bound(problem, region):
 
 
 def test_what_cannot_be_written_is_refused(unsolved, tmp_path):
-    with pytest.raises(InvalidInputError, match=r"cannot write .*missing"):
-        draw_solution(unsolved, tmp_path / "missing" / "a.png", (3, 2))
-    with pytest.raises(InvalidInputError, match=r"size \(0, 5\)"):
-        draw_solution(unsolved, tmp_path / "a.png", (0, 5))
-    frame = np.zeros((21, 31, 3), np.uint8)
-    with pytest.raises(UnknownChoiceError, match=r"'\.avi'; valid choices: \.gif"):
-        save_film([frame], tmp_path / "a.avi")
-    with pytest.raises(InvalidInputError, match="cannot write"):
-        save_film([frame], tmp_path / "missing" / "a.gif")
-    assert not list(tmp_path.iterdir())
+    frames = [np.zeros((21, 31, 3), np.uint8)]
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    for place in ("missing/a", "file/a"):
+        path, told = tmp_path / place, f"cannot write .*{place}"
+        refused(told, draw_solution, unsolved, path.with_suffix(".png"), (3, 2))
+        refused(told, save_film, frames, path.with_suffix(".gif"))
+        refused(told, log_solution, unsolved, path.with_suffix(".rrd"))
+    refused("cannot write", log_solution, unsolved, tmp_path / "folder")
+    refused(r"size \(0, 5\)", draw_solution, unsolved, tmp_path / "a.png", (0, 5))
+    refused(r"'\.avi'; valid choices: \.gif", save_film, frames, tmp_path / "a.avi")
+    assert {path.name for path in tmp_path.iterdir()} == {"folder", "file"}
 
 
 def test_a_film_shows_the_robot_from_start_to_goal(solution, tmp_path):

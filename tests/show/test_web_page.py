@@ -13,18 +13,16 @@ from PIL import Image
 from cvqmpt_lab.show import web_page
 from cvqmpt_lab.show.web_page import save_page
 
-BROWSER = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
+BROWSERS = map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
+BROWSER = next(filter(None, BROWSERS), None)
 
 
 def data_of(path):
     before, after = web_page.TEMPLATE.read_text().split(web_page.PLACE)
     text = path.read_text()
     assert text.startswith(before) and text.endswith(after) and "://" not in before + after
-    return json.loads(
-        text[len(before) : -len(after)].removeprefix(web_page.PLACE[:-11]).removesuffix("</script>")
-    )
+    data = text[len(before) : -len(after)].removeprefix(web_page.PLACE[:-11])
+    return json.loads(data.removesuffix("</script>"))
 
 
 def array(text):
@@ -37,9 +35,8 @@ def test_a_page_holds_the_motion_and_its_plots(solution, tmp_path):
     assert "<!--" not in (tmp_path / "a.html").read_text()
     data = data_of(tmp_path / "a.html")
     states = solution.simplified.path.states
-    assert data["title"].startswith("a</script><!--<script>b: panda, solved") and data[
-        "states"
-    ] == len(states)
+    assert data["title"].startswith("a</script><!--<script>b: panda, solved")
+    assert data["states"] == len(states)
     robot = [body for body in data["bodies"] if body["group"] == "robot"]
     assert len(robot) == len(solution.problem.robot.links)
     fingers = np.linalg.inv(solution.problem.robot.poses(states, "panda_rightfinger"))
