@@ -18,14 +18,7 @@ from paper_tables.judging import (
     ruled,
     verdicts_of,
 )
-from paper_tables.measures import (
-    Pair,
-    censored,
-    mean_ratio,
-    paired,
-    split_by_work,
-    work,
-)
+from paper_tables.measures import Pair, censored, mean_ratio, paired, split_by_work, work
 from paper_tables.statements import CLAIMS, Claim, PublishedValue
 
 H, F, T, N = Ruling.HOLDS, Ruling.FAILS, Ruling.TOO_FEW, Ruling.INCOMPARABLE
