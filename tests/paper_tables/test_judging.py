@@ -200,9 +200,7 @@ def test_hard_is_the_top_third_by_medians_of_other_seeds_ties_easy_and_failures_
     assert ties["hard"] == frozenset() and len(ties["easy"]) == 6
     assert split_by_work([])["all"] == frozenset()
     works = ((1, 1000, 2), (9, 10, 11), (3, 3, 3))
-    rows = [
-        run("birrt", k, w, seed=s) for k, three in enumerate(works) for s, w in enumerate(three)
-    ]
+    rows = [run("birrt", k, works[k][seed], seed=seed) for k, seed in product(range(3), range(3))]
     hard = {(problem, seed) for _, problem, seed in split_by_work(rows)["hard"]}
     # in seed 1 problem 0 took long: by the others it is easy
     assert hard == {("0", 0), ("1", 1), ("0", 2)}

@@ -161,14 +161,11 @@ def test_codes_on_the_manifold_stay_and_none_are_no_trouble(codebook, predicted)
     assert none.z.shape == (0, 8) and none.kept.shape == (0,)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_settings_are_checked():
+    for changes, message in (
         ({"method": "newton"}, "method 'newton'; valid choices: adam, gradient"),
         ({"steps": 0}, "LatentSettings.steps is 0; it must be 1 or more"),
         ({"eta": 0.0}, "eta is 0.0; it must be more than 0"),
         ({"delta": float("nan")}, "delta is nan; it must be a finite float"),
-    ],
-)
-def test_settings_are_checked(changes, message):
-    refused(message, LatentSettings, error=CvqmptError, **changes)
+    ):
+        refused(message, LatentSettings, error=CvqmptError, **changes)

@@ -52,42 +52,26 @@ def proposed(problem, query):
     return propose
 
 
-WIDE = {"predictor": "random", "gaussians": "wide"}
+def test_words_say_the_product():
+    along = {"gaussians": "along", "draws": "free-draws", "reach": 1.0, "goals": "goals-apart"}
+    wide = {"predictor": "random", "gaussians": "wide", "uniform_share": 0.15}
+    other = {"update": "projected", "cloud": "other-cloud", "uniform_share": 0.5}
+    for words, product in {
+        "random": {"predictor": "random"},
+        "transformer+along+free-draws+reach=1+goals-apart": along | {"uniform_share": 0.15},
+        "transformer+algorithm-2": {"update": "algorithm-2"},
+        "random+wide": wide,
+        "random+uniform=0.5+projected+wide+other-cloud": wide | other,
+    }.items():
+        choice = SamplerChoice(**{"predictor": "transformer"} | product)
+        assert SamplerChoice.of(words) == planner_named(f"cvq:{words}").sampler == choice
 
 
-@pytest.mark.parametrize(
-    ("words", "choice"),
-    [
-        ("random", SamplerChoice(predictor="random")),
-        (
-            "transformer+along+free-draws+reach=1+goals-apart",
-            SamplerChoice(
-                predictor="transformer",
-                gaussians="along",
-                draws="free-draws",
-                reach=1.0,
-                goals="goals-apart",
-                uniform_share=0.15,
-            ),
-        ),
-        ("transformer+algorithm-2", SamplerChoice(predictor="transformer", update="algorithm-2")),
-        ("random+wide", SamplerChoice(**WIDE, uniform_share=0.15)),
-        (
-            "random+uniform=0.5+projected+wide+other-cloud",
-            SamplerChoice(**WIDE, update="projected", cloud="other-cloud", uniform_share=0.5),
-        ),
-    ],
-)
-def test_words_say_the_product(words, choice):
-    assert SamplerChoice.of(words) == planner_named(f"cvq:{words}").sampler == choice
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
+def test_other_words_are_refused():
+    for words, message in (
         ("", "predictor of a learned sampler ''; valid choices: transformer"),
         ("wide", "'wide'; valid choices: transformer"),
-        ("random+broad", "part of planner cvq:random+broad 'broad'; valid choices: decoded, wide"),
+        ("random+broad", "planner cvq:random+broad 'broad'; valid choices: decoded, wide"),
         ("random+wide+decoded", "two parts of one kind, 'decoded'"),
         ("random+uniform=2", "uniform share 2.0 of a learned sampler: give 0 to 1"),
         ("random+all-beams", "all-beams goes with predictor transformer, not random"),
@@ -96,11 +80,9 @@ def test_words_say_the_product(words, choice):
         ("random+reach=0", "reach 0.0 of a learned sampler: give more than 0 [rad]"),
         ("random+reach=1+reach=2", "two parts of one kind, 'reach=2'"),
         ("random+every-waypoint", "every-waypoint goes with predictor transformer, not random"),
-        ("transformer+along+printed", "printed moves codes: along has none; leave one of them out"),
-    ],
-)
-def test_other_words_are_refused(words, message):
-    refused(re.escape(message), planner_named, f"cvq:{words}", error=CvqmptError)
+        ("transformer+along+printed", "printed moves codes: along has none; leave one of them"),
+    ):
+        refused(re.escape(message), planner_named, f"cvq:{words}", error=CvqmptError)
 
 
 @pytest.mark.parametrize("predictor", ["transformer", "random", "oracle"])

@@ -17,7 +17,7 @@ from cvqmpt_lab.training.mpnet_stage import MPNet
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, stored
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts, line_free
-from cvqmpt_lab.vqmpt.weights import RobotSignature, robot_signature
+from cvqmpt_lab.vqmpt.weights import robot_signature
 
 CONFIG = MPNetConfig(
     n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2
@@ -36,10 +36,9 @@ def random_network(config=CONFIG):
     return MPNet(config).eval()
 
 
-def ready(network):
-    """The network in numpy."""
-    robot = RobotSignature("arm", (-1.0,) * 7, (1.0,) * 7)
-    return MPNetNetwork(stored(Checkpoint(network.config, robot, {"mpnet": network})))
+def in_numpy(network, robot):
+    checkpoint = Checkpoint(network.config, robot_signature(robot), {"mpnet": network})
+    return MPNetNetwork(stored(checkpoint))
 
 
 def heading_network(share=0.5):
@@ -58,13 +57,19 @@ def heading_network(share=0.5):
     return network
 
 
+def on_manifold(problem, draw, valid):
+    """A projected draw (n,), of a generator, that is valid or not."""
+    space, rng = ConstrainedSpace(problem), np.random.default_rng(0)
+    while True:
+        q = draw(rng)
+        if space.project(q) and space.valid(q) == valid:
+            return q
+
+
 def colliding(problem):
     """A configuration (n,) on the manifold that collides."""
-    space, robot, rng = ConstrainedSpace(problem), problem.robot, np.random.default_rng(0)
-    while True:
-        q = rng.uniform(robot.lower, robot.upper)
-        if space.project(q) and not space.valid(q):
-            return q
+    robot = problem.robot
+    return on_manifold(problem, lambda rng: rng.uniform(robot.lower, robot.upper), False)
 
 
 def stuck_network(problem):
@@ -84,9 +89,7 @@ def cloud_of(scene):
 
 def mpnet_of(robot, network=None, observe=cloud_of, bridged=False, **settings):
     """A method whose rollouts are those of a network."""
-    network = network or heading_network()
-    checkpoint = Checkpoint(network.config, robot_signature(robot), {"mpnet": network})
-    rollouts = MPNetRollouts(MPNetNetwork(stored(checkpoint)), bridged, **settings)
+    rollouts = MPNetRollouts(in_numpy(network or heading_network(), robot), bridged, **settings)
     return Method.simple("mpnet", predict=rollouts, observe=observe)
 
 
@@ -95,9 +98,9 @@ def plan(problem, method, budget=ENOUGH, seed=0):
     return solve(problem, method, budget, seed, clearance=False).plan
 
 
-def test_it_computes_what_the_torch_network_does():
+def test_it_computes_what_the_torch_network_does(panda):
     network = random_network()
-    inference = ready(network)
+    inference = in_numpy(network, panda)
     rng = np.random.default_rng(0)
     points, current, goal = rng.normal(size=(16, 3)), rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
     code = inference.encode(points)
@@ -124,18 +127,17 @@ def test_published_rollouts_end_at_the_nearest_goal(tuning):
     np.testing.assert_array_equal(states[-1], nearest)
 
 
-@pytest.mark.parametrize(
-    ("limits", "budget", "iterations", "detail"),
-    [
-        ({"rollouts": 3, "attempts": 6}, ENOUGH, 3 * 6, "all 3 of 3 rollouts failed: 3"),
-        ({}, Budget(iterations=40), 40, "2 of 10 rollouts failed: 1 cut short by the budget, 1"),
-    ],
-)
-def test_attempts_are_bounded_where_nothing_is_free(tuning, limits, budget, iterations, detail):
-    result = plan(tuning, mpnet_of(tuning.robot, stuck_network(tuning), **limits), budget)
-    assert result.path is None and result.status is PlanStatus.ITERATION_LIMIT
-    assert result.detail == f"{detail} without a free state"
-    assert result.counters.iterations == iterations
+def test_attempts_are_bounded_where_nothing_is_free(tuning):
+    stuck, few = stuck_network(tuning), {"rollouts": 3, "attempts": 6}
+    cut = "2 of 10 rollouts failed: 1 cut short by the budget, 1"
+    for limits, budget, iterations, detail in (
+        (few, ENOUGH, 3 * 6, "all 3 of 3 rollouts failed: 3"),
+        ({}, Budget(iterations=40), 40, cut),
+    ):
+        result = plan(tuning, mpnet_of(tuning.robot, stuck, **limits), budget)
+        assert result.path is None and result.status is PlanStatus.ITERATION_LIMIT
+        assert result.detail == f"{detail} without a free state"
+        assert result.counters.iterations == iterations
 
 
 def test_sides_that_do_not_meet_are_bridged_or_given_up(tuning):
@@ -148,11 +150,7 @@ def test_sides_that_do_not_meet_are_bridged_or_given_up(tuning):
 
 
 def test_rollouts_alone_reach_a_goal_that_a_direct_motion_does(tuning):
-    rng, space = np.random.default_rng(0), ConstrainedSpace(tuning)
-    while True:
-        near = tuning.start + rng.normal(scale=0.05, size=7)
-        if space.project(near) and space.valid(near):
-            break
+    near = on_manifold(tuning, lambda rng: tuning.start + rng.normal(scale=0.05, size=7), True)
     easy = replace(tuning, goals=near[None], goal_region=None)
     result = plan(easy, mpnet_of(easy.robot))
     assert result.detail == ROLLOUTS_ALONE
