@@ -42,10 +42,8 @@ def near_contact(checker, rng, count):
         middle = 0.5 * (free + colliding)
         inside = checker.in_collision_batch(middle)[:, None]
         free, colliding = np.where(inside, free, middle), np.where(inside, middle, colliding)
-    noise = 10.0 ** rng.uniform(-6.0, -1.3, (n, AROUND, 1)) * rng.standard_normal(
-        (n, AROUND, robot.dof)
-    )
-    states = free[:, None] + noise / np.sqrt(robot.dof)
+    far = 10.0 ** rng.uniform(-6.0, -1.3, (n, AROUND, 1)) / np.sqrt(robot.dof)
+    states = free[:, None] + far * rng.standard_normal((n, AROUND, robot.dof))
     return np.clip(states, robot.lower, robot.upper).reshape(-1, robot.dof)
 
 
@@ -167,19 +165,16 @@ def test_what_a_ball_touches_its_cloud_touches(panda, count, carried):
     for trial in range(6 if carried else 20):
         piece, radius = pieces[rng.integers(len(pieces))], 10.0 ** rng.uniform(-2.7, -0.9)
         name = frames[piece.link]
-        T_world_piece = (
-            panda.pose(q, name) @ np.linalg.inv(panda.link_of(name)[1]) @ piece.T_link_geometry
-        )
-        ball, normal = touching_ball(
-            piece, T_world_piece, radius, 10.0 ** rng.uniform(-4.5, -3.0), rng
-        )
+        T_world_link = panda.pose(q, name) @ np.linalg.inv(panda.link_of(name)[1])
+        depth = 10.0 ** rng.uniform(-4.5, -3.0)
+        T_world_piece = T_world_link @ piece.T_link_geometry
+        ball, normal = touching_ball(piece, T_world_piece, radius, depth, rng)
         others = rng.uniform(-6.0, 6.0, (count - 1, 3)) * min(radius, 0.05)
         height = others @ normal
         others += np.outer(np.abs(height) - height + 3.0 * radius, normal)  # beyond the face
         points = ball + np.concatenate([np.zeros((1, 3)), others])
-        T = (T_hand if carried else TURNED) @ pose(
-            rng.uniform(-0.1, 0.1, 3), rng.uniform(-3.0, 3.0)
-        )
+        frame = pose(rng.uniform(-0.1, 0.1, 3), rng.uniform(-3.0, 3.0))
+        T = (T_hand if carried else TURNED) @ frame
         cloud = PointCloud((points - T[:3, 3]) @ T[:3, :3], radius)
         scene, attachments = Scene("cloud", (SceneObject("cloud", cloud, T),)), ()
         if carried:
@@ -201,12 +196,7 @@ def test_maps_are_the_same_to_both_checkers(panda, T, padding):
     compare(panda, scene, 2000, margin=1e-4)
 
 
-def test_configurations_that_are_not_finite_collide(panda):
-    states = np.array([HOME, np.full(7, np.nan), np.full(7, np.inf)])
-    assert compiled_hits(panda, NOTHING, states).tolist() == [False, True, True]
-
-
-def test_obstacles_outside_the_grid_are_still_seen(panda):
+def test_obstacles_outside_the_grid_are_still_seen_and_states_that_are_not_finite_collide(panda):
     """The grid ends at the arm's reach; a pole in the hand goes beyond it."""
     pole = Attachment("pole", Box((0.02, 0.02, 1.6)), pose((0.0, 0.0, 0.9)))
     stretched = np.array([0.0, 1.5, 0.0, -0.1, 0.0, 1.5, 0.0])
@@ -215,6 +205,8 @@ def test_obstacles_outside_the_grid_are_still_seen(panda):
     assert np.linalg.norm(T_world_tip[:3, 3]) > panda.reach
     assert compiled_hits(panda, scene, [stretched], (pole,)) == [True]
     assert compiled_hits(panda, scene, [stretched]) == [False]
+    states = np.array([HOME, np.full(7, np.nan), np.full(7, np.inf)])
+    assert compiled_hits(panda, NOTHING, states).tolist() == [False, True, True]
 
 
 def test_a_robots_arrays_are_made_once_and_the_same_from_disk(slider_arm, tmp_path, monkeypatch):

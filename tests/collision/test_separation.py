@@ -7,23 +7,17 @@ from compiled_kernels import from_python
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.collision import separation
 from cvqmpt_lab.collision.covers import ANY_RADIUS, Piece, cut_into_pieces, sphere_trees
 from cvqmpt_lab.collision.distance_grid import RANGE, cell_of, known_distance
 from cvqmpt_lab.collision.geometry import ShapeSpec, outline, pack_shapes, scene_geometry
-from cvqmpt_lab.collision.separation import (
-    BOX,
-    CYLINDER,
-    HULL,
-    IDENTITY,
-    SPHERE,
-    distance,
-    separating_gap,
-)
+from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, IDENTITY, SPHERE
 from cvqmpt_lab.robot.hulls import coal_distance, convex_hull
 
 cell_of, known_distance = map(from_python, (cell_of, known_distance))
-distance, separating_gap = map(from_python, (distance, separating_gap))
+distance, separating_gap = map(from_python, (separation.distance, separation.separating_gap))
 MARGIN = 1e-4
+KINDS = HULL, BOX, CYLINDER, SPHERE
 NO_VERTICES = np.empty((0, 3))
 
 
@@ -56,8 +50,8 @@ def coal_object(spec):
     return make[spec.kind](), coal.Transform3s(T[:3, :3], T[:3, 3])
 
 
-@pytest.mark.parametrize("kind_a", [HULL, BOX, CYLINDER, SPHERE])
-@pytest.mark.parametrize("kind_b", [HULL, BOX, CYLINDER, SPHERE])
+@pytest.mark.parametrize("kind_a", KINDS)
+@pytest.mark.parametrize("kind_b", KINDS)
 def test_pairs_agree_with_coal(kind_a, kind_b):
     """Random pairs, half of them slid to within a millimetre of contact."""
     rng = np.random.default_rng(10 * kind_a + kind_b)
@@ -92,7 +86,7 @@ def test_a_touching_pair_is_a_collision_and_a_degenerate_axis_is_harmless():
             assert (gap > MARGIN) == free
 
 
-@pytest.mark.parametrize("kind", [HULL, BOX, CYLINDER, SPHERE])
+@pytest.mark.parametrize("kind", KINDS)
 def test_balls_and_pieces_cover_the_shape(kind):
     rng = np.random.default_rng(kind)
     for _ in range(3):

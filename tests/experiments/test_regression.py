@@ -37,29 +37,29 @@ def outcome(seed=0, planner="birrt", **values):
     return {Case(planner, 1, seed, 10): dict.fromkeys(regression.COLUMNS, 100) | plain | values}
 
 
-@pytest.mark.parametrize(
-    ("both", "change", "exactly", "by_bounds"),
-    [
-        (True, {}, "", ""),
-        (False, {"path_sha256": "b"}, "path_sha256 was a, is b", ""),
-        (False, {"n_projections": 450}, "n_projections was 100, is 450", ""),
-        (True, {"n_projections": 2000}, "n_projections was 100", "n_projections: 20 times"),
-        (True, {"n_state_checks": 10}, "n_state_checks was 100", "n_state_checks: 0.11 times"),
-        (True, {"path_length_rad": 11.0}, "path_length_rad was 8.0", ""),
-        (True, {"path_length_rad": 13.0}, "path_length_rad was 8.0", "mean path_length_rad: 1.62"),
-        (True, {"path_length_rad": 3.9}, "path_length_rad was 8.0", "mean path_length_rad: 0.49"),
-        (False, {"fail_reason": "timeout"}, "fail_reason was None", "fail_reason was None, is"),
-    ],
+CHANGES = (  # in both runs or in one; what differs where values must be equal, and elsewhere
+    (True, {}, "", ""),
+    (False, {"path_sha256": "b"}, "path_sha256 was a, is b", ""),
+    (False, {"n_projections": 450}, "n_projections was 100, is 450", ""),
+    (True, {"n_projections": 2000}, "n_projections was 100", "n_projections: 20 times"),
+    (True, {"n_state_checks": 10}, "n_state_checks was 100", "n_state_checks: 0.11 times"),
+    (True, {"path_length_rad": 11.0}, "path_length_rad was 8.0", ""),
+    (True, {"path_length_rad": 13.0}, "path_length_rad was 8.0", "mean path_length_rad: 1.62"),
+    (True, {"path_length_rad": 3.9}, "path_length_rad was 8.0", "mean path_length_rad: 0.49"),
+    (False, {"fail_reason": "timeout"}, "fail_reason was None", "fail_reason was None, is"),
 )
-def test_equality_here_and_stated_bounds_elsewhere(both, change, exactly, by_bounds):
+
+
+def test_equality_here_and_stated_bounds_elsewhere():
     """Where values must be equal, every changed run gives a line."""
     expected = Expectations(HERE, outcome(0) | outcome(1))
-    outcomes = outcome(0, **change) | outcome(1, **(change if both else {}))
-    exactly, by_bounds = [exactly] * (1 + both) if exactly else [], [by_bounds] if by_bounds else []
-    for here, wanted in ((HERE, exactly), (ELSEWHERE, by_bounds)):
-        _, found = compare(expected, outcomes, here)
-        assert len(found) == len(wanted)
-        assert all(words in line for words, line in zip(wanted, found, strict=True)), found
+    for both, change, exactly, by_bounds in CHANGES:
+        outcomes = outcome(0, **change) | outcome(1, **(change if both else {}))
+        exact_lines = [exactly] * (1 + both) if exactly else []
+        for here, wanted in ((HERE, exact_lines), (ELSEWHERE, [by_bounds] if by_bounds else [])):
+            _, found = compare(expected, outcomes, here)
+            assert len(found) == len(wanted)
+            assert all(words in line for words, line in zip(wanted, found, strict=True)), found
 
 
 def test_runs_without_expectation_and_expectations_without_run_are_named():
@@ -108,22 +108,21 @@ def tampered(path, old, new):
 OLD_AND_NEW = "committed '21.95', rendered '22.95'"
 
 
-@pytest.mark.parametrize(
-    ("name", "old", "new", "words"),
-    [
+def test_a_tampered_table_is_named_by_cell(results):
+    directory = results / "place-task"
+    for name, old, new, words in (
         ("table.md", "22.95", "21.95", ["row 'ompl-projected (CBiRRT)'", OLD_AND_NEW]),
         ("table.tex", "22.95", "21.95", ["committed '21.95", "rendered '22.95"]),
         ("table.csv", "22.95", "21.95", ["row 'place-task', cell 6", OLD_AND_NEW]),
         ("table.md", "| birrt", "|  birrt", ["spaces differ"]),
-    ],
-)
-def test_a_tampered_table_is_named_by_cell(results, name, old, new, words):
-    directory = results / "place-task"
-    tampered(directory / name, old, new)
-    (line,) = differing_cells(directory)
-    assert line.startswith(f"{directory / name}, line ")
-    assert line.endswith(f"cvqmpt table {directory}")
-    assert all(word in line for word in words), line
+    ):
+        before = (directory / name).read_text()
+        tampered(directory / name, old, new)
+        (line,) = differing_cells(directory)
+        assert line.startswith(f"{directory / name}, line ")
+        assert line.endswith(f"cvqmpt table {directory}")
+        assert all(word in line for word in words), line
+        (directory / name).write_text(before)
 
 
 def test_changed_rows_and_missing_tables_are_noticed(results):

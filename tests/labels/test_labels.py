@@ -10,7 +10,6 @@ import pytest
 import torch
 from refusals import refused
 
-from cli.main import main
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.labels import generation
@@ -125,17 +124,7 @@ def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(sli
     np.testing.assert_array_equal(again, found.flip(1))
 
 
-def test_bad_input_is_named(capsys, tmp_path):
-    for options, says in (
-        ("--scenes 2 --family castle", "castle"),
-        ("--scenes 2 --seed -1", "-1"),
-        ("--scenes 0", "'0'"),
-        ("--scenes 2 --out /dev/null/x", "/dev/null"),
-    ):
-        assert main(["data", "generate", "--out", str(tmp_path / "d"), *options.split()]) == 2
-        # the line before may say that kernels are compiled
-        last = capsys.readouterr().err.strip().splitlines()[-1]
-        assert last.startswith("cvqmpt: ") and says in last
+def test_an_arm_that_the_dictionary_is_not_of_is_refused():
     recipe = RoadmapRecipe(1, 2, ("table",), 0, {"name": "ur5"})
     refused(r"for robot 'panda', not 'ur5'.*train stage1", recipe.check)
 

@@ -120,17 +120,20 @@ def test_a_load_is_checked_against_door_and_casing(world, grasp):
 
 
 def test_what_is_no_door_or_measured_or_an_angle_outside_its_range_is_refused(grasp):
-    scene = kitchen()
-    refused(r"'fridge'.*dagger_door_left", take_out, scene, "fridge", error=UnknownChoiceError)
+    scene, problem = kitchen(), door_problem(0)
     part = scene.articulation(DOOR).moves[0]
     measured = replace(scene[part], shape=PointCloud(np.zeros((3, 3)), 0.01))
     objects = tuple(measured if item.name == part else item for item in scene.objects)
     told = f"'{part}', a part of '{DOOR}', is measured points"
+    refused(r"'fridge'.*dagger_door_left", take_out, scene, "fridge", error=UnknownChoiceError)
     refused(told, take_out, replace(scene, objects=objects), DOOR)
-    problem, told = door_problem(0), f"start is outside the limits: {DOOR} by"
     for angle in (-1.6, 0.1):
         refused(rf"value {angle} of hinge '{DOOR}'.*\[-1.57, 0.0\] rad", bar_pose, angle)
-        refused(told, replace, problem, start=np.append(grasp[:7], angle))
+        told, start = f"start is outside the limits: {DOOR} by", np.append(grasp[:7], angle)
+        refused(told, replace, problem, start=start)
+
+
+FLAT = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
 
 
 def test_bad_objects_are_refused(panda, world):
@@ -145,7 +148,6 @@ def test_bad_objects_are_refused(panda, world):
     ):
         bad = replace(item, **changes)
         refused(message, with_articulated_object, panda, bad, error=CvqmptError)
-    flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
     for changes, message in (
         ({"kind": "ball"}, "'ball'.*hinge, slider"),
         ({"lower": 0.0}, r"range \[0.0, 0.0\]"),
@@ -156,10 +158,9 @@ def test_bad_objects_are_refused(panda, world):
         ({"may_touch": ["x"]}, "may_touch.*must be a list"),
         ({"casing": data["parts"]}, "occurs twice"),
         ({"parts": [at | {"vertices": [[0, 0, 0]]}]}, "m thick"),
-        ({"parts": [at | {"vertices": flat}], "may_touch": []}, "0 m thick"),
+        ({"parts": [at | {"vertices": FLAT}], "may_touch": []}, "0 m thick"),
         ({"name": "door", "kind": None}, "kind"),
+        (None, "must be an object"),
     ):
-        wrong = {**panda.source, "articulated": data | changes}
+        wrong = {**panda.source, "articulated": data | changes if changes else [1]}
         refused(message, robot_from_source, wrong, error=CvqmptError)
-    wrong = {**panda.source, "articulated": [1]}
-    refused("must be an object", robot_from_source, wrong)

@@ -52,10 +52,15 @@ def query_of(problem, roadmap, **settings):
     return space, query, Deadline(ENOUGH, space)
 
 
-def test_a_roadmap_links_each_node_to_its_nearest_others(roadmap):
+def test_a_roadmap_links_each_node_to_its_nearest_others_and_around_none_draws_are_uniform(roadmap):
     distances = np.linalg.norm(roadmap.nodes - roadmap.nodes[17], axis=1)
     np.testing.assert_array_equal(roadmap.neighbours[17], np.argsort(distances)[1:13])
     refused("roadmap of 3 nodes", Roadmap.of, roadmap.nodes[:3])
+    for count, kind, name in ((4, GaussianMixture, "m"), (0, Uniform, "m: uniform")):
+        around = roadmap.nodes[:count], roadmap.covariance
+        mixture = GaussianMixture.equal(*around, Uniform(-np.ones(7), np.ones(7)), 0.2, "m")
+        assert isinstance(mixture, kind) and mixture.name == name
+        assert count == 0 or mixture.uniform_share == 0.2
 
 
 def test_visited_nodes_lie_on_the_manifold_and_are_free(problem, roadmap):
@@ -121,11 +126,3 @@ def test_more_nodes_free_a_start_that_no_code_is_near(roadmap):
     assert plan(problem, RoadmapPath(sparse, "roadmap", draws=0)).fallback
     helped = plan(problem, RoadmapPath(sparse, "roadmap", draws=3))
     assert not helped.fallback and certify(problem, helped.path).valid
-
-
-def test_the_mixture_around_no_nodes_is_uniform(problem, roadmap):
-    uniform = Uniform(problem.robot.lower, problem.robot.upper)
-    some = GaussianMixture.equal(roadmap.nodes[:4], roadmap.covariance, uniform, 0.2, "m")
-    assert isinstance(some, GaussianMixture) and some.uniform_share == 0.2
-    none = GaussianMixture.equal(roadmap.nodes[:0], roadmap.covariance, uniform, 0.2, "m")
-    assert isinstance(none, Uniform) and none.name == "m: uniform"

@@ -35,16 +35,11 @@ def rng(seed=0):
     return np.random.default_rng(seed)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        *({"points": [7, 0, 0, 0]}, {"points": []}, {"offsets": [[0.0]]}),
-        *({"rotation": "x"}, {"sliders": [7]}),
-    ],
-)
-def test_kinematics_that_do_not_fit_are_named(change):
+def test_kinematics_that_do_not_fit_are_named():
     told = r"kinematics(: |\.).*(points|offsets|rotation|sliders)"
-    refused(told, from_plain, SerialChain, kinematics() | change, "kinematics")
+    changes = [{"points": [7, 0, 0, 0]}, {"points": []}, {"offsets": [[0.0]]}]
+    for change in (*changes, {"rotation": "x"}, {"sliders": [7]}):
+        refused(told, from_plain, SerialChain, kinematics() | change, "kinematics")
 
 
 def one(kind, size, at=(0.3, -0.2, 0.4)):
@@ -71,14 +66,14 @@ def test_points_are_uniform_by_area():
     np.testing.assert_allclose(np.linalg.norm(ball, axis=1), 0.3, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("kind", "size", "depth"),
-    [
-        (0, (0.4, 0.4, 0.4), lambda p: np.abs(p).max(1) - 0.2),
-        (1, (0.2, 0.2, 0.4), lambda p: np.maximum(np.hypot(*p[:, :2].T), np.abs(p[:, 2])) - 0.2),
-        (2, (0.2, 0.2, 0.2), lambda p: np.linalg.norm(p, axis=1) - 0.2),
-    ],
+DEPTHS = (
+    (0, (0.4, 0.4, 0.4), lambda p: np.abs(p).max(1) - 0.2),
+    (1, (0.2, 0.2, 0.4), lambda p: np.maximum(np.hypot(*p[:, :2].T), np.abs(p[:, 2])) - 0.2),
+    (2, (0.2, 0.2, 0.2), lambda p: np.linalg.norm(p, axis=1) - 0.2),
 )
+
+
+@pytest.mark.parametrize(("kind", "size", "depth"), DEPTHS)
 def test_points_inside_another_shape_are_left_out(kind, size, depth):
     """A box of 0.5 m that a smaller shape at its edge cuts."""
     box, other = one(0, (0.5, 0.5, 0.5)), one(kind, size, at=(0.55, -0.2, 0.4))
@@ -257,48 +252,47 @@ def test_thinning_keeps_ends_and_spaces_evenly(dataset, spacing):
     refused("spacing of waypoints is 0", dataset.thinned, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_damaged_and_missing_files_and_descriptions_that_do_not_fit_are_named(data, tmp_path):
+    for k, (file, change, message) in enumerate(
+        (
+            ("shards/000001.npz", lambda b: b[:-100] + bytes(100), "is damaged or lacks an array"),
+            (
+                "shards/000001.npz",
+                lambda b: b[:999] + b"?" + b[1000:],
+                "delete it and generate again",
+            ),
+            ("shards/000000.npz", None, "lacks shard 000000 but has 000001.npz: generate"),
+            ("dataset.json", lambda b: b"[]", "one json object"),
+            ("dataset.json", lambda b: b'{"schema": 1}', "dataset.json"),
+            ("dataset.json", lambda b: b'{"schema": 1, "schema": 1}', "occurs twice"),
+        )
+    ):
+        shutil.copytree(data, tmp_path / f"{k}")
+        path = tmp_path / f"{k}" / file
+        before = path.read_bytes()
+        path.unlink()
+        if change is not None:
+            path.write_bytes(change(before))
+        assert Path(file).stem in refused(message, open_dataset, tmp_path / f"{k}")
+    for changes, message in (
         ({"schema": 2}, "schema is 2; this version reads 1"),
         ({"upper": LOWER}, "upper"),
         ({"lower": "low"}, "lower"),
         ({"families": []}, "families"),
         ({"kinematics": {"rotation": [1]}}, "kinematics"),
-    ],
-)
-def test_a_description_that_does_not_fit_is_named(tmp_path, changes, message):
-    refused(message, open_dataset, write_dataset(tmp_path / "d", **changes))
+    ):
+        refused(message, open_dataset, write_dataset(tmp_path / message[:5], **changes))
 
 
-@pytest.mark.parametrize(
-    ("file", "change", "message"),
-    [
-        ("shards/000001.npz", lambda b: b[:-100] + bytes(100), "is damaged or lacks an array"),
-        ("shards/000001.npz", lambda b: b[:999] + b"?" + b[1000:], "delete it and generate again"),
-        ("shards/000000.npz", None, "lacks shard 000000 but has 000001.npz: generate"),
-        ("dataset.json", lambda b: b"[]", "one json object"),
-        ("dataset.json", lambda b: b'{"schema": 1}', "dataset.json"),
-        ("dataset.json", lambda b: b'{"schema": 1, "schema": 1}', "occurs twice"),
-    ],
-)
-def test_damaged_and_missing_files_are_named(data, tmp_path, file, change, message):
-    shutil.copytree(data, tmp_path / "d")
-    path = tmp_path / "d" / file
-    before = path.read_bytes()
-    path.unlink()
-    if change is not None:
-        path.write_bytes(change(before))
-    assert Path(file).stem in refused(message, open_dataset, tmp_path / "d")
-
-
-@pytest.mark.parametrize("without", ["waypoints", "twin_of"])
-def test_shards_that_lack_an_array_or_hold_objects_are_named(tmp_path, without):
+def test_shards_that_lack_an_array_or_hold_objects_are_named(tmp_path):
     arrays = shard(np.random.default_rng(5), (7, 8), 3)
-    for name, message in ((without, without), ("family", "pickle")):
-        folder = write_dataset(tmp_path / name, shards=())
-        kept = {**arrays, "family": np.array([{}], dtype=object)} if name == "family" else arrays
-        write_shard(folder, 0, {key: array for key, array in kept.items() if key != without})
+    objects = arrays | {"family": np.array([{}], dtype=object)}
+    lacking = {
+        name: {k: v for k, v in arrays.items() if k != name} for name in ("waypoints", "twin_of")
+    }
+    for message, found in (lacking | {"pickle": objects}).items():
+        folder = write_dataset(tmp_path / message, shards=())
+        write_shard(folder, 0, found)
         refused(rf"000000.npz.*{message}", open_dataset, folder)
 
 

@@ -18,9 +18,8 @@ from cvqmpt_lab.vqmpt.config import ModelConfig, SetAbstractionConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary, Quantizer
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel, farthest_point_sampling
 
-SIZES = config.TransformerConfig(
-    n_layers=2, n_heads=3, d_k=10, d_v=6, d_model=16, d_inner=24, dropout=0.1
-)
+SIZES = {"n_layers": 2, "n_heads": 3, "d_k": 10, "d_v": 6, "d_model": 16, "d_inner": 24}
+SIZES = config.TransformerConfig(**SIZES, dropout=0.1)
 SMALL = ModelConfig(
     dictionary=config.DictionaryConfig(transformer=SIZES, n_position=30, n_codes=12),
     point_cloud=config.PointCloudConfig(
@@ -72,10 +71,8 @@ def test_attention_is_softmax_of_scaled_products_plus_the_raw_query():
 
 @pytest.mark.parametrize("norm_first", [True, False])
 def test_feed_forward_normalises_before_or_after(norm_first):
-    x, block = (
-        torch.randn(2, 3, 16),
-        dictionary.FeedForward(16, 24, 0.3, norm_first=norm_first).eval(),
-    )
+    block = dictionary.FeedForward(16, 24, 0.3, norm_first=norm_first).eval()
+    x = torch.randn(2, 3, 16)
     y = layer_norm(x, block.layer_norm) if norm_first else x
     y = F.relu(y @ block.w_1.weight.T + block.w_1.bias) @ block.w_2.weight.T + block.w_2.bias + x
     torch.testing.assert_close(block(x), y if norm_first else layer_norm(y, block.layer_norm))
@@ -249,9 +246,8 @@ def test_beams_in_a_batch_are_searched_by_the_rules_of_the_published_code(sequen
     refused("not finite", beam_search, sequence_model.decoder(words, scene, *ends))
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "message"),
-    [
+def test_config_names_the_wrong_field():
+    for path, value, message in (
         ("kind", "tiny", "unknown model.kind 'tiny'"),
         ("joint_dim", "7", "model.joint_dim is '7'; it must be int"),
         ("joint_dim", -7, "cannot be negative"),
@@ -268,15 +264,13 @@ def test_beams_in_a_batch_are_searched_by_the_rules_of_the_published_code(sequen
         ("point_cloud", 3, "must be an object"),
         ("feature_dim", 24, "kind 'published' has no feature_dim"),
         ("sequence.transformer.d_model", 8, "one latent width"),
-    ],
-)
-def test_config_names_the_wrong_field(path, value, message):
-    data = inner = to_plain(ModelConfig(), complete=True)
-    *outer, last = path.split(".")
-    for name in outer:
-        inner = inner[name]
-    inner[last] = value
-    refused(message, from_plain, ModelConfig, data, "model", complete=True, error=CvqmptError)
+    ):
+        data = inner = to_plain(ModelConfig(), complete=True)
+        *outer, last = path.split(".")
+        for name in outer:
+            inner = inner[name]
+        inner[last] = value
+        refused(message, from_plain, ModelConfig, data, "model", complete=True, error=CvqmptError)
 
 
 @pytest.fixture

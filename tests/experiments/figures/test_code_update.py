@@ -143,22 +143,6 @@ def test_files_of_others_are_left_alone(tmp_path, model, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("histogram --planners birrt", "unknown arguments: --planners birrt"),
-        ("equal-time", "equal-time was removed: its last numbers are in docs/training_log.md"),
-        ("pie", "unknown figure 'pie'; valid choices: histogram, concept"),
-        ("histogram --seed -1", "argument --seed: '-1' is not a whole number"),
-        ("concept --problem 150", "unknown problem 150"),
-        ("histogram --model /nowhere", "/nowhere"),
-    ],
-)
-def test_wrong_options_are_one_line(tmp_path, capsys, words, said):
-    assert main(["figure", *words.split(), "--out", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err.splitlines()[-1]
-
-
 def test_a_method_breaks_even_where_saved_checks_pay_for_its_networks(tmp_path):
     """100 checks + 1 ms of networks against 1100 checks: equal at 1 us more per check."""
     shared = {"n_projections": 0, "t_goals_s": 0.0}
