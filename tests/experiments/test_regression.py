@@ -62,12 +62,9 @@ def test_equality_here_and_stated_bounds_elsewhere():
             assert all(words in line for words, line in zip(wanted, found, strict=True)), found
 
 
-def test_runs_without_expectation_and_expectations_without_run_are_named():
+def test_expectations_without_run_or_of_no_use_are_named(tmp_path):
     _, found = compare(Expectations(HERE, outcome(0) | outcome(1)), outcome(1) | outcome(2), HERE)
     assert [line.split(", ")[2] for line in found] == ["seed 0", "seed 2"]
-
-
-def test_unreadable_expectations_name_the_cure(tmp_path):
     path, told = tmp_path / "e.json", r"e\.json .*check-tables --update"
     refused(told, Expectations.load, path)
     for text in ("", "[]", "{}", '{"schema": "other/1"}', '{"schema": 5, "runs": 5}', "[" * 9999):
@@ -138,20 +135,19 @@ def test_changed_rows_and_missing_tables_are_noticed(results):
 NO_DIGEST = "no digest of the weights 'vq_mpt'"
 
 
-@pytest.mark.parametrize(
-    ("session", "words"),
-    [
-        ({"git_dirty": True}, "made from aaaaaaaaaaaa with uncommitted changes"),
-        ({"git_commit": None}, "made without a commit"),
-        *((weights, NO_DIGEST) for weights in ({}, {"weights": {"mpnet": "b" * 64}})),
-    ],
+SESSIONS = (
+    ({"git_dirty": True}, "made from aaaaaaaaaaaa with uncommitted changes"),
+    ({"git_commit": None}, "made without a commit"),
+    *((session, NO_DIGEST) for session in ({}, {"weights": {"mpnet": "b" * 64}})),
 )
+
+
+@pytest.mark.parametrize(("session", "words"), SESSIONS)
 def test_rows_that_cannot_be_traced_are_refused(tmp_path, session, words):
-    with RunStore.open(tmp_path, {}, CLEAN) as store:
-        store.append([a_row("1", suite="place-task")])
-    with RunStore.open(tmp_path, {}, {**CLEAN, **session}) as store:
-        store.append([a_row("1", "cvq-mpt", suite="place-task")])
-    needs = {"cvq-mpt": ("vq_mpt",) if "weights" in words else ()}
+    for planner, made in (("birrt", {}), ("cvq-mpt", session)):
+        with RunStore.open(tmp_path, {}, CLEAN | made) as store:
+            store.append([a_row("1", planner, suite="place-task")])
+    needs = {"cvq-mpt": ("vq_mpt",) if words == NO_DIGEST else ()}
     (line,) = untraceable(tmp_path, lambda planner: needs.get(planner, ()))
     assert words in line
 

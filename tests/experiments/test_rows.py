@@ -93,12 +93,9 @@ def test_a_path_that_is_refused_keeps_its_faults_and_a_fallback_counts_as_solved
     assert (row.solved, row.fallback, row.fail_reason) == (True, "no path: birrt", None)
 
 
-def test_a_problem_without_a_start_is_a_failure():
+def test_a_problem_without_a_start_and_a_task_that_failed_as_a_whole_have_all_their_rows():
     (row,) = outcome_of(RUN, UnsolvableProblem("0", "no start grasp: =1"), 0.0).rows
     assert (row.key, row.fail_reason, row.detail) == (RUN.key, "no_start", "no start grasp: =1")
-
-
-def test_a_task_that_failed_as_a_whole_still_has_all_its_rows():
     rows = failed_rows(RUN, multi_sequence_task(0), FailReason.WORKER_DIED, "it ended")
     assert [row.fail_reason for row in rows] == ["worker_died"] + ["not_reached"] * 4
     assert {row.item for row in rows} == {"0"} and rows[-1].problem == "0/5-carry"

@@ -15,6 +15,7 @@ from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettin
 from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
+ENOUGH = Budget(iterations=20_000)
 LONG = {"attempts": 400, "seconds": 100.0, "patience": 1000}
 
 
@@ -83,14 +84,17 @@ def test_a_detour_is_cut(problem, space):
     assert simplified(space, JointPath(states)).path.length < 0.1
 
 
-LOWER, UPPER = np.full(7, -9.0), np.full(7, 9.0)
+def informed(start, goals, lengths, count):
+    limits = np.full(7, -9.0), np.full(7, 9.0)
+    samples = InformedSamples(start, goals, np.array(lengths), *limits)
+    return samples.sample(np.random.default_rng(0), count)
 
 
 @pytest.mark.parametrize("lengths", [(1.5,), (1.1, 3.3)])
 def test_informed_samples_keep_detours_to_one_of_the_goals_short(lengths):
-    rng, start = np.random.default_rng(0), np.zeros(7)
-    goals = np.array([np.eye(7)[0], 3.0 * np.eye(7)[1]])[: len(lengths)]
-    samples = InformedSamples(start, goals, np.array(lengths), LOWER, UPPER).sample(rng, 2000)
+    """Where start and goal are one, they lie in a ball."""
+    start, goals = np.zeros(7), np.array([np.eye(7)[0], 3.0 * np.eye(7)[1]])[: len(lengths)]
+    samples = informed(start, goals, lengths, 2000)
     to_goals = np.linalg.norm(samples[:, None] - goals, axis=2)
     detours = np.linalg.norm(samples - start, axis=1)[:, None] + to_goals
     within = detours <= np.add(lengths, 1e-9)
@@ -99,16 +103,9 @@ def test_informed_samples_keep_detours_to_one_of_the_goals_short(lengths):
     assert (np.where(within, detours, 0.0).max(axis=0) > np.multiply(0.98, lengths)).all()
     middles = [samples[within[:, k]].mean(axis=0) for k in range(len(goals))]
     assert np.abs(middles[0] - 0.5 * goals[0]).max() < 0.3
-
-
-def test_a_goal_where_the_start_is_leaves_a_ball():
     here = np.ones(7)
-    informed = InformedSamples(here, here[None], np.array([0.5]), LOWER, UPPER)
-    samples = informed.sample(np.random.default_rng(0), 100)
-    assert np.linalg.norm(samples - here, axis=1).max() <= 0.25 + 1e-9
-
-
-ENOUGH = Budget(iterations=20_000)
+    around = informed(here, here[None], [0.5], 100)
+    assert np.linalg.norm(around - here, axis=1).max() <= 0.25 + 1e-9
 
 
 @pytest.fixture(scope="module")

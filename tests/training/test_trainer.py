@@ -177,12 +177,9 @@ def test_what_does_not_fit_is_refused_before_anything_is_written(
     assert not (tmp_path / "out").exists()
 
 
-def test_several_processes_are_refused(tmp_path, data, monkeypatch):
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    refused(r"\(torchrun\) was removed; start one", go, "stage1", data, tmp_path / "out")
-
-
-def test_folders_that_cannot_be_continued(tmp_path, data, dictionary):
+def test_folders_that_cannot_be_continued_and_several_processes(
+    tmp_path, data, dictionary, monkeypatch
+):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.tex").write_text("x")
     other, profile = write_dataset(tmp_path / "d", seed=9), changed(TINY, {"stage1.batch": 5})
@@ -194,6 +191,8 @@ def test_folders_that_cannot_be_continued(tmp_path, data, dictionary):
         ("batch was 4, now 5", "stage1", data, dictionary, {"profile": profile}),
     ):
         refused(message, go, stage, source, out, **options)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    refused(r"\(torchrun\) was removed; start one", go, "stage1", data, tmp_path / "out")
 
 
 def test_damaged_states_and_losses_that_are_not_finite_are_named(tmp_path, data):
@@ -266,21 +265,18 @@ def labels(tmp_path_factory):
 
 
 def stage_of(labels, profile, **settings):
+    """A stage and its first batch."""
     profile = PROFILES[profile]
     profile = replace(profile, transformer=replace(profile.transformer, **LABELLED, **settings))
     stage = profile.stage("transformer", labels, None, 0, CPU)
     stage.prepare()
-    return stage
-
-
-def batch_of(stage):
-    return {name: torch.from_numpy(array) for name, array in stage.batches(0)[0].items()}
+    return stage, {name: torch.from_numpy(array) for name, array in stage.batches(0)[0].items()}
 
 
 def test_the_loss_counts_motions_to_codes_as_labelled(labels):
-    stage = stage_of(labels, "smoke")
-    batch, settings = batch_of(stage), stage.settings
-    assert batch["link_free"].shape == batch["link_code"].shape == (2, settings.link_ends, 20)
+    stage, batch = stage_of(labels, "smoke")
+    shape = (2, stage.settings.link_ends, 20)
+    assert batch["link_free"].shape == batch["link_code"].shape == shape
     losses = stage(batch)
     scenes = stage.model.encode(batch["centres"], batch["offsets"])
     odds = stage.model.link_odds(scenes, batch["link_end"], batch["link_code"])
@@ -291,12 +287,11 @@ def test_the_loss_counts_motions_to_codes_as_labelled(labels):
 
 
 def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):
-    stage = stage_of(labels, "compact", fine_tune=True)
+    stage, batch = stage_of(labels, "compact", fine_tune=True)
     shipped = load_checkpoint(resolve_model(None, VQ_MPT)).modules["transformer"]
     for name, value in stage.model.state_dict().items():
         assert torch.equal(value, shipped.state_dict()[name]), name
-    batch, optimizer = batch_of(stage), torch.optim.AdamW(stage.parameters(), 3e-4)
-    found = []
+    optimizer, found = torch.optim.AdamW(stage.parameters(), 3e-4), []
     for _ in range(4):
         losses = stage(batch)
         found.append(losses["link"].item())

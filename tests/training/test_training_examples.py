@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -99,12 +100,11 @@ def test_crops_and_noise(dataset):
     assert 0.005 < off.mean() < 0.01
 
 
-@pytest.mark.parametrize("measured", [0.0, 1.0])
-@pytest.mark.parametrize("count", [0, 1])
-def test_empty_and_unseen_scenes_still_give_points(count, measured):
-    far = Shapes(*(array[:count] for array in one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0))))
-    cloud = sample_cloud(far, CloudSettings(points=50, measured=measured), rng())
-    assert cloud.shape == (50, 3) and np.isfinite(cloud).all() and cloud[:, 2].max() < -0.5
+def test_empty_and_unseen_scenes_still_give_points():
+    for count, measured in product((0, 1), (0.0, 1.0)):
+        far = Shapes(*(array[:count] for array in one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0))))
+        cloud = sample_cloud(far, CloudSettings(points=50, measured=measured), rng())
+        assert cloud.shape == (50, 3) and np.isfinite(cloud).all() and cloud[:, 2].max() < -0.5
 
 
 def test_measured_clouds_are_those_of_evaluation_cameras():
@@ -205,7 +205,7 @@ def test_sequences_of_paths_are_their_codes_without_repeats(dataset, panda, conf
         assert found["path_scene"][sequence] == paths["path_scene"][path]
 
 
-def test_shards_are_joined_with_rows_counted_through(data, dataset):
+def test_shards_are_joined_and_split_by_scene_seed_without_twins(data, dataset):
     assert dataset.robot.name == "panda" and dataset.families == ("cubes",)
     arrays = dataset.arrays
     assert arrays["scene_seed"].tolist() == [20, 1, 2, 40, 3, 4]
@@ -217,11 +217,7 @@ def test_shards_are_joined_with_rows_counted_through(data, dataset):
         np.testing.assert_array_equal(dataset.path(21 + path), expected)
     np.testing.assert_array_equal(dataset.shapes(4).size, second["shape_size"][5:10])
     assert arrays["twin_of"][22] == 21 and arrays["twin_of"][21] == -1
-
-
-def test_splits_go_by_scene_seed_and_leave_twins_out(dataset):
     train, validation = dataset.split("train"), dataset.split("validation")
-    arrays = dataset.arrays
     assert set(arrays["scene_seed"][arrays["path_scene"][validation]]) == {20, 40}
     assert len(train) == 24 and len(validation) == 12  # 6 of 7 paths of a scene are no twins
     assert (arrays["twin_of"][np.concatenate((train, validation))] == -1).all()
@@ -284,19 +280,15 @@ def test_damaged_and_missing_files_and_descriptions_that_do_not_fit_are_named(da
         refused(message, open_dataset, write_dataset(tmp_path / message[:5], **changes))
 
 
-def test_shards_that_lack_an_array_or_hold_objects_are_named(tmp_path):
+def test_shards_that_lack_an_array_or_hold_objects_and_missing_splits_are_named(tmp_path):
     arrays = shard(np.random.default_rng(5), (7, 8), 3)
-    objects = arrays | {"family": np.array([{}], dtype=object)}
-    lacking = {
-        name: {k: v for k, v in arrays.items() if k != name} for name in ("waypoints", "twin_of")
-    }
-    for message, found in (lacking | {"pickle": objects}).items():
+    bad = {"pickle": arrays | {"family": np.array([{}], dtype=object)}}
+    for name in ("waypoints", "twin_of"):
+        bad[name] = {key: array for key, array in arrays.items() if key != name}
+    for message, found in bad.items():
         folder = write_dataset(tmp_path / message, shards=())
         write_shard(folder, 0, found)
         refused(rf"000000.npz.*{message}", open_dataset, folder)
-
-
-def test_without_validation_scenes_nothing_is_trained(tmp_path):
     refused(r"no dataset in .*nowhere", open_dataset, tmp_path / "nowhere")
     dataset = open_dataset(write_dataset(tmp_path / "d", shards=((1, 2),)))
     refused("no validation path", dataset.require_splits)
