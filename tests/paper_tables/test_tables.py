@@ -173,7 +173,7 @@ def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_
     assert pages.stale_pages(pages.committed_pages()) == []
 
 
-def test_the_readme_counts_its_verdicts():
+def test_the_readme_counts_its_verdicts_between_its_marks():
     text = pages.README.read_text()
     part = text.partition("<!-- verdicts: written by cvqmpt claims -->")[2]
     rows = part.partition("<!-- end of verdicts -->")[0].strip().splitlines()[2:]
@@ -183,6 +183,7 @@ def test_the_readme_counts_its_verdicts():
         f"{count[Ruling.INCOMPARABLE]} cannot be compared, {count[Ruling.TOO_FEW]} are not decided"
     )
     assert counted in text
+    refused("put them where", pages.with_part, "a README without marks", "verdicts", "")
 
 
 def test_a_claim_holds_against_all_planners_named(tmp_path):
@@ -223,10 +224,6 @@ def test_a_small_profile_is_named(tmp_path):
         report = pages.report_html(pages.evidence_of(results))
         for page in (pages.page_text(found, judged_claims(found), results), report):
             assert ("--profile small" in page) is (profile == "small")
-
-
-def test_a_readme_without_the_marks_of_the_summary_is_refused():
-    refused("put them where", pages.with_part, "a README without marks", "verdicts", "")
 
 
 EVIL = "<script>alert(1)</script>$x$"

@@ -50,25 +50,23 @@ def killed_after(folder, *runs):
 
 @pytest.fixture
 def store(tmp_path):
-    with opened(tmp_path) as store:
+    folder = tmp_path / "store"
+    with opened(folder) as store:
         store.append([row(1)], [path(1)])
         store.append([row(2), row(3)], [path(2), path(3)])
-    return tmp_path
+    return folder
 
 
-def test_store_writes_rows_and_provenance(tmp_path):
+def test_store_writes_rows_provenance_and_what_was_hashed_bit_for_bit(tmp_path, store):
     directory = tmp_path / "deep" / "runs"
-    with opened(directory, command=("a", "b")) as store:
-        store.append([a_row("p2")])
-        store.append([a_failure("p1")])
-        assert store.done() == {("place", "p1", "birrt", 0, "compiled"), a_row("p2").key}
+    with opened(directory, command=("a", "b")) as other:
+        other.append([a_row("p2")])
+        other.append([a_failure("p1")])
+        assert other.done() == {("place", "p1", "birrt", 0, "compiled"), a_row("p2").key}
     assert names(directory) == ["provenance.json", RUNS_FILE]
     assert [row.problem for row in read_rows(directory / RUNS_FILE)] == ["p1", "p2"]
     record = json.loads((directory / "provenance.json").read_text())
     assert record["configuration"] == CONFIGURATION and record["command"] == ["a", "b"]
-
-
-def test_what_was_hashed_comes_back_bit_for_bit(store):
     assert names(store) == [PATHS_FILE, "provenance.json", RUNS_FILE]
     kept = stored_paths(store)
     assert set(kept) == {row.path_sha256 for row in read_rows(store / RUNS_FILE)} and len(kept) == 3

@@ -207,9 +207,8 @@ def test_an_arm_with_a_slider_is_planned_past_a_ball(slider_problem, name, backe
 
 
 ONE_JOINT = """<robot name="one"><link name="base"/><link name="arm">\
-<collision><origin xyz="0.3 0 0.3"/>
-<geometry><box size="0.4 0.05 0.05"/></geometry></collision></link>
-<joint name="only" type="{kind}"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<collision><origin xyz="0.3 0 0.3"/><geometry><box size="0.4 0.05 0.05"/></geometry></collision>
+</link><joint name="only" type="{kind}"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
 <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
 
 

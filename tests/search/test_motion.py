@@ -120,6 +120,9 @@ def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhe
     sampled = all_free(kitchen_space, along(motions, kitchen_space.arrays.resolution))
     assert (~sampled).sum() >= 30 and answers[~sampled].mean() <= 0.1
     assert (answers != sampled).mean() < 0.02
+    a = motions[0][0]
+    assert motion_free(kitchen_space.arrays, a, a)
+    assert not motion_free(kitchen_space.arrays, a, np.full(7, np.nan))
 
 
 def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
@@ -134,12 +137,6 @@ def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
 
     assert answer(0.1) == (True, True, False)
     assert answer(0.13) == (True, True, True)
-
-
-def test_motions_of_no_length_and_to_a_collision(kitchen_space, motions):
-    a = motions[0][0]
-    assert motion_free(kitchen_space.arrays, a, a)
-    assert not motion_free(kitchen_space.arrays, a, np.full(7, np.nan))
 
 
 index_new_nodes, nearest_node = map(from_python, (index_new_nodes, nearest_node))

@@ -218,14 +218,11 @@ def test_one_training_at_a_time_gets_back_a_model_that_was_being_replaced(tmp_pa
     assert weights(whole) == before
 
 
-def test_profiles_survive_json():
+def test_profiles_survive_json_and_give_rates():
     for profile in PROFILES.values():
         assert from_plain(Profile, json.loads(json.dumps(to_plain(profile)))) == profile
     refused("speed is unknown", changed, SMOKE, {"mpnet.batches.speed": 1})
     refused("must equal", changed, SMOKE, {"mpnet_model.n_points": 7})
-
-
-def test_rates():
     published = PROFILES["published"].published.optimizer
     for step, factor in ((600, 600 * 2400**-1.5), (2400, 2400**-0.5), (9600, 9600**-0.5)):
         assert published.rate_at(step, 1) == pytest.approx(0.15 * 512**-0.5 * factor)
@@ -299,7 +296,4 @@ def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):
         losses["loss"].backward()
         optimizer.step()
     assert found[-1] < 0.9 * found[0]
-
-
-def test_fine_tuning_with_other_sizes_is_refused(labels):
     refused("fine_tune needs a --dictionary", stage_of, labels, "smoke", fine_tune=True)

@@ -142,7 +142,7 @@ def test_as_printed_codes_that_got_worse_stay_moved(codebook, predicted, constra
     np.testing.assert_array_equal(ours.z[~worse], printed.z[~worse])
 
 
-def test_short_steps_stop_a_code(codebook, predicted, constraint):
+def test_short_steps_stop_a_code_and_those_on_the_manifold_stay(codebook, predicted, constraint):
     def steps(**settings):
         return optimized(codebook, predicted, constraint, steps=6, **settings).steps
 
@@ -150,9 +150,6 @@ def test_short_steps_stop_a_code(codebook, predicted, constraint):
     slow = steps(method="gradient", eta=2e-3, delta=5e-3)
     assert slow.min() == 1 and slow.max() == 6
     assert (steps(delta=0.0) == 6).all()
-
-
-def test_codes_on_the_manifold_stay_and_none_are_no_trouble(codebook, predicted):
     everywhere = Plane(normal=(0.0,) * 7, offset=0.0)
     result = optimized(codebook, predicted, everywhere)
     assert result.kept.all() and (result.steps == 1).all() and (result.g_after == 0.0).all()
