@@ -89,18 +89,17 @@ SPONGE = PointCloud(np.random.default_rng(6).uniform(-0.05, 0.05, (200, 3)), 0.0
 CARRIED = (Sphere(0.06), Box((0.05, 0.3, 0.1)), Cylinder(0.05, 0.3), SPONGE)
 
 
-@pytest.mark.parametrize(
-    ("scene", "count", "attachments", "margin"),
-    [
-        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 8000, (), 0.0),
-        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 3000, (carried_can(),), 0.0),
-        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 2000, (), 0.03),
-        (random_scene(1), 2000, (carried_can(),), 0.0),
-        (NOTHING, 2000, (), 0.0),
-        (with_one_of_each(), 3000, (), 0.0),
-        *((random_scene(5), 1000, (Attachment("tool", shape, TOOL),), 0.0) for shape in CARRIED),
-    ],
+KITCHEN, CAN = kitchen(door_angles={DOOR: DOOR_ANGLE}), (carried_can(),)
+CASES = (
+    *((KITCHEN, *rest) for rest in ((8000, (), 0.0), (3000, CAN, 0.0), (2000, (), 0.03))),
+    (random_scene(1), 2000, CAN, 0.0),
+    (NOTHING, 2000, (), 0.0),
+    (with_one_of_each(), 3000, (), 0.0),
+    *((random_scene(5), 1000, (Attachment("tool", shape, TOOL),), 0.0) for shape in CARRIED),
 )
+
+
+@pytest.mark.parametrize(("scene", "count", "attachments", "margin"), CASES)
 def test_both_checkers_agree(panda, scene, count, attachments, margin):
     compare(panda, scene, count, attachments, margin)
 

@@ -254,9 +254,7 @@ def test_a_thin_sheet_in_the_hand_is_seen_to_pass_through_another(panda, thickne
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_sampled_state_is_closer_than_the_least_distance_less_its_bound(
-    panda, open_kitchen, seed
-):
+def test_no_sampled_state_is_closer_than_proven(panda, open_kitchen, seed):
     (checker, rng), judged = a_case(panda, open_kitchen, seed), 0
     for q in panda.random_configurations(rng, 60):
         motion = q + np.cumsum(rng.normal(0.0, 0.05, (4, 7)), axis=0)

@@ -80,9 +80,7 @@ def test_an_interrupted_run_keeps_its_rows_and_continues_without_duplicates(four
     assert run(FOUR, tmp_path) == rows and (tmp_path / RUNS_FILE).read_bytes() == before
 
 
-def test_a_larger_experiment_adds_to_the_rows_other_budgets_and_weights_are_refused(
-    tmp_path, monkeypatch
-):
+def test_larger_experiments_add_rows_and_others_are_refused(tmp_path, monkeypatch):
     first = run(replace(ONE, planners=("roadmap-cvq",)), tmp_path)
     larger = replace(ONE, planners=("birrt", "roadmap-cvq"))
     both = run(larger, tmp_path)

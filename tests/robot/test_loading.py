@@ -41,9 +41,7 @@ def binary_stl(*triangles):
     return b"\0" * 80 + struct.pack("<I", len(triangles)) + b"".join(rows)
 
 
-def test_unusable_options_and_files_without_a_robot_are_named(
-    slider_arm_urdf, edited, tmp_path, panda
-):
+def test_unusable_options_and_files_are_named(slider_arm_urdf, edited, tmp_path, panda):
     for source, pattern in (
         ({"end_effector": "gripper"}, "frame 'gripper'.*wrist, tool"),
         ({"locked": {"slide": 0.0}}, "lock 'slide'.*rail, lift"),

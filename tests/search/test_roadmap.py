@@ -146,9 +146,7 @@ def simplified(space, path, seed=0, **bounds):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_shorter_certified_and_between_the_same_ends_of_a_path_that_stays_as_it_was(
-    problem, solution, space, seed
-):
+def test_a_simplified_path_is_shorter_and_certified(problem, solution, space, seed):
     raw, before = solution.plan.path, states_hash(solution.plan.path.states)
     result = simplified(space, raw, seed)
     assert states_hash(raw.states) == before
@@ -258,9 +256,7 @@ def test_paths_that_cost_more_than_asked_are_not_looked_for(problem, roadmap):
     assert length_within(100.0) == length_within(np.inf) is not None
 
 
-def test_informed_roadmaps_find_shorter_paths_that_repeat_and_a_straight_path_ends_the_search(
-    problem, first
-):
+def test_informed_roadmaps_find_shorter_paths_that_repeat(problem, first):
     def better(path):
         search, rng = partial(informed_roadmap_path, scene_costs), np.random.default_rng(0)
         return improve(ConstrainedSpace(problem), search, path, Budget(iterations=400), rng)

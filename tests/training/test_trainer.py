@@ -126,9 +126,7 @@ def test_the_authors_network_learns_from_paths(tmp_path, data, published_diction
 @pytest.mark.parametrize(
     ("stage", "at"), [("stage1", 1), ("stage1", 6), ("published", 6), ("mpnet", 1)]
 )
-def test_a_stopped_training_continues_on_the_same_curve(
-    tmp_path, data, published_dictionary, stage, at
-):
+def test_a_stopped_training_continues(tmp_path, data, published_dictionary, stage, at):
     words = {"dictionary": published_dictionary, "profile": PUBLISHED}
     options = words if stage == "published" else {}
     whole = go(stage, data, tmp_path / "whole", **options)
@@ -155,9 +153,7 @@ def test_a_seed_repeats_and_another_differs(tmp_path, data, dictionary):
     assert curves(tmp_path / "other") != curves(dictionary)
 
 
-def test_what_does_not_fit_is_refused_before_anything_is_written(
-    tmp_path, data, dictionary, published_dictionary
-):
+def test_what_does_not_fit_is_refused_first(tmp_path, data, dictionary, published_dictionary):
     words = load_checkpoint(published_dictionary / "model")
     iiwa = RobotSignature("iiwa", words.robot.lower, words.robot.upper)
     save_checkpoint(tmp_path / "iiwa", dataclasses.replace(words, robot=iiwa))
@@ -177,9 +173,7 @@ def test_what_does_not_fit_is_refused_before_anything_is_written(
     assert not (tmp_path / "out").exists()
 
 
-def test_folders_that_cannot_be_continued_and_several_processes(
-    tmp_path, data, dictionary, monkeypatch
-):
+def test_folders_that_cannot_be_continued(tmp_path, data, dictionary, monkeypatch):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.tex").write_text("x")
     other, profile = write_dataset(tmp_path / "d", seed=9), changed(TINY, {"stage1.batch": 5})

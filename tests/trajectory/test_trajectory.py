@@ -91,9 +91,7 @@ def test_the_motion_of_a_solution_is_certified_as_its_file_is(solutions):
     refused("the path does not move", certified_motion, found.problem, still, FULL)
 
 
-def test_another_arm_has_the_velocities_of_its_urdf_and_must_be_given_accelerations(
-    slider_arm_urdf,
-):
+def test_another_arm_has_its_urdfs_velocities_and_is_given_accelerations(slider_arm_urdf):
     silent = load_robot(slider_arm_urdf, "tool")
     refused(r"no acceleration limits.*--acceleration", lambda: silent.joint_limits)
     given = load_robot(slider_arm_urdf, "tool", acceleration_limits=[1.0, 2.0, 3.0, 4.0])

@@ -93,9 +93,7 @@ def tensor(array):
     return torch.from_numpy(np.asarray(array, dtype=np.float32))[None]
 
 
-def test_embeddings_odds_and_costs_to_go_are_those_of_torch(
-    checkpoint, predictor, by_torch, queries
-):
+def test_embeddings_and_costs_are_those_of_torch(checkpoint, predictor, by_torch, queries):
     scene, network = predictor.encode(CLOUD), checkpoint.modules["transformer"]
     np.testing.assert_allclose(scene.keys, by_torch.keys[0], atol=1e-4)
     np.testing.assert_allclose(scene.parts, by_torch.parts[0], atol=1e-4)
@@ -115,9 +113,7 @@ def test_embeddings_odds_and_costs_to_go_are_those_of_torch(
     np.testing.assert_array_equal(predictor.by_cost(scene, start, goals), goals[np.argsort(costs)])
 
 
-def test_ways_after_every_prefix_are_as_likely_as_by_torch(
-    checkpoint, predictor, by_torch, queries
-):
+def test_ways_are_as_likely_as_by_torch(checkpoint, predictor, by_torch, queries):
     network, (start, goals) = checkpoint.modules["transformer"], queries
     rng = np.random.default_rng(0)
     decoder = SequenceDecoder(predictor.network, predictor.encode(CLOUD), start, goals)

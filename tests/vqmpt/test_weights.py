@@ -195,33 +195,29 @@ def with_bias(bias):
     return lambda state: state | {"mu.0.bias": bias}
 
 
-TENSORS = (
-    ("encoder_state", lambda s: without(s, "layer_norm.bias"), "norm.bias is missing"),
-    ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"ema \(3,\) is left over"),
-    ("decoder_state", with_bias(torch.zeros(6)), r"mu.0.bias is \(6,\), expected \(7,\)"),
-    ("decoder_state", with_bias(torch.zeros(7).long()), "bias is torch.int64"),
-    ("context_state", lambda s: None, "context_state is missing.*the file has ar_model_state"),
-    ("context_state", lambda s: {"a": 1}, "not made of tensors"),
-    ("decoder_state", with_bias(1e300 * torch.ones(7).double()), "bias has NaN or inf"),
-    ("decoder_state", with_bias(torch.zeros(7).to_sparse()), "mu.0.bias is sparse"),
-    ("decoder_state", with_bias(torch.zeros(7, device="meta")), "bias is .*without data"),
-    ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not that"),
-    ("encoder_state", lambda s: s | {POSITIONS: torch.zeros(1, 40, 512)}, "pos_table is not"),
-    ("quantizer_state", lambda s: s | {CODES: 2 * s[CODES]}, "not of unit length"),
-    ("quantizer_state", lambda s: s | {VARIANCES: -torch.ones(8)}, "negative variances"),
-)
+def test_tensors_that_do_not_fit_are_listed(published, published_states):
+    for name, change, message in (
+        ("encoder_state", lambda s: without(s, "layer_norm.bias"), "norm.bias is missing"),
+        ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"ema \(3,\) is left over"),
+        ("decoder_state", with_bias(torch.zeros(6)), r"mu.0.bias is \(6,\), expected \(7,\)"),
+        ("decoder_state", with_bias(torch.zeros(7).long()), "bias is torch.int64"),
+        ("context_state", lambda s: None, "context_state is missing.*the file has ar_model_state"),
+        ("context_state", lambda s: {"a": 1}, "not made of tensors"),
+        ("decoder_state", with_bias(1e300 * torch.ones(7).double()), "bias has NaN or inf"),
+        ("decoder_state", with_bias(torch.zeros(7).to_sparse()), "mu.0.bias is sparse"),
+        ("decoder_state", with_bias(torch.zeros(7, device="meta")), "bias is .*without data"),
+        ("decoder_state", lambda s: s | {"l_index": s["l_index"].flip(1)}, "l_index is not that"),
+        ("encoder_state", lambda s: s | {POSITIONS: torch.zeros(1, 40, 512)}, "pos_table is not"),
+        ("quantizer_state", lambda s: s | {CODES: 2 * s[CODES]}, "not of unit length"),
+        ("quantizer_state", lambda s: s | {VARIANCES: -torch.ones(8)}, "negative variances"),
+    ):
+        changed = published(**{name: change(published_states[name])})
+        with pytest.raises(InvalidInputError, match=message):  # a line for each tensor
+            import_published(*changed, ROBOT)
 
 
-@pytest.mark.parametrize(("name", "change", "message"), TENSORS)
-def test_tensors_that_do_not_fit_are_listed(published, published_states, name, change, message):
-    changed = published(**{name: change(published_states[name])})
-    with pytest.raises(InvalidInputError, match=message):  # a line for each tensor
-        import_published(*changed, ROBOT)
-
-
-@pytest.mark.parametrize(
-    ("file", "base", "changes", "message"),
-    [
+def test_json_files_are_checked(published):
+    for file, base, changes, message in (
         ("model_params", without(STAGE1, "d_v"), {}, r"model_params.json: d_v is missing"),
         ("cross_attn", CONTEXT, {"size": 1}, r"cross_attn.json: size is unknown"),
         ("ar_params", SEQUENCE, {"n_heads": "3"}, r"ar_params.json: n_heads is '3'"),
@@ -230,10 +226,8 @@ def test_tensors_that_do_not_fit_are_listed(published, published_states, name, c
         ("model_params", STAGE1, {"dropout": 1.5}, "ar: dictionary.transformer.dropout is 1.5"),
         ("ar_params", SEQUENCE, {"d_model": 256}, "one latent width"),
         ("ar_params", SEQUENCE, {"num_keys": 1026}, r"is \(2048, 8\), expected \(1024, 8\)"),
-    ],
-)
-def test_json_files_are_checked(published, file, base, changes, message):
-    refused(message, import_published, *published(**{file: base | changes}), ROBOT)
+    ):
+        refused(message, import_published, *published(**{file: base | changes}), ROBOT)
 
 
 class Malicious:
