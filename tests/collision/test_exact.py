@@ -198,9 +198,8 @@ def test_ten_thousand_obstacles_are_ready_in_two_seconds(panda):
 def sampled(motion, spacing):
     """States of straight motions through rows of motion, at most `spacing` [rad] apart."""
     counts = (2 + int(np.linalg.norm(b - a) / spacing) for a, b in pairwise(motion))
-    return np.concatenate(
-        [np.linspace(a, b, n) for (a, b), n in zip(pairwise(motion), counts, strict=True)]
-    )
+    segments = zip(pairwise(motion), counts, strict=True)
+    return np.concatenate([np.linspace(a, b, n) for (a, b), n in segments])
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -239,9 +238,8 @@ def test_a_thin_sheet_in_the_hand_is_seen_to_pass_through_another(panda, thickne
     """At the end of a long lever the overlap lasts less than 2e-4 rad."""
     rng, T_hand_tip = np.random.default_rng(0), pose((0.0, 0.0, lever))
     for way in rng.normal(0.0, 0.02, (5, 7)):
-        before, middle, after = (
-            panda.pose(HOME + share * way) @ T_hand_tip for share in (0.499, 0.5, 0.501)
-        )
+        states = (HOME + share * way for share in (0.499, 0.5, 0.501))
+        before, middle, after = (panda.pose(q) @ T_hand_tip for q in states)
         normal = after[:3, 3] - before[:3, 3]
         side = np.cross(normal, rng.normal(size=3))
         R = np.stack([side, np.cross(normal, side), normal], axis=1)

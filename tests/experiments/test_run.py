@@ -133,9 +133,8 @@ def test_an_interrupt_leaves_no_worker_and_a_run_that_the_same_command_continues
     options = ("--problems", 4, "--planners", "birrt", "--seeds", 30, "--iterations", 20_000)
     # a shell in the background makes its children deaf to Ctrl-C
     hear_ctrl_c = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
-    started = start(
-        ("reproduce", "place-task", *options, "--jobs", 2, "--out", tmp_path), hear_ctrl_c
-    )
+    words = ("reproduce", "place-task", *options, "--jobs", 2, "--out", tmp_path)
+    started = start(words, hear_ctrl_c)
     rows_so_far = tmp_path / PARTIAL_FILE
     while not rows_so_far.is_file() or rows_so_far.read_bytes().count(b"\n\n") < 2:
         assert started.poll() is None, "the run ended before it could be interrupted"

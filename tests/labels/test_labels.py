@@ -31,9 +31,8 @@ from cvqmpt_lab.training.shards import (
 )
 from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 
-TINY = PathRecipe(
-    6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32)
-)
+SEARCH = NearShortestSettings(restarts=1, finish=32)
+TINY = PathRecipe(6, 2, ("cubes-spheres", "shelves"), labels=SEARCH)
 
 
 FEW = RoadmapRecipe(4, 12, ("table", "cage"))

@@ -39,18 +39,15 @@ seeds = st.integers(0, 2**32 - 1)
 arms = st.integers(0, ARMS - 1).map(arm)
 metres = st.floats(-2.0, 2.0)
 angles = st.floats(-np.pi, np.pi)
-placements = st.builds(
-    Placement, st.tuples(metres, metres, metres), st.tuples(angles, angles, angles)
-)
+placements = st.builds(Placement, st.tuples(*[metres] * 3), st.tuples(*[angles] * 3))
 half_widths = st.tuples(*[st.sampled_from(WIDTHS)] * 6).map(np.array)
 bounds = half_widths.map(lambda halves: np.stack([-halves, halves], axis=1))
 frames = placements.map(lambda placement: placement.matrix)
 # wide, narrow, a single value or no bound
 regions = st.builds(TaskSpaceRegion, frames, frames, bounds)
 shorts = st.sampled_from([1e-4, 1e-3, 0.01, 0.1])
-latents = arrays(
-    float, st.integers(1, 4).map(lambda count: (count, 8)), elements=st.floats(-1e3, 1e3)
-)
+shapes = st.integers(1, 4).map(lambda count: (count, 8))
+latents = arrays(float, shapes, elements=st.floats(-1e3, 1e3))
 
 
 @pytest.mark.promise("poses compose and invert", "cases")

@@ -78,9 +78,8 @@ def test_sine_and_cosine_are_numpys():
     spread = [rng.uniform(-width, width, 100_000) for width in widths]
     beside = np.nextafter(exact, np.inf), np.nextafter(exact, -np.inf)
     for angles in (*spread, exact, *beside, np.zeros(1)):
-        for value, expected in zip(
-            sines_and_cosines(angles), (np.sin(angles), np.cos(angles)), strict=True
-        ):
+        both = np.sin(angles), np.cos(angles)
+        for value, expected in zip(sines_and_cosines(angles), both, strict=True):
             worst = np.argmax(np.abs(value - expected))
             assert np.abs(value - expected)[worst] <= 1e-15, angles[worst]
     assert np.isnan(sines_and_cosines(np.array([np.nan, np.inf, -np.inf]))).all()

@@ -225,9 +225,7 @@ def test_shards_are_joined_and_split_by_scene_seed_without_twins(data, dataset):
 
 def test_the_share_of_trivial_paths_is_capped_and_drawn(dataset):
     rows, trivial = np.arange(42), dataset.arrays["trivial"]
-    kept, again, other = (
-        dataset.with_few_trivial(rows, 0.2, np.random.default_rng(seed)) for seed in (0, 0, 1)
-    )
+    kept, again, other = (dataset.with_few_trivial(rows, 0.2, rng(seed)) for seed in (0, 0, 1))
     assert (~trivial[kept]).sum() == 28 and trivial[kept].sum() == 7 and (np.diff(kept) > 0).all()
     assert kept.tolist() == again.tolist() != other.tolist()
     for all_kept, share in ((rows, 1.0), (np.flatnonzero(trivial), 0.1)):

@@ -206,9 +206,8 @@ def test_a_roadmap_needs_its_own_scene():
     assert np.exp(np.mean(ratios)) > 1.3
 
 
-CONFIG = MPNetConfig(
-    n_points=16, encoder_widths=(8, 6), code_dim=4, planner_widths=(140, 12, 8), dropout=0.2
-)
+WIDTHS = {"encoder_widths": (8, 6), "planner_widths": (140, 12, 8)}
+CONFIG = MPNetConfig(n_points=16, code_dim=4, dropout=0.2, **WIDTHS)
 COPIES = 10
 
 

@@ -155,11 +155,8 @@ def likeliest_by_hand(decoder, beams):
     best = sorted(grown, key=lambda one: -one[2])[:beams]
     for _ in range(LONGEST):
         rows, latest = np.array([(row, codes[-1] % GOAL) for row, codes, _ in best]).T
-        grown = []
-        for row, (ways, log_p, one) in enumerate(
-            zip(*decoder.advance(rows, latest), best, strict=True)
-        ):
-            _, codes, score = one
+        grown, advanced = [], decoder.advance(rows, latest)
+        for row, (ways, log_p, (_, codes, score)) in enumerate(zip(*advanced, best, strict=True)):
             further = zip(ways.tolist(), log_p.tolist(), strict=True)
             going = [(row, (*codes, way), score + p) for way, p in further]
             grown += [(row, codes, score)] if codes[-1] == GOAL else going
