@@ -1,4 +1,4 @@
-"""The compiled checker and its pairs of shapes against coal: never optimistic, seldom too careful."""
+"""The compiled checker and its pairs of shapes against coal: never optimistic, seldom strict."""
 
 import coal
 import numpy as np
