@@ -1,15 +1,22 @@
-"""The compiled checker against coal: never optimistic, seldom pessimistic."""
+"""The compiled checker and its pairs of shapes against coal: never optimistic, seldom strict."""
 
+import coal
 import numpy as np
 import pytest
+from compiled_kernels import from_python
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.benchmarks.door_task import door_problem, door_world
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, carried_can
-from cvqmpt_lab.collision import arrays
+from cvqmpt_lab.collision import arrays, separation
+from cvqmpt_lab.collision.covers import cut_into_pieces
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.collision.geometry import ShapeSpec, pack_shapes
+from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, IDENTITY, SPHERE
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.hulls import coal_distance, convex_hull
 from cvqmpt_lab.scene.cells import MOST_BALLS
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.kitchen import kitchen
@@ -42,10 +49,8 @@ def near_contact(checker, rng, count):
         middle = 0.5 * (free + colliding)
         inside = checker.in_collision_batch(middle)[:, None]
         free, colliding = np.where(inside, free, middle), np.where(inside, middle, colliding)
-    noise = 10.0 ** rng.uniform(-6.0, -1.3, (n, AROUND, 1)) * rng.standard_normal(
-        (n, AROUND, robot.dof)
-    )
-    states = free[:, None] + noise / np.sqrt(robot.dof)
+    far = 10.0 ** rng.uniform(-6.0, -1.3, (n, AROUND, 1)) / np.sqrt(robot.dof)
+    states = free[:, None] + far * rng.standard_normal((n, AROUND, robot.dof))
     return np.clip(states, robot.lower, robot.upper).reshape(-1, robot.dof)
 
 
@@ -60,9 +65,8 @@ def missed(exact, states, answers):
 def compare(robot, scene, count, attachments=(), margin=0.0, around=None):
     """Assert agreement on `count` uniform and near-contact states, or states around a given one."""
     rng = np.random.default_rng(0)
-    exact, close = (
-        CollisionChecker(robot, scene, attachments, margin + extra) for extra in (0.0, CLOSE)
-    )
+    what = robot, scene, attachments
+    exact, close = (CollisionChecker(*what, margin + extra) for extra in (0.0, CLOSE))
     if around is None:
         near = near_contact(exact, rng, count)
     else:
@@ -91,18 +95,17 @@ SPONGE = PointCloud(np.random.default_rng(6).uniform(-0.05, 0.05, (200, 3)), 0.0
 CARRIED = (Sphere(0.06), Box((0.05, 0.3, 0.1)), Cylinder(0.05, 0.3), SPONGE)
 
 
-@pytest.mark.parametrize(
-    ("scene", "count", "attachments", "margin"),
-    [
-        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 8000, (), 0.0),
-        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 3000, (carried_can(),), 0.0),
-        (kitchen(door_angles={DOOR: DOOR_ANGLE}), 2000, (), 0.03),
-        (random_scene(1), 2000, (carried_can(),), 0.0),
-        (NOTHING, 2000, (), 0.0),
-        (with_one_of_each(), 3000, (), 0.0),
-        *((random_scene(5), 1000, (Attachment("tool", shape, TOOL),), 0.0) for shape in CARRIED),
-    ],
+KITCHEN, CAN = kitchen(door_angles={DOOR: DOOR_ANGLE}), (carried_can(),)
+CASES = (
+    *((KITCHEN, *rest) for rest in ((8000, (), 0.0), (3000, CAN, 0.0), (2000, (), 0.03))),
+    (random_scene(1), 2000, CAN, 0.0),
+    (NOTHING, 2000, (), 0.0),
+    (with_one_of_each(), 3000, (), 0.0),
+    *((random_scene(5), 1000, (Attachment("tool", shape, TOOL),), 0.0) for shape in CARRIED),
 )
+
+
+@pytest.mark.parametrize(("scene", "count", "attachments", "margin"), CASES)
 def test_both_checkers_agree(panda, scene, count, attachments, margin):
     compare(panda, scene, count, attachments, margin)
 
@@ -112,14 +115,24 @@ def test_both_checkers_agree_with_a_door_in_the_hand():
     compare(robot, scene, 2000, margin=1e-4, around=door_problem(0).start)
 
 
+def compared_near_contact(robot, scene, rng, most, anywhere=1000):
+    """Whether coal sees collisions of states anywhere, then of 3000 near contact.
+
+    The compiled checker misses none; false ones are less than a share of those anywhere.
+    """
+    checker = CollisionChecker(robot, scene)
+    uniform = robot.random_configurations(rng, anywhere)
+    states = np.concatenate([uniform, near_contact(checker, rng, 3000)])
+    answers = compiled_hits(robot, scene, states)
+    expected = missed(checker, states, answers)
+    assert (answers & ~expected)[:anywhere].mean() < most
+    return expected
+
+
 def test_another_robot(slider_arm):
     """Boxes, cylinders, spheres, slider, no SRDF; round links are circumscribed: loose contact."""
     scene, rng = with_one_of_each(), np.random.default_rng(0)
-    checker = CollisionChecker(slider_arm, scene)
-    uniform = slider_arm.random_configurations(rng, 3000)
-    states = np.concatenate([uniform, near_contact(checker, rng, 3000)])
-    answers = compiled_hits(slider_arm, scene, states)
-    assert (answers & ~missed(checker, states, answers))[:3000].mean() < 0.05
+    compared_near_contact(slider_arm, scene, rng, 0.05, anywhere=3000)
 
 
 def shell(rng, count):
@@ -138,12 +151,7 @@ TURNED[:3, :3] = TURNED[:3, :3] @ [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 
 def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
     rng = np.random.default_rng(3)
     scene = Scene("cloud", (SceneObject("cloud", PointCloud(shell(rng, count), 0.005), T),))
-    checker = CollisionChecker(panda, scene)
-    uniform = panda.random_configurations(rng, 1000)
-    states = np.concatenate([uniform, near_contact(checker, rng, 3000)])
-    answers = compiled_hits(panda, scene, states)
-    expected = missed(checker, states, answers)
-    assert expected[1000:].mean() > 0.2 and (answers & ~expected)[:1000].mean() < 0.02
+    assert compared_near_contact(panda, scene, rng, 0.02)[1000:].mean() > 0.2
 
 
 def touching_ball(piece, T_world_piece, radius, depth, rng):
@@ -167,19 +175,16 @@ def test_what_a_ball_touches_its_cloud_touches(panda, count, carried):
     for trial in range(6 if carried else 20):
         piece, radius = pieces[rng.integers(len(pieces))], 10.0 ** rng.uniform(-2.7, -0.9)
         name = frames[piece.link]
-        T_world_piece = (
-            panda.pose(q, name) @ np.linalg.inv(panda.link_of(name)[1]) @ piece.T_link_geometry
-        )
-        ball, normal = touching_ball(
-            piece, T_world_piece, radius, 10.0 ** rng.uniform(-4.5, -3.0), rng
-        )
+        T_world_link = panda.pose(q, name) @ np.linalg.inv(panda.link_of(name)[1])
+        depth = 10.0 ** rng.uniform(-4.5, -3.0)
+        T_world_piece = T_world_link @ piece.T_link_geometry
+        ball, normal = touching_ball(piece, T_world_piece, radius, depth, rng)
         others = rng.uniform(-6.0, 6.0, (count - 1, 3)) * min(radius, 0.05)
         height = others @ normal
         others += np.outer(np.abs(height) - height + 3.0 * radius, normal)  # beyond the face
         points = ball + np.concatenate([np.zeros((1, 3)), others])
-        T = (T_hand if carried else TURNED) @ pose(
-            rng.uniform(-0.1, 0.1, 3), rng.uniform(-3.0, 3.0)
-        )
+        frame = pose(rng.uniform(-0.1, 0.1, 3), rng.uniform(-3.0, 3.0))
+        T = (T_hand if carried else TURNED) @ frame
         cloud = PointCloud((points - T[:3, 3]) @ T[:3, :3], radius)
         scene, attachments = Scene("cloud", (SceneObject("cloud", cloud, T),)), ()
         if carried:
@@ -201,12 +206,7 @@ def test_maps_are_the_same_to_both_checkers(panda, T, padding):
     compare(panda, scene, 2000, margin=1e-4)
 
 
-def test_configurations_that_are_not_finite_collide(panda):
-    states = np.array([HOME, np.full(7, np.nan), np.full(7, np.inf)])
-    assert compiled_hits(panda, NOTHING, states).tolist() == [False, True, True]
-
-
-def test_obstacles_outside_the_grid_are_still_seen(panda):
+def test_obstacles_outside_the_grid_are_still_seen_and_states_that_are_not_finite_collide(panda):
     """The grid ends at the arm's reach; a pole in the hand goes beyond it."""
     pole = Attachment("pole", Box((0.02, 0.02, 1.6)), pose((0.0, 0.0, 0.9)))
     stretched = np.array([0.0, 1.5, 0.0, -0.1, 0.0, 1.5, 0.0])
@@ -215,6 +215,8 @@ def test_obstacles_outside_the_grid_are_still_seen(panda):
     assert np.linalg.norm(T_world_tip[:3, 3]) > panda.reach
     assert compiled_hits(panda, scene, [stretched], (pole,)) == [True]
     assert compiled_hits(panda, scene, [stretched]) == [False]
+    states = np.array([HOME, np.full(7, np.nan), np.full(7, np.inf)])
+    assert compiled_hits(panda, NOTHING, states).tolist() == [False, True, True]
 
 
 def test_a_robots_arrays_are_made_once_and_the_same_from_disk(slider_arm, tmp_path, monkeypatch):
@@ -233,3 +235,85 @@ def test_a_robots_arrays_are_made_once_and_the_same_from_disk(slider_arm, tmp_pa
         np.testing.assert_array_equal(one, other)
         assert np.asarray(one).dtype == np.asarray(other).dtype
     assert len(longer.sphere) > len(first.sphere)
+
+
+distance, separating_gap = map(from_python, (separation.distance, separation.separating_gap))
+MARGIN = 1e-4
+KINDS = HULL, BOX, CYLINDER, SPHERE
+NO_VERTICES = np.empty((0, 3))
+
+
+def placed(R=None, t=(0.0, 0.0, 0.0)):
+    T = np.eye(4)
+    T[:3, :3] = np.eye(3) if R is None else R
+    T[:3, 3] = t
+    return T
+
+
+def random_spec(rng, kind, spread=0.25, longest=0.2):
+    T = placed(Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), spread * rng.normal(size=3))
+    if kind == HULL:
+        points = rng.normal(size=(rng.integers(4, 80), 3))
+        points *= rng.uniform(0.2, 1.0, 3) * longest / np.linalg.norm(points, axis=1)[:, None]
+        return ShapeSpec(HULL, (), points, T)
+    a, b, c = rng.uniform(0.02, longest, 3)
+    size = {BOX: (a, b, c), CYLINDER: (a, a, b), SPHERE: (a,)}[kind]
+    return ShapeSpec(kind, size, NO_VERTICES, T)
+
+
+def coal_object(spec):
+    T, size = spec.T_owner_shape, spec.size
+    make = {
+        BOX: lambda: coal.Box(*size),
+        CYLINDER: lambda: coal.Cylinder(size[0], size[2]),
+        SPHERE: lambda: coal.Sphere(size[0]),
+        HULL: lambda: convex_hull(spec.vertices),
+    }
+    return make[spec.kind](), coal.Transform3s(T[:3, :3], T[:3, 3])
+
+
+@pytest.mark.parametrize("kind_a", KINDS)
+@pytest.mark.parametrize("kind_b", KINDS)
+def test_pairs_agree_with_coal(kind_a, kind_b):
+    """Random pairs, half of them slid to within a millimetre of contact."""
+    rng = np.random.default_rng(10 * kind_a + kind_b)
+    for k in range(240):
+        a, b = random_spec(rng, kind_a), random_spec(rng, kind_b)
+        objects = coal_object(a), coal_object(b)
+        if k % 2:
+            result = coal.DistanceResult()
+            apart = coal.distance(*objects[0], *objects[1], coal.DistanceRequest(), result)
+            if apart > 0.0:
+                gap = result.getNearestPoint1() - result.getNearestPoint2()
+                shift = gap * (1.0 - rng.uniform(-1e-3, 1e-3) / apart)
+                b = b._replace(T_owner_shape=placed(t=shift) @ b.T_owner_shape)
+                objects = objects[0], coal_object(b)
+        exact = coal_distance(*objects[0], *objects[1])
+        packed = pack_shapes([a, b])
+        axis = tuple(a.T_owner_shape[:3, 3] - b.T_owner_shape[:3, 3])
+        gap = separating_gap(packed, 0, packed, 1, IDENTITY, axis, MARGIN, MARGIN, 1e-9)
+        assert not (gap > MARGIN and exact <= MARGIN - 2e-6), (k, gap, exact)
+        assert not (gap <= MARGIN and exact > 2e-4), (k, gap, exact)
+        certified = distance(packed, 0, packed, 1, IDENTITY, axis, 1e-7)
+        assert certified <= max(exact, 0.0) + 2e-6
+        assert certified >= exact - 2e-5
+
+
+def test_a_touching_pair_is_a_collision_and_a_degenerate_axis_is_harmless():
+    box = ShapeSpec(BOX, (0.2, 0.2, 0.2), NO_VERTICES, placed())
+    for offset, free in ((0.2, False), (0.2 + 0.5 * MARGIN, False), (0.2 + 2 * MARGIN, True)):
+        shapes = pack_shapes([box, box._replace(T_owner_shape=placed(t=(0.0, offset, 0.0)))])
+        for axis in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (np.nan, 0.0, 0.0)):
+            gap = separating_gap(shapes, 0, shapes, 1, IDENTITY, axis, MARGIN, MARGIN, 1e-9)
+            assert (gap > MARGIN) == free
+
+
+def test_flat_shapes_are_cut_too():
+    """A point, a segment, a square and points that coincide."""
+    square = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]
+    segment = np.outer([0.0, 1.0, 0.4], np.eye(3)[0])
+    for points in (np.zeros((1, 3)), segment, np.array(square), np.zeros((4, 3))):
+        corners = np.concatenate(cut_into_pieces(points))
+        assert len(corners) < 2000
+        for end in (np.min, np.max):
+            np.testing.assert_allclose(end(corners, axis=0), end(points, axis=0), atol=1e-12)

@@ -41,11 +41,6 @@ from cvqmpt_lab.search.result import Budget, JointPath
 
 
 @pytest.fixture(scope="module")
-def door_robot():
-    return door_world()[1]
-
-
-@pytest.fixture(scope="module")
 def door():
     """A door problem with its goals."""
     return with_sampled_goals(door_problem(0))[0]
@@ -56,19 +51,18 @@ def opened(door):
     return solve(door, planner_named("birrt"), Budget(iterations=5000), seed=0)
 
 
-def test_projection_lands_on_the_handle(door_robot):
+def test_projection_lands_on_the_handle():
     """From anywhere, door and arm move until the hand holds the bar, by pinocchio's poses."""
-    chain = handle_region()
-    constraint = RegionConstraint(door_robot, (chain,))
-    starts = door_robot.random_configurations(np.random.default_rng(0), 100)
+    chain, robot = handle_region(), door_world()[1]
+    constraint = RegionConstraint(robot, (chain,))
+    starts = robot.random_configurations(np.random.default_rng(0), 100)
     landed = [q for start in starts if (q := constraint.project(start)) is not None]
     assert len(landed) > 50
     angles = np.array(landed)[:, 7]
     assert angles.min() >= -1.57 and angles.max() <= 0.0 and np.ptp(angles) > 1.0
     for q in landed:
-        x = of_hand(door_robot, chain, q)
-        assert np.linalg.norm(x[:5]) <= TOLERANCE + 1e-9
-        bar = np.linalg.inv(door_robot.pose(q)) @ door_robot.pose(q, BAR)
+        assert np.linalg.norm(of_hand(robot, chain, q)[:5]) <= TOLERANCE + 1e-9
+        bar = np.linalg.inv(robot.pose(q)) @ robot.pose(q, BAR)
         np.testing.assert_allclose(bar[:3, 3], (0.0, 0.0, 0.10), atol=2e-4)
 
 
@@ -82,17 +76,14 @@ def test_goals_have_the_door_where_the_hand_takes_it(door):
     assert np.abs(free.configurations[:, 7] - OPEN).max() > 0.1
 
 
-def test_json_round_trip():
-    leaning = replace(handle_region(), tilt=0.2)
-    for chain in (handle_region(np.inf), handle_region(0.7), leaning):
-        for region in (chain, chain.at(np.eye(4))):
-            assert region.tilt == chain.tilt
+def test_chains_survive_json_and_bad_ones_are_refused(door, panda):
+    chain = handle_region()
+    leaning = replace(chain, tilt=0.2)
+    for written in (handle_region(np.inf), handle_region(0.7), leaning):
+        for region in (written, written.at(np.eye(4))):
+            assert region.tilt == written.tilt
             again = from_plain(Region, json.loads(json.dumps(to_plain(region, Region))))
             assert type(again) is type(region) and again == region
-
-
-def test_bad_chains_are_refused(door, panda):
-    chain = handle_region()
     elsewhere, plain = replace(chain, base="fridge/handle"), to_plain(chain) | {"base": 3}
     for told, call, *given, options in (
         (r"'fridge/handle'.*panda_hand.*handle_bar", replace, door, {"constraint": (elsewhere,)}),

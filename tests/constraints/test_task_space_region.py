@@ -222,9 +222,8 @@ def bounds(*changed):
 INF = np.inf
 
 
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
+def test_malformed_bounds_are_named_with_the_order_and_units_of_their_rows():
+    for value, told in (
         ([[0, 1]] * 5, f" has shape (5, 2); it must be {ROWS}"),
         ([["a", 1]] * 6, f" is {[['a', 1]] * 6}; it must be {ROWS}"),
         (5, f" has shape (); it must be {ROWS}"),
@@ -232,25 +231,20 @@ INF = np.inf
         (bounds([0, 1], [0, 1], [0, 1], [0.2, 0.1]), "[3], rotation about x [rad], is [0.2, 0.1]"),
         (bounds([0, 1], [0, 1], [INF, INF]), "[2], position z [m], is [inf, inf]; lower <= upper"),
         (bounds([-INF, -INF]), "[0], position x [m], is [-inf, -inf]; lower <= upper"),
-    ],
-    ids=str,
-)  # fmt: skip
-def test_malformed_bounds_are_named_with_the_order_and_units_of_their_rows(value, message):
-    data = to_plain(upright()) | {"Bw": value}
-    assert refused("^region", from_plain, Region, data, "region").startswith(f"region.Bw{message}")
+    ):
+        data = to_plain(upright()) | {"Bw": value}
+        line = refused("^region", from_plain, Region, data, "region")
+        assert line.startswith(f"region.Bw{told}")
 
 
-def test_missing_fields_are_named_and_fields_are_read_only():
-    data = to_plain(upright())
+def test_missing_fields_are_named_fields_are_read_only_and_free_positions_are_not_sampled():
+    data, region = to_plain(upright()), upright()
     for field in ("T0_w", "Tw_e", "Bw"):
         rest = {key: value for key, value in data.items() if key != field}
         refused(f"region.{field} is missing", from_plain, Region, rest, "region")
         with pytest.raises(ValueError, match="read-only"):
-            getattr(upright(), field)[0, 0] = 1.0
-
-
-def test_unbounded_positions_cannot_be_sampled():
-    refused("unbounded: bound Bw rows 0-2", upright().sample_poses, np.random.default_rng(0), 1)
+            getattr(region, field)[0, 0] = 1.0
+    refused("unbounded: bound Bw rows 0-2", region.sample_poses, np.random.default_rng(0), 1)
 
 
 log_map_factor, rotation_vector = map(from_python, (log_map_factor, rotation_vector))

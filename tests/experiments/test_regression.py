@@ -1,7 +1,9 @@
-"""The table regression fails and names the place when a planner or committed table changes."""
+"""Rows of solutions, and the table regression, which names what changes in them."""
 
+import time
 from dataclasses import replace
-from itertools import product
+from itertools import chain, product
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,13 +12,23 @@ from refusals import refused
 
 from cli.main import main
 from cvqmpt_lab import planners as table
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
+from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.certificate import Fault, FaultKind
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
-from cvqmpt_lab.results.store import RunStore
+from cvqmpt_lab.results.row import FailReason, read_rows
+from cvqmpt_lab.results.store import RunStore, states_hash
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.planner_interface import GaussianMixture
+from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
+from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
+from cvqmpt_lab.vqmpt import scene_predictor
 from experiments import regression
+from experiments.experiment import Experiment
 from experiments.regression import CASES, EXPECTED, Case, Expectations, compare
-from paper_tables.committed import differing_cells, untraceable
+from experiments.rows import failed_rows, outcome_of, result_row
+from paper_tables.committed import committed_directories, differing_cells, untraceable
 from paper_tables.suites import SUITES, render_directory
 
 CLEAN = {"git_commit": "a" * 40, "git_dirty": False}
@@ -37,37 +49,34 @@ def outcome(seed=0, planner="birrt", **values):
     return {Case(planner, 1, seed, 10): dict.fromkeys(regression.COLUMNS, 100) | plain | values}
 
 
-@pytest.mark.parametrize(
-    ("both", "change", "exactly", "by_bounds"),
-    [
-        (True, {}, "", ""),
-        (False, {"path_sha256": "b"}, "path_sha256 was a, is b", ""),
-        (False, {"n_projections": 450}, "n_projections was 100, is 450", ""),
-        (True, {"n_projections": 2000}, "n_projections was 100", "n_projections: 20 times"),
-        (True, {"n_state_checks": 10}, "n_state_checks was 100", "n_state_checks: 0.11 times"),
-        (True, {"path_length_rad": 11.0}, "path_length_rad was 8.0", ""),
-        (True, {"path_length_rad": 13.0}, "path_length_rad was 8.0", "mean path_length_rad: 1.62"),
-        (True, {"path_length_rad": 3.9}, "path_length_rad was 8.0", "mean path_length_rad: 0.49"),
-        (False, {"fail_reason": "timeout"}, "fail_reason was None", "fail_reason was None, is"),
-    ],
+CHANGES = (  # in both runs or in one; what differs where values must be equal, and elsewhere
+    (True, {}, "", ""),
+    (False, {"path_sha256": "b"}, "path_sha256 was a, is b", ""),
+    (False, {"n_projections": 450}, "n_projections was 100, is 450", ""),
+    (True, {"n_projections": 2000}, "n_projections was 100", "n_projections: 20 times"),
+    (True, {"n_state_checks": 10}, "n_state_checks was 100", "n_state_checks: 0.11 times"),
+    (True, {"path_length_rad": 11.0}, "path_length_rad was 8.0", ""),
+    (True, {"path_length_rad": 13.0}, "path_length_rad was 8.0", "mean path_length_rad: 1.62"),
+    (True, {"path_length_rad": 3.9}, "path_length_rad was 8.0", "mean path_length_rad: 0.49"),
+    (False, {"fail_reason": "timeout"}, "fail_reason was None", "fail_reason was None, is"),
 )
-def test_equality_here_and_stated_bounds_elsewhere(both, change, exactly, by_bounds):
+
+
+def test_equality_here_and_stated_bounds_elsewhere():
     """Where values must be equal, every changed run gives a line."""
     expected = Expectations(HERE, outcome(0) | outcome(1))
-    outcomes = outcome(0, **change) | outcome(1, **(change if both else {}))
-    exactly, by_bounds = [exactly] * (1 + both) if exactly else [], [by_bounds] if by_bounds else []
-    for here, wanted in ((HERE, exactly), (ELSEWHERE, by_bounds)):
-        _, found = compare(expected, outcomes, here)
-        assert len(found) == len(wanted)
-        assert all(words in line for words, line in zip(wanted, found, strict=True)), found
+    for both, change, exactly, by_bounds in CHANGES:
+        outcomes = outcome(0, **change) | outcome(1, **(change if both else {}))
+        exact_lines = [exactly] * (1 + both) if exactly else []
+        for here, wanted in ((HERE, exact_lines), (ELSEWHERE, [by_bounds] if by_bounds else [])):
+            _, found = compare(expected, outcomes, here)
+            assert len(found) == len(wanted)
+            assert all(words in line for words, line in zip(wanted, found, strict=True)), found
 
 
-def test_runs_without_expectation_and_expectations_without_run_are_named():
+def test_expectations_without_run_or_of_no_use_are_named(tmp_path):
     _, found = compare(Expectations(HERE, outcome(0) | outcome(1)), outcome(1) | outcome(2), HERE)
     assert [line.split(", ")[2] for line in found] == ["seed 0", "seed 2"]
-
-
-def test_unreadable_expectations_name_the_cure(tmp_path):
     path, told = tmp_path / "e.json", r"e\.json .*check-tables --update"
     refused(told, Expectations.load, path)
     for text in ("", "[]", "{}", '{"schema": "other/1"}', '{"schema": 5, "runs": 5}', "[" * 9999):
@@ -108,22 +117,21 @@ def tampered(path, old, new):
 OLD_AND_NEW = "committed '21.95', rendered '22.95'"
 
 
-@pytest.mark.parametrize(
-    ("name", "old", "new", "words"),
-    [
+def test_a_tampered_table_is_named_by_cell(results):
+    directory = results / "place-task"
+    for name, old, new, words in (
         ("table.md", "22.95", "21.95", ["row 'ompl-projected (CBiRRT)'", OLD_AND_NEW]),
         ("table.tex", "22.95", "21.95", ["committed '21.95", "rendered '22.95"]),
         ("table.csv", "22.95", "21.95", ["row 'place-task', cell 6", OLD_AND_NEW]),
         ("table.md", "| birrt", "|  birrt", ["spaces differ"]),
-    ],
-)
-def test_a_tampered_table_is_named_by_cell(results, name, old, new, words):
-    directory = results / "place-task"
-    tampered(directory / name, old, new)
-    (line,) = differing_cells(directory)
-    assert line.startswith(f"{directory / name}, line ")
-    assert line.endswith(f"cvqmpt table {directory}")
-    assert all(word in line for word in words), line
+    ):
+        before = (directory / name).read_text()
+        tampered(directory / name, old, new)
+        (line,) = differing_cells(directory)
+        assert line.startswith(f"{directory / name}, line ")
+        assert line.endswith(f"cvqmpt table {directory}")
+        assert all(word in line for word in words), line
+        (directory / name).write_text(before)
 
 
 def test_changed_rows_and_missing_tables_are_noticed(results):
@@ -139,20 +147,19 @@ def test_changed_rows_and_missing_tables_are_noticed(results):
 NO_DIGEST = "no digest of the weights 'vq_mpt'"
 
 
-@pytest.mark.parametrize(
-    ("session", "words"),
-    [
-        ({"git_dirty": True}, "made from aaaaaaaaaaaa with uncommitted changes"),
-        ({"git_commit": None}, "made without a commit"),
-        *((weights, NO_DIGEST) for weights in ({}, {"weights": {"mpnet": "b" * 64}})),
-    ],
+SESSIONS = (
+    ({"git_dirty": True}, "made from aaaaaaaaaaaa with uncommitted changes"),
+    ({"git_commit": None}, "made without a commit"),
+    *((session, NO_DIGEST) for session in ({}, {"weights": {"mpnet": "b" * 64}})),
 )
+
+
+@pytest.mark.parametrize(("session", "words"), SESSIONS)
 def test_rows_that_cannot_be_traced_are_refused(tmp_path, session, words):
-    with RunStore.open(tmp_path, {}, CLEAN) as store:
-        store.append([a_row("1", suite="place-task")])
-    with RunStore.open(tmp_path, {}, {**CLEAN, **session}) as store:
-        store.append([a_row("1", "cvq-mpt", suite="place-task")])
-    needs = {"cvq-mpt": ("vq_mpt",) if "weights" in words else ()}
+    for planner, made in (("birrt", {}), ("cvq-mpt", session)):
+        with RunStore.open(tmp_path, {}, CLEAN | made) as store:
+            store.append([a_row("1", planner, suite="place-task")])
+    needs = {"cvq-mpt": ("vq_mpt",) if words == NO_DIGEST else ()}
     (line,) = untraceable(tmp_path, lambda planner: needs.get(planner, ()))
     assert words in line
 
@@ -172,3 +179,102 @@ def test_the_command_is_red_until_an_update(results, tmp_path, monkeypatch, caps
     tampered(results / "place-task" / "table.md", "22.95", "21.95")
     assert main(words) == 1
     assert OLD_AND_NEW in capsys.readouterr().out
+
+
+RUN = Experiment("place-task", (0,), ("birrt",), (0,), Budget(iterations=1)).runs[0]
+PARTS = ("t_goals_s", "t_encode_s", "t_predict_s", "t_optimize_s", "t_plan_s", "t_simplify_s")
+
+
+def row_of(problem, timings, budget=20_000):
+    """The row of birrt after a slow proposer."""
+
+    def think(query, observation):
+        time.sleep(timings.total)
+        return Proposal(query.uniform, timings)
+
+    thinking = Method.simple("birrt", predict=think)
+    solution = solve(problem, thinking, Budget(iterations=budget), seed=0, clearance=False)
+    return result_row(RUN, solution, goal_seconds=0.25), solution
+
+
+def test_every_part_is_in_its_column_and_the_total_is_their_sum(problem):
+    row, solution = row_of(problem, Timings(encode=0.07, predict=0.11, optimize=0.13))
+    assert (row.t_encode_s, row.t_predict_s, row.t_optimize_s) == (0.07, 0.11, 0.13)
+    assert row.t_plan_s == solution.plan.search_seconds < solution.plan.seconds - 0.309
+    assert row.t_total_s == pytest.approx(sum(getattr(row, part) for part in PARTS))
+    total = 0.25 + solution.plan.seconds + solution.simplified.seconds
+    assert row.t_total_s == pytest.approx(total)
+    failed, solution = row_of(problem, Timings(encode=0.03), budget=1)
+    assert failed.t_total_s == pytest.approx(0.25 + solution.plan.seconds)
+    assert (failed.solved, failed.t_predict_s, failed.t_simplify_s) == (False, None, None)
+    refused("timing 'predict'", Timings, predict=float("nan"))
+    refused("timing 'predict'", Timings, predict=-1.0)
+
+
+def test_g_is_that_of_what_is_sampled(problem):
+    """g(q) = F(q)^T F(q): none on the manifold, of any q without a model, empty without samples."""
+
+    def g_of(covariance):
+        uniform = Uniform(problem.robot.lower, problem.robot.upper)
+        near = GaussianMixture.equal(problem.goals, covariance * np.eye(7), uniform, 0.0, "near")
+        method = Method.simple("near", predict=lambda query, observation: Proposal(near))
+        return result_row(RUN, solve(problem, method, Budget(iterations=1), seed=0), 0.0).g_sampled
+
+    assert g_of(1e-12) == 0.0 < g_of(0.1) < g_of(1.0)
+    anywhere = problem.robot.random_configurations(np.random.default_rng(1), 4000)
+    expected = np.square(problem.manifold.residual(anywhere)).sum(axis=1).mean()
+    row, solution = row_of(problem, Timings(), budget=1)
+    assert row.g_sampled == pytest.approx(expected, rel=0.2)
+    assert result_row(RUN, replace(solution, distribution=None), 0.0).g_sampled is None
+
+
+def test_every_way_to_fail_has_its_reason():
+    """A planner status or certificate fault without a reason would fail a run at its end."""
+    statuses = {FailReason(status) for status in PlanStatus if status is not PlanStatus.SOLVED}
+    of_trajectories = {FaultKind.VELOCITY, FaultKind.ACCELERATION, FaultKind.CURRENT}
+    faults = {FailReason(f"uncertified_{kind}") for kind in set(FaultKind) - of_trajectories}
+    phases = {FailReason.NO_START, FailReason.NOT_TIMED, FailReason.NOT_REACHED}
+    lost = {FailReason.WORKER_DIED, FailReason.WORKER_HUNG, FailReason.OUT_OF_MEMORY}
+    assert statuses | faults | phases | lost | {FailReason.PLANNER_ERROR} == set(FailReason)
+
+
+def test_a_path_that_is_refused_keeps_its_faults_and_a_fallback_counts_as_solved(solution):
+    faults = Fault(FaultKind.STEP, "a step of 1 rad"), Fault(FaultKind.COLLISION, "in collision")
+    judged = replace(solution, certificate=replace(solution.certificate, faults=faults))
+    row = result_row(RUN, judged, goal_seconds=0.0)
+    assert (row.solved, row.certified, row.fail_reason) == (False, False, "uncertified_step")
+    assert row.detail.startswith("a step of 1 rad; in collision")
+    assert row.path_sha256 == states_hash(solution.simplified.path.states)
+    fallen_back = replace(solution, plan=replace(solution.plan, fallback="no path: birrt"))
+    row = result_row(RUN, fallen_back, goal_seconds=0.0)
+    assert (row.solved, row.fallback, row.fail_reason) == (True, "no path: birrt", None)
+
+
+def test_a_problem_without_a_start_and_a_task_that_failed_as_a_whole_have_all_their_rows():
+    (row,) = outcome_of(RUN, UnsolvableProblem("0", "no start grasp: =1"), 0.0).rows
+    assert (row.key, row.fail_reason, row.detail) == (RUN.key, "no_start", "no start grasp: =1")
+    rows = failed_rows(RUN, multi_sequence_task(0), FailReason.WORKER_DIED, "it ended")
+    assert [row.fail_reason for row in rows] == ["worker_died"] + ["not_reached"] * 4
+    assert {row.item for row in rows} == {"0"} and rows[-1].problem == "0/5-carry"
+
+
+def test_committed_rows_load_and_add_up(part):
+    files = [path for folder in committed_directories() for path in folder.glob("runs.csv")]
+    assert len(files) >= 5
+    for row in chain.from_iterable(map(read_rows, part(files, 6))):
+        parts = sum(getattr(row, part) or 0.0 for part in PARTS)
+        assert (row.t_total_s or 0.0) == pytest.approx(parts)
+
+
+@pytest.mark.parametrize("suite", ["family-shelves", "place-task"])
+def test_every_run_is_charged_for_the_encoding_of_its_scene(monkeypatch, suite):
+    grouped = Mock(side_effect=scene_predictor.compiled_groups)
+    monkeypatch.setattr(scene_predictor, "compiled_groups", grouped)
+    item, found = with_sampled_goals(suite_named(suite).solvable(0))[0], []
+    for name in ("cvq-mpt", "opt-cvq-mpt", "cvq-wide"):
+        grouped.reset_mock()
+        runs = Experiment(suite, (0,), (name,), (0,), Budget(iterations=1)).runs
+        (row,) = outcome_of(runs[0], item, 0.0).rows
+        assert row.scene_new
+        found.append(grouped.call_count)
+    assert found[1:] == [1, 1]

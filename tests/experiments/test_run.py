@@ -1,11 +1,13 @@
-"""The runner: equal rows for any number of processes, interruptions and continuations."""
+"""The runner and its executors: equal rows for any processes, interruptions and continuations."""
 
+import ctypes
 import os
 import signal
 import time
 from dataclasses import replace
 from functools import partial
 
+import pebble
 import pytest
 from command_line import start
 from made_rows import differences
@@ -13,11 +15,13 @@ from refusals import refused
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError
 from cvqmpt_lab.results.provenance import ProvenanceFile
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows, sorted_rows
+from cvqmpt_lab.results.row import RUNS_FILE, FailReason, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.warm_up import compile_kernels
+from experiments import executors
 from experiments import run as runner
+from experiments.executors import Lost, dask_cluster, local_processes
 from experiments.experiment import Experiment, weights_of
 from experiments.run import executor_for, run_experiment
 
@@ -76,13 +80,18 @@ def test_an_interrupted_run_keeps_its_rows_and_continues_without_duplicates(four
     assert run(FOUR, tmp_path) == rows and (tmp_path / RUNS_FILE).read_bytes() == before
 
 
-def test_a_larger_experiment_adds_to_the_rows_and_another_budget_is_refused(tmp_path):
-    first = run(ONE, tmp_path)
-    both = run(replace(ONE, seeds=(0, 1)), tmp_path)
-    assert len(first) == 1 and both[0] == first[0]
-    assert keys(both) == [("2", "birrt", 0), ("2", "birrt", 1)]
-    other, told = replace(ONE, budget=Budget(iterations=7)), "iterations was 20000, now 7.*--out"
+def test_larger_experiments_add_rows_and_others_are_refused(tmp_path, monkeypatch):
+    first = run(replace(ONE, planners=("roadmap-cvq",)), tmp_path)
+    larger = replace(ONE, planners=("birrt", "roadmap-cvq"))
+    both = run(larger, tmp_path)
+    assert len(first) == 1 and both[1] == first[0]
+    assert keys(both) == [("2", "birrt", 0), ("2", "roadmap-cvq", 0)]
+    assert ProvenanceFile(tmp_path).read()["weights"] == weights_of(larger.planners)
+    other, told = replace(larger, budget=Budget(iterations=7)), "iterations was 20000, now 7.*--out"
     refused(told, run, other, tmp_path, error=RunStoreError)
+    monkeypatch.setattr(runner, "weights_of", lambda planners, model: {"vq_mpt": "f" * 64})
+    told = rf'weights.vq_mpt was "\w+", now "{"f" * 64}"'
+    refused(told, run, larger, tmp_path, error=RunStoreError)
     assert read_rows(tmp_path / RUNS_FILE) == both
 
 
@@ -110,9 +119,6 @@ def test_an_error_in_a_worker_is_the_error_of_the_run(tmp_path, monkeypatch):
 
     monkeypatch.setattr(runner, "outcome_of", refuse)
     refused("another robot", run, FOUR, tmp_path, jobs=2)
-
-
-def test_bad_experiments_are_refused_by_name():
     for values, words in (
         ({"suite": "x"}, "unknown suite 'x'"),
         ({"planners": ("birrt", "x")}, "unknown planner 'x'"),
@@ -127,9 +133,8 @@ def test_an_interrupt_leaves_no_worker_and_a_run_that_the_same_command_continues
     options = ("--problems", 4, "--planners", "birrt", "--seeds", 30, "--iterations", 20_000)
     # a shell in the background makes its children deaf to Ctrl-C
     hear_ctrl_c = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
-    started = start(
-        ("reproduce", "place-task", *options, "--jobs", 2, "--out", tmp_path), hear_ctrl_c
-    )
+    words = ("reproduce", "place-task", *options, "--jobs", 2, "--out", tmp_path)
+    started = start(words, hear_ctrl_c)
     rows_so_far = tmp_path / PARTIAL_FILE
     while not rows_so_far.is_file() or rows_so_far.read_bytes().count(b"\n\n") < 2:
         assert started.poll() is None, "the run ended before it could be interrupted"
@@ -148,10 +153,91 @@ def test_an_interrupt_leaves_no_worker_and_a_run_that_the_same_command_continues
     assert len(rows) == len(kept) + 1 and [row for row in rows if row in kept] == kept
 
 
-def test_a_run_is_not_continued_with_other_weights(tmp_path, monkeypatch):
-    few = replace(ONE, planners=("roadmap-cvq",))
-    rows = run(few, tmp_path)
-    assert ProvenanceFile(tmp_path).read()["weights"] == weights_of(few.planners)
-    monkeypatch.setattr(runner, "weights_of", lambda planners, model: {"vq_mpt": "f" * 64})
-    refused(rf'weights.vq_mpt was "\w+", now "{"f" * 64}"', run, few, tmp_path, error=RunStoreError)
-    assert read_rows(tmp_path / RUNS_FILE) == rows
+SEEDS = replace(ONE, problems=(2, 10), seeds=(0, 1))
+
+
+def perform(mark, task):
+    """Does the task: kills its process (always or once), stops, runs out of memory, or answers."""
+    if task == "dies" or (task == "dies once" and not mark.exists()):
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if task == "hangs":
+        mark.with_suffix(".pid").write_text(str(os.getpid()))
+        os.kill(os.getpid(), signal.SIGSTOP)  # does not hear SIGTERM either
+    if task == "holds the interpreter lock":
+        ctypes.PyDLL(None).sleep(600)  # as compiled code that never returns
+    if task == "too much memory":
+        raise MemoryError("Unable to allocate")
+    return os.getpid()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_dies_hangs_or_eats_memory_costs_its_own_task_only(tmp_path, monkeypatch, count):
+    monkeypatch.setattr(pebble.CONSTS, "term_timeout", 0.2)
+    tasks = ["answers", "dies", "too much memory", "hangs", "holds the interpreter lock"]
+    tasks += ["dies once", "answers", "answers"]
+    with local_processes(count, lambda task: 1.0) as executor:
+        found = list(executor.results(partial(perform, tmp_path / "mark"), tasks))
+    assert sorted(task for task, _ in found) == sorted(tasks)
+    lost = {task: result for task, result in found if isinstance(result, Lost)}
+    killed = "its process was ended by SIGKILL; perhaps memory ran out, twice"
+    hung = FailReason.WORKER_HUNG, "no answer in 1 s; its process was ended"
+    assert lost == {
+        "dies": (FailReason.WORKER_DIED, killed),
+        "hangs": hung,
+        "holds the interpreter lock": hung,
+        "too much memory": (FailReason.OUT_OF_MEMORY, "Unable to allocate"),
+    }
+    assert os.getpid() not in [result for task, result in found if task not in lost]
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "mark.pid").read_text()), 0)
+
+
+def process_id(_):
+    return os.getpid()
+
+
+def test_a_pool_whose_idle_process_is_killed_says_that_the_command_continues():
+    with local_processes(1) as executor:
+        ((_, pid),) = executor.results(process_id, [0])
+        os.kill(pid, signal.SIGKILL)
+        with pytest.raises(CvqmptError, match=r"has stopped; .* the same command continues"):
+            for _ in range(100):  # until pebble sees it
+                list(executor.results(abs, range(3)))
+                time.sleep(0.05)
+
+
+def test_a_cluster_makes_the_rows_of_one_process_though_a_worker_is_killed(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    killed = []
+    size = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with (
+        distributed.LocalCluster(**size) as machines,
+        executor_for(SEEDS, 1, machines.scheduler_address) as executor,
+    ):
+        assert executor.size == 2
+        pids = [worker.process.pid for worker in machines.workers.values()]
+
+        def kill_one(done, total, note):
+            if done == 1:
+                os.kill(pids[0], signal.SIGKILL)
+                killed.append(done)
+
+        there = run_experiment(SEEDS, tmp_path / "there", executor, ["test"], kill_one)
+        monkeypatch.setattr(runner, "weights_of", lambda *_: {"vq_mpt": "f" * 64})
+        other = executor_for(SEEDS, 1, machines.scheduler_address)
+        refused("has other weights; install the same cvqmpt-lab there", other.__enter__)
+    monkeypatch.undo()
+    here = run(SEEDS, tmp_path / "here", jobs=2)
+    assert killed and len(here) == len(there) == 4 and differences(here, there) == []
+
+
+def test_what_is_no_cluster_is_refused_in_one_line(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(executors, "CONNECT_S", 0.3)
+    cluster = partial(dask_cluster, "tcp://127.0.0.1:9", lambda task: 1.0, dict)
+    told = r"no Dask scheduler answers at tcp://127.0.0.1:9: .*start one"
+    refused(told, cluster().__enter__)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    told = r"not installed: .venv/bin/pip install -c .*'\.\[dask\]'"
+    refused(told, cluster().__enter__)

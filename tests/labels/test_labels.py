@@ -10,7 +10,6 @@ import pytest
 import torch
 from refusals import refused
 
-from cli.main import main
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.labels import generation
@@ -32,9 +31,11 @@ from cvqmpt_lab.training.shards import (
 )
 from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 
-TINY = PathRecipe(
-    6, 2, ("cubes-spheres", "shelves"), labels=NearShortestSettings(restarts=1, finish=32)
-)
+SEARCH = NearShortestSettings(restarts=1, finish=32)
+TINY = PathRecipe(6, 2, ("cubes-spheres", "shelves"), labels=SEARCH)
+
+
+FEW = RoadmapRecipe(4, 12, ("table", "cage"))
 
 
 def make(out, recipe=TINY):
@@ -86,12 +87,18 @@ def test_paths_are_free_and_join_their_ends_among_the_shapes_of_their_scene(tiny
             assert not checker.in_collision_batch(q[[0, -1]]).any()
 
 
-def test_interrupted_generation_ends_in_the_same_bytes(tiny, tmp_path):
-    shutil.copytree(tiny, tmp_path / "d")
-    (tmp_path / "d" / "shards" / "000000.npz").unlink()
-    make(tmp_path / "d")
-    for file in ("README.md", *(f"shards/{number:06d}.npz" for number in range(3))):
-        assert (tmp_path / "d" / file).read_bytes() == (tiny / file).read_bytes()
+def test_interrupted_generation_ends_in_the_same_bytes(tiny, labelled, tmp_path):
+    shards = ("shards/000000.npz", "shards/000001.npz")
+    for made, recipe, files in (
+        (tiny, TINY, ("README.md", *shards, "shards/000002.npz")),
+        (labelled, FEW, shards),
+    ):
+        again = tmp_path / made.name
+        shutil.copytree(made, again)
+        (again / shards[recipe is FEW]).unlink()
+        make(again, recipe)
+        for file in files:
+            assert (again / file).read_bytes() == (made / file).read_bytes()
 
 
 def test_a_folder_that_another_run_writes_or_of_another_recipe_is_refused(tiny):
@@ -116,23 +123,9 @@ def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(sli
     np.testing.assert_array_equal(again, found.flip(1))
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ("--scenes 2 --family castle", "castle"),
-        ("--scenes 2 --seed -1", "-1"),
-        ("--scenes 0", "'0'"),
-        ("--scenes 2 --out /dev/null/x", "/dev/null"),
-    ],
-)
-def test_bad_input_is_named(capsys, tmp_path, options, says):
-    assert main(["data", "generate", "--out", str(tmp_path / "d"), *options.split()]) == 2
-    # the line before may say that kernels are compiled
-    last = capsys.readouterr().err.strip().splitlines()[-1]
-    assert last.startswith("cvqmpt: ") and says in last
-
-
-FEW = RoadmapRecipe(4, 12, ("table", "cage"))
+def test_an_arm_that_the_dictionary_is_not_of_is_refused():
+    recipe = RoadmapRecipe(1, 2, ("table",), 0, {"name": "ur5"})
+    refused(r"for robot 'panda', not 'ur5'.*train stage1", recipe.check)
 
 
 @pytest.fixture(scope="module")
@@ -207,14 +200,6 @@ def test_paths_walk_free_edges_and_cost_what_they_say(scene, graph):
         assert length == pytest.approx(arrays["cost"][row], rel=1e-3)
 
 
-def test_shards_that_are_missing_are_made_again_as_they_were(labelled, tmp_path):
-    shutil.copytree(labelled, tmp_path / "again")
-    (tmp_path / "again/shards/000001.npz").unlink()
-    make(tmp_path / "again", FEW)
-    again, before = (folder / "shards/000001.npz" for folder in (tmp_path / "again", labelled))
-    assert again.read_bytes() == before.read_bytes()
-
-
 def test_motions_of_all_shards_are_read(labelled):
     arrays = open_labels(labelled).arrays
     start = arrays["link_start"]
@@ -222,9 +207,6 @@ def test_motions_of_all_shards_are_read(labelled):
     assert (np.diff(start)[arrays["path_scene"]] > 0).all()
     assert len(arrays["link_end"]) == start[-1] > 4
     assert arrays["link_free"].shape == arrays["link_code"].shape == (start[-1], LINKS)
-
-
-def test_labels_are_no_paths(labelled):
     refused("holds labels on a roadmap, not paths; make those", open_dataset, labelled)
 
 
@@ -233,8 +215,3 @@ def test_labels_of_another_dictionary_are_refused_and_damage_is_named(labelled, 
     refused("another roadmap", make, tmp_path, FEW)
     (tmp_path / "roadmap.npz").write_bytes((labelled / "roadmap.npz").read_bytes()[:200])
     refused("is damaged or lacks an array", RoadmapGraph.read, tmp_path)
-
-
-def test_an_arm_that_the_dictionary_is_not_of_is_refused():
-    recipe = RoadmapRecipe(1, 2, ("table",), 0, {"name": "ur5"})
-    refused(r"for robot 'panda', not 'ur5'.*train stage1", recipe.check)

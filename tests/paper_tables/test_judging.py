@@ -1,31 +1,18 @@
-"""Rules of verdicts and their measures, on made rows with a known verdict."""
+"""Rules of verdicts and their measures; comparison of two runs: on made rows."""
 
 import math
 from itertools import product
 
 import pytest
-from made_rows import a_failure, a_row
+from made_rows import a_failure, a_results_folder, a_row
+from refusals import refused
 
+from cli.main import main
 from cvqmpt_lab.results.statistics import Interval, ratio_of_means_interval
 from paper_tables import judging
-from paper_tables.judging import (
-    NOTHING,
-    Ruling,
-    Verdict,
-    overall,
-    percent,
-    reduction,
-    ruled,
-    verdicts_of,
-)
-from paper_tables.measures import (
-    Pair,
-    censored,
-    mean_ratio,
-    paired,
-    split_by_work,
-    work,
-)
+from paper_tables.compare_runs import clear, compared
+from paper_tables.judging import Ruling, overall, percent, reduction, ruled, verdicts_of
+from paper_tables.measures import Pair, censored, mean_ratio, paired, split_by_work, work
 from paper_tables.statements import CLAIMS, Claim, PublishedValue
 
 H, F, T, N = Ruling.HOLDS, Ruling.FAILS, Ruling.TOO_FEW, Ruling.INCOMPARABLE
@@ -45,16 +32,16 @@ def rulings(verdicts):
 
 def with_p(p, above=True, claim=HALF):
     nothing = Interval(None, None, None, 0)
-    return Verdict(claim, "x", None, nothing, nothing, p, above)
+    return judging.Verdict(claim, "x", None, nothing, nothing, p, above)
 
 
-@pytest.mark.parametrize(("ratio", "expected"), [(0.3, H), (0.5, H), (0.55, T), (0.7, F), (1.4, F)])
-def test_a_stated_half_is_tested_at_nine_tenths_of_itself(ratio, expected):
+def test_a_stated_half_is_tested_at_nine_tenths_of_itself():
     """45 % less is a ratio of 0.55: below it the claim holds, above it fails, at it is open."""
-    effect = reduction(HALF, "ompl-projected", pairs(ratio))
-    assert rulings([effect]) == [expected]
-    assert effect.paired.estimate == pytest.approx(1.0 - ratio, abs=0.01)
-    assert effect.means.estimate == pytest.approx(1.0 - ratio, abs=0.01)
+    for ratio, expected in {0.3: H, 0.5: H, 0.55: T, 0.7: F, 1.4: F}.items():
+        effect = reduction(HALF, "ompl-projected", pairs(ratio))
+        assert rulings([effect]) == [expected]
+        assert effect.paired.estimate == pytest.approx(1.0 - ratio, abs=0.01)
+        assert effect.means.estimate == pytest.approx(1.0 - ratio, abs=0.01)
 
 
 def test_two_problems_are_too_few_and_so_is_a_wide_spread():
@@ -115,6 +102,7 @@ def test_the_ratio_of_means_is_of_sums_and_seeds_of_a_problem_count_once():
 
 
 def at(planner, k, time, **values):
+    """A row of the place task; a failure where `time` is None."""
     make, time = (a_failure, 10.0) if time is None else (a_row, time)
     return make(f"p{k}", planner, suite="place-task", t_total_s=time, **values)
 
@@ -141,18 +129,17 @@ def test_a_baseline_without_rows_and_runs_that_one_alone_failed_are_told():
 CBIRRT = PublishedValue("I", "place", "ompl-projected", "CBiRRT", "accuracy", "93.65", "%", "")
 
 
-@pytest.mark.parametrize(
-    ("published", "runs", "cases"),
-    [([CBIRRT], 200, {200: H, 194: T, 180: F}), ([], 100, {100: H, 88: T, 60: F})],
-)
-def test_what_is_solved_in_time_is_more_than_the_papers_cbirrt_solves(published, runs, cases):
+def test_what_is_solved_in_time_is_more_than_the_papers_cbirrt_solves():
     """98.42 % to its 93.65 %: test at 97.9 %; alone, at 88.6 %: more, neither or less."""
-    for solved, expected in cases.items():
-        rows = [at("ompl-projected", k, 0.1) for k in range(runs)]
-        rows += [at("opt-cvq-mpt", k, 0.1 if k < solved else None) for k in range(runs)]
-        (share,) = verdicts_of(Claim("solved_in_time", 0.9842), rows, published)
-        assert rulings([share]) == [expected] and share.baseline == NOTHING
-        assert percent(share, share.paired).startswith(str(100 * solved // runs))
+    compared_with_it, alone = ((200, 200, H), (200, 194, T), (200, 180, F)), ((100, 100, H),)
+    alone += ((100, 88, T), (100, 60, F))
+    for published, cases in (([CBIRRT], compared_with_it), ([], alone)):
+        for runs, solved, expected in cases:
+            rows = [at("ompl-projected", k, 0.1) for k in range(runs)]
+            rows += [at("opt-cvq-mpt", k, 0.1 if k < solved else None) for k in range(runs)]
+            (share,) = verdicts_of(Claim("solved_in_time", 0.9842), rows, published)
+            assert rulings([share]) == [expected] and share.baseline == judging.NOTHING
+            assert percent(share, share.paired).startswith(str(100 * solved // runs))
 
 
 def test_statements_name_planners_that_ran_and_reductions_are_signed_changes():
@@ -177,17 +164,14 @@ def run(planner, problem, checks=None, seed=0, solved=True, **values):
     return make(str(problem), planner, seed=seed, **values)
 
 
-@pytest.mark.parametrize(
-    ("rows", "values"),
-    [
+def test_failures_are_infinite():
+    for rows, values in (
         ([run("x", 0, 5), run("x", 1, 7, solved=False), run("x", 2)], [[5.0], [math.inf]]),
         ([run("x", 0), run("x", 1, solved=False)], []),
         ([run("x", 1, solved=False)], [[math.inf]]),
         ([run("x", 0, 5), run("x", 0, 7, seed=1), run("x", 1, 1)], [[5.0, 7.0], [1.0]]),
-    ],
-)
-def test_failures_are_infinite(rows, values):
-    assert censored(rows, work) == values
+    ):
+        assert censored(rows, work) == values
 
 
 def test_ratios_are_geometric_means_over_problems_that_both_solved():
@@ -207,7 +191,7 @@ def names(keys):
     return {problem for _, problem, _ in keys}
 
 
-def test_hard_is_the_top_third_and_ties_are_easy():
+def test_hard_is_the_top_third_by_medians_of_other_seeds_ties_easy_and_failures_hardest():
     split = split_by_work([run("birrt", i, 10 * i) for i in range(9)])
     assert names(split["hard"]) == set("678") and names(split["easy"]) == set("012345")
     assert split["all"] == split["easy"] | split["hard"] and len(split["all"]) == 9
@@ -215,14 +199,59 @@ def test_hard_is_the_top_third_and_ties_are_easy():
     ties = split_by_work([run("birrt", i, 5) for i in range(6)] + [run("birrt", 6)])
     assert ties["hard"] == frozenset() and len(ties["easy"]) == 6
     assert split_by_work([])["all"] == frozenset()
-
-
-def test_hard_goes_by_medians_over_the_other_seeds_and_failures_are_hardest():
-    rows = [run("birrt", 0, w, seed=s) for s, w in enumerate((1, 1000, 2))]
-    rows += [run("birrt", 1, w, seed=s) for s, w in enumerate((9, 10, 11))]
-    rows += [run("birrt", 2, 3, seed=s) for s in range(3)]
+    works = ((1, 1000, 2), (9, 10, 11), (3, 3, 3))
+    rows = [run("birrt", k, works[k][seed], seed=seed) for k, seed in product(range(3), range(3))]
     hard = {(problem, seed) for _, problem, seed in split_by_work(rows)["hard"]}
     # in seed 1 problem 0 took long: by the others it is easy
     assert hard == {("0", 0), ("1", 1), ("0", 2)}
     failing = [run("birrt", 2, 3, seed=s, solved=s == 0) for s in range(3)]
     assert names(split_by_work([*rows[:6], *failing])["hard"]) == {"2"}
+
+
+def twenty(time, solved=range(20), planner="birrt"):
+    """Rows of 20 problems with two seeds."""
+    rows = []
+    for k, seed in product(range(20), (0, 1)):
+        solved_in = {"t_total_s": time * (1 + 0.01 * k), "path_length_rad": 5.0}
+        make, values = (a_row, solved_in) if k in solved else (a_failure, {"t_total_s": 9.0})
+        rows.append(make(f"p{k}", planner, seed=seed, **values))
+    return rows
+
+
+def test_a_change_is_told_with_its_interval_and_equal_numbers_are_no_change():
+    (found,) = compared(twenty(1.0), twenty(0.5))
+    assert found.pairs == 40 and found.changes["time"].estimate == pytest.approx(0.5)
+    assert found.changes["length"].estimate == 0.0 and found.changes["time"].n == 20
+    assert clear([found]) == ["birrt: less time, −50.0 [−50.0, −50.0] %"]
+    assert clear(compared(twenty(1.0), twenty(1.0))) == []
+
+
+def test_runs_of_one_alone_are_counted_and_those_gained_and_lost_are_named():
+    some, but_last = twenty(1.0, range(1, 20)), twenty(1.0, range(19))
+    (found,) = compared(some[:10], [*twenty(0.5)[4:], a_row("p99")])
+    assert found.pairs == 6 and found.left_out == (4, 31) and found.solved[0].estimate == 100.0
+    assert found.changes["time"].estimate == pytest.approx(0.5)
+    (found,) = compared(some, but_last)
+    assert found.gained == (("p0", 0), ("p0", 1)) and found.lost == (("p19", 0), ("p19", 1))
+    assert "birrt: lost 2: problem p19 seed 0, problem p19 seed 1" in clear([found])
+    assert found.changes["time"].n == 18
+
+
+def test_runs_that_do_not_pair_are_refused_by_name():
+    for other, says in (
+        ([a_row("p99")], "no run in common: A has problem p0 seed 0, problem p0 seed 1"),
+        (twenty(1.0, planner="mpnet"), "no planner in common: A has birrt, B has mpnet"),
+        ([a_row(suite="sensor")], "runs of place do not pair with runs of sensor"),
+    ):
+        refused(says, compared, twenty(1.0), other)
+
+
+def test_the_command_compares_two_directories(capsys, tmp_path):
+    folders = [str(tmp_path / name / "place-task") for name in "ab"]
+    for name, time in (("a", 1.0), ("b", 0.5)):
+        (tmp_path / name).mkdir()
+        a_results_folder(tmp_path / name, birrt=time)
+    assert main(["compare", *folders]) == 0
+    out = capsys.readouterr().out
+    assert "birrt: less time, −50.0" in out and "birrt: less work" in out
+    assert main(["compare", str(tmp_path), folders[1]]) == 2

@@ -1,24 +1,32 @@
-"""Tables of results directories: files, LaTeX, the log for OMPL, and seeds that count once."""
+"""Tables and the log for OMPL; the paper's claims, their pages and the html report."""
 
 import json
+import re
 import shutil
 import sqlite3
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import pytest
-from made_rows import a_failure, a_row
+from made_rows import a_failure, a_results_folder, a_row
 from refusals import refused
 
 from cli.main import main
 from cvqmpt_lab.errors import RunStoreError
-from cvqmpt_lab.results.row import write_rows
+from cvqmpt_lab.planners import PLANNERS
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE
+from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
+from paper_tables import pages
+from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.committed import RESULTS
+from paper_tables.judging import Ruling
 from paper_tables.layouts import place_table
+from paper_tables.plots import COLOURS, OURS, line_style
 from paper_tables.statements import read_published
 from paper_tables.suites import render_directory
 from paper_tables.writers import latex_table
@@ -63,11 +71,6 @@ DOCUMENT = (
     r"\documentclass[twocolumn]{article}\usepackage[a4paper,margin=15mm]{geometry}\usepackage{booktabs}"
     "\n\\begin{document}\n%s\n\\end{document}\n"
 )
-
-
-def test_names_are_escaped():
-    escaped = latex_table("", "x", [[["", "", "my_50%_#1"], ["time", "ours", "–∞"]]])
-    assert r"my\_50\%\_\#1" in escaped and escaped.isascii()
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no pdflatex (apt: texlive-latex-recommended)")
@@ -155,6 +158,130 @@ def test_the_same_runs_again_under_other_seeds_make_nothing_surer():
             assert (same.estimate, same.low, same.high) == pytest.approx(bounds), name
 
 
-@pytest.mark.parametrize("rows", [[], [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")]])
-def test_a_table_is_of_one_suite(rows):
-    refused("one suite", place_table, rows, PAPER)
+def test_a_table_is_of_one_suite_and_names_are_escaped():
+    for rows in ([], [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")]):
+        refused("one suite", place_table, rows, PAPER)
+    escaped = latex_table("", "x", [[["", "", "my_50%_#1"], ["time", "ours", "–∞"]]])
+    assert r"my\_50\%\_\#1" in escaped and escaped.isascii()
+
+
+def by_title(results):
+    return {item.claim.title: item for item in judged_claims(evidence_below(results))}
+
+
+def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows():
+    assert pages.stale_pages(pages.committed_pages()) == []
+
+
+def test_the_readme_counts_its_verdicts_between_its_marks():
+    text = pages.README.read_text()
+    part = text.partition("<!-- verdicts: written by cvqmpt claims -->")[2]
+    rows = part.partition("<!-- end of verdicts -->")[0].strip().splitlines()[2:]
+    count = Counter(row.strip("|").split("|")[-1].strip() for row in rows)
+    counted = (
+        f"of {len(rows)}, {count[Ruling.HOLDS]} hold, {count[Ruling.FAILS]} do not, "
+        f"{count[Ruling.INCOMPARABLE]} cannot be compared, {count[Ruling.TOO_FEW]} are not decided"
+    )
+    assert counted in text
+    refused("put them where", pages.with_part, "a README without marks", "verdicts", "")
+
+
+def test_a_claim_holds_against_all_planners_named(tmp_path):
+    """A third of the time of all planners; of all but one; no problem that both solved."""
+    for ompl, mpnet, expected, decided in (
+        (3.0, 3.0, Ruling.HOLDS, "ompl-projected"),
+        (3.0, 1.0, Ruling.FAILS, "mpnet"),
+        (1.0, 3.0, Ruling.FAILS, "ompl-projected"),
+        (3.0, None, Ruling.TOO_FEW, "mpnet"),
+    ):
+        others = {"atlas_rrt": 3.0, "tb_rrt": 3.0, "mpnet": mpnet, "birrt": 0.1}
+        folder = tmp_path / f"{ompl} {mpnet}"
+        folder.mkdir()
+        a_results_folder(folder, opt_cvq_mpt=1.0, ompl_projected=ompl, **others)
+        found = by_title(folder)["twice as fast"]
+        assert found.ruling is expected and found.deciding.baseline == decided
+        assert "birrt" not in {verdict.baseline for verdict in found.verdicts}
+
+
+def test_claims_without_rows_say_so_and_what_cannot_be_compared_too(tmp_path):
+    found = by_title(a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=3.0))
+    for title in ("tasks: plans −45 %", "lower G of codes"):
+        assert found[title].ruling is Ruling.NO_ROWS
+    assert found["fewer vertices"].ruling is found["complete"].ruling is Ruling.INCOMPARABLE
+    assert found["paths 35 % shorter"].ruling is Ruling.FAILS, "all paths are 6 rad"
+
+
+def test_a_small_profile_is_named(tmp_path):
+    others = dict.fromkeys(("ompl_projected", "atlas_rrt", "tb_rrt", "mpnet"), 3.0)
+    results = a_results_folder(tmp_path, opt_cvq_mpt=1.0, **others)
+    path = next(results.glob(f"*/{PROVENANCE_FILE}"))
+    record = json.loads(path.read_text())
+    for profile, ruling in (("small", Ruling.TOO_FEW), ("full", Ruling.HOLDS)):
+        command = ["cvqmpt", "reproduce", "all", "--profile", profile]
+        path.write_text(json.dumps({**record, "command": command}))
+        found = evidence_below(results)
+        assert by_title(results)["twice as fast"].ruling is ruling
+        report = pages.report_html(pages.evidence_of(results))
+        for page in (pages.page_text(found, judged_claims(found), results), report):
+            assert ("--profile small" in page) is (profile == "small")
+
+
+EVIL = "<script>alert(1)</script>$x$"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    times = {"cvq_mpt": 1.0, "opt_cvq_mpt": 0.8, "ompl_projected": 4.0, "birrt": 2.0}
+    folder = a_results_folder(tmp_path_factory.mktemp("results"), **times)
+    path = folder / "place-task" / RUNS_FILE
+    shared = {"suite": "place-task", "t_total_s": 1.0, "path_length_rad": 5.0}
+    rows = [a_row(f"p{k}", EVIL, **shared) for k in range(9)]
+    rows.append(a_failure("p9", EVIL, suite="place-task", detail="</table>&"))
+    write_rows(path, [*read_rows(path), *rows])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(results):
+    turned = {"place-task": {"title": "problem 3", "html": "</script>turned"}}
+    return pages.report_html(pages.evidence_of(results), paths=turned)
+
+
+def test_a_report_holds_all_its_parts_needs_no_network_and_names_are_text(page):
+    texts = "Does the paper hold?", "not comparable", "Solved against time", "Where time goes"
+    assert all(text in page for text in (*texts, "Provenance"))
+    assert page.count("<svg") == 6 and "cvqmpt plan place-task --problem PROBLEM" in page
+    assert 'href="#rows/0/opt-cvq-mpt"' in page, "a number leads to its rows"
+    fetched = re.findall(r'(?:src|href)="([^"]*)"', page) + re.findall(r"url\(([^)]*)\)", page)
+    assert all(target.startswith(("#", "data:")) for target in fetched) and "@import" not in page
+    assert "<script>alert" not in page and "</table>&" not in page and "</script>turned" not in page
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;$x$" in page
+
+
+def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(capsys, results, tmp_path):
+    assert main(["report", str(results / "place-task"), "--out", str(tmp_path / "r.html")]) == 0
+    assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
+    assert main(["report", str(tmp_path)]) == 2
+    assert "holds none; make one with" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here (Debian: apt install chromium)")
+def test_a_browser_reads_it_without_a_message_on_its_console(page, tmp_path):
+    opened = "<script>document.querySelector('.path').open = true;</script></body>"
+    (tmp_path / "r.html").write_text(page.replace("</body>", opened))
+    arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
+    arguments += ["--dump-dom", "--enable-logging=stderr", f"--user-data-dir={tmp_path}"]
+    words = [CHROMIUM, *arguments, (tmp_path / "r.html").as_uri() + "#rows/0/opt-cvq-mpt"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=500, check=True)
+    assert "CONSOLE" not in done.stderr
+    told = "<dialog", "opt-cvq-mpt: rows of place-task"
+    assert all(text in done.stdout for text in told), "the script ran"
+    assert re.search(r'srcdoc="[^"]*turned"', done.stdout), "what is opened shows its page"
+
+
+def test_every_planner_has_a_colour_of_its_own_and_ours_a_thick_line():
+    assert len(set(COLOURS.values())) == len(COLOURS) and set(PLANNERS) <= set(COLOURS)
+    styles = [line_style(name) for name in ("birrt", "birrt improved", OURS, "peer")]
+    assert styles[0]["color"] == styles[1]["color"] != styles[2]["color"]
+    assert styles[2]["linewidth"] > styles[0]["linewidth"] and styles[3] == line_style("peer")

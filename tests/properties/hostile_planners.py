@@ -26,12 +26,15 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search import planner_interface
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 
-HOSTILE = []
+
+def through(problem, q):
+    """A path from the start by way of q."""
+    return np.array([problem.start, q, problem.goals[0]])
 
 
 def beyond(problem):
     """0.4 rad beyond all limits and back, through whatever stands there."""
-    return np.array([problem.start, problem.robot.upper + 0.4, problem.goals[0]])
+    return through(problem, problem.robot.upper + 0.4)
 
 
 def attack(function):
@@ -45,26 +48,30 @@ def attack(function):
     return planner
 
 
-def write(array, change):
-    array.setflags(write=True)
-    array += change
+def write(*changes):
+    """Add a number to each read-only array."""
+    for array, change in changes:
+        array.setflags(write=True)
+        array += change
 
 
-@attack
-def writes_limits(problem):
-    write(problem.robot.lower, -0.5)
-    write(problem.robot.upper, 0.5)
+def patches(owner, **values):
+    """An attack that replaces attributes of a module or class."""
+
+    def function(problem):
+        for name, value in values.items():
+            setattr(owner, name, value)
+
+    return function
 
 
-@attack
-def patches_the_clock(problem):
-    ticks = itertools.count(0, -1000)
-    time.perf_counter = time.monotonic = time.time = lambda: float(next(ticks))
+def raises(error):
+    """An attack that raises an error."""
 
+    def function(problem):
+        raise error
 
-@attack
-def ends_its_process(problem):
-    os._exit(0)
+    return function
 
 
 class Unusual(BaseException):
@@ -72,14 +79,55 @@ class Unusual(BaseException):
         os._exit(3)
 
 
-@attack
-def raises_its_own_base_exception(problem):
-    raise BaseException("neither Exception nor exit")
+class Own:
+    """A distribution that would draw in the process that judges."""
+
+    name = "own"
+
+    def sample(self, rng, count):
+        os._exit(1)
 
 
-@attack
-def goes_ten_million_radians_away(problem):
-    return np.array([problem.start, problem.start + 1e7, problem.goals[0]])
+class Liar:
+    """An answer whose shape is not that of its data."""
+
+    def __array__(self, *arguments, **options):
+        gc.disable()
+        return np.broadcast_to(np.nan, (10**6, 10**6))
+
+
+TICKS = itertools.count(0, -1000)
+BACKWARDS = dict.fromkeys(("perf_counter", "monotonic", "time"), lambda: float(next(TICKS)))
+NO_ROWS = {"residual": lambda self, q: np.zeros((len(q), 0))}
+SHORT = {
+    "writes_limits": lambda problem: write((problem.robot.lower, -0.5), (problem.robot.upper, 0.5)),
+    "patches_the_clock": patches(time, **BACKWARDS),
+    "ends_its_process": lambda problem: os._exit(0),
+    "raises_its_own_base_exception": raises(BaseException("neither Exception nor exit")),
+    "goes_ten_million_radians_away": lambda problem: through(problem, problem.start + 1e7),
+    "replaces_the_scene": lambda problem: object.__setattr__(problem, "scene", Scene("empty", ())),
+    "empties_the_scene": lambda problem: object.__setattr__(problem.scene, "objects", ()),
+    "patches_the_checker": patches(CollisionChecker, in_collision=lambda *_: False),
+    "patches_the_constraint": patches(RegionConstraint, **NO_ROWS),
+    "patches_builtins": patches(builtins, len=lambda *_: 0, max=lambda *_: 0),
+    "raises_keyboard_interrupt": raises(KeyboardInterrupt),
+    "raises_what_cannot_be_printed": raises(Unusual),
+    "is_killed": lambda problem: os.kill(os.getpid(), signal.SIGKILL),
+    "reads_address_zero": lambda problem: ctypes.string_at(0),
+    "asks_for_ten_gigabytes": lambda problem: np.ones(10 * 2**27),
+    "never_leaves_compiled_code": lambda problem: ctypes.PyDLL(None).sleep(600),
+    "closes_all_files": lambda problem: os.closerange(0, 256),
+    "answers_other_bytes": patches(safetensors.numpy, save=lambda arrays: pickle.dumps(print)),
+    "answers_two_gigabytes": patches(safetensors.numpy, save=lambda arrays: bytes(2**31)),
+    "returns_a_million_states": lambda problem: np.linspace(*beyond(problem)[[0, 2]], 1_000_000),
+    "returns_what_lies_about_its_shape": lambda problem: Liar(),
+    "proposes_code": lambda problem: Proposal(Own()),
+    "proposes_wrong_shapes": lambda problem: Proposal(Uniform(np.zeros(3), np.ones(4))),
+}
+HOSTILE = []
+for name, function in SHORT.items():
+    function.__name__ = name
+    globals()[name] = attack(function)
 
 
 @attack
@@ -93,19 +141,9 @@ def leaves_busy_threads(problem):
 
 
 @attack
-def replaces_the_scene(problem):
-    object.__setattr__(problem, "scene", Scene("empty", ()))
-
-
-@attack
-def empties_the_scene(problem):
-    object.__setattr__(problem.scene, "objects", ())
-
-
-@attack
 def writes_the_kinematics(problem):
-    write(problem.robot.kinematics.rotation, 0.1)
-    write(problem.robot.kinematics.translation, 0.1)
+    kinematics = problem.robot.kinematics
+    write((kinematics.rotation, 0.1), (kinematics.translation, 0.1))
 
 
 @attack
@@ -124,24 +162,9 @@ def patches_the_certificate(problem):
 
 
 @attack
-def patches_the_checker(problem):
-    CollisionChecker.in_collision = lambda *_: False
-
-
-@attack
-def patches_the_constraint(problem):
-    RegionConstraint.residual = lambda self, q: np.zeros((len(q), 0))
-
-
-@attack
 def patches_numpy(problem):
     np.linalg.norm = lambda *_, **__: 0.0
     np.diff = np.abs = lambda *_, **__: np.zeros(1)
-
-
-@attack
-def patches_builtins(problem):
-    builtins.len = builtins.max = lambda *_: 0
 
 
 @attack
@@ -156,45 +179,10 @@ def patches_the_planner_interface(problem):
 
 
 @attack
-def raises_keyboard_interrupt(problem):
-    raise KeyboardInterrupt
-
-
-@attack
-def raises_what_cannot_be_printed(problem):
-    raise Unusual
-
-
-@attack
-def is_killed(problem):
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-@attack
-def reads_address_zero(problem):
-    ctypes.string_at(0)
-
-
-@attack
-def asks_for_ten_gigabytes(problem):
-    return np.ones(10 * 2**27)
-
-
-@attack
 def never_ends_and_catches_everything(problem):
     while True:
         with contextlib.suppress(BaseException):
             time.sleep(100.0)
-
-
-@attack
-def never_leaves_compiled_code(problem):
-    ctypes.PyDLL(None).sleep(600)
-
-
-@attack
-def closes_all_files(problem):
-    os.closerange(0, 256)
 
 
 @attack
@@ -205,54 +193,10 @@ def writes_to_its_connections(problem):
 
 
 @attack
-def answers_other_bytes(problem):
-    safetensors.numpy.save = lambda arrays: pickle.dumps(print)
-
-
-@attack
-def answers_two_gigabytes(problem):
-    safetensors.numpy.save = lambda arrays: bytes(2**31)
-
-
-@attack
-def returns_a_million_states(problem):
-    return np.linspace(problem.start, problem.goals[0], 1_000_000)
-
-
-@attack
-def returns_what_lies_about_its_shape(problem):
-    class Liar:
-        def __array__(self, *arguments, **options):
-            gc.disable()
-            return np.broadcast_to(np.nan, (10**6, 10**6))
-
-    return Liar()
-
-
-class Own:
-    """A distribution that would draw in the process that judges."""
-
-    name = "own"
-
-    def sample(self, rng, count):
-        os._exit(1)
-
-
-@attack
-def proposes_code(problem):
-    return Proposal(Own())
-
-
-@attack
 def proposes_no_numbers(problem):
     mixture = GaussianMixture(np.zeros((1, 7)), np.eye(7)[None], np.ones(1))
     mixture.means[:] = np.nan
     return Proposal(mixture)
-
-
-@attack
-def proposes_wrong_shapes(problem):
-    return Proposal(Uniform(np.zeros(3), np.ones(4)))
 
 
 @attack

@@ -23,18 +23,12 @@ def random_urdf(seed):
     parts = ['<robot name="random">', link("base", rng)]
     for k in range(joints):
         parent = "base" if k == 0 else f"link{k}"
-        parts += [
-            link(f"link{k + 1}", rng),
-            moving_joint(f"joint{k + 1}", parent, f"link{k + 1}", rng),
-        ]
+        child = f"link{k + 1}"
+        parts += [link(child, rng), moving_joint(f"joint{k + 1}", parent, child, rng)]
         if rng.random() < 0.15:  # a branch, which planning holds still
             parts += [link(f"side{k}", rng), moving_joint(f"turn{k}", parent, f"side{k}", rng)]
-    parts += [
-        '<link name="tool"/>',
-        joint("mount", "fixed", f"link{joints}", "tool", origin(rng, 0.1)),
-    ]
-    parts += ["</robot>"]
-    return "\n".join(parts).encode()
+    mount = joint("mount", "fixed", f"link{joints}", "tool", origin(rng, 0.1))
+    return "\n".join([*parts, '<link name="tool"/>', mount, "</robot>"]).encode()
 
 
 def link(name, rng):
@@ -53,10 +47,7 @@ def link(name, rng):
 def moving_joint(name, parent, child, rng):
     slides = rng.random() < 0.3
     kind = "prismatic" if slides else rng.choice(["revolute", "revolute", "continuous"])
-    low, high = np.sort(rng.uniform(-0.6, 0.6, 2) if slides else rng.uniform(-3.1, 3.1, 2)) + [
-        -0.05,
-        0.05,
-    ]
+    low, high = np.sort(rng.uniform(-1.0, 1.0, 2) * (0.6 if slides else 3.1)) + [-0.05, 0.05]
     axis = f'<axis xyz="{" ".join(map(str, direction(rng)))}"/>'
     limit = f'<limit lower="{low}" upper="{high}" effort="1" velocity="1"/>'
     return joint(name, kind, parent, child, origin(rng, 0.35) + axis + limit)
@@ -89,10 +80,8 @@ def arm(number):
 def problem_around(seed):
     """A random arm in a random scene, start and goal in one region; None if blocked."""
     rng = np.random.default_rng(seed)
-    robot, scene = (
-        arm(seed % ARMS),
-        random_scene(seed % 1000, n_cubes=int(rng.integers(4)), n_spheres=2),
-    )
+    robot, cubes = arm(seed % ARMS), int(rng.integers(4))
+    scene = random_scene(seed % 1000, n_cubes=cubes, n_spheres=2)
     start = robot.random_configurations(rng, 1)[0]
     halves = rng.choice(WIDTHS[2:], 6)
     region = TaskSpaceRegion(robot.pose(start), np.eye(4), np.stack([-halves, halves], axis=1))

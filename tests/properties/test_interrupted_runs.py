@@ -40,11 +40,7 @@ class Command(NamedTuple):
 
 
 def shards(out):
-    return [path.read_bytes() for path in shard_files(out)]
-
-
-def kept_shards(out):
-    return {path.name for path in shard_files(out)}
+    return {path.name: path.read_bytes() for path in shard_files(out)}
 
 
 def curves(out):
@@ -59,20 +55,19 @@ def trained(out):
     return [path.read_bytes() for path in sorted(out.glob("model/*.safetensors"))], curves(out)
 
 
+def reproduce(folder):
+    options = "--problems 3 --planners birrt --iterations 300 --jobs 2"
+    words = ("reproduce", "place-task", *options.split())
+    return Command(words, untimed_rows, lambda out: set(), run_here)
+
+
 def untimed_rows(out):
     return [*map(untimed, read_rows(out / RUNS_FILE))]
 
 
-def reproduce(folder):
-    options = "--problems 3 --planners birrt --iterations 300 --jobs 2"
-    return Command(
-        ("reproduce", "place-task", *options.split()), untimed_rows, lambda out: set(), run_here
-    )
-
-
 def generate(folder):
     options = "--scenes 48 --paths-per-scene 1 --family table --jobs 2"
-    return Command(("data", "generate", *options.split()), shards, kept_shards)
+    return Command(("data", "generate", *options.split()), shards, lambda out: {*shards(out)})
 
 
 def train(folder):
@@ -80,9 +75,8 @@ def train(folder):
     from cvqmpt_lab.training.profiles import profile_named  # imports torch
 
     smoke, data, config = profile_named("smoke"), folder / "data", folder / "profile.json"
-    stage1 = replace(
-        smoke.stage1, epochs=12, batches_per_epoch=5, restart_every=7, restart_epochs=9
-    )
+    few = {"epochs": 12, "batches_per_epoch": 5, "restart_every": 7, "restart_epochs": 9}
+    stage1 = replace(smoke.stage1, **few)
     run((*generate(folder).words, "--out", data))
     config.write_text(json.dumps(to_plain(replace(smoke, stage1=stage1), complete=True)))
     words = ("train", "stage1", "--config", config, "--data", data, "--device", "cpu")
@@ -91,19 +85,18 @@ def train(folder):
 
 def broken_off(what, command, ci, long):
     promise = f"{what} survives a full disk, kill -9 and a second run in its folder"
-    return pytest.param(
-        command, marks=pytest.mark.promise(promise, "rounds", ci=ci, long=long), id=what
-    )
+    mark = pytest.mark.promise(promise, "rounds", ci=ci, long=long)
+    return pytest.param(command, marks=mark, id=what)
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        broken_off("a reproduction", reproduce, ci=1, long=20),
-        broken_off("data generation", generate, ci=0, long=20),
-        broken_off("a training", train, ci=0, long=15),
-    ],
+COMMANDS = (
+    broken_off("a reproduction", reproduce, ci=1, long=20),
+    broken_off("data generation", generate, ci=0, long=20),
+    broken_off("a training", train, ci=0, long=15),
 )
+
+
+@pytest.mark.parametrize("command", COMMANDS)
 def test_the_same_command_completes_it(command, tmp_path, trials):
     command, whole, rng = command(tmp_path), tmp_path / "whole", np.random.default_rng(0)
     began = time.monotonic()

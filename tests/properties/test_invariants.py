@@ -39,9 +39,7 @@ seeds = st.integers(0, 2**32 - 1)
 arms = st.integers(0, ARMS - 1).map(arm)
 metres = st.floats(-2.0, 2.0)
 angles = st.floats(-np.pi, np.pi)
-placements = st.builds(
-    Placement, st.tuples(metres, metres, metres), st.tuples(angles, angles, angles)
-)
+placements = st.builds(Placement, st.tuples(*[metres] * 3), st.tuples(*[angles] * 3))
 half_widths = st.tuples(*[st.sampled_from(WIDTHS)] * 6).map(np.array)
 bounds = half_widths.map(lambda halves: np.stack([-halves, halves], axis=1))
 frames = placements.map(lambda placement: placement.matrix)
@@ -49,9 +47,8 @@ tilts = st.sampled_from([None, 0.0, 2e-4, 0.3, 2.0, 3.15])
 # wide, narrow, a single value or no bound
 regions = st.builds(TaskSpaceRegion, frames, frames, bounds, tilt=tilts)
 shorts = st.sampled_from([1e-4, 1e-3, 0.01, 0.1])
-latents = arrays(
-    float, st.integers(1, 4).map(lambda count: (count, 8)), elements=st.floats(-1e3, 1e3)
-)
+shapes = st.integers(1, 4).map(lambda count: (count, 8))
+latents = arrays(float, shapes, elements=st.floats(-1e3, 1e3))
 
 
 @pytest.mark.promise("poses compose and invert", "cases")
@@ -62,9 +59,8 @@ def test_poses(one, other, robot, seed):
     inverse = np.eye(4)
     inverse[:3, :3], inverse[:3, 3] = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
     np.testing.assert_allclose(T @ inverse, np.eye(4), atol=1e-11)
-    np.testing.assert_allclose(
-        np.linalg.inv(other.matrix) @ np.linalg.inv(one.matrix), inverse, atol=1e-11
-    )
+    inverses = np.linalg.inv(other.matrix) @ np.linalg.inv(one.matrix)
+    np.testing.assert_allclose(inverses, inverse, atol=1e-11)
     q = robot.random_configurations(np.random.default_rng(seed), 1)[0]
     hand = TaskSpaceRegion(robot.pose(q) @ np.linalg.inv(one.matrix), one.matrix, np.zeros((6, 2)))
     assert np.abs(RegionConstraint(robot, (hand,)).residual(q)).max() < 1e-9
@@ -87,9 +83,8 @@ def slopes_agree(manifold, q, direction):
     ahead, behind = (manifold.residual(q + side * STEP * direction) for side in (1.0, -1.0))
     slopes = (ahead - residual) / STEP, (residual - behind) / STEP
     smooth = np.abs(slopes[0] - slopes[1]) < 1e-3 * (1.0 + np.abs(slopes[0]))
-    np.testing.assert_allclose(
-        (jacobian @ direction)[smooth], slopes[0][smooth], rtol=1e-3, atol=1e-3
-    )
+    found = (jacobian @ direction)[smooth]
+    np.testing.assert_allclose(found, slopes[0][smooth], rtol=1e-3, atol=1e-3)
     assert 2 * smooth.sum() >= len(smooth) and np.isfinite(jacobian).all()
 
 
@@ -109,15 +104,13 @@ def test_jacobian_near_half_a_turn(robot, short, in_chain, seed):
     q, direction = robot.random_configurations(rng, 1)[0], rng.standard_normal(robot.dof)
     axis = rng.standard_normal(3)
     turned = robot.pose(q)
-    turned[:3, :3] @= (
-        Rotation.from_rotvec((np.pi - short) * axis / np.linalg.norm(axis)).as_matrix().T
-    )
+    turn = Rotation.from_rotvec((np.pi - short) * axis / np.linalg.norm(axis))
+    turned[:3, :3] @= turn.as_matrix().T
     Bw = np.array([[-FREE, FREE]] * 3 + [[-0.1, 0.1]] * 3)
     region = TaskSpaceRegion(turned, np.eye(4), Bw)
     if in_chain:
-        region = TaskSpaceRegionChain(
-            np.linalg.inv(robot.pose(q, "link1")) @ turned, np.eye(4), Bw, "link1"
-        )
+        in_link = np.linalg.inv(robot.pose(q, "link1")) @ turned
+        region = TaskSpaceRegionChain(in_link, np.eye(4), Bw, "link1")
     slopes_agree(RegionConstraint(robot, (region,)), q, direction / np.linalg.norm(direction))
 
 
@@ -132,10 +125,7 @@ def decoder():
 def test_decoder(z):
     width, decode = decoder()
     gaussians = decode.decode(np.resize(z, (len(z), width)))
-    assert (
-        np.isfinite(gaussians.mean).all()
-        and ((gaussians.mean >= 0.0) & (gaussians.mean <= 1.0)).all()
-    )
+    assert ((gaussians.mean >= 0.0) & (gaussians.mean <= 1.0)).all()  # no NaN either
     assert (np.linalg.eigvalsh(gaussians.covariance)[:, 0] > 0.0).all()
 
 
@@ -168,25 +158,16 @@ def test_mixture(seed, k, n, share):
 def test_json(seed, region, placement):
     """Every json value, or part of one, survives write, read and write again unchanged."""
     scene, robot = random_scene(seed % 1000, n_cubes=2, n_spheres=2), panda()
-    for value in (
-        region,
-        placement,
-        scene,
-        *scene.objects,
-        *(item.shape for item in scene.objects),
-    ):
+    shapes = [item.shape for item in scene.objects]
+    for value in (region, placement, scene, *scene.objects, *shapes):
         read = from_plain(type(value), json.loads(json.dumps(to_plain(value), allow_nan=False)))
         assert read == value
         text = json.dumps(to_plain(read))  # of a value as read, in which -0.0 is 0.0
         assert json.dumps(to_plain(from_plain(type(value), json.loads(text)))) == text
     start = robot.random_configurations(np.random.default_rng(seed), 1)[0]
-    problem = PlanningProblem(
-        "drawn", robot, scene, start, constraint=(region,), goal_region=region
-    )
-    assert (
-        PlanningProblem.from_dict(json.loads(json.dumps(problem.to_dict()))).to_dict()
-        == problem.to_dict()
-    )
+    regions = {"constraint": (region,), "goal_region": region}
+    data = PlanningProblem("drawn", robot, scene, start, **regions).to_dict()
+    assert PlanningProblem.from_dict(json.loads(json.dumps(data))).to_dict() == data
 
 
 @pytest.mark.promise("trees are acyclic, of free nodes on the manifold", "cases")
@@ -204,13 +185,10 @@ def test_trees(seed):
         assert (tree.parent[children] < children).all() and (tree.parent >= -1).all()
         steps = np.linalg.norm(tree.nodes[children] - tree.nodes[tree.parent[children]], axis=1)
         kept = np.abs(tree.nodes).max(axis=1) < 1e5  # removed ones are put far away
-        assert (
-            steps[kept[children] & kept[tree.parent[children]]] <= 2.0 * search.step + 1e-9
-        ).all()
-        assert not checker.in_collision_batch(tree.nodes[kept]).any()
-        assert (
-            np.linalg.norm(problem.manifold.residual(tree.nodes[kept]), axis=1) <= TOLERANCE
-        ).all()
+        both, nodes = kept[children] & kept[tree.parent[children]], tree.nodes[kept]
+        assert (steps[both] <= 2.0 * search.step + 1e-9).all()
+        assert not checker.in_collision_batch(nodes).any()
+        assert (np.linalg.norm(problem.manifold.residual(nodes), axis=1) <= TOLERANCE).all()
 
 
 @pytest.mark.promise("paths begin and end where they should, certified", "cases")

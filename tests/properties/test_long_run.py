@@ -23,12 +23,8 @@ TESTS = Path(__file__).resolve().parents[1]
 )
 def test_memory_and_time_of_a_long_run(trials):
     code = f"from properties.test_long_run import live; live({trials})"
-    words = [
-        sys.executable,
-        "-c",
-        f"import sys; sys.path[:0] = {[*map(str, (TESTS, TESTS.parent))]}; {code}",
-    ]
-    done = subprocess.run(words, capture_output=True, text=True)
+    code = f"import sys; sys.path[:0] = {[*map(str, (TESTS, TESTS.parent))]}; {code}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0 and done.stderr == "", done.stderr[-400:]
     growth, objects, slowdown = json.loads(done.stdout)
     assert growth < GROWTH and objects < OBJECTS * trials and slowdown < SLOWER
@@ -43,9 +39,7 @@ def live(plans):
     from cvqmpt_lab.planners import PLANNERS
     from cvqmpt_lab.search.result import Budget
 
-    problems = [
-        with_sampled_goals(problem)[0] for problem, _, _ in islice(tuning_problems(3, 1), 3)
-    ]
+    problems = [with_sampled_goals(problem)[0] for problem, *_ in islice(tuning_problems(3, 1), 3)]
     work = [(planner, problem) for problem in problems for planner in PLANNERS]
     warm, seconds = max(int(WARM * plans), 2 * len(PLANNERS)), np.empty(plans)
     for k in range(plans):

@@ -72,9 +72,8 @@ def test_obstacles_on_a_path(trials):
             T = np.eye(4)
             T[:3, :3] = Rotation.random(random_state=rng).as_matrix()
             T[:3, 3] = point_inside(problem.robot, q, rng) - T[:3, :3] @ point
-            hit = replace(
-                problem, scene=Scene("hit", (SceneObject("hit", shape, T),)), attachments=(CAN,)
-            )
+            scene = Scene("hit", (SceneObject("hit", shape, T),))
+            hit = replace(problem, scene=scene, attachments=(CAN,))
             faults = certify(hit, JointPath(states[k : k + 2]), clearance=False).faults
             seen = {
                 "kernels": not ConstrainedSpace(hit).valid(q),

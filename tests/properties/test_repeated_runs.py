@@ -33,26 +33,21 @@ def rows_of(out, suite, problems, planners, iterations, run=run, jobs=1, **envir
 
 
 def repeated(what, suite, planners, iterations, ci, long):
-    mark = pytest.mark.promise(
-        "rows repeat: in two workers, three threads, with another hash seed",
-        "problems",
-        ci=ci,
-        long=long,
-    )
+    promise = "rows repeat: in two workers, three threads, with another hash seed"
+    mark = pytest.mark.promise(promise, "problems", ci=ci, long=long)
     return pytest.param(suite, planners, iterations, marks=mark, id=what)
 
 
-# here, and in a process of two workers, more threads and another hash seed
-@pytest.mark.parametrize(
-    ("suite", "planners", "iterations"),
-    [
-        repeated("four planners", "place-task", SOME, 300, ci=1, long=12),
-        repeated(
-            "all planners and controls", "place-task", (*PLANNERS, *CONTROLS), 3000, ci=0, long=8
-        ),
-        repeated("tasks of several phases", "multi-sequence", tuple(PLANNERS), 3000, ci=0, long=1),
-    ],
+EVERY = (*PLANNERS, *CONTROLS)
+CASES = (
+    repeated("four planners", "place-task", SOME, 300, ci=1, long=12),
+    repeated("all planners and controls", "place-task", EVERY, 3000, ci=0, long=8),
+    repeated("tasks of several phases", "multi-sequence", tuple(PLANNERS), 3000, ci=0, long=1),
 )
+
+
+# here, and in a process of two workers, more threads and another hash seed
+@pytest.mark.parametrize(("suite", "planners", "iterations"), CASES)
 def test_rows_repeat(suite, planners, iterations, tmp_path, trials):
     how = (suite, trials, planners, iterations)
     one = rows_of(tmp_path / "one", *how, run=run_here)

@@ -32,6 +32,7 @@ LEAST = 1e-6  # [m]
 MOTIONS, OBSTACLES = 5, 4  # tried for a case
 PLANNED, STRETCH = 20, 4  # of so many cases, one is so many states of a planned path
 BUDGET = Budget(iterations=300)  # to plan it
+PROMISE = "what is certified overlaps by 0.1 mm at most, by the files' triangles"
 JUDGED = 0.8  # share of cases in which there must be something to judge
 DRAWN = 200  # configurations, of which one with two links near each other is chosen
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)  # [rad or m] by which those that follow differ from it
@@ -51,25 +52,17 @@ class Given(NamedTuple):
 @cache
 def given_arm(name, folder):
     """An arm by its name, or a random one by its number."""
-    source = {"urdf": f"arm_{name}.urdf", "end_effector": "tool", "srdf": None}
+    source = {"urdf": str(folder / f"arm_{name}.urdf"), "end_effector": "tool", "srdf": None}
     if name in ARMS:
         named, robots = ARMS[name], example_robots()
-        srdf = named.srdf and str(robots / named.srdf)
-        source = {
-            "urdf": str(robots / named.urdf),
-            "end_effector": named.end_effector,
-            "srdf": srdf,
-        }
-        source["locked"] = dict(named.locked)
+        files = {"urdf": str(robots / named.urdf), "srdf": named.srdf and str(robots / named.srdf)}
+        source = files | {"end_effector": named.end_effector, "locked": dict(named.locked)}
     else:
-        source["urdf"] = str(folder / source["urdf"])
         (folder / source["urdf"]).write_bytes(random_urdf(name))
     robot = robot_from_source(source)
-    left_out = robot.left_out_pairs
-    always = tuple(
-        (pair.first, pair.second) for pair in left_out if pair.reason.startswith(OVERLAP)
-    )
-    unseen = {frozenset((pair.first, pair.second)) for pair in left_out}
+    out = [(pair.first, pair.second, pair.reason) for pair in robot.left_out_pairs]
+    always = tuple((first, second) for first, second, why in out if why.startswith(OVERLAP))
+    unseen = {frozenset((first, second)) for first, second, _ in out}
     checker = CollisionChecker(robot, Scene("empty", ()))
     return Given(source, robot, checker, Arm(source, folder), always, unseen)
 
@@ -109,9 +102,8 @@ def concave(rng, folder):
     a, b, c = rng.uniform(0.05, 0.3, 3)
     if rng.random() < 0.7:
         outline = np.array([(0.0, 0.0), (a, 0.0), (a, 0.02), (0.02, 0.02), (0.02, b), (0.0, b)])
-        mesh = trimesh.creation.extrude_triangulation(
-            outline, [(0, k, k + 1) for k in range(1, 5)], c
-        )
+        faces = [(0, k, k + 1) for k in range(1, 5)]
+        mesh = trimesh.creation.extrude_triangulation(outline, faces, c)
     path = folder / f"{rng.integers(1 << 30)}.stl"
     mesh.export(path)
     return path
@@ -140,12 +132,10 @@ def near_each_other(given, rng):
     pair = pairs[rng.integers(len(pairs))]
     for spread in SPREADS:
         order = gaps(*pair, given.arm.poses(states), 40).argsort()[:40]
-        nearest = next(
-            (q for q in states[order] if not given.checker.in_collision(q)), states[order[0]]
-        )
-        states = np.clip(
-            nearest + spread * rng.standard_normal(states.shape), robot.lower, robot.upper
-        )
+        free_ones = (q for q in states[order] if not given.checker.in_collision(q))
+        nearest = next(free_ones, states[order[0]])
+        around = nearest + spread * rng.standard_normal(states.shape)
+        states = np.clip(around, robot.lower, robot.upper)
         states[0] = nearest
     return nearest
 
@@ -171,9 +161,8 @@ def short_motion(given, held, rng):
     speeds = given.arm.speeds([*given.arm.bodies, *held], drawn[None])
     change *= rng.uniform(*WAY) / max(speeds @ np.abs(change), LEAST)
     share = rng.random()
-    ends = np.clip(
-        [drawn - share * change, drawn + (1.0 - share) * change], robot.lower, robot.upper
-    )
+    ends = [drawn - share * change, drawn + (1.0 - share) * change]
+    ends = np.clip(ends, robot.lower, robot.upper)
     return np.linspace(*ends, 2 + int(np.linalg.norm(ends[1] - ends[0]) / 0.1)), drawn
 
 
@@ -181,9 +170,8 @@ def attachment(rng, folder):
     """An object in the hand or in front of it."""
     made, T = shape(rng, folder, carried=True), np.eye(4)
     T[:3, :3] = Rotation.random(random_state=rng).as_matrix()
-    lowest = furthest(
-        body_of({"name": "", "shape": made}, WORLD, T, folder), np.array([0.0, 0.0, -1.0])
-    )
+    body = body_of({"name": "", "shape": made}, WORLD, T, folder)
+    lowest = furthest(body, np.array([0.0, 0.0, -1.0]))
     T[:3, 3] = (0.0, 0.0, rng.uniform(-0.02, 0.15)) - lowest
     return {"name": "carried", "shape": made, "T_hand_object": T.tolist()}
 
@@ -206,25 +194,16 @@ def obstacle(given, held, q, rng, folder):
     T[:3, :3] = (Rotation.from_rotvec(rng.uniform(-np.pi, np.pi) * direction) * turn).as_matrix()
     gap = rng.choice([-1.0, 1.0, 1.0]) * 10.0 ** rng.uniform(-4.0, -2.0)
     T[:3, 3] = contact + gap * direction - T[:3, :3] @ point
-    return {
-        "name": f"obstacle_{rng.integers(1 << 30)}",
-        "shape": made,
-        "T_world_object": T.tolist(),
-    }
+    name = f"obstacle_{rng.integers(1 << 30)}"
+    return {"name": name, "shape": made, "T_world_object": T.tolist()}
 
 
 def problem_of(path, given, objects, attachments, states):
     """The problem of a motion, written to a file and read from it."""
     scene = {"name": "made", "objects": objects}
+    data = {"schema": PlanningProblem.SCHEMA, "name": "made", "robot": given.source}
     ends = {"start": states[0].tolist(), "goals": [states[-1].tolist()]}
-    data = {
-        "schema": PlanningProblem.SCHEMA,
-        "name": "made",
-        "robot": given.source,
-        "scene": scene,
-        **ends,
-    }
-    path.write_text(json.dumps({**data, "attachments": attachments}))
+    path.write_text(json.dumps({**data, "scene": scene, **ends, "attachments": attachments}))
     return PlanningProblem.load(path)
 
 
@@ -252,10 +231,8 @@ def judged(name, number, folder):
     rng = np.random.default_rng([number, *name.encode()])
     given, path = arm_of(name, number, folder), folder / "problem.json"
     for _ in range(MOTIONS):
-        attachments, (hand, T) = (
-            [attachment(rng, folder)] if rng.random() < 0.4 else [],
-            given.arm.hand,
-        )
+        attachments = [attachment(rng, folder)] if rng.random() < 0.4 else []
+        hand, T = given.arm.hand
         held = [body_of(x, hand, T @ np.array(x["T_hand_object"]), folder) for x in attachments]
         states, drawn = short_motion(given, held, rng)
         problem, objects = problem_of(path, given, [], attachments, states), []
@@ -276,44 +253,31 @@ def judged(name, number, folder):
 
 
 @pytest.mark.parametrize("name", ["panda", "ur5", "xarm7", "tiago", "random"])
-@pytest.mark.promise(
-    "what is certified overlaps by 0.1 mm at most, by the files' triangles",
-    "cases",
-    ci=6,
-    long=2000,
-)
+@pytest.mark.promise(PROMISE, "cases", ci=6, long=2000)
 def test_certified_motions(name, trials, tmp_path):
     verdicts = {number: judged(name, number, tmp_path) for number in range(trials)}
     found = {number: verdict for number, verdict in verdicts.items() if verdict is not None}
-    excused = {
-        pair for number in range(RANDOM_ARMS) for pair in arm_of(name, number, tmp_path).always
-    }
+    arms = (arm_of(name, number, tmp_path) for number in range(RANDOM_ARMS))
+    excused = {pair for one in arms for pair in one.always}
     counts = name, len(found), trials, sorted(excused)
     log.info("%s: %d of %d cases certified, links not compared: %s", *counts)
     assert {number: verdict for number, verdict in found.items() if verdict.depth > ALLOWED} == {}
     assert len(found) >= JUDGED * trials
 
 
-@pytest.mark.parametrize(
-    "size",
-    [
-        {"type": "box", "size": [0.02, 0.03, 0.04]},
-        {"type": "cylinder", "radius": 0.01, "height": 0.02},
-        {"type": "sphere", "radius": 3.0},  # around the whole arm
-        {
-            "type": "convex_mesh",
-            "vertices": (0.02 * (np.indices((2, 2, 2)).reshape(3, 8).T - 0.5)).tolist(),
-        },
-        {"type": "point_cloud", "points": [[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], "radius": 0.01},
-        {
-            "type": "occupancy_map",
-            "cells": [[0, 0, 0], [-1, -1, -1]],
-            "resolution": 0.01,
-            "padding": 0.01,
-        },
-    ],
-    ids=lambda size: size["type"],
+CUBE = (0.02 * (np.indices((2, 2, 2)).reshape(3, 8).T - 0.5)).tolist()
+CELLS = {"cells": [[0, 0, 0], [-1, -1, -1]], "resolution": 0.01, "padding": 0.01}
+AROUND = (
+    {"type": "box", "size": [0.02, 0.03, 0.04]},
+    {"type": "cylinder", "radius": 0.01, "height": 0.02},
+    {"type": "sphere", "radius": 3.0},  # around the whole arm
+    {"type": "convex_mesh", "vertices": CUBE},
+    {"type": "point_cloud", "points": [[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], "radius": 0.01},
+    {"type": "occupancy_map", **CELLS},
 )
+
+
+@pytest.mark.parametrize("size", AROUND, ids=lambda size: size["type"])
 def test_judge_sees_what_a_corner_of_a_link_is_in(size, tmp_path):
     """An object 5 mm deep or more is found; without it there is no overlap."""
     given, rng = given_arm("panda", tmp_path), np.random.default_rng(0)

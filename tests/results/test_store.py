@@ -1,4 +1,4 @@
-"""A run's directory holds its rows and their paths after any interruption; damage is named."""
+"""Rows, and a run's directory, which holds them and their paths after any interruption."""
 
 import json
 import os
@@ -8,9 +8,9 @@ import pytest
 from made_rows import CONFIGURATION, a_failure, a_row, names
 from refusals import refused
 
-from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, provenance
-from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
+from cvqmpt_lab.results.row import COLUMNS, RUNS_FILE, one_line, read_rows, write_rows
 from cvqmpt_lab.results.store import (
     PARTIAL_FILE,
     PARTIAL_PATHS,
@@ -50,25 +50,23 @@ def killed_after(folder, *runs):
 
 @pytest.fixture
 def store(tmp_path):
-    with opened(tmp_path) as store:
+    folder = tmp_path / "store"
+    with opened(folder) as store:
         store.append([row(1)], [path(1)])
         store.append([row(2), row(3)], [path(2), path(3)])
-    return tmp_path
+    return folder
 
 
-def test_store_writes_rows_and_provenance(tmp_path):
+def test_store_writes_rows_provenance_and_what_was_hashed_bit_for_bit(tmp_path, store):
     directory = tmp_path / "deep" / "runs"
-    with opened(directory, command=("a", "b")) as store:
-        store.append([a_row("p2")])
-        store.append([a_failure("p1")])
-        assert store.done() == {("place", "p1", "birrt", 0, "compiled"), a_row("p2").key}
+    with opened(directory, command=("a", "b")) as other:
+        other.append([a_row("p2")])
+        other.append([a_failure("p1")])
+        assert other.done() == {("place", "p1", "birrt", 0, "compiled"), a_row("p2").key}
     assert names(directory) == ["provenance.json", RUNS_FILE]
     assert [row.problem for row in read_rows(directory / RUNS_FILE)] == ["p1", "p2"]
     record = json.loads((directory / "provenance.json").read_text())
     assert record["configuration"] == CONFIGURATION and record["command"] == ["a", "b"]
-
-
-def test_what_was_hashed_comes_back_bit_for_bit(store):
     assert names(store) == [PATHS_FILE, "provenance.json", RUNS_FILE]
     kept = stored_paths(store)
     assert set(kept) == {row.path_sha256 for row in read_rows(store / RUNS_FILE)} and len(kept) == 3
@@ -186,18 +184,78 @@ def test_provenance_names_versions_machine_and_seeds():
     assert record["cpu_count"] >= 1 and record["date_utc"].endswith("+00:00")
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
+def test_a_record_that_is_not_one_is_refused_by_field(tmp_path):
+    file = ProvenanceFile(tmp_path)
+    file.create({"cutoff_s": 10.0}, provenance(["cvqmpt"], [0], {"mpnet": "abc"}))
+    good = file.read()
+    for changes, words in (
         ({"continued": 3}, "continued is 3"),
         ({"continued": [None]}, r"continued\[0\] is None"),
         ({"git_commit": 7}, "git_commit is 7"),
         ({"weights": {"mpnet": None}}, "weights.mpnet is None"),
         ({"configuration": {"cutoff_s": "10"}}, "cutoff_s is '10'"),
-    ],
-)
-def test_a_record_that_is_not_one_is_refused_by_field(tmp_path, changes, words):
-    file = ProvenanceFile(tmp_path)
-    file.create({"cutoff_s": 10.0}, provenance(["cvqmpt"], [0], {"mpnet": "abc"}))
-    file.path.write_text(json.dumps(file.read() | changes))
-    refused(rf"provenance.json: {words}", file.read)
+    ):
+        file.path.write_text(json.dumps(good | changes))
+        refused(rf"provenance.json: {words}", file.read)
+
+
+def test_files_from_before_the_last_columns_are_read(tmp_path):
+    path, row = tmp_path / "rows.csv", a_row(t_total_s=1.5, path_sha256="0" * 64)
+    for gone in (1, len(COLUMNS) - COLUMNS.index("t_sense_s")):
+        write_rows(path, [row])
+        lines = path.read_text().splitlines()
+        path.write_text("".join(",".join(line.split(",")[:-gone]) + "\n" for line in lines))
+        assert read_rows(path) == [row]
+    lines = path.read_text().splitlines()
+    path.write_text("".join(line.rpartition(",")[0] + "\n" for line in lines))
+    refused("column 31: expected path_sha256, found nothing", read_rows, path, error=RunStoreError)
+
+
+def test_bad_values_are_refused_by_name():
+    for values, word in (
+        ({"path_length_rad": -1.0}, "path_length_rad"),
+        ({"t_total_s": float("nan")}, "t_total_s"),
+        *(({"vertices": value}, "vertices") for value in (3.0, True)),
+        *(({"detail": text}, "detail") for text in ("", "two\nlines")),
+        ({"suite": "=1+1"}, "suite is '=1[+]1'.*formula"),
+        ({"planner": "@x"}, "planner"),
+        ({"solved": False, "fail_reason": "bored"}, "'bored'; valid choices: timeout, iteration"),
+        ({"solved": False}, "solved is False but fail_reason is None"),
+        ({"fail_reason": "timeout"}, "solved is True but fail_reason is timeout"),
+        *(({name: value}, name) for name, value in BAD.items()),
+    ):
+        refused(word, a_row, error=CvqmptError, **values)
+
+
+BAD = {"seed": None, "solved": 1, "certified": False, "schema": "0"}
+TEXTS = {"two\n lines\x1b": "two lines", "=1+1": "'=1+1", "-3 off": "'-3 off", " \t": None}
+
+
+def test_any_text_becomes_a_cell_that_no_spreadsheet_runs():
+    for text, cell in (*TEXTS.items(), ("ok", "ok")):
+        assert one_line(text) == a_row(detail=one_line(text)).detail == cell
+
+
+FIELDS = {"seed": "one", "t_total_s": "nan", "vertices": "-1", "solved": "True", "schema": "1"}
+
+
+def test_what_is_no_file_of_rows_is_named_by_line_and_column(tmp_path):
+    path = tmp_path / "rows.csv"
+    write_rows(path, [a_row("p1", t_total_s=1.0), a_row("p2", t_total_s=1.0)])
+    good = path.read_text()
+    *lines, last = good.splitlines()
+    cases = [
+        (good.replace("backend", "engine"), "line 1, column 7: expected backend, found engine"),
+        ("schema\x1b[31m" + "x" * 9000, "found schema.*use another --out"),
+        ("", "expected schema, found nothing"),
+        (good[:-3], f"line 3: {len(COLUMNS) - 2} fields, expected {len(COLUMNS)}"),
+    ]
+    for column, text in (*FIELDS.items(), ("t_total_s", "fast")):
+        fields = last.split(",")
+        fields[COLUMNS.index(column)] = text
+        bad = "\n".join([*lines, ",".join(fields)]) + "\n"
+        cases.append((bad, f"rows.csv, line 3: {column} is '?{text}"))
+    for text, words in cases:
+        path.write_text(text)
+        line = refused(words, read_rows, path, error=RunStoreError)
+        assert line.isprintable() and len(line) < 600

@@ -41,22 +41,16 @@ def binary_stl(*triangles):
     return b"\0" * 80 + struct.pack("<I", len(triangles)) + b"".join(rows)
 
 
-@pytest.mark.parametrize(
-    ("source", "pattern"),
-    [
+def test_unusable_options_and_files_are_named(slider_arm_urdf, edited, tmp_path, panda):
+    for source, pattern in (
         ({"end_effector": "gripper"}, "frame 'gripper'.*wrist, tool"),
         ({"locked": {"slide": 0.0}}, "lock 'slide'.*rail, lift"),
         ({"locked": {"mount": 0.0}}, "mount"),
         *(({"locked": {"rail": value}}, "rail") for value in (np.nan, "wide")),
         ({"srdf": "none.srdf"}, "none.srdf"),
         ({"base": np.eye(4) * 2}, r"robot\.base is no rigid pose"),
-    ],
-)
-def test_unusable_options_are_named(slider_arm_urdf, source, pattern):
-    refused(pattern, load_robot, slider_arm_urdf, error=CvqmptError, **TOOL | source)
-
-
-def test_files_without_a_robot_are_named(edited, tmp_path, panda):
+    ):
+        refused(pattern, load_robot, slider_arm_urdf, error=CvqmptError, **TOOL | source)
     refused("no frame 'gripper'", panda.pose, HOME, "gripper")
     refused(r"none\.urdf.*No such file", load_robot, tmp_path / "none.urdf", "tool")
     refused(f"{tmp_path.name}.*directory", load_robot, tmp_path, "tool")
@@ -171,16 +165,15 @@ BOX = '<geometry><box size="0.1 0.12 0.08"/></geometry>'
 CYLINDER = '<cylinder radius="0.04" length="0.3"/>'
 
 
-@pytest.mark.parametrize(
-    ("was", "now", "pattern"),
-    [
+def test_a_file_that_is_no_robot_is_refused_with_one_line(edited, capfd):
+    for was, now, pattern in (
         ("</robot>", "", r"arm\.urdf.*no element found"),
         ("robot", "root", "not contain a valid URDF"),
         (' velocity="1"', "", "its <limit> states no velocity"),
         (' effort="1"', ' effort="strong"', "effort is 'strong', no number"),
         ("<robot name=", "<robot title=", "its <robot> has no name"),
         ('<child link="wrist"/>', '<child link="elbow"/>', "'elbow'.*child of.*'bend', 'twist'"),
-        ('<child link="tool"/>', '<child link="toll"/>', "joint 'mount'.*child 'toll' is no link"),
+        ('<child link="tool"/>', '<child link="toll"/>', "'mount'.*child 'toll' is no link"),
         ('name="twist" type', 'name="bend" type', "joints of .*'bend' occurs twice"),
         ('<link name="wrist">', '<link name="elbow">', "links of .*'elbow' occurs twice"),
         ('<parent link="carriage"/>', '<parent link="tool"/>', "'shoulder', .* hang on no link"),
@@ -199,16 +192,13 @@ CYLINDER = '<cylinder radius="0.04" length="0.3"/>'
         (CYLINDER, '<capsule radius="0.04" length="0.3"/>', "unknown shape 'capsule'"),
         ('size="0.1 0.12 0.08"', 'size="0.1 0.12"', "link 'carriage'.*'0.1 0.12'.*3 finite"),
         ('size="0.1 0.12 0.08"', 'size="0.1 nan 0.08"', "3 finite"),
-        (BOX, "<geometry/>", "0 shapes"),
-        (BOX, "", "0 shapes"),
+        *((BOX, empty, "0 shapes") for empty in ("<geometry/>", "")),
         (BOX, BOX.replace("</", '<sphere radius="1"/></'), "2 shapes"),
         (ORIGIN, '<origin xyz="0 0 x"/>', "link 'base'.*xyz of its origin is '0 0 x'"),
         (AXIS, '<axis xyz="0 nan 0"/>', "joint 'rail'.*axis is '0 nan 0'"),
         (AXIS, '<axis xyz="0 0 0"/>', "joint 'rail'.*give a direction"),
-    ],
-)
-def test_a_file_that_is_no_robot_is_refused_with_one_line(edited, capfd, was, now, pattern):
-    refused(pattern, load_robot, edited((was, now)), "tool", error=CvqmptError)
+    ):
+        refused(pattern, load_robot, edited((was, now)), "tool", error=CvqmptError)
     assert capfd.readouterr() == ("", ""), "the parser of URDF files, which prints, was not asked"
 
 
@@ -233,19 +223,14 @@ try: load_robot(sys.argv[1], "tool")
 except Exception as e: print(type(e).__name__, e)"""
 
 
-@pytest.mark.parametrize(
-    ("triangles", "pattern"),
-    [
-        *((fan((0.5, 0.5, height)), "m thick") for height in (0.0, 1e-12)),
-        *((fan((0, 0, height)), f"{height} m") for height in (1e30, np.nan)),
-        (cone(), "has no convex hull"),
-    ],
-)
-def test_a_mesh_without_a_hull_ends_in_one_line_not_in_the_process(
-    edited, tmp_path, triangles, pattern
-):
+FLAT = [(fan((0.5, 0.5, height)), "m thick") for height in (0.0, 1e-12)]
+FAR = [(fan((0, 0, height)), f"{height} m") for height in (1e30, np.nan)]
+
+
+@pytest.mark.parametrize(("mesh", "pattern"), [*FLAT, *FAR, (cone(), "has no convex hull")])
+def test_a_mesh_without_a_hull_ends_in_one_line_not_in_the_process(edited, tmp_path, mesh, pattern):
     """In a separate process: the hull of a flat mesh once crashed it."""
-    (tmp_path / "m.stl").write_bytes(binary_stl(*triangles))
+    (tmp_path / "m.stl").write_bytes(binary_stl(*mesh))
     urdf = edited((SPHERE, '<mesh filename="m.stl"/>'))
     words = [sys.executable, "-c", LOADING, urdf]
     done = subprocess.run(words, capture_output=True, text=True)
@@ -267,32 +252,26 @@ def test_a_mesh_is_found_in_package_folders_and_in_ros_s(edited, tmp_path, monke
     assert load_robot(urdf, "tool").dof == 4
 
 
-@pytest.mark.parametrize("name", ["ur5", "xarm7", "so-arm", "talos-left-arm"])
-def test_an_arm_is_loaded_by_its_name(name):
-    robot = robot_from_source({"name": name})
-    assert robot.end_effector == ARMS[name].end_effector and 5 <= robot.dof <= 8
-    assert (robot.upper > robot.lower).all() and 0.4 < robot.reach < MOST_REACH
-    states = robot.random_configurations(np.random.default_rng(0), 20)
-    assert all(np.linalg.norm(robot.pose(q)[:3, 3]) <= robot.reach for q in states)
-
-
-def test_what_is_given_beside_a_name_overrides_it():
+def test_an_arm_is_loaded_by_its_name_and_what_is_given_beside_it_overrides_it():
+    for name in ("ur5", "xarm7", "so-arm", "talos-left-arm"):
+        robot = robot_from_source({"name": name})
+        assert robot.end_effector == ARMS[name].end_effector and 5 <= robot.dof <= 8
+        assert (robot.upper > robot.lower).all() and 0.4 < robot.reach < MOST_REACH
+        states = robot.random_configurations(np.random.default_rng(0), 20)
+        assert all(np.linalg.norm(robot.pose(q)[:3, 3]) <= robot.reach for q in states)
     source = {"name": "ur5", "locked": {"elbow_joint": 1.0}, "end_effector": "ee_link"}
     robot = robot_from_source(source | {"acceleration_limits": 3.0})
     assert robot.source == source | {"acceleration_limits": 3.0}
     assert robot.end_effector == "ee_link" and robot.acceleration_limits.tolist() == [3.0] * 5
 
 
-TWO_SOURCES = {"urdf": "a.urdf", "name": "panda", **TOOL}
-
-
-@pytest.mark.parametrize(
-    ("source", "pattern"),
-    [
+def test_a_wrong_field_of_a_robot_is_named():
+    two_sources = {"urdf": "a.urdf", "name": "panda", **TOOL}
+    for source, pattern in (
         ({"name": "panda", "fingeropening": 0.01}, "did you mean 'finger_opening'"),
         ({"name": "panda", "lock": {}}, r"robot\.lock is unknown; did you mean 'locked'"),
         ({"urdf": "a.urdf"}, r"robot\.end_effector is missing"),
-        (TWO_SOURCES, "'name' and 'urdf': give one of the two"),
+        (two_sources, "'name' and 'urdf': give one of the two"),
         ({"name": "ur5", "finger_opening": 0.01}, "the panda's, not that of 'ur5'"),
         ({"name": "panda", "locked": [1]}, "must be an object"),
         ({"name": "panda", "base": [0, 0]}, r"robot\.base has shape"),
@@ -300,8 +279,5 @@ TWO_SOURCES = {"urdf": "a.urdf", "name": "panda", **TOOL}
         ({"name": ["panda"]}, "name"),
         ({}, "robot needs 'name' .* or 'urdf' and 'end_effector'"),
         (0.5, "must be an object"),
-    ],
-    ids=str,
-)
-def test_a_wrong_field_of_a_robot_is_named(source, pattern):
-    refused(pattern, robot_from_source, source, error=CvqmptError)
+    ):
+        refused(pattern, robot_from_source, source, error=CvqmptError)

@@ -1,4 +1,4 @@
-"""Robot data: limits, kinematics, motion bounds against pinocchio; sines to numpy; pickling."""
+"""Robots: limits, kinematics, motion bounds against pinocchio; sines to numpy; pairs left out."""
 
 import numpy as np
 import pinocchio as pin
@@ -9,8 +9,9 @@ from refusals import refused
 from cvqmpt_lab.collision.motion_bounds import Sweep
 from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.kinematics import link_poses, sine_and_cosine
-from cvqmpt_lab.robot.load import load_robot
+from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.load import panda as load_panda
+from cvqmpt_lab.robot.self_collision import OVERLAP
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 
@@ -63,17 +64,11 @@ def test_the_kinematics_digest_names_what_moves_how(panda, slider_arm, edited):
 
 
 @njit
-def _of_all(angles, sines, cosines):
+def sines_and_cosines(angles):
+    out = np.empty((2, len(angles)))
     for i in range(len(angles)):
-        sines[i], cosines[i] = sine_and_cosine(angles[i])
-
-
-def of(angles):
-    """Sines and cosines (k,) of angles (k,)."""
-    angles = np.asarray(angles, dtype=float)
-    sines, cosines = np.empty_like(angles), np.empty_like(angles)
-    _of_all(angles, sines, cosines)
-    return sines, cosines
+        out[0, i], out[1, i] = sine_and_cosine(angles[i])
+    return out
 
 
 def test_sine_and_cosine_are_numpys():
@@ -83,10 +78,11 @@ def test_sine_and_cosine_are_numpys():
     spread = [rng.uniform(-width, width, 100_000) for width in widths]
     beside = np.nextafter(exact, np.inf), np.nextafter(exact, -np.inf)
     for angles in (*spread, exact, *beside, np.zeros(1)):
-        for value, expected in zip(of(angles), (np.sin(angles), np.cos(angles)), strict=True):
+        both = np.sin(angles), np.cos(angles)
+        for value, expected in zip(sines_and_cosines(angles), both, strict=True):
             worst = np.argmax(np.abs(value - expected))
             assert np.abs(value - expected)[worst] <= 1e-15, angles[worst]
-    assert np.isnan(of([np.nan, np.inf, -np.inf])).all()
+    assert np.isnan(sines_and_cosines(np.array([np.nan, np.inf, -np.inf]))).all()
 
 
 def placed(robot, geometry, q):
@@ -123,3 +119,19 @@ def test_no_point_moves_further_than_the_bound(request, name):
                 was, now = (np.linalg.norm(one[:, None] - other, axis=2) for one, other in corners)
                 assert np.abs(now - was).max() <= bound + 1e-9
     assert max(used) > 0.6
+
+
+@pytest.mark.slow
+def test_mirrored_arms_leave_out_the_same_overlaps():
+    """Of a wrist 1.3 mm deep in the link before last, coal saw 99.95 % left and 0.1 % right."""
+    arms = (robot_from_source({"name": f"tiago-dual-{side}"}) for side in ("left", "right"))
+    overlaps = ([pair for pair in arm.left_out_pairs if OVERLAP in pair.reason] for arm in arms)
+    left, right = ({(pair.first, pair.second) for pair in pairs} for pairs in overlaps)
+    assert ("arm_right_6_link", "wrist_right_ft_link") in right
+    assert {tuple(name.replace("left", "right") for name in pair) for pair in left} == right
+
+
+def test_a_file_that_is_no_srdf_is_named(slider_arm_urdf, tmp_path):
+    for text, pattern in (("<robot", "cannot read SRDF"), ("<a/>", "root <a>")):
+        (tmp_path / "bad.srdf").write_text(text)
+        refused(pattern, load_robot, slider_arm_urdf, "tool", srdf=tmp_path / "bad.srdf")

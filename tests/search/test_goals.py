@@ -42,14 +42,11 @@ def assert_inside(problem, goals):
     assert np.linalg.norm(region.residual(goals), axis=1).max() < 1e-5
 
 
-def test_a_single_pose_is_reached_in_many_postures(problem):
+def test_a_single_pose_is_reached_in_many_postures_and_near_a_configuration_in_its(problem):
     there = TaskSpaceRegion(problem.robot.pose(problem.start), np.eye(4), np.zeros((6, 2)))
     at_start = replace(problem, goal_region=there)
     goals = sample_goals(at_start, np.random.default_rng(0), 20).configurations
     assert len(goals) == 20 and len(np.unique(goals.round(2), axis=0)) >= 15
-
-
-def test_goals_near_a_configuration_keep_its_posture(problem):
     goals = sample_goals(problem, np.random.default_rng(0), 5, near=problem.goals[0]).configurations
     assert len(goals) == 5
     assert np.linalg.norm(goals - problem.goals[0], axis=1).max() < 2.0

@@ -117,12 +117,13 @@ def test_motions_called_free_are_free_for_coal(kitchen_space, motions, answers):
     assert [k for k, states in motions.items() if checker.in_collision_batch(states).any()] == []
 
 
-def test_motions_are_refused_where_sampling_finds_a_collision_and_seldom_elsewhere(
-    kitchen_space, motions, answers
-):
+def test_motions_are_refused_where_sampling_finds_a_collision(kitchen_space, motions, answers):
     sampled = all_free(kitchen_space, along(motions, kitchen_space.arrays.resolution))
     assert (~sampled).sum() >= 30 and answers[~sampled].mean() <= 0.1
     assert (answers != sampled).mean() < 0.02
+    a = motions[0][0]
+    assert motion_free(kitchen_space.arrays, a, a)
+    assert not motion_free(kitchen_space.arrays, a, np.full(7, np.nan))
 
 
 def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
@@ -137,12 +138,6 @@ def test_what_only_the_middle_of_a_motion_meets_is_noticed(panda):
 
     assert answer(0.1) == (True, True, False)
     assert answer(0.13) == (True, True, True)
-
-
-def test_motions_of_no_length_and_to_a_collision(kitchen_space, motions):
-    a = motions[0][0]
-    assert motion_free(kitchen_space.arrays, a, a)
-    assert not motion_free(kitchen_space.arrays, a, np.full(7, np.nan))
 
 
 index_new_nodes, nearest_node = map(from_python, (index_new_nodes, nearest_node))
@@ -178,28 +173,24 @@ def test_the_nearest_node_is_that_of_a_plain_search(count):
         index_new_nodes(index, 1, nodes, size)
     assert index.indexed.tolist() == [0, count // BLOCK * BLOCK]
     for target in queries(rng, nodes, 150):
-        expected = int(((nodes - target) ** 2).sum(axis=1).argmin())
-        assert nearest_node(index, 1, nodes, count, target) == expected
+        assert nearest_node(index, 1, nodes, count, target) == nearest_of_all(nodes, target)
 
 
-def test_of_equal_nodes_the_first_one_is_found():
-    nodes = np.tile(walks(np.random.default_rng(1), 3 * LEAF), (100, 1))
-    index = nearest_index(len(nodes), 7)
-    index_new_nodes(index, 0, nodes, len(nodes))
-    for k in (0, 7, 3 * LEAF - 1):
-        assert nearest_node(index, 0, nodes, len(nodes), nodes[k]) == k
+def nearest_of_all(nodes, target):
+    return int(((nodes - target) ** 2).sum(axis=1).argmin())
 
 
-def test_nodes_moved_away_later_are_never_found():
+def test_of_equal_nodes_the_first_is_found_and_those_moved_away_later_never():
     """A removed node is moved far away; the index is not told."""
-    rng = np.random.default_rng(2)
-    nodes, index = walks(rng, 3 * BLOCK), nearest_index(3 * BLOCK, 7)
-    index_new_nodes(index, 0, nodes, len(nodes))
-    gone = rng.choice(len(nodes), 1000, replace=False)
-    nodes[gone, 0] = 1e6
-    for target in queries(rng, nodes[:50], 50):
-        found = nearest_node(index, 0, nodes, len(nodes), np.clip(target, -5.0, 5.0))
-        assert found == int(((nodes - np.clip(target, -5.0, 5.0)) ** 2).sum(axis=1).argmin())
+    rng, few = np.random.default_rng(2), walks(np.random.default_rng(1), 3 * LEAF)
+    for nodes, gone in ((np.tile(few, (100, 1)), 0), (walks(rng, 3 * BLOCK), 1000)):
+        index = nearest_index(len(nodes), 7)
+        index_new_nodes(index, 0, nodes, len(nodes))
+        nodes[rng.choice(len(nodes), gone, replace=False), 0] = 1e6
+        targets = np.clip(queries(rng, nodes[:50], 50), -5.0, 5.0)
+        for target in targets if gone else nodes[[0, 7, 3 * LEAF - 1]]:
+            found = nearest_node(index, 0, nodes, len(nodes), target)
+            assert found == nearest_of_all(nodes, target)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 1e-4, 0.01])

@@ -1,4 +1,4 @@
-"""Planners: certified paths, repeatability, budgets, exceptions."""
+"""Planners: certified paths, repeatability, budgets, exceptions; spaces where checks disagree."""
 
 import gc
 import time
@@ -11,24 +11,26 @@ from process_memory import in_use
 from refusals import refused
 
 from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import CvqmptError, UnknownChoiceError
+from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import PLANNERS, Method, planner_named
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.store import states_hash
+from cvqmpt_lab.scene.scene import Attachment, SceneObject
+from cvqmpt_lab.scene.shapes import Box, Cylinder
 from cvqmpt_lab.search.birrt import DRAWS, BiRRT, grow, plant
 from cvqmpt_lab.search.ompl_planners import STATE_SPACES, OmplSearch
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-LENIENT = {  # may fail: out of time, or of rollouts
-    "atlas-rrt": PlanStatus.TIMEOUT,
-    "tb-rrt": PlanStatus.TIMEOUT,
-    "mpnet": PlanStatus.ITERATION_LIMIT,
-}
+# these may fail: out of time, or of rollouts
+LENIENT = dict.fromkeys(("atlas-rrt", "tb-rrt"), PlanStatus.TIMEOUT)
+LENIENT |= {"mpnet": PlanStatus.ITERATION_LIMIT}
 OURS = ("birrt", "guided-birrt")
 ENOUGH = Budget(iterations=20_000)
 
@@ -99,19 +101,35 @@ def test_spent_budgets_are_named_and_give_no_path(problem, name, seconds, iterat
         assert result.counters.iterations == 1
 
 
-def test_unknown_names_are_listed(problem):
-    told = r"planner 'rrt'; valid choices: birrt.*tb-rrt"
-    refused(told, planner_named, "rrt", error=UnknownChoiceError)
-    told = "backend 'bullet'; valid choices: compiled, exact"
-    refused(told, ConstrainedSpace, problem, "bullet", error=UnknownChoiceError)
+def test_unknown_names_and_settings_of_the_tree_search_are_refused(problem):
+    choices = "draws of a tree search 'some'; valid choices: raw, projected, free"
+    for told, call, *given, settings in (
+        (r"planner 'rrt'; valid choices: birrt.*tb-rrt", planner_named, "rrt", {}),
+        (
+            "backend 'bullet'; valid choices: compiled, exact",
+            ConstrainedSpace,
+            problem,
+            "bullet",
+            {},
+        ),
+        (choices, BiRRT, {"draws": "some"}),
+        ("reach 0.0: give the longest extension", BiRRT, {"reach": 0.0}),
+        ("reach nan: give the longest extension", BiRRT, {"reach": float("nan")}),
+    ):
+        refused(told, call, *given, error=CvqmptError, **settings)
+
+
+def searched(space, budget, distribution=None, goals=None, **settings):
+    """What the tree search finds, by default with uniform draws."""
+    problem, rng = space.problem, np.random.default_rng(0)
+    distribution = distribution or Uniform(problem.robot.lower, problem.robot.upper)
+    goals = problem.goals if goals is None else goals
+    return BiRRT(**settings).search(space, problem.start, goals, distribution, budget, rng)
 
 
 def test_trees_are_enlarged_when_full(problem):
     """Steps of 2 mrad need more than the 4096 nodes that a tree has room for at first."""
-    space = ConstrainedSpace(problem, step=0.002)
-    uniform = Uniform(problem.robot.lower, problem.robot.upper)
-    rng = np.random.default_rng(0)
-    result = BiRRT(step=0.002).search(space, problem.start, problem.goals, uniform, ENOUGH, rng)
+    result = searched(ConstrainedSpace(problem, step=0.002), ENOUGH, step=0.002)
     sizes = [len(tree.nodes) for tree in result.trees]
     assert max(sizes) > 4096 and sum(sizes) == result.vertices
     assert certify(problem, result.path, clearance=False).valid
@@ -120,12 +138,11 @@ def test_trees_are_enlarged_when_full(problem):
 @pytest.mark.parametrize("backend", ["compiled", "exact"])
 def test_a_budget_in_seconds_is_kept_to_a_tenth_of_a_second(problem, backend):
     """A hopeless search: the goal's tree cannot leave the ball of obstacles around it."""
-    space = ConstrainedSpace(problem, backend)
-    nowhere = problem.goals[:1] + 1e-3
     uniform = Uniform(problem.robot.lower, problem.robot.lower + 0.3)
-    rng, search = np.random.default_rng(0), BiRRT(reach=0.2).search
+    how = {"goals": problem.goals[:1] + 1e-3, "reach": 0.2}
+    space = ConstrainedSpace(problem, backend)
     began = time.perf_counter()
-    result = search(space, problem.start, nowhere, uniform, Budget(seconds=0.5), rng)
+    result = searched(space, Budget(seconds=0.5), uniform, **how)
     assert result.status is PlanStatus.TIMEOUT and result.counters.iterations > 0
     assert time.perf_counter() - began < 0.6
 
@@ -164,33 +181,11 @@ def test_trees_extend_towards_what_is_made_of_draws(problem, draws):
 
 def test_draws_that_never_reach_the_constraint_end_with_that_reason(problem):
     """A pose a kilometre away: nothing is projected onto it."""
-    away = np.eye(4)
-    away[0, 3] = 1000.0
-    region = TaskSpaceRegion(away, np.eye(4), np.zeros((6, 2)))
-    far = problem.changed(constraint=(region,))
-    result = BiRRT().search(
-        ConstrainedSpace(far),
-        problem.start,
-        problem.goals,
-        Uniform(problem.robot.lower, problem.robot.upper),
-        Budget(iterations=50),
-        np.random.default_rng(0),
-    )
+    region = TaskSpaceRegion(pose((1000.0, 0.0, 0.0)), np.eye(4), np.zeros((6, 2)))
+    space = ConstrainedSpace(problem.changed(constraint=(region,)))
+    result = searched(space, Budget(iterations=50))
     assert result.status is PlanStatus.ITERATION_LIMIT and result.counters.iterations == 50
     assert result.detail == "none of 50 draws reached the constraint"
-
-
-@pytest.mark.parametrize(
-    ("settings", "told"),
-    [
-        ({"draws": "some"}, "draws of a tree search 'some'; valid choices: raw, projected, free"),
-        ({"reach": 0.0}, "reach 0.0: give the longest extension"),
-        ({"reach": float("nan")}, "reach nan: give the longest extension"),
-    ],
-)
-def test_settings_of_the_tree_search_are_checked(settings, told):
-    with pytest.raises(CvqmptError, match=told):
-        BiRRT(**settings)
 
 
 def test_without_a_constraint(problem):
@@ -241,29 +236,25 @@ def test_exceptions_in_state_checks_come_out(problem, name):
 
 @pytest.mark.parametrize("manifold", STATE_SPACES)
 def test_ompl_keeps_nothing_of_a_run(problem, manifold):
-    """Python's collector cannot see into OMPL's objects: a reference cycle would stay for ever."""
-    space, rng, few = ConstrainedSpace(problem), np.random.default_rng(0), Budget(iterations=3)
-    OmplSearch(manifold).search(space, problem.start, problem.goals, None, few, rng)
+    """A cycle through OMPL's objects, unseen by Python's collector, would stay for ever.
+
+    The binding frees no state that Python allocates: 96 bytes each, 2 kB a run of 20 goals.
+    """
+    space, goals = ConstrainedSpace(problem), np.repeat(problem.goals[:1], 100, axis=0)
+    search, rng = OmplSearch(manifold), np.random.default_rng(0)
+
+    def run_nine_times(space):
+        for _ in range(9):
+            search.search(space, problem.start, goals, None, Budget(iterations=1), rng)
+
+    run_nine_times(space)
+    before = in_use()
+    run_nine_times(space)
+    assert in_use() - before < 9 * 2000
     kept = weakref.ref(space)
     del space
     gc.collect()
     assert kept() is None
-
-
-@pytest.mark.parametrize("manifold", STATE_SPACES)
-def test_states_given_to_ompl_leave_no_memory_behind(problem, manifold):
-    """The binding frees no state that Python allocates: 96 bytes each, 2 kB a run of 20 goals."""
-    space, goals = ConstrainedSpace(problem), np.repeat(problem.goals[:1], 100, axis=0)
-    search, rng = OmplSearch(manifold), np.random.default_rng(0)
-
-    def run_nine_times():
-        for _ in range(9):
-            search.search(space, problem.start, goals, None, Budget(iterations=1), rng)
-
-    run_nine_times()
-    before = in_use()
-    run_nine_times()
-    assert in_use() - before < 9 * 2000
 
 
 def test_checked_path_names_the_bad_segment(problem, solution):
@@ -272,3 +263,84 @@ def test_checked_path_names_the_bad_segment(problem, solution):
     assert bad == -1 and good.length == pytest.approx(solution.simplified.path.length, rel=1e-3)
     through_the_kitchen = np.array([*states[:5], problem.goals[3], *states[5:]])
     assert space.checked_path(through_the_kitchen) == (None, 4)
+
+
+MARGIN = 1e-4  # [m] that planning keeps from obstacles
+ENOUGH = Budget(iterations=20_000)
+
+
+def with_block(problem, q, distance):
+    """A block beside the hand at q, its centre this far off [m]."""
+    T_world_block = problem.robot.pose(q) @ pose((0.0, distance, 0.03))
+    block = SceneObject("block", Box((0.04,) * 3), T_world_block)
+    return replace(problem, scene=problem.scene.with_objects(block))
+
+
+def touching_distance(problem, q):
+    """Smallest distance at which the block is free of the hand for coal, by bisection."""
+    inside, outside = 0.05, 0.3
+    for _ in range(40):
+        middle = 0.5 * (inside + outside)
+        touches = with_block(problem, q, middle).collision_checker().in_collision(q)
+        inside, outside = (middle, outside) if touches else (inside, middle)
+    return outside
+
+
+@pytest.fixture(scope="module")
+def tight(problem):
+    """The place problem with a block half a planning margin beside the hand at the start."""
+    touching = touching_distance(problem, problem.start)
+    return with_block(problem, problem.start, touching + 0.5 * MARGIN)
+
+
+def test_a_start_closer_than_the_margin_is_doubtful_and_allowed(problem, tight):
+    assert 0.0 < tight.collision_checker().clearance(tight.start) < MARGIN
+    space = ConstrainedSpace(tight)
+    assert space.doubtful == space.unconstrained().doubtful == ("start",)
+    assert space.valid(tight.start) and all(space.valid(goal) for goal in tight.goals)
+    far = touching_distance(problem, problem.start) + 5.0 * MARGIN
+    for roomy in (problem, with_block(problem, problem.start, far)):
+        assert ConstrainedSpace(roomy).doubtful == ()
+
+
+def test_exact_checks_answer_near_it_only(tight):
+    """A goal in the same place needs its own name; coal checks the start's neighbours."""
+    space, exact = ConstrainedSpace(tight), tight.collision_checker()
+    cautious = tight.collision_checker(MARGIN)
+    rng = np.random.default_rng(0)
+    near = tight.start + 1e-5 * rng.standard_normal((300, 7))
+    expected = ~exact.in_collision_batch(near)
+    assert (expected & cautious.in_collision_batch(near)).sum() > 50
+    np.testing.assert_array_equal([space.valid(q) for q in near], expected)
+    both = tight.changed(goals=np.array([*tight.goals[:2], tight.start]))
+    assert ConstrainedSpace(both).doubtful == ("start", "goal 2")
+
+
+def test_birrt_solves_from_a_doubtful_start_and_says_so(tight):
+    space = ConstrainedSpace(tight)
+    solution = solve(tight, "birrt", ENOUGH, seed=0)
+    assert solution.plan.status is PlanStatus.SOLVED
+    assert solution.plan.detail == "exact checks near start"
+    assert solution.certificate.reasons == () and solution.solved
+    assert certify(tight, solution.plan.path, clearance=False).valid
+    assert space.checked_path(solution.simplified.path.states)[0] is not None
+
+
+def test_what_touches_is_not_doubtful_but_refused(problem):
+    blocked = with_block(problem, problem.start, touching_distance(problem, problem.start) - 1e-3)
+    space = ConstrainedSpace(blocked)
+    assert space.doubtful == () and not space.valid(blocked.start)
+    told = r"start is in collision: .*block"
+    refused(told, solve, blocked, "birrt", ENOUGH, seed=0, error=InvalidProblemError)
+
+
+def test_what_is_too_large_to_carry_is_named_and_not_cut(panda, monkeypatch):
+    monkeypatch.setattr(arrays, "robot_geometry", lambda *given: pytest.fail("it was cut"))
+    for shape, x, message in (
+        (Cylinder(3e5, 0.1), 0.0, r"attachment 'can' reaches 3e\+05 m, more than 20"),
+        (Box((0.1,) * 3), 50.0, r"attachment 'can' reaches 50\.1 m, more than 20"),
+        (Cylinder(5.0, 5.0), 0.0, r"'can' is .* 5 m large, too large to plan with: give sizes in"),
+        (Box((15.0, 15.0, 0.01)), 0.0, r"attachment 'can' is 15 x 15 x .* m large"),
+    ):
+        can = Attachment("can", shape, pose((x, 0.0, 0.0)))
+        refused(message, arrays.robot_arrays, panda, (can,))

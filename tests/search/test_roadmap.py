@@ -1,6 +1,7 @@
-"""Roadmaps over a roadmap in the real kitchen; nodes are random, so no weights are needed."""
+"""Roadmaps of random nodes in the real kitchen; shorter paths: shortcuts, the informed set."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
+from cvqmpt_lab.results.store import states_hash
+from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path, keep_informed
 from cvqmpt_lab.search.edge_costs import reading, readings
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.planner_interface import Deadline, GaussianMixture, Uniform
-from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.roadmap import (
     Roadmap,
     RoadmapPath,
@@ -22,44 +25,50 @@ from cvqmpt_lab.search.roadmap import (
     RoadmapSearchSettings,
     scene_costs,
 )
+from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 ENOUGH = Budget(iterations=20_000)
 
 
 @pytest.fixture(scope="module")
-def problem():
+def tuning():
     return with_sampled_goals(place_problem(1003))[0]
 
 
 @pytest.fixture(scope="module")
-def roadmap(problem):
-    nodes = problem.robot.random_configurations(np.random.default_rng(5), 1500)
+def roadmap(tuning):
+    nodes = tuning.robot.random_configurations(np.random.default_rng(5), 1500)
     return Roadmap.of(nodes)
 
 
-def plan(problem, proposer, seed=0):
+def plan(tuning, proposer, seed=0):
     """What birrt finds after a proposal."""
     method = Method.simple("roadmap", predict=proposer)
-    return solve(problem, method, ENOUGH, seed, clearance=False).plan
+    return solve(tuning, method, ENOUGH, seed, clearance=False).plan
 
 
-def query_of(problem, roadmap, **settings):
+def query_of(problem, roadmap, longest=np.inf, **settings):
     """A query and a generous deadline in a fresh space."""
     space = ConstrainedSpace(problem)
-    asked = RoadmapSearchSettings(**settings)
-    query = RoadmapQuery(space, roadmap, problem.start, problem.goals, asked, scene_costs(space))
+    asked = RoadmapSearchSettings(**settings), scene_costs(space), longest
+    query = RoadmapQuery(space, roadmap, problem.start, problem.goals, *asked)
     return space, query, Deadline(ENOUGH, space)
 
 
-def test_a_roadmap_links_each_node_to_its_nearest_others(roadmap):
+def test_a_roadmap_links_each_node_to_its_nearest_others_and_around_none_draws_are_uniform(roadmap):
     distances = np.linalg.norm(roadmap.nodes - roadmap.nodes[17], axis=1)
     np.testing.assert_array_equal(roadmap.neighbours[17], np.argsort(distances)[1:13])
     refused("roadmap of 3 nodes", Roadmap.of, roadmap.nodes[:3])
+    for count, kind, name in ((4, GaussianMixture, "m"), (0, Uniform, "m: uniform")):
+        around = roadmap.nodes[:count], roadmap.covariance
+        mixture = GaussianMixture.equal(*around, Uniform(-np.ones(7), np.ones(7)), 0.2, "m")
+        assert isinstance(mixture, kind) and mixture.name == name
+        assert count == 0 or mixture.uniform_share == 0.2
 
 
-def test_visited_nodes_lie_on_the_manifold_and_are_free(problem, roadmap):
-    space, query, deadline = query_of(problem, roadmap)
+def test_visited_nodes_lie_on_the_manifold_and_are_free(tuning, roadmap):
+    space, query, deadline = query_of(tuning, roadmap)
     query.next_path(deadline)
     nodes = query.graph.nodes[query.free_nodes]
     assert len(nodes) > 0 and space.valid_batch(nodes).all()
@@ -69,10 +78,10 @@ def test_visited_nodes_lie_on_the_manifold_and_are_free(problem, roadmap):
     assert (query.graph.nodes[untouched] == roadmap.nodes[untouched]).all(axis=1).sum() > 1000
 
 
-def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(problem, roadmap):
+def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(tuning, roadmap):
     few = RoadmapSearchSettings(searches=1, links=1)
-    result = plan(problem, RoadmapPath(roadmap, "roadmap", settings=few, draws=0))
-    assert result.path is not None and certify(problem, result.path).valid
+    result = plan(tuning, RoadmapPath(roadmap, "roadmap", settings=few, draws=0))
+    assert result.path is not None and certify(tuning, result.path).valid
     assert result.fallback.startswith("birrt around ")
     assert result.fallback.endswith("free nodes: no roadmap path after 1 searches")
 
@@ -85,8 +94,8 @@ def nll_of(space, costs, a, b, lowest=FARTHEST):
     return np.logaddexp(0.0, -costs.slope * max(lowest, NEAREST) - costs.bias)
 
 
-def test_edges_cost_more_the_less_likely_they_are_free(problem, roadmap):
-    space = ConstrainedSpace(replace(problem, constraint=()))
+def test_edges_cost_more_the_less_likely_they_are_free(tuning, roadmap):
+    space = ConstrainedSpace(replace(tuning, constraint=()))
     motions = np.stack([roadmap.nodes[:400], roadmap.nodes[roadmap.neighbours[:400, 0]]], axis=1)
     free = np.array([space.valid(a) and motion_free(space.arrays, a, b) for a, b in motions])
     costs = scene_costs(space)
@@ -95,11 +104,11 @@ def test_edges_cost_more_the_less_likely_they_are_free(problem, roadmap):
     assert np.exp(-nll).mean() == pytest.approx(free.mean(), abs=0.08)
 
 
-def test_added_nodes_are_linked_both_ways_and_verdicts_stay(problem, roadmap):
-    _, query, deadline = query_of(problem, roadmap)
+def test_added_nodes_are_linked_both_ways_and_verdicts_stay(tuning, roadmap):
+    _, query, deadline = query_of(tuning, roadmap)
     query.next_path(deadline)
     before, count = query.graph, len(roadmap.nodes)
-    added = problem.robot.random_configurations(np.random.default_rng(1), 40)
+    added = tuning.robot.random_configurations(np.random.default_rng(1), 40)
     query.add_nodes(added)
     after = query.graph
     np.testing.assert_array_equal(after.nodes[:count], before.nodes[:count])
@@ -115,17 +124,148 @@ def test_added_nodes_are_linked_both_ways_and_verdicts_stay(problem, roadmap):
 
 
 def test_more_nodes_free_a_start_that_no_code_is_near(roadmap):
-    problem = single_goal_problem(1002)
-    far = np.argsort(np.linalg.norm(roadmap.nodes - problem.start, axis=1))[-300:]
+    tuning = single_goal_problem(1002)
+    far = np.argsort(np.linalg.norm(roadmap.nodes - tuning.start, axis=1))[-300:]
     sparse = Roadmap.of(roadmap.nodes[far])
-    assert plan(problem, RoadmapPath(sparse, "roadmap", draws=0)).fallback
-    helped = plan(problem, RoadmapPath(sparse, "roadmap", draws=3))
-    assert not helped.fallback and certify(problem, helped.path).valid
+    assert plan(tuning, RoadmapPath(sparse, "roadmap", draws=0)).fallback
+    helped = plan(tuning, RoadmapPath(sparse, "roadmap", draws=3))
+    assert not helped.fallback and certify(tuning, helped.path).valid
 
 
-def test_the_mixture_around_no_nodes_is_uniform(problem, roadmap):
-    uniform = Uniform(problem.robot.lower, problem.robot.upper)
-    some = GaussianMixture.equal(roadmap.nodes[:4], roadmap.covariance, uniform, 0.2, "m")
-    assert isinstance(some, GaussianMixture) and some.uniform_share == 0.2
-    none = GaussianMixture.equal(roadmap.nodes[:0], roadmap.covariance, uniform, 0.2, "m")
-    assert isinstance(none, Uniform) and none.name == "m: uniform"
+ENOUGH = Budget(iterations=20_000)
+LONG = {"attempts": 400, "seconds": 100.0, "patience": 1000}
+
+
+@pytest.fixture
+def space(problem):
+    return ConstrainedSpace(problem)
+
+
+def simplified(space, path, seed=0, **bounds):
+    return simplify(space, path, np.random.default_rng(seed), **(LONG | bounds))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_simplified_path_is_shorter_and_certified(problem, solution, space, seed):
+    raw, before = solution.plan.path, states_hash(solution.plan.path.states)
+    result = simplified(space, raw, seed)
+    assert states_hash(raw.states) == before
+    assert result.path.length < raw.length
+    assert certify(problem, result.path).reasons == ()
+    np.testing.assert_array_equal(result.path.states[[0, -1]], raw.states[[0, -1]])
+
+
+def test_every_round_is_at_most_as_long(solution, space):
+    path = solution.plan.path
+    for seed in range(30):
+        shorter = simplified(space, path, seed, attempts=16, patience=4).path
+        assert shorter.length <= path.length
+        path = shorter
+
+
+def test_one_seed_gives_one_path_with_either_backend(problem, solution):
+    how = ("compiled", 7), ("compiled", 7), ("exact", 7), ("compiled", 8)
+    spaces = ((ConstrainedSpace(problem, backend), seed) for backend, seed in how)
+    one, *same, other = (simplified(space, solution.plan.path, seed).path for space, seed in spaces)
+    assert [states_hash(path.states) for path in same] == 2 * [states_hash(one.states)]
+    assert states_hash(other.states) != states_hash(one.states)
+
+
+def test_no_attempts_and_paths_without_room_change_nothing(problem, solution, space):
+    still = (problem.start[None], np.array([problem.start, problem.start]))
+    cases = [(solution.plan.path.states, {bound: 0}) for bound in ("attempts", "seconds")]
+    for states, bounds in (*cases, *((states, {}) for states in still)):
+        result = simplified(space, JointPath(states), **bounds)
+        np.testing.assert_array_equal(result.path.states, states)
+        assert not bounds or result.counters.projections == 0
+
+
+def test_attempts_seconds_and_patience_bound_the_work(solution, space):
+    path = solution.plan.path
+    work = [simplified(space, path, attempts=n).counters.projections for n in (1, 20, 200)]
+    assert work[0] < work[1] < work[2]
+    hurried = simplified(space, path, attempts=10**6, seconds=0.05, patience=10**6)
+    assert hurried.seconds < 1.0
+    short = simplified(space, path).path
+    assert simplified(space, short, attempts=10**6, patience=1, gain=0.5).seconds < 5.0
+
+
+def test_a_detour_is_cut(problem, space):
+    """A detour of 0.3 rad and back from a motion on the manifold is removed completely."""
+    manifold, q = problem.manifold, problem.start
+    out = [manifold.project(q + np.array([s, 0, 0, 0, 0, 0, 0])) for s in np.linspace(0.0, 0.3, 11)]
+    states = np.array([*out, *out[-2:0:-1], out[1]])
+    assert space.checked_path(states)[1] == -1
+    assert simplified(space, JointPath(states)).path.length < 0.1
+
+
+def informed(start, goals, lengths, count):
+    limits = np.full(7, -9.0), np.full(7, 9.0)
+    samples = InformedSamples(start, goals, np.array(lengths), *limits)
+    return samples.sample(np.random.default_rng(0), count)
+
+
+@pytest.mark.parametrize("lengths", [(1.5,), (1.1, 3.3)])
+def test_informed_samples_keep_detours_to_one_of_the_goals_short(lengths):
+    """Where start and goal are one, they lie in a ball."""
+    start, goals = np.zeros(7), np.array([np.eye(7)[0], 3.0 * np.eye(7)[1]])[: len(lengths)]
+    samples = informed(start, goals, lengths, 2000)
+    to_goals = np.linalg.norm(samples[:, None] - goals, axis=2)
+    detours = np.linalg.norm(samples - start, axis=1)[:, None] + to_goals
+    within = detours <= np.add(lengths, 1e-9)
+    assert samples.shape == (2000, 7) and within.any(axis=1).all()
+    assert (within.sum(axis=0) > 800).all()
+    assert (np.where(within, detours, 0.0).max(axis=0) > np.multiply(0.98, lengths)).all()
+    middles = [samples[within[:, k]].mean(axis=0) for k in range(len(goals))]
+    assert np.abs(middles[0] - 0.5 * goals[0]).max() < 0.3
+    here = np.ones(7)
+    around = informed(here, here[None], [0.5], 100)
+    assert np.linalg.norm(around - here, axis=1).max() <= 0.25 + 1e-9
+
+
+@pytest.fixture(scope="module")
+def first(problem):
+    """A path of `birrt`, shortened."""
+    return solve(problem, "birrt", ENOUGH, 0, clearance=False).simplified.path
+
+
+def test_draws_kept_are_free_on_the_manifold_and_in_the_informed_set(problem, first):
+    space, length = ConstrainedSpace(problem), 1.2 * first.length
+    spaced = first.spaced(0.02)
+    draws = spaced + np.random.default_rng(0).normal(scale=0.3, size=spaced.shape)
+    draws = np.clip(draws, problem.robot.lower, problem.robot.upper)
+    expected = []
+    for q in draws.copy():
+        on = space.project(q)
+        to_goal = np.linalg.norm(problem.goals - q, axis=1).min()
+        if on and np.linalg.norm(q - problem.start) + to_goal < length and space.valid(q):
+            expected.append(q)
+    kept = keep_informed(space.arrays, draws, problem.start, problem.goals, length)
+    assert 0 < kept < len(draws)
+    np.testing.assert_array_equal(draws[:kept], expected)
+
+
+def test_paths_that_cost_more_than_asked_are_not_looked_for(problem, roadmap):
+    def length_within(longest):
+        _, query, deadline = query_of(problem, roadmap, longest, greed=1.0, searches=2000)
+        found = query.next_path(deadline)
+        return None if found is None else found.length
+
+    straight = np.linalg.norm(problem.goals - problem.start, axis=1).min()
+    assert length_within(0.99 * straight) is None
+    assert length_within(100.0) == length_within(np.inf) is not None
+
+
+def test_informed_roadmaps_find_shorter_paths_that_repeat(problem, first):
+    def better(path):
+        search, rng = partial(informed_roadmap_path, scene_costs), np.random.default_rng(0)
+        return improve(ConstrainedSpace(problem), search, path, Budget(iterations=400), rng)
+
+    (path, made), (again, _) = better(first), better(first)
+    np.testing.assert_array_equal(path.states, again.states)
+    assert path.length < first.length and made.searches > 3 and made.iterations >= 400
+    space = ConstrainedSpace(problem)
+    assert space.checked_path(path.states)[0] is not None
+    assert max(np.abs(space.residual_and_jacobian(q)[0]).max() for q in path.states) < 1e-3
+    nearest = problem.goals[np.linalg.norm(problem.goals - problem.start, axis=1).argmin()]
+    assert better(JointPath(np.stack([problem.start, nearest])))[1].searches == 0

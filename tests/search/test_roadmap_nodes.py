@@ -45,32 +45,34 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache" / "cvqmpt_lab" / "roadmaps"
 
 
-def test_nodes_and_the_motions_along_links_are_free_and_near():
+@pytest.fixture(scope="module")
+def ur5():
+    """An arm whose joints turn twice, and its roadmap."""
     robot = robot_from_source({"name": "ur5"})
-    roadmap = fresh(robot)
+    return robot, fresh(robot)
+
+
+def test_nodes_and_the_motions_along_links_are_free_and_near(ur5):
+    robot, roadmap = ur5
     middle = 0.5 * (robot.lower + robot.upper)
     space = ConstrainedSpace(PlanningProblem("bare", robot, EMPTY, middle, middle[None]))
     assert roadmap.nodes.shape == (NODES, 6) and roadmap.neighbours.shape == (NODES, NEIGHBOURS)
     assert space.valid_batch(roadmap.nodes).all()
-    some = np.random.default_rng(0).choice(NODES, 40, replace=False)
-    for i in some:
+    for i in np.random.default_rng(0).choice(NODES, 40, replace=False):
         to = roadmap.neighbours[i][roadmap.neighbours[i] >= 0]
         way = roadmap.nodes[to] - roadmap.nodes[i]
         way -= TURN * np.round(way / TURN)
         assert space.valid_batch(roadmap.nodes[i] + 0.5 * way).mean() > 0.99
         assert (np.diff(np.linalg.norm(way, axis=1)) >= 0).all()
-    other = fresh(robot, draw=1)
-    assert not np.array_equal(other.nodes, roadmap.nodes)
+    assert not np.array_equal(fresh(robot, draw=1).nodes, roadmap.nodes)
 
 
-def test_joints_that_turn_twice_get_nodes_near_the_turn_of_the_start():
-    robot = robot_from_source({"name": "ur5"})
-    start = np.full(6, 4.0)
-    near = fresh(robot).near(start, robot).nodes
+def test_joints_that_turn_twice_get_nodes_near_the_turn_of_the_start(ur5, panda):
+    (robot, roadmap), start = ur5, np.full(6, 4.0)
+    near = roadmap.near(start, robot).nodes
     assert (near >= robot.lower).all() and (near <= robot.upper).all()
     # a quarter turn on average; more where limits cut a turn off
     assert np.abs(near - start).mean() < 2.0
-    panda = robot_from_source({"name": "panda"})
     roadmap = fresh(panda)
     assert roadmap.near(np.zeros(7), panda) is roadmap
 

@@ -17,31 +17,33 @@ from cvqmpt_lab.vqmpt.codebook import Codebook
 from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor, SceneTransformerPredictor
 from cvqmpt_lab.vqmpt.weights import load_vq_mpt, robot_signature
 
-ROBOTS = ["", "--robot tiago-no-hand --base 0,0,-0.6"]
 
-
-@pytest.mark.parametrize("robot_options", ROBOTS)
+@pytest.mark.parametrize("robot_options", ["", "--robot tiago-no-hand --base 0,0,-0.6"])
 def test_from_scenes_to_a_prediction(tmp_path, robot_options):
     """For the Panda and an arm of eight joints whose first one slides."""
-    data, stage1, model = tmp_path / "data", tmp_path / "stage1", tmp_path / "model"
+    data, stage1, out = tmp_path / "data", tmp_path / "stage1", tmp_path / "model"
     # the first of each family validates
     few = f"--scenes 4 --paths-per-scene 4 --seed 9 --family kitchen-like,shelves {robot_options}"
-    assert main(["data", "generate", *few.split(), "--jobs", "2", "--out", str(data)]) == 0
-    common = ["--profile", "smoke", "--data", str(data), "--device", "cpu", "--epochs", "1"]
-    assert main(["train", "stage1", *common, "--out", str(stage1)]) == 0
-    words = ["--dictionary", str(stage1), "--out", str(model)]
-    assert main(["train", "published", *common, *words]) == 0
-
+    common = f"--profile smoke --data {data} --device cpu --epochs 1"
+    for command in (
+        f"data generate {few} --jobs 2 --out {data}",
+        f"train stage1 {common} --out {stage1}",
+        f"train published {common} --dictionary {stage1} --out {out}",
+    ):
+        assert main(command.split()) == 0
     robot = robot_from_source(json.loads((data / "dataset.json").read_text())["recipe"]["robot"])
-    checkpoint = load_checkpoint(model / "model", robot_signature(robot))
-    predictor = PublishedPredictor(stored(checkpoint), robot)
-    rng = np.random.default_rng(0)
-    cloud = rng.uniform(-0.8, 0.8, (400, 3))
-    start, goal = robot.random_configurations(rng, 2)
-    found = predictor.hypotheses(predictor.encode(cloud), start, goal[None])
-    assert len(found[0][0].codes) > 0
-    codebook = Codebook(stored(checkpoint), robot)
+    model = stored(load_checkpoint(out / "model", robot_signature(robot)))
+    assert len(predicted(PublishedPredictor(model, robot), robot, 1)[0][0].codes) > 0
+    codebook = Codebook(model, robot)
     assert all(np.isfinite(part).all() for part in codebook.gaussians(codebook.vectors[:5]))
+
+
+def predicted(predictor, robot, goals):
+    """Hypotheses in a random cloud."""
+    rng = np.random.default_rng(0)
+    scene = predictor.encode(rng.uniform(-0.8, 0.8, (400, 3)))
+    start, *goals = robot.random_configurations(rng, 1 + goals)
+    return predictor.hypotheses(scene, start, np.array(goals))
 
 
 def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_path, capsys):
@@ -84,28 +86,14 @@ def test_a_scene_transformer_for_another_arm(tmp_path, request):
         assert main(command.split()) == 0
     robot = robot_from_source({"name": "ur5-limited"})
     predictor = SceneTransformerPredictor(load_vq_mpt(robot, out), robot)
-    rng = np.random.default_rng(0)
-    scene = predictor.encode(rng.uniform(-0.8, 0.8, (400, 3)))
-    start, *goals = robot.random_configurations(rng, 4)
-    found = predictor.hypotheses(scene, start, np.array(goals))
+    found = predicted(predictor, robot, 3)
     assert all(one[0].finished and len(one[0].codes) > 0 for one in found)
 
 
 def test_hints_for_another_arm_lead_to_a_transformer(capsys):
     """Each refusal names the command before it in the chain, with the options that are missing."""
-    generate = [
-        "data",
-        "generate",
-        "--robot",
-        "ur5",
-        "--scenes",
-        "4",
-        "--dictionary",
-        "d",
-        "--out",
-        "paths",
-    ]
-    assert "--dictionary is for --labels roadmap" in refused(capsys, *generate)
+    generate = "data generate --robot ur5 --scenes 4 --dictionary d --out paths"
+    assert "--dictionary is for --labels roadmap" in refused(capsys, *generate.split())
     said = refused(capsys, *["plan", "robots", "--problem", "20", "--planner", "cvq-mpt"])
     assert "cvqmpt data generate --robot ur5 --out DATA, then cvqmpt train stage1" in said
 

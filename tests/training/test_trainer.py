@@ -1,26 +1,30 @@
-"""Whole trainings on a tiny dataset: learning, continuing, repeating, refusing, processes."""
+"""Whole trainings on a tiny dataset; what the scene transformer learns from labels of motions."""
 
 import csv
 import dataclasses
 import json
 import os
 import signal
+from dataclasses import replace
 
 import pytest
 import torch
 from command_line import refused as command_refused
 from refusals import refused
+from torch.nn import functional as F
 from training_data import kinematics, write_dataset
 
 from cli.main import main
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError
+from cvqmpt_lab.labels.generation import generate
+from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.profiles import PROFILES, Profile
 from cvqmpt_lab.training.stage import OptimizerSettings
 from cvqmpt_lab.training.trainer import run_training
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, save_checkpoint
-from cvqmpt_lab.vqmpt.weights import RobotSignature
+from cvqmpt_lab.vqmpt.weights import VQ_MPT, RobotSignature, resolve_model
 
 SMOKE = PROFILES["smoke"]
 
@@ -122,9 +126,7 @@ def test_the_authors_network_learns_from_paths(tmp_path, data, published_diction
 @pytest.mark.parametrize(
     ("stage", "at"), [("stage1", 1), ("stage1", 6), ("published", 6), ("mpnet", 1)]
 )
-def test_a_stopped_training_continues_on_the_same_curve(
-    tmp_path, data, published_dictionary, stage, at
-):
+def test_a_stopped_training_continues(tmp_path, data, published_dictionary, stage, at):
     words = {"dictionary": published_dictionary, "profile": PUBLISHED}
     options = words if stage == "published" else {}
     whole = go(stage, data, tmp_path / "whole", **options)
@@ -151,9 +153,7 @@ def test_a_seed_repeats_and_another_differs(tmp_path, data, dictionary):
     assert curves(tmp_path / "other") != curves(dictionary)
 
 
-def test_what_does_not_fit_is_refused_before_anything_is_written(
-    tmp_path, data, dictionary, published_dictionary
-):
+def test_what_does_not_fit_is_refused_first(tmp_path, data, dictionary, published_dictionary):
     words = load_checkpoint(published_dictionary / "model")
     iiwa = RobotSignature("iiwa", words.robot.lower, words.robot.upper)
     save_checkpoint(tmp_path / "iiwa", dataclasses.replace(words, robot=iiwa))
@@ -173,12 +173,7 @@ def test_what_does_not_fit_is_refused_before_anything_is_written(
     assert not (tmp_path / "out").exists()
 
 
-def test_several_processes_are_refused(tmp_path, data, monkeypatch):
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    refused(r"\(torchrun\) was removed; start one", go, "stage1", data, tmp_path / "out")
-
-
-def test_folders_that_cannot_be_continued(tmp_path, data, dictionary):
+def test_folders_that_cannot_be_continued(tmp_path, data, dictionary, monkeypatch):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.tex").write_text("x")
     other, profile = write_dataset(tmp_path / "d", seed=9), changed(TINY, {"stage1.batch": 5})
@@ -190,6 +185,8 @@ def test_folders_that_cannot_be_continued(tmp_path, data, dictionary):
         ("batch was 4, now 5", "stage1", data, dictionary, {"profile": profile}),
     ):
         refused(message, go, stage, source, out, **options)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    refused(r"\(torchrun\) was removed; start one", go, "stage1", data, tmp_path / "out")
 
 
 def test_damaged_states_and_losses_that_are_not_finite_are_named(tmp_path, data):
@@ -215,14 +212,11 @@ def test_one_training_at_a_time_gets_back_a_model_that_was_being_replaced(tmp_pa
     assert weights(whole) == before
 
 
-def test_profiles_survive_json():
+def test_profiles_survive_json_and_give_rates():
     for profile in PROFILES.values():
         assert from_plain(Profile, json.loads(json.dumps(to_plain(profile)))) == profile
     refused("speed is unknown", changed, SMOKE, {"mpnet.batches.speed": 1})
     refused("must equal", changed, SMOKE, {"mpnet_model.n_points": 7})
-
-
-def test_rates():
     published = PROFILES["published"].published.optimizer
     for step, factor in ((600, 600 * 2400**-1.5), (2400, 2400**-0.5), (9600, 9600**-0.5)):
         assert published.rate_at(step, 1) == pytest.approx(0.15 * 512**-0.5 * factor)
@@ -241,14 +235,59 @@ def test_the_command_line(tmp_path, capsys, data):
     assert from_plain(Profile, json.loads(capsys.readouterr().out)) == SMOKE
     given = ["--config", config, "--data", data, "--out", out]
     for message, words in {
-        "give --out DIR": ["stage1", *given[:4]],
         "no dataset in": ["stage1", *given[:2], "--data", tmp_path, "--out", out],
         "unknown device 'tpu'": ["stage1", *given, "--device", "tpu"],
-        "unknown profile 'big'": ["stage1", "--profile", "big"],
         "'sequences'; valid choices: stage1, mpnet": ["sequences", *given],
-        "stage stage2 was removed: train published": ["stage2", *given[2:4]],
         "published_model.dense was removed": ["stage1", "--config", dense],
-        "cannot read": ["stage1", "--config", tmp_path / "nowhere.json"],
     }.items():
         assert message in command_refused(capsys, "train", *words)
     assert not (tmp_path / "x").exists()
+
+
+CPU = torch.device("cpu")
+LABELLED = {"scenes": 2, "paths": 8, "goals": 2, "precision": "float32", "validation_scenes": 2}
+
+
+@pytest.fixture(scope="module")
+def labels(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("labels")
+    generate(RoadmapRecipe(4, 40, ("table", "shelves")), folder, ["test"])
+    return folder
+
+
+def stage_of(labels, profile, **settings):
+    """A stage and its first batch."""
+    profile = PROFILES[profile]
+    profile = replace(profile, transformer=replace(profile.transformer, **LABELLED, **settings))
+    stage = profile.stage("transformer", labels, None, 0, CPU)
+    stage.prepare()
+    return stage, {name: torch.from_numpy(array) for name, array in stage.batches(0)[0].items()}
+
+
+def test_the_loss_counts_motions_to_codes_as_labelled(labels):
+    stage, batch = stage_of(labels, "smoke")
+    shape = (2, stage.settings.link_ends, 20)
+    assert batch["link_free"].shape == batch["link_code"].shape == shape
+    losses = stage(batch)
+    scenes = stage.model.encode(batch["centres"], batch["offsets"])
+    odds = stage.model.link_odds(scenes, batch["link_end"], batch["link_code"])
+    expected = F.binary_cross_entropy_with_logits(odds, batch["link_free"].float())
+    assert losses["link"].item() == pytest.approx(expected.item(), abs=1e-5)
+    parts = losses["code"] + losses["node"] + 2.0 * losses["edge"] + 2.0 * losses["link"]
+    assert losses["loss"].item() == pytest.approx(parts.item(), abs=1e-5)
+
+
+def test_fine_tuning_begins_with_the_shipped_weights_and_learns_motions(labels):
+    stage, batch = stage_of(labels, "compact", fine_tune=True)
+    shipped = load_checkpoint(resolve_model(None, VQ_MPT)).modules["transformer"]
+    for name, value in stage.model.state_dict().items():
+        assert torch.equal(value, shipped.state_dict()[name]), name
+    optimizer, found = torch.optim.AdamW(stage.parameters(), 3e-4), []
+    for _ in range(4):
+        losses = stage(batch)
+        found.append(losses["link"].item())
+        optimizer.zero_grad()
+        losses["loss"].backward()
+        optimizer.step()
+    assert found[-1] < 0.9 * found[0]
+    refused("fine_tune needs a --dictionary", stage_of, labels, "smoke", fine_tune=True)

@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -35,16 +36,11 @@ def rng(seed=0):
     return np.random.default_rng(seed)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        *({"points": [7, 0, 0, 0]}, {"points": []}, {"offsets": [[0.0]]}),
-        *({"rotation": "x"}, {"sliders": [7]}),
-    ],
-)
-def test_kinematics_that_do_not_fit_are_named(change):
+def test_kinematics_that_do_not_fit_are_named():
     told = r"kinematics(: |\.).*(points|offsets|rotation|sliders)"
-    refused(told, from_plain, SerialChain, kinematics() | change, "kinematics")
+    changes = [{"points": [7, 0, 0, 0]}, {"points": []}, {"offsets": [[0.0]]}]
+    for change in (*changes, {"rotation": "x"}, {"sliders": [7]}):
+        refused(told, from_plain, SerialChain, kinematics() | change, "kinematics")
 
 
 def one(kind, size, at=(0.3, -0.2, 0.4)):
@@ -71,14 +67,14 @@ def test_points_are_uniform_by_area():
     np.testing.assert_allclose(np.linalg.norm(ball, axis=1), 0.3, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("kind", "size", "depth"),
-    [
-        (0, (0.4, 0.4, 0.4), lambda p: np.abs(p).max(1) - 0.2),
-        (1, (0.2, 0.2, 0.4), lambda p: np.maximum(np.hypot(*p[:, :2].T), np.abs(p[:, 2])) - 0.2),
-        (2, (0.2, 0.2, 0.2), lambda p: np.linalg.norm(p, axis=1) - 0.2),
-    ],
+DEPTHS = (
+    (0, (0.4, 0.4, 0.4), lambda p: np.abs(p).max(1) - 0.2),
+    (1, (0.2, 0.2, 0.4), lambda p: np.maximum(np.hypot(*p[:, :2].T), np.abs(p[:, 2])) - 0.2),
+    (2, (0.2, 0.2, 0.2), lambda p: np.linalg.norm(p, axis=1) - 0.2),
 )
+
+
+@pytest.mark.parametrize(("kind", "size", "depth"), DEPTHS)
 def test_points_inside_another_shape_are_left_out(kind, size, depth):
     """A box of 0.5 m that a smaller shape at its edge cuts."""
     box, other = one(0, (0.5, 0.5, 0.5)), one(kind, size, at=(0.55, -0.2, 0.4))
@@ -104,12 +100,11 @@ def test_crops_and_noise(dataset):
     assert 0.005 < off.mean() < 0.01
 
 
-@pytest.mark.parametrize("measured", [0.0, 1.0])
-@pytest.mark.parametrize("count", [0, 1])
-def test_empty_and_unseen_scenes_still_give_points(count, measured):
-    far = Shapes(*(array[:count] for array in one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0))))
-    cloud = sample_cloud(far, CloudSettings(points=50, measured=measured), rng())
-    assert cloud.shape == (50, 3) and np.isfinite(cloud).all() and cloud[:, 2].max() < -0.5
+def test_empty_and_unseen_scenes_still_give_points():
+    for count, measured in product((0, 1), (0.0, 1.0)):
+        far = Shapes(*(array[:count] for array in one(0, (0.1, 0.1, 0.1), at=(30.0, 0.0, 0.0))))
+        cloud = sample_cloud(far, CloudSettings(points=50, measured=measured), rng())
+        assert cloud.shape == (50, 3) and np.isfinite(cloud).all() and cloud[:, 2].max() < -0.5
 
 
 def test_measured_clouds_are_those_of_evaluation_cameras():
@@ -210,7 +205,7 @@ def test_sequences_of_paths_are_their_codes_without_repeats(dataset, panda, conf
         assert found["path_scene"][sequence] == paths["path_scene"][path]
 
 
-def test_shards_are_joined_with_rows_counted_through(data, dataset):
+def test_shards_are_joined_and_split_by_scene_seed_without_twins(data, dataset):
     assert dataset.robot.name == "panda" and dataset.families == ("cubes",)
     arrays = dataset.arrays
     assert arrays["scene_seed"].tolist() == [20, 1, 2, 40, 3, 4]
@@ -222,11 +217,7 @@ def test_shards_are_joined_with_rows_counted_through(data, dataset):
         np.testing.assert_array_equal(dataset.path(21 + path), expected)
     np.testing.assert_array_equal(dataset.shapes(4).size, second["shape_size"][5:10])
     assert arrays["twin_of"][22] == 21 and arrays["twin_of"][21] == -1
-
-
-def test_splits_go_by_scene_seed_and_leave_twins_out(dataset):
     train, validation = dataset.split("train"), dataset.split("validation")
-    arrays = dataset.arrays
     assert set(arrays["scene_seed"][arrays["path_scene"][validation]]) == {20, 40}
     assert len(train) == 24 and len(validation) == 12  # 6 of 7 paths of a scene are no twins
     assert (arrays["twin_of"][np.concatenate((train, validation))] == -1).all()
@@ -234,9 +225,7 @@ def test_splits_go_by_scene_seed_and_leave_twins_out(dataset):
 
 def test_the_share_of_trivial_paths_is_capped_and_drawn(dataset):
     rows, trivial = np.arange(42), dataset.arrays["trivial"]
-    kept, again, other = (
-        dataset.with_few_trivial(rows, 0.2, np.random.default_rng(seed)) for seed in (0, 0, 1)
-    )
+    kept, again, other = (dataset.with_few_trivial(rows, 0.2, rng(seed)) for seed in (0, 0, 1))
     assert (~trivial[kept]).sum() == 28 and trivial[kept].sum() == 7 and (np.diff(kept) > 0).all()
     assert kept.tolist() == again.tolist() != other.tolist()
     for all_kept, share in ((rows, 1.0), (np.flatnonzero(trivial), 0.1)):
@@ -257,52 +246,47 @@ def test_thinning_keeps_ends_and_spaces_evenly(dataset, spacing):
     refused("spacing of waypoints is 0", dataset.thinned, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_damaged_and_missing_files_and_descriptions_that_do_not_fit_are_named(data, tmp_path):
+    for k, (file, change, message) in enumerate(
+        (
+            ("shards/000001.npz", lambda b: b[:-100] + bytes(100), "is damaged or lacks an array"),
+            (
+                "shards/000001.npz",
+                lambda b: b[:999] + b"?" + b[1000:],
+                "delete it and generate again",
+            ),
+            ("shards/000000.npz", None, "lacks shard 000000 but has 000001.npz: generate"),
+            ("dataset.json", lambda b: b"[]", "one json object"),
+            ("dataset.json", lambda b: b'{"schema": 1}', "dataset.json"),
+            ("dataset.json", lambda b: b'{"schema": 1, "schema": 1}', "occurs twice"),
+        )
+    ):
+        shutil.copytree(data, tmp_path / f"{k}")
+        path = tmp_path / f"{k}" / file
+        before = path.read_bytes()
+        path.unlink()
+        if change is not None:
+            path.write_bytes(change(before))
+        assert Path(file).stem in refused(message, open_dataset, tmp_path / f"{k}")
+    for changes, message in (
         ({"schema": 2}, "schema is 2; this version reads 1"),
         ({"upper": LOWER}, "upper"),
         ({"lower": "low"}, "lower"),
         ({"families": []}, "families"),
         ({"kinematics": {"rotation": [1]}}, "kinematics"),
-    ],
-)
-def test_a_description_that_does_not_fit_is_named(tmp_path, changes, message):
-    refused(message, open_dataset, write_dataset(tmp_path / "d", **changes))
+    ):
+        refused(message, open_dataset, write_dataset(tmp_path / message[:5], **changes))
 
 
-@pytest.mark.parametrize(
-    ("file", "change", "message"),
-    [
-        ("shards/000001.npz", lambda b: b[:-100] + bytes(100), "is damaged or lacks an array"),
-        ("shards/000001.npz", lambda b: b[:999] + b"?" + b[1000:], "delete it and generate again"),
-        ("shards/000000.npz", None, "lacks shard 000000 but has 000001.npz: generate"),
-        ("dataset.json", lambda b: b"[]", "one json object"),
-        ("dataset.json", lambda b: b'{"schema": 1}', "dataset.json"),
-        ("dataset.json", lambda b: b'{"schema": 1, "schema": 1}', "occurs twice"),
-    ],
-)
-def test_damaged_and_missing_files_are_named(data, tmp_path, file, change, message):
-    shutil.copytree(data, tmp_path / "d")
-    path = tmp_path / "d" / file
-    before = path.read_bytes()
-    path.unlink()
-    if change is not None:
-        path.write_bytes(change(before))
-    assert Path(file).stem in refused(message, open_dataset, tmp_path / "d")
-
-
-@pytest.mark.parametrize("without", ["waypoints", "twin_of"])
-def test_shards_that_lack_an_array_or_hold_objects_are_named(tmp_path, without):
+def test_shards_that_lack_an_array_or_hold_objects_and_missing_splits_are_named(tmp_path):
     arrays = shard(np.random.default_rng(5), (7, 8), 3)
-    for name, message in ((without, without), ("family", "pickle")):
-        folder = write_dataset(tmp_path / name, shards=())
-        kept = {**arrays, "family": np.array([{}], dtype=object)} if name == "family" else arrays
-        write_shard(folder, 0, {key: array for key, array in kept.items() if key != without})
+    bad = {"pickle": arrays | {"family": np.array([{}], dtype=object)}}
+    for name in ("waypoints", "twin_of"):
+        bad[name] = {key: array for key, array in arrays.items() if key != name}
+    for message, found in bad.items():
+        folder = write_dataset(tmp_path / message, shards=())
+        write_shard(folder, 0, found)
         refused(rf"000000.npz.*{message}", open_dataset, folder)
-
-
-def test_without_validation_scenes_nothing_is_trained(tmp_path):
     refused(r"no dataset in .*nowhere", open_dataset, tmp_path / "nowhere")
     dataset = open_dataset(write_dataset(tmp_path / "d", shards=((1, 2),)))
     refused("no validation path", dataset.require_splits)

@@ -1,6 +1,7 @@
-"""Timing of paths: against toppra, against the limits themselves, and what is refused."""
+"""Timing of paths: against toppra, against the limits themselves; motions that are refused."""
 
 import json
+import os
 import pickle
 from dataclasses import replace
 
@@ -90,14 +91,7 @@ def test_the_motion_of_a_solution_is_certified_as_its_file_is(solutions):
     refused("the path does not move", certified_motion, found.problem, still, FULL)
 
 
-def test_times_that_are_not_numbers_are_refused(motion):
-    refused("time nan", motion.at, np.nan)
-    refused("sampling period nan", motion.sampled, np.nan)
-
-
-def test_another_arm_has_the_velocities_of_its_urdf_and_must_be_given_accelerations(
-    slider_arm_urdf,
-):
+def test_another_arm_has_its_urdfs_velocities_and_is_given_accelerations(slider_arm_urdf):
     silent = load_robot(slider_arm_urdf, "tool")
     refused(r"no acceleration limits.*--acceleration", lambda: silent.joint_limits)
     given = load_robot(slider_arm_urdf, "tool", acceleration_limits=[1.0, 2.0, 3.0, 4.0])
@@ -110,21 +104,15 @@ def test_another_arm_has_the_velocities_of_its_urdf_and_must_be_given_accelerati
     assert locked.joint_limits.joint_names == ("rail", "bend", "twist")
 
 
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
+def test_bad_limits_are_named(slider_arm_urdf, tmp_path):
+    for values, words in (
         ([1.0, 2.0, 3.0], r"shape \(3,\): give 4 numbers .* rail, lift, bend, twist"),
         ([1.0, 0.0, 3.0, 4.0], r"0\.0 of joint 'lift': give a finite number above 0"),
         ([1.0, 2.0, -3.0, 4.0], r"-3\.0 of joint 'bend'"),
         ([1.0, 2.0, 3.0, np.nan], r"nan of joint 'twist'"),
         ("fast", r"'fast'; it must be a number, or one a joint"),
-    ],
-)
-def test_bad_accelerations_are_named(slider_arm_urdf, values, words):
-    refused(words, load_robot, slider_arm_urdf, "tool", acceleration_limits=values)
-
-
-def test_a_urdf_without_speeds_is_named_when_timing_asks(slider_arm_urdf, tmp_path):
+    ):
+        refused(words, load_robot, slider_arm_urdf, "tool", acceleration_limits=values)
     still = tmp_path / "still.urdf"
     still.write_text(slider_arm_urdf.read_text().replace('velocity="1"', 'velocity="0"', 1))
     arm = load_robot(still, "tool", acceleration_limits=1.0)
@@ -134,9 +122,8 @@ def test_a_urdf_without_speeds_is_named_when_timing_asks(slider_arm_urdf, tmp_pa
 PATH = np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.1], [0.3, 0.1]])
 
 
-@pytest.mark.parametrize(
-    ("waypoints", "words"),
-    [
+def test_bad_waypoints_settings_and_times_are_named(motion):
+    for waypoints, words in (
         (PATH[:1], r"shape \(1, 2\): give \(m, n\), two or more"),
         (PATH[[0, 1, 1, 2]], "waypoint 2 repeats waypoint 1"),
         (PATH[[0, 1, 2, 2]], "waypoint 3 repeats waypoint 2"),
@@ -145,18 +132,14 @@ PATH = np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.1], [0.3, 0.1]])
         (PATH[:, :1], "waypoints have 1 joints, the limits 2: first, second"),
         (PATH[0], r"shape \(2,\)"),
         ([[0.0, 1.0], [0.0]], "not an array of numbers"),
-    ],
-)
-def test_bad_waypoints_are_named(waypoints, words):
-    refused(words, time_path, waypoints, TWO_JOINTS)
-
-
-def test_bad_settings_are_named():
-    for value in (0.0, 1.1, np.nan):
-        refused(f"speed factor {value}:", time_path, PATH, TWO_JOINTS, TimingSettings(speed=value))
-    for value in (0.0, np.nan, np.inf):
-        settings = TimingSettings(deviation=value)
-        refused(f"deviation {value}:", time_path, PATH, TWO_JOINTS, settings)
+    ):
+        refused(words, time_path, waypoints, TWO_JOINTS)
+    bad = [(f"speed factor {value}:", {"speed": value}) for value in (0.0, 1.1, np.nan)]
+    bad += [(f"deviation {value}:", {"deviation": value}) for value in (0.0, np.nan, np.inf)]
+    for words, settings in bad:
+        refused(words, time_path, PATH, TWO_JOINTS, TimingSettings(**settings))
+    refused("time nan", motion.at, np.nan)
+    refused("sampling period nan", motion.sampled, np.nan)
 
 
 def test_what_cannot_be_timed_names_joint_and_place():
@@ -198,3 +181,47 @@ def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, sl
     assert out.read_text().startswith("time,rail_position,lift_position,")
     # 1 rad at 1 rad/s, from rest to rest
     assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0
+
+
+TIMED = '{"points": [{"positions": [1], "time_from_start": %s}]}'
+POINT = '{"positions": [1], "accelerations": [%s], "time_from_start": {"sec": 0}}'
+STAMPS = {
+    '{"sec": true}': "sec True: give a whole number",
+    '{"sec": 0.5}': "sec 0.5: give a whole number",
+    '{"sec": -1}': "sec -1: give a whole number",
+    '{"nanosec": 1}': "sec None: give a whole number",
+    '{"sec": 1, "nanosec": 5e9}': "point 0: nanosec 5000000000.0: give a",
+    '{"sec": 1, "nanosec": 5000000000}': "from 0 to 999999999",
+    '{"sec": 1, "nanosec": -5}': "nanosec -5: give a whole number from 0",
+    '{"sec": 1, "nsecs": 5}': "key of time_from_start of point 0 'nsecs'",
+    "1.5": "time_from_start of point 0 is 1.5",
+}
+NUMBERS = {"0.0_9,1\n1,2\n": "0.0_9", "q1,q2\n1,1_0\n": "1_0", "0.1,\u0663\n1,2\n": "\u0663"}
+NUMBERS |= {"1,2\n1,0x1\n": "0x1"}
+STATES = ('[["x"]]', "[[1, 2], [3]]", '[["0.1", 2], [3, 4]]', "[[true, 2], [3, 4]]", "[" * 100_000)
+
+
+def test_what_is_no_motion_is_one_line(tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "device.csv").symlink_to("/dev/zero")
+    for name, text, words in (
+        *((name, None, "not a regular file") for name in ("pipe.csv", "device.csv")),
+        ("a.csv", "", "empty"),
+        ("a.csv", "1,2\n3\n", "not understood"),
+        ("a.csv", "q1,q2\n1,2\n3,4\n", "the robot has panda_joint1"),
+        ("a.csv", "time,q1_position,force\n1,2,3\n", "column 'force'"),
+        *(("a.csv", text, f"'{bad}': give a decimal number") for text, bad in NUMBERS.items()),
+        ("a.json", "{", "not json"),
+        ("a.json", "{}", "no 'states', 'path' or 'points'"),
+        *(("a.json", text, "not understood") for text in (*STATES, '{"points": 7}')),
+        *(("a.json", TIMED % stamp, words) for stamp, words in STAMPS.items()),
+        ("a.json", '{"points": [{"position": [1]}]}', "key of point 0 'position'"),
+        ("a.json", '{"points": [], "joint_name": ["a"]}', "key of the trajectory 'joint_name'"),
+        ("a.json", '{"joint_names": 3, "states": []}', "list of names"),
+        ("a.json", '{"points": [{"time_from_start": 3}]}', "no 'positions'"),
+        ("a.json", f'{{"points": [{POINT % 0}, {POINT % ""}]}}', "point 1 has no 'accelerations'"),
+        ("a.txt", "", "'.txt'"),
+    ):
+        if text is not None:
+            (tmp_path / name).write_text(text)
+        assert words in command_refused(capsys, "certify", tmp_path / name, "place-task"), text

@@ -107,9 +107,7 @@ def g_of(codebook, z, constraint, draws=2000):
 
 
 @pytest.mark.parametrize(("method", "eta"), [("adam", 0.05), ("gradient", 0.02)])
-def test_codes_move_to_the_manifold_and_never_get_worse(
-    codebook, predicted, constraint, method, eta
-):
+def test_codes_move_to_the_manifold(codebook, predicted, constraint, method, eta):
     settings = {"method": method, "eta": eta, "steps": 8, "check_samples": 64}
     result = optimized(codebook, predicted, constraint, **settings)
     kept, moved = result.kept, ~result.kept
@@ -142,7 +140,7 @@ def test_as_printed_codes_that_got_worse_stay_moved(codebook, predicted, constra
     np.testing.assert_array_equal(ours.z[~worse], printed.z[~worse])
 
 
-def test_short_steps_stop_a_code(codebook, predicted, constraint):
+def test_short_steps_stop_a_code_and_those_on_the_manifold_stay(codebook, predicted, constraint):
     def steps(**settings):
         return optimized(codebook, predicted, constraint, steps=6, **settings).steps
 
@@ -150,9 +148,6 @@ def test_short_steps_stop_a_code(codebook, predicted, constraint):
     slow = steps(method="gradient", eta=2e-3, delta=5e-3)
     assert slow.min() == 1 and slow.max() == 6
     assert (steps(delta=0.0) == 6).all()
-
-
-def test_codes_on_the_manifold_stay_and_none_are_no_trouble(codebook, predicted):
     everywhere = Plane(normal=(0.0,) * 7, offset=0.0)
     result = optimized(codebook, predicted, everywhere)
     assert result.kept.all() and (result.steps == 1).all() and (result.g_after == 0.0).all()
@@ -161,14 +156,11 @@ def test_codes_on_the_manifold_stay_and_none_are_no_trouble(codebook, predicted)
     assert none.z.shape == (0, 8) and none.kept.shape == (0,)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_settings_are_checked():
+    for changes, message in (
         ({"method": "newton"}, "method 'newton'; valid choices: adam, gradient"),
         ({"steps": 0}, "LatentSettings.steps is 0; it must be 1 or more"),
         ({"eta": 0.0}, "eta is 0.0; it must be more than 0"),
         ({"delta": float("nan")}, "delta is nan; it must be a finite float"),
-    ],
-)
-def test_settings_are_checked(changes, message):
-    refused(message, LatentSettings, error=CvqmptError, **changes)
+    ):
+        refused(message, LatentSettings, error=CvqmptError, **changes)

@@ -1,4 +1,4 @@
-"""Learned samplers: their names, mixtures and updates; controls on the shipped weights."""
+"""Learned samplers and controls on the shipped weights; rollouts of real and made networks."""
 
 import re
 from dataclasses import replace
@@ -6,17 +6,23 @@ from itertools import groupby
 
 import numpy as np
 import pytest
+import torch
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.place_task import place_problem
+from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import CONTROLS, Method, planner_named
+from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE
+from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.planner_interface import Observation, Query, Uniform
 from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.training.mpnet_stage import MPNet
+from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, stored
 from cvqmpt_lab.vqmpt.codebook import codes_of
+from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.learned_sampler import (
     CodeProposal,
     LearnedSampler,
@@ -24,7 +30,9 @@ from cvqmpt_lab.vqmpt.learned_sampler import (
     dictionary_roadmap,
     model_of,
 )
+from cvqmpt_lab.vqmpt.mpnet_rollouts import MPNetNetwork, MPNetRollouts, line_free
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
+from cvqmpt_lab.vqmpt.weights import robot_signature
 
 ENOUGH = Budget(iterations=20_000)
 
@@ -52,42 +60,26 @@ def proposed(problem, query):
     return propose
 
 
-WIDE = {"predictor": "random", "gaussians": "wide"}
+def test_words_say_the_product():
+    along = {"gaussians": "along", "draws": "free-draws", "reach": 1.0, "goals": "goals-apart"}
+    wide = {"predictor": "random", "gaussians": "wide", "uniform_share": 0.15}
+    other = {"update": "projected", "cloud": "other-cloud", "uniform_share": 0.5}
+    for words, product in {
+        "random": {"predictor": "random"},
+        "transformer+along+free-draws+reach=1+goals-apart": along | {"uniform_share": 0.15},
+        "transformer+algorithm-2": {"update": "algorithm-2"},
+        "random+wide": wide,
+        "random+uniform=0.5+projected+wide+other-cloud": wide | other,
+    }.items():
+        choice = SamplerChoice(**{"predictor": "transformer"} | product)
+        assert SamplerChoice.of(words) == planner_named(f"cvq:{words}").sampler == choice
 
 
-@pytest.mark.parametrize(
-    ("words", "choice"),
-    [
-        ("random", SamplerChoice(predictor="random")),
-        (
-            "transformer+along+free-draws+reach=1+goals-apart",
-            SamplerChoice(
-                predictor="transformer",
-                gaussians="along",
-                draws="free-draws",
-                reach=1.0,
-                goals="goals-apart",
-                uniform_share=0.15,
-            ),
-        ),
-        ("transformer+algorithm-2", SamplerChoice(predictor="transformer", update="algorithm-2")),
-        ("random+wide", SamplerChoice(**WIDE, uniform_share=0.15)),
-        (
-            "random+uniform=0.5+projected+wide+other-cloud",
-            SamplerChoice(**WIDE, update="projected", cloud="other-cloud", uniform_share=0.5),
-        ),
-    ],
-)
-def test_words_say_the_product(words, choice):
-    assert SamplerChoice.of(words) == planner_named(f"cvq:{words}").sampler == choice
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
+def test_other_words_are_refused():
+    for words, message in (
         ("", "predictor of a learned sampler ''; valid choices: transformer"),
         ("wide", "'wide'; valid choices: transformer"),
-        ("random+broad", "part of planner cvq:random+broad 'broad'; valid choices: decoded, wide"),
+        ("random+broad", "planner cvq:random+broad 'broad'; valid choices: decoded, wide"),
         ("random+wide+decoded", "two parts of one kind, 'decoded'"),
         ("random+uniform=2", "uniform share 2.0 of a learned sampler: give 0 to 1"),
         ("random+all-beams", "all-beams goes with predictor transformer, not random"),
@@ -96,11 +88,9 @@ def test_words_say_the_product(words, choice):
         ("random+reach=0", "reach 0.0 of a learned sampler: give more than 0 [rad]"),
         ("random+reach=1+reach=2", "two parts of one kind, 'reach=2'"),
         ("random+every-waypoint", "every-waypoint goes with predictor transformer, not random"),
-        ("transformer+along+printed", "printed moves codes: along has none; leave one of them out"),
-    ],
-)
-def test_other_words_are_refused(words, message):
-    refused(re.escape(message), planner_named, f"cvq:{words}", error=CvqmptError)
+        ("transformer+along+printed", "printed moves codes: along has none; leave one of them"),
+    ):
+        refused(re.escape(message), planner_named, f"cvq:{words}", error=CvqmptError)
 
 
 @pytest.mark.parametrize("predictor", ["transformer", "random", "oracle"])
@@ -214,3 +204,144 @@ def test_a_roadmap_needs_its_own_scene():
         own, wrong = (counters.projections + counters.state_checks for counters in counted)
         ratios.append(np.log(wrong / own))
     assert np.exp(np.mean(ratios)) > 1.3
+
+
+WIDTHS = {"encoder_widths": (8, 6), "planner_widths": (140, 12, 8)}
+CONFIG = MPNetConfig(n_points=16, code_dim=4, dropout=0.2, **WIDTHS)
+COPIES = 10
+
+
+@pytest.fixture(scope="module")
+def tuning():
+    return with_sampled_goals(place_problem(TUNING_ENVIRONMENTS[0]))[0]
+
+
+def random_network(config=CONFIG):
+    torch.manual_seed(0)
+    return MPNet(config).eval()
+
+
+def in_numpy(network, robot):
+    checkpoint = Checkpoint(network.config, robot_signature(robot), {"mpnet": network})
+    return MPNetNetwork(stored(checkpoint))
+
+
+def heading_network(share=0.5):
+    """Proposes current + share * (goal - current), noisy by dropout of copies of its inputs."""
+    network = random_network(replace(CONFIG, planner_widths=(14 * COPIES, 8)))
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.zero_()
+        (first, slope), (second, other_slope) = network.hidden
+        slope.weight.fill_(1.0)
+        other_slope.weight.fill_(1.0)
+        first.weight[:, CONFIG.code_dim :] = torch.eye(14).repeat(COPIES, 1)
+        both = torch.cat(((1.0 - share) * torch.eye(7), share * torch.eye(7)), 1)
+        second.weight[:7] = both.repeat(1, COPIES) / COPIES
+        network.out.weight[:, :7] = torch.eye(7)
+    return network
+
+
+def on_manifold(problem, draw, valid):
+    """A projected draw (n,), of a generator, that is valid or not."""
+    space, rng = ConstrainedSpace(problem), np.random.default_rng(0)
+    while True:
+        q = draw(rng)
+        if space.project(q) and space.valid(q) == valid:
+            return q
+
+
+def colliding(problem):
+    """A configuration (n,) on the manifold that collides."""
+    robot = problem.robot
+    return on_manifold(problem, lambda rng: rng.uniform(robot.lower, robot.upper), False)
+
+
+def stuck_network(problem):
+    """Always proposes the same colliding configuration."""
+    robot, network = problem.robot, heading_network()
+    with torch.no_grad():
+        network.out.weight.zero_()
+        unit = 2.0 * (colliding(problem) - robot.lower) / (robot.upper - robot.lower) - 1.0
+        network.out.bias[:] = torch.from_numpy(unit)
+    return network
+
+
+def cloud_of(scene):
+    """Corners of the obstacles: faster than cameras."""
+    return np.array([item.T_world_object[:3, 3] for item in scene.obstacles])
+
+
+def mpnet_of(robot, network=None, observe=cloud_of, bridged=False, **settings):
+    """A method whose rollouts are those of a network."""
+    rollouts = MPNetRollouts(in_numpy(network or heading_network(), robot), bridged, **settings)
+    return Method.simple("mpnet", predict=rollouts, observe=observe)
+
+
+def test_it_computes_what_the_torch_network_does(panda):
+    network = random_network()
+    inference = in_numpy(network, panda)
+    rng = np.random.default_rng(0)
+    points, current, goal = rng.normal(size=(16, 3)), rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
+    code = inference.encode(points)
+    with torch.no_grad():
+        expected = network.encode(torch.tensor(points[None], dtype=torch.float32))
+        np.testing.assert_allclose(code, expected[0], atol=1e-6)
+        ends = (torch.tensor(q[None], dtype=torch.float32) for q in (current, goal))
+        answer = network(*ends, expected, stochastic=False)
+    np.testing.assert_allclose(inference.propose(current, goal, code), answer[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("make", [heading_network, random_network])
+def test_bridged_rollouts_solve_a_place_problem(tuning, make):
+    method = mpnet_of(tuning.robot, make(), bridged=True)
+    solution = solve(tuning, method, ENOUGH, seed=0)
+    assert solution.plan.status is PlanStatus.SOLVED and solution.certificate.reasons == ()
+    assert solution.plan.detail.startswith(BY_ROLLOUTS)
+    assert states_hash(plan(tuning, method).path.states) == states_hash(solution.plan.path.states)
+
+
+def test_published_rollouts_end_at_the_nearest_goal(tuning):
+    states = plan(tuning, mpnet_of(tuning.robot)).path.states
+    nearest = min(tuning.goals, key=lambda goal: np.linalg.norm(goal - tuning.start))
+    np.testing.assert_array_equal(states[-1], nearest)
+
+
+def test_attempts_are_bounded_where_nothing_is_free(tuning):
+    stuck, few = stuck_network(tuning), {"rollouts": 3, "attempts": 6}
+    cut = "2 of 10 rollouts failed: 1 cut short by the budget, 1"
+    for limits, budget, iterations, detail in (
+        (few, ENOUGH, 3 * 6, "all 3 of 3 rollouts failed: 3"),
+        ({}, Budget(iterations=40), 40, cut),
+    ):
+        result = plan(tuning, mpnet_of(tuning.robot, stuck, **limits), budget)
+        assert result.path is None and result.status is PlanStatus.ITERATION_LIMIT
+        assert result.detail == f"{detail} without a free state"
+        assert result.counters.iterations == iterations
+
+
+def test_sides_that_do_not_meet_are_bridged_or_given_up(tuning):
+    short, settings = heading_network(share=0.1), {"predictions": 1, "rollouts": 1, "share": 1.0}
+    published = plan(tuning, mpnet_of(tuning.robot, short, **settings))
+    assert published.detail == "all 1 of 1 rollouts failed: 1 whose sides did not meet"
+    assert published.path is None
+    bridged = plan(tuning, mpnet_of(tuning.robot, short, bridged=True, **settings))
+    assert bridged.path is not None and "a bridge" in bridged.detail
+
+
+def test_rollouts_alone_reach_a_goal_that_a_direct_motion_does(tuning):
+    near = on_manifold(tuning, lambda rng: tuning.start + rng.normal(scale=0.05, size=7), True)
+    easy = replace(tuning, goals=near[None], goal_region=None)
+    result = plan(easy, mpnet_of(easy.robot))
+    assert result.detail == ROLLOUTS_ALONE
+    assert result.counters.state_checks >= 100 and result.counters.projections > 0
+
+
+def test_a_straight_line_is_checked_for_collision_alone(tuning):
+    space = ConstrainedSpace(tuning)
+    off = tuning.start.copy()
+    off[6] += 0.3  # turns the hand: off the manifold
+    assert space.valid(off) and np.linalg.norm(tuning.manifold.residual(off)) > 0.01
+    assert line_free(space, tuning.start, off)
+    assert space.counters.projections == 0 and space.counters.state_checks == 1 + 100
+    assert not line_free(space, tuning.start, colliding(tuning))

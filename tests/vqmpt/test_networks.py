@@ -1,6 +1,7 @@
 """Both stages as published, and set abstraction, against independent implementations."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -12,38 +13,21 @@ from torch.nn import functional as F
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.training.dictionary_stage import stage1_loss
+from cvqmpt_lab.vqmpt import config, dictionary, published_network
 from cvqmpt_lab.vqmpt.beam_search import beam_search
-from cvqmpt_lab.vqmpt.config import (
-    DictionaryConfig,
-    ModelConfig,
-    PointCloudConfig,
-    SequenceConfig,
-    SetAbstractionConfig,
-    TransformerConfig,
-)
-from cvqmpt_lab.vqmpt.dictionary import (
-    Dictionary,
-    FeedForward,
-    GaussianDecoder,
-    MultiHeadAttention,
-    Quantizer,
-    TrajectoryEncoder,
-)
-from cvqmpt_lab.vqmpt.published_network import (
-    PublishedSequenceModel,
-    SetAbstraction,
-    ball_query,
-    farthest_point_sampling,
-)
+from cvqmpt_lab.vqmpt.config import ModelConfig, SetAbstractionConfig
+from cvqmpt_lab.vqmpt.dictionary import Dictionary, Quantizer
+from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel, farthest_point_sampling
 
-SIZES = TransformerConfig(n_layers=2, n_heads=3, d_k=10, d_v=6, d_model=16, d_inner=24, dropout=0.1)
+SIZES = {"n_layers": 2, "n_heads": 3, "d_k": 10, "d_v": 6, "d_model": 16, "d_inner": 24}
+SIZES = config.TransformerConfig(**SIZES, dropout=0.1)
 SMALL = ModelConfig(
-    dictionary=DictionaryConfig(transformer=SIZES, n_position=30, n_codes=12),
-    point_cloud=PointCloudConfig(
+    dictionary=config.DictionaryConfig(transformer=SIZES, n_position=30, n_codes=12),
+    point_cloud=config.PointCloudConfig(
         sa1=SetAbstractionConfig(ratio=0.75, radius=0.2, widths=(8, 12)),
         sa2=SetAbstractionConfig(ratio=0.75, radius=0.4, widths=(20, 16)),
     ),
-    sequence=SequenceConfig(context=SIZES, transformer=SIZES),
+    sequence=config.SequenceConfig(context=SIZES, transformer=SIZES),
 )
 
 
@@ -53,8 +37,8 @@ def seed():
 
 
 def test_parameter_counts_are_those_of_the_published_checkpoints():
-    dictionary, sequence = Dictionary(ModelConfig()), PublishedSequenceModel(ModelConfig())
-    modules = (dictionary.encoder, dictionary.quantizer, dictionary.decoder)
+    words, sequence = Dictionary(ModelConfig()), PublishedSequenceModel(ModelConfig())
+    modules = (words.encoder, words.quantizer, words.decoder)
     modules += (sequence.context, sequence.autoregressive)
     assert [len(module.state_dict()) for module in modules] == [43, 8, 13, 72, 40]
     counts = [sum(p.numel() for p in module.parameters()) for module in modules]
@@ -78,7 +62,7 @@ def attention_by_hand(block, query, context):
 
 
 def test_attention_is_softmax_of_scaled_products_plus_the_raw_query():
-    block = MultiHeadAttention(SIZES).eval()
+    block = dictionary.MultiHeadAttention(SIZES).eval()
     torch.nn.init.normal_(block.layer_norm.weight)
     torch.nn.init.normal_(block.layer_norm.bias)
     query, context = torch.randn(1, 3, 16), torch.randn(1, 5, 16)
@@ -88,14 +72,15 @@ def test_attention_is_softmax_of_scaled_products_plus_the_raw_query():
 
 @pytest.mark.parametrize("norm_first", [True, False])
 def test_feed_forward_normalises_before_or_after(norm_first):
-    x, block = torch.randn(2, 3, 16), FeedForward(16, 24, 0.3, norm_first=norm_first).eval()
+    block = dictionary.FeedForward(16, 24, 0.3, norm_first=norm_first).eval()
+    x = torch.randn(2, 3, 16)
     y = layer_norm(x, block.layer_norm) if norm_first else x
     y = F.relu(y @ block.w_1.weight.T + block.w_1.bias) @ block.w_2.weight.T + block.w_2.bias + x
     torch.testing.assert_close(block(x), y if norm_first else layer_norm(y, block.layer_norm))
 
 
 def test_trajectory_encoder_uses_one_layer_norm_three_times():
-    encoder = TrajectoryEncoder(7, 30, SIZES).eval()
+    encoder = dictionary.TrajectoryEncoder(7, 30, SIZES).eval()
     torch.nn.init.normal_(encoder.layer_norm.weight)
     u = torch.rand(1, 4, 7)
     x = layer_norm(encoder.to_embedding(u), encoder.layer_norm)
@@ -137,7 +122,7 @@ def test_codes_restart_on_data():
 
 
 def test_decoder_covariance_is_l_d_l_transposed_in_row_major_order():
-    decoder = GaussianDecoder(16, 24, 7, 0.5).eval()
+    decoder = dictionary.GaussianDecoder(16, 24, 7, 0.5).eval()
     latent = torch.randn(3, 16)
     gaussians, hidden = decoder(latent), decoder.pos_ffn(latent)
     for i in range(3):
@@ -158,11 +143,11 @@ def test_decoder_covariance_is_l_d_l_transposed_in_row_major_order():
 
 
 def test_stage1_loss_masks_padding():
-    dictionary = Dictionary(SMALL).eval()
+    words = Dictionary(SMALL).eval()
     u, visible = torch.rand(2, 6, 7), torch.ones(2, 6, dtype=torch.bool)
     visible[1, 4:] = False
     with torch.no_grad():
-        gaussians, quantized = dictionary(u)
+        gaussians, quantized = words(u)
     loss = stage1_loss(gaussians, quantized, u, visible, commitment=0.25)
     log_prob, entropies = gaussians.log_prob(u), gaussians.entropy()
     seen = [(b, t) for b in range(2) for t in range(6) if visible[b, t]]
@@ -238,17 +223,17 @@ def beam_by_hand(odds, k, length):
 def test_beams_in_a_batch_are_searched_by_the_rules_of_the_published_code(sequence_model):
     sequence_model.autoregressive.class_pred.weight *= 3.0
     sequence_model.autoregressive.class_pred.bias[-1] += 3.0
-    dictionary, ends = Dictionary(SMALL).eval(), torch.rand(2, 8, 7)
+    words, ends = Dictionary(SMALL).eval(), torch.rand(2, 8, 7)
     scene = sequence_model.encode_scene([torch.rand(20, 3)])
     context, finished = sequence_model.encode_context(scene, *ends), []
     for beams, length in ((1, 9), (2, 1), (2, 4), (3, 6)):
-        decoder = sequence_model.decoder(dictionary, scene, *ends)
+        decoder = sequence_model.decoder(words, scene, *ends)
         searched = beam_search(decoder, beams=beams, max_length=length, published=True)
         for row, (found, *_) in enumerate(searched):
 
             def odds(path, tokens=context[row : row + 1]):
                 prefix = torch.tensor([path], dtype=torch.int64).reshape(1, -1)
-                logits = sequence_model.prefix_logits(tokens, prefix, dictionary.quantizer)
+                logits = sequence_model.prefix_logits(tokens, prefix, words.quantizer)
                 return logits.softmax(1)[0].numpy()
 
             codes, score = beam_by_hand(odds, beams, length)
@@ -259,12 +244,11 @@ def test_beams_in_a_batch_are_searched_by_the_rules_of_the_published_code(sequen
     for beams in (0, 13):
         refused(f"{beams} beams; give 1 to 12", beam_search, decoder, beams=beams)
     sequence_model.autoregressive.class_pred.weight *= torch.nan
-    refused("not finite", beam_search, sequence_model.decoder(dictionary, scene, *ends))
+    refused("not finite", beam_search, sequence_model.decoder(words, scene, *ends))
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "message"),
-    [
+def test_config_names_the_wrong_field():
+    for path, value, message in (
         ("kind", "tiny", "unknown model.kind 'tiny'"),
         ("joint_dim", "7", "model.joint_dim is '7'; it must be int"),
         ("joint_dim", -7, "cannot be negative"),
@@ -281,15 +265,13 @@ def test_beams_in_a_batch_are_searched_by_the_rules_of_the_published_code(sequen
         ("point_cloud", 3, "must be an object"),
         ("feature_dim", 24, "kind 'published' has no feature_dim"),
         ("sequence.transformer.d_model", 8, "one latent width"),
-    ],
-)
-def test_config_names_the_wrong_field(path, value, message):
-    data = inner = to_plain(ModelConfig(), complete=True)
-    *outer, last = path.split(".")
-    for name in outer:
-        inner = inner[name]
-    inner[last] = value
-    refused(message, from_plain, ModelConfig, data, "model", complete=True, error=CvqmptError)
+    ):
+        data = inner = to_plain(ModelConfig(), complete=True)
+        *outer, last = path.split(".")
+        for name in outer:
+            inner = inner[name]
+        inner[last] = value
+        refused(message, from_plain, ModelConfig, data, "model", complete=True, error=CvqmptError)
 
 
 @pytest.fixture
@@ -309,45 +291,36 @@ def farthest_by_hand(cloud, count):
     return chosen
 
 
-def test_farthest_points(points):
-    indices = farthest_point_sampling(points, 20)
-    assert indices.tolist() == [farthest_by_hand(cloud, 20) for cloud in points]
-    assert sorted(farthest_point_sampling(points, 60)[0].tolist()) == list(range(60))
-    assert farthest_point_sampling(torch.zeros(1, 4, 3), 2).tolist() == [[0, 0]]
-
-
 @pytest.mark.parametrize("pairs_at_once", [1, 500, 1 << 17])
 @pytest.mark.parametrize("most", [3, 64])
 def test_ball_query_takes_the_first_points_within_the_radius(points, most, pairs_at_once):
-    centres = points[:, 5:17]
-    found = ball_query(points, centres, 0.4, most, pairs_at_once)
-    expected = [
-        (60 * b + n, 12 * b + m)
-        for b in range(2)
-        for m in range(12)
-        for n in near(points[b], centres[b, m], 0.4)[:most]
-    ]
+    centres, expected = points[:, 5:17], []
+    found = published_network.ball_query(points, centres, 0.4, most, pairs_at_once)
+    for b, m in product(range(2), range(12)):
+        inside = near(points[b], centres[b, m], 0.4)[:most]
+        expected += [(60 * b + n, 12 * b + m) for n in inside]
     assert list(zip(*(part.tolist() for part in found), strict=True)) == expected
 
 
-def test_set_abstraction_is_the_maximum_over_a_perceptron_of_each_ball(points):
+def test_set_abstraction_is_the_maximum_over_a_perceptron_of_balls_around_farthest_points(points):
     sizes = SetAbstractionConfig(ratio=0.75, radius=0.3, widths=(8, 12), max_neighbours=5)
-    module = SetAbstraction(4, sizes)
+    module = published_network.SetAbstraction(4, sizes)
     features = torch.rand(2, 60, 4)
     module(features, points)  # moves the running statistics of the batch norms
     module.eval()
     found, centres = module(features, points)
     assert found.shape == (2, 45, 12)
-    chosen = farthest_point_sampling(points, 45)
-    for b in range(2):
-        for m in range(45):
-            centre, messages = points[b, chosen[b, m]], []
-            for n in near(points[b], centre, 0.3)[:5]:
-                x = torch.cat((features[b, n], points[b, n] - centre))
-                for linear, _, norm in module.conv.local_nn:
-                    x = (linear.weight @ x + linear.bias).clamp(min=0.0) - norm.running_mean
-                    x = x / torch.sqrt(norm.running_var + 1e-5) * norm.weight + norm.bias
-                messages.append(x)
-            expected = torch.stack(messages).max(0).values
-            torch.testing.assert_close(found[b, m], expected, rtol=1e-4, atol=1e-5)
-            torch.testing.assert_close(centres[b, m], centre)
+    chosen = [farthest_by_hand(cloud, 45) for cloud in points]
+    for b, m in product(range(2), range(45)):
+        centre, messages = points[b, chosen[b][m]], []
+        for n in near(points[b], centre, 0.3)[:5]:
+            x = torch.cat((features[b, n], points[b, n] - centre))
+            for linear, _, norm in module.conv.local_nn:
+                x = (linear.weight @ x + linear.bias).clamp(min=0.0) - norm.running_mean
+                x = x / torch.sqrt(norm.running_var + 1e-5) * norm.weight + norm.bias
+            messages.append(x)
+        expected = torch.stack(messages).max(0).values
+        torch.testing.assert_close(found[b, m], expected, rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(centres[b, m], centre)
+    assert sorted(farthest_point_sampling(points, 60)[0].tolist()) == list(range(60))
+    assert farthest_point_sampling(torch.zeros(1, 4, 3), 2).tolist() == [[0, 0]]

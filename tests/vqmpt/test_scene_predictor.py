@@ -25,9 +25,8 @@ from cvqmpt_lab.vqmpt.scene_predictor import (
 )
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
 
-SMALL = SceneTransformerSizes(
-    width=32, layers=3, heads=2, groups=24, group_size=8, values=4, edge_width=16, links=6, stride=3
-)
+SMALL = {"width": 32, "layers": 3, "heads": 2, "groups": 24, "group_size": 8, "values": 4}
+SMALL = SceneTransformerSizes(**SMALL, edge_width=16, links=6, stride=3)
 ROBOTS = {
     "panda": {"name": "panda"},
     "tiago-no-hand": {"name": "tiago-no-hand", "base": {"xyz": [0.0, 0.0, -0.6]}},
@@ -94,9 +93,7 @@ def tensor(array):
     return torch.from_numpy(np.asarray(array, dtype=np.float32))[None]
 
 
-def test_embeddings_odds_and_costs_to_go_are_those_of_torch(
-    checkpoint, predictor, by_torch, queries
-):
+def test_embeddings_and_costs_are_those_of_torch(checkpoint, predictor, by_torch, queries):
     scene, network = predictor.encode(CLOUD), checkpoint.modules["transformer"]
     np.testing.assert_allclose(scene.keys, by_torch.keys[0], atol=1e-4)
     np.testing.assert_allclose(scene.parts, by_torch.parts[0], atol=1e-4)
@@ -116,9 +113,7 @@ def test_embeddings_odds_and_costs_to_go_are_those_of_torch(
     np.testing.assert_array_equal(predictor.by_cost(scene, start, goals), goals[np.argsort(costs)])
 
 
-def test_ways_after_every_prefix_are_as_likely_as_by_torch(
-    checkpoint, predictor, by_torch, queries
-):
+def test_ways_are_as_likely_as_by_torch(checkpoint, predictor, by_torch, queries):
     network, (start, goals) = checkpoint.modules["transformer"], queries
     rng = np.random.default_rng(0)
     decoder = SequenceDecoder(predictor.network, predictor.encode(CLOUD), start, goals)
@@ -160,11 +155,8 @@ def likeliest_by_hand(decoder, beams):
     best = sorted(grown, key=lambda one: -one[2])[:beams]
     for _ in range(LONGEST):
         rows, latest = np.array([(row, codes[-1] % GOAL) for row, codes, _ in best]).T
-        grown = []
-        for row, (ways, log_p, one) in enumerate(
-            zip(*decoder.advance(rows, latest), best, strict=True)
-        ):
-            _, codes, score = one
+        grown, advanced = [], decoder.advance(rows, latest)
+        for row, (ways, log_p, (_, codes, score)) in enumerate(zip(*advanced, best, strict=True)):
             further = zip(ways.tolist(), log_p.tolist(), strict=True)
             going = [(row, (*codes, way), score + p) for way, p in further]
             grown += [(row, codes, score)] if codes[-1] == GOAL else going
@@ -218,36 +210,28 @@ def test_compiled_groups_are_those_of_training():
         np.testing.assert_allclose(*reach, atol=1e-6)
 
 
-def test_few_and_many_points(predictor):
+def test_few_and_many_points_and_a_start_no_code_is_near(predictor, robot, queries):
     nothing, one = predictor.encode(np.empty((0, 3))), predictor.encode(np.full((1, 3), 0.4))
     many = predictor.encode(np.random.default_rng(0).uniform(-0.7, 0.7, (1_000_000, 3)))
     assert all(np.isfinite(scene.arc_cost).all() for scene in (nothing, one, many))
     assert not np.allclose(one.arc_cost, nothing.arc_cost)
-    assert predictor.encode(CLOUD) is predictor.encode(CLOUD.copy())
-    assert predictor.encode(CLOUD) is not predictor.encode(CLOUD, use_cache=False)
-
-
-def test_a_start_no_code_is_near_still_has_a_way(predictor, robot, queries):
-    found = predictor.hypotheses(predictor.encode(CLOUD), robot.upper, queries[1])
+    scene, asked = predictor.encode(CLOUD), (robot.upper, queries[1])
+    assert predictor.encode(CLOUD.copy()) is scene
+    assert predictor.encode(CLOUD, use_cache=False) is not scene
+    found = predictor.hypotheses(scene, *asked)
     assert all(one[0].finished and len(one[0].codes) > 0 for one in found)
-    scene = predictor.encode(CLOUD)
-    told = "7 beams; give 1 to 6"
-    refused(told, predictor.hypotheses, scene, robot.upper, queries[1], beams=7)
-
-
-def changed(model, **arrays):
-    part = dict(model.parts["transformer"])
-    for name, array in arrays.items():
-        part[name.replace("__", ".")] = array
-    return dataclasses.replace(model, parts={**model.parts, "transformer": part})
+    refused("7 beams; give 1 to 6", predictor.hypotheses, scene, *asked, beams=7)
 
 
 def test_weights_that_do_not_fit_are_refused(model, robot):
+    def changed(**arrays):
+        part = model.parts["transformer"] | arrays
+        return dataclasses.replace(model, parts={**model.parts, "transformer": part})
+
     def configured(**changes):
         sizes = dataclasses.replace(model.config.transformer, **changes) if changes else None
-        return dataclasses.replace(
-            model, config=dataclasses.replace(model.config, transformer=sizes)
-        )
+        config = dataclasses.replace(model.config, transformer=sizes)
+        return dataclasses.replace(model, config=config)
 
     nodes, edges = (model.parts["transformer"][name] for name in ("nodes", "edges"))
     wider = tuple(limit + 0.1 for limit in model.config.transformer.upper)
@@ -255,14 +239,14 @@ def test_weights_that_do_not_fit_are_refused(model, robot):
     without = dataclasses.replace(model, parts={"dictionary": model.parts["dictionary"]})
     for message, bad in (
         (r"no transformer, only dictionary; train one: cvqmpt train transformer", without),
-        ("was trained on the codes of another", changed(model, nodes=nodes[::-1].copy())),
-        (r"nodes is \(63, .\), expected", changed(model, nodes=nodes[1:])),
-        (r"edges is \(.*\) of float32, exp", changed(model, edges=edges.astype(np.float32))),
-        ("edges that do not join two of its 64 nodes", changed(model, edges=edges + 1)),
+        ("was trained on the codes of another", changed(nodes=nodes[::-1].copy())),
+        (r"nodes is \(63, .\), expected", changed(nodes=nodes[1:])),
+        (r"edges is \(.*\) of float32, exp", changed(edges=edges.astype(np.float32))),
+        ("edges that do not join two of its 64 nodes", changed(edges=edges + 1)),
         ("is for 60 codes, the dictionary has 64", configured(n_nodes=60)),
         ("was made with other upper limits", configured(upper=wider)),
-        (r"weight is \(16, 31\), exp", changed(model, look__value__weight=np.zeros((16, 31)))),
-        ("place has NaN", changed(model, place=nan)),
+        (r"weight is \(16, 31\), exp", changed(**{"look.value.weight": np.zeros((16, 31))})),
+        ("place has NaN", changed(place=nan)),
         ("describes none", configured()),
     ):
         refused(message, SceneTransformerPredictor, bad, robot)

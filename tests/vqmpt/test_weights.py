@@ -54,25 +54,19 @@ def test_round_trip(folder):
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
 
 
-def test_a_full_disk_leaves_the_earlier_checkpoint(folder, monkeypatch):
+def test_what_cannot_be_written_leaves_the_earlier_checkpoint(folder, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    before = weights_digest(folder)
-    monkeypatch.setattr(weights, "write_bytes", full)
-    checkpoint = Checkpoint(CONFIG, ROBOT, {"dictionary": Dictionary(CONFIG)})
-    refused("No space left", save_checkpoint, folder, checkpoint)
+    before, checkpoint = weights_digest(folder), Checkpoint(CONFIG, ROBOT, {})
+    checkpoint.modules["dictionary"] = Dictionary(CONFIG)
+    with monkeypatch.context() as patch:
+        patch.setattr(weights, "write_bytes", full)
+        refused("No space left", save_checkpoint, folder, checkpoint)
+    checkpoint.modules["dictionary"].decoder.mu[0].bias.data[0] = torch.nan
+    refused(r"decoder\.mu\.0\.bias has NaN", save_checkpoint, folder, checkpoint)
     assert weights_digest(folder) == before
     assert [path.name for path in folder.parent.iterdir()] == ["model"]
-
-
-def test_weights_that_are_not_finite_are_not_written(tmp_path):
-    dictionary = Dictionary(CONFIG)
-    with torch.no_grad():
-        dictionary.decoder.mu[0].bias[0] = torch.nan
-    checkpoint = Checkpoint(CONFIG, ROBOT, {"dictionary": dictionary})
-    refused(r"decoder\.mu\.0\.bias has NaN", save_checkpoint, tmp_path / "m", checkpoint)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_damage_is_named(folder):
@@ -95,9 +89,9 @@ def layers(count):
     return lambda d: d["model"]["dictionary"]["transformer"].update(n_layers=count)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_config_and_tensors_must_agree(folder):
+    good = (folder / "config.json").read_text()
+    for change, message in (
         (words(n_codes=9), r"embedding.weight is \(6, 8\), expected \(9, 8\)"),
         (words(n_codes=60_000, code_dim=60_000), "60000"),  # not made: 14 GB
         (layers(2), "layer_stack.1.*is missing"),
@@ -106,17 +100,15 @@ def layers(count):
         (lambda d: d.update(format="2"), "format is '2'"),
         (lambda d: d.pop("metadata"), "metadata is None"),
         (lambda d: d["sha256"].clear(), "sha256 lists nothing; it must list dictionary"),
-        (lambda d: d.update(architecture="mpnet"), "architecture is 'mpnet'; expected 'vq-mpt'"),
+        (lambda d: d.update(architecture="mpnet"), "is 'mpnet'; expected 'vq-mpt'"),
         (lambda d: d["robot"].pop("lower"), "robot.lower is missing"),
         (lambda d: d["robot"].update(lower=[0.0], upper=[1.0]), "limits of 1 joints"),
-    ],
-)
-def test_config_and_tensors_must_agree(folder, change, message):
-    description = json.loads((folder / "config.json").read_text())
-    change(description)
-    (folder / "config.json").write_text(json.dumps(description))
-    with pytest.raises(InvalidInputError, match=message):  # a line for each tensor
-        load_checkpoint(folder)
+    ):
+        description = json.loads(good)
+        change(description)
+        (folder / "config.json").write_text(json.dumps(description))
+        with pytest.raises(InvalidInputError, match=message):  # a line for each tensor
+            load_checkpoint(folder)
 
 
 ARM = RobotSignature("arm", (-1.0, -1.0), (2.0, 2.0), ("shoulder", "elbow"), "0123456789")
@@ -131,71 +123,45 @@ def test_the_same_robot_may_have_another_name_or_less_on_record():
     assert from_plain(RobotSignature, {"name": "arm", "lower": [-1, -1], "upper": [2, 2]}) == OLD
 
 
-@pytest.mark.parametrize(
-    ("weights", "robot", "message"),
-    [
+def test_another_robot_is_refused_with_the_difference_and_what_is_no_signature_by_field():
+    for ours, robot, message in (
         (ARM, replace(ARM, lower=(0.0,), upper=(1.0,), joints=()), "not this one: 2 joints, not 1"),
         (ARM, replace(ARM, joints=("shoulder", "wrist")), "joint 'elbow', not 'wrist'"),
         (ARM, replace(ARM, upper=(2.0, 2.5)), "upper limit of joint 1 2, not 2.5"),
         (ARM, replace(ARM, kinematics="fedcba9876"), r"\(kinematics 01234567, not fedcba98\)"),
         (OLD, replace(ARM, name="leg"), "not 'leg': another name, and no digest to compare"),
-    ],
-)
-def test_another_robot_is_refused_with_the_difference(weights, robot, message):
-    told = f"for robot 'arm', .*{message}"
-    refused(told, weights.require_same, robot, error=OtherRobotError)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        *({"lower": ["-1", "-1"]}, {"lower": [3, 3]}, {"lower": [], "upper": []}),
-        *({"upper": [float("nan"), 2]}, {"joints": ["elbow"]}),
-    ],
-)
-def test_what_is_no_signature_is_refused(change):
-    data = to_plain(ARM) | change
-    refused("^config: robot", from_plain, RobotSignature, data, "config: robot")
-
-
-@pytest.fixture(scope="module")
-def checkpoint(panda):
-    return random_checkpoint(panda, compact_config())
+    ):
+        told = f"for robot 'arm', .*{message}"
+        refused(told, ours.require_same, robot, error=OtherRobotError)
+    changes = [{"lower": ["-1", "-1"]}, {"lower": [3, 3]}, {"lower": [], "upper": []}]
+    for change in (*changes, {"upper": [float("nan"), 2]}, {"joints": ["elbow"]}):
+        data = to_plain(ARM) | change
+        refused("^config: robot", from_plain, RobotSignature, data, "config: robot")
 
 
 BIAS, VECTORS = "decoder.mu.0.bias", "quantizer.embedding.weight"
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "message"),
-    [
+def test_weights_and_models_that_do_not_fit_are_named(panda):
+    checkpoint = random_checkpoint(panda, compact_config())
+    model, kinematics = stored(checkpoint), METADATA["kinematics"] | {"points": [1, 2]}
+    for name, change, message in (
         (BIAS, lambda a: None, r"decoder\.mu\.0\.bias is missing"),
         (BIAS, lambda a: a[:3], r"decoder\.mu\.0\.bias is \(3,\), expected \(7,\)"),
         (BIAS, lambda a: a.astype(int), r"decoder\.mu\.0\.bias is int64, expected float32"),
         (BIAS, lambda a: a * np.nan, r"decoder\.mu\.0\.bias has NaN"),
         (VECTORS, lambda a: 2.0 * a, "not of unit length"),
-    ],
-)
-def test_weights_that_do_not_fit_are_named(checkpoint, panda, name, change, message):
-    model = stored(checkpoint)
-    arrays = dict(model.parts["dictionary"])
-    arrays[name] = change(arrays[name])
-    arrays = {key: array for key, array in arrays.items() if array is not None}
-    refused(message, Codebook, replace(model, parts={"dictionary": arrays}), panda)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+    ):
+        part = model.parts["dictionary"]
+        arrays = part | {name: change(part[name])}
+        arrays = {key: array for key, array in arrays.items() if array is not None}
+        refused(message, Codebook, replace(model, parts={"dictionary": arrays}), panda)
+    for change, message in (
         ({"metadata": {}}, "its metadata has no kinematics"),
-        ({"points": [1, 2]}, "points and offsets describe 7, 7, 2 and 4"),
+        ({"metadata": {"kinematics": kinematics}}, "and offsets describe 7, 7, 2 and 4"),
         ({"robot": replace(ROBOT, name="ur5", lower=LOWER, upper=UPPER)}, "for robot 'ur5'"),
-    ],
-)
-def test_models_of_other_robots_are_refused(checkpoint, panda, change, message):
-    if not change.keys() & {"metadata", "robot"}:
-        change = {"metadata": {"kinematics": METADATA["kinematics"] | change}}
-    refused(message, Codebook, stored(replace(checkpoint, **change)), panda)
+    ):
+        refused(message, Codebook, stored(replace(checkpoint, **change)), panda)
 
 
 def test_published_folders_become_a_model_that_runs(published, published_states, tmp_path):
@@ -229,9 +195,8 @@ def with_bias(bias):
     return lambda state: state | {"mu.0.bias": bias}
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "message"),
-    [
+def test_tensors_that_do_not_fit_are_listed(published, published_states):
+    for name, change, message in (
         ("encoder_state", lambda s: without(s, "layer_norm.bias"), "norm.bias is missing"),
         ("quantizer_state", lambda s: s | {"ema": torch.zeros(3)}, r"ema \(3,\) is left over"),
         ("decoder_state", with_bias(torch.zeros(6)), r"mu.0.bias is \(6,\), expected \(7,\)"),
@@ -245,17 +210,14 @@ def with_bias(bias):
         ("encoder_state", lambda s: s | {POSITIONS: torch.zeros(1, 40, 512)}, "pos_table is not"),
         ("quantizer_state", lambda s: s | {CODES: 2 * s[CODES]}, "not of unit length"),
         ("quantizer_state", lambda s: s | {VARIANCES: -torch.ones(8)}, "negative variances"),
-    ],
-)
-def test_tensors_that_do_not_fit_are_listed(published, published_states, name, change, message):
-    changed = published(**{name: change(published_states[name])})
-    with pytest.raises(InvalidInputError, match=message):  # a line for each tensor
-        import_published(*changed, ROBOT)
+    ):
+        changed = published(**{name: change(published_states[name])})
+        with pytest.raises(InvalidInputError, match=message):  # a line for each tensor
+            import_published(*changed, ROBOT)
 
 
-@pytest.mark.parametrize(
-    ("file", "base", "changes", "message"),
-    [
+def test_json_files_are_checked(published):
+    for file, base, changes, message in (
         ("model_params", without(STAGE1, "d_v"), {}, r"model_params.json: d_v is missing"),
         ("cross_attn", CONTEXT, {"size": 1}, r"cross_attn.json: size is unknown"),
         ("ar_params", SEQUENCE, {"n_heads": "3"}, r"ar_params.json: n_heads is '3'"),
@@ -264,10 +226,8 @@ def test_tensors_that_do_not_fit_are_listed(published, published_states, name, c
         ("model_params", STAGE1, {"dropout": 1.5}, "ar: dictionary.transformer.dropout is 1.5"),
         ("ar_params", SEQUENCE, {"d_model": 256}, "one latent width"),
         ("ar_params", SEQUENCE, {"num_keys": 1026}, r"is \(2048, 8\), expected \(1024, 8\)"),
-    ],
-)
-def test_json_files_are_checked(published, file, base, changes, message):
-    refused(message, import_published, *published(**{file: base | changes}), ROBOT)
+    ):
+        refused(message, import_published, *published(**{file: base | changes}), ROBOT)
 
 
 class Malicious:
@@ -291,22 +251,18 @@ def test_a_pickle_that_wants_to_run_code_is_refused(published, tmp_path, save):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"PK\x03\x04 broken", "is no torch checkpoint, or cut short"),
-        (b"", "is empty"),
-        (b"\n<!DOCTYPE html><html><title>Google Drive", "is a web page"),
-        (pickle.dumps({"a": Malicious("ran")}), "is no torch checkpoint"),
-    ],
-)
-def test_files_that_are_something_else_are_called_what_they_are(tmp_path, content, message):
-    (tmp_path / "x.pkl").write_bytes(content)
-    refused(rf"x\.pkl {message}", read_tensors, tmp_path / "x.pkl")
-
-
-def test_files_that_hold_no_states_are_refused(tmp_path):
-    torch.save([1], tmp_path / "list.pkl")
-    os.mkfifo(tmp_path / "fifo.pkl")
-    for name, message in (("list", "holds a list"), ("fifo", "regular"), ("none", "No such file")):
-        refused(message, read_tensors, tmp_path / f"{name}.pkl")
+def test_files_that_are_something_else_are_called_what_they_are(tmp_path):
+    torch.save([1], tmp_path / "list")
+    os.mkfifo(tmp_path / "fifo")
+    for name, content, message in (
+        ("zip", b"PK\x03\x04 broken", "zip is no torch checkpoint, or cut short"),
+        ("nothing", b"", "nothing is empty"),
+        ("page", b"\n<!DOCTYPE html><html><title>Google Drive", "page is a web page"),
+        ("pickle", pickle.dumps({"a": Malicious("ran")}), "pickle is no torch checkpoint"),
+        ("list", None, "holds a list"),
+        ("fifo", None, "regular"),
+        ("none", None, "No such file"),
+    ):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        refused(message, read_tensors, tmp_path / name)
