@@ -147,4 +147,4 @@ def test_a_bound_on_one_side_names_the_state_closest_to_it(panda):
     assert str(use) == f"position z {lowest:.3g} of 0 to inf m"
     beside = TaskSpaceRegion(panda.pose(HOME) @ pose((0.1, 0.0, 0.0)), np.eye(4), np.zeros((6, 2)))
     found = displacements(panda, beside, HOME[None])[0]
-    np.testing.assert_allclose(found, [-0.1, 0, 0, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(found, [-0.1, 0, 0, 0, 0, 0, 0], atol=1e-12)
