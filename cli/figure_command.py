@@ -4,18 +4,14 @@ import argparse
 from pathlib import Path
 
 from cli.options import SEED, WEIGHTS, Options, log, one_of, option, own_command, positive_int
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.figures.code_update import UpdateSettings
 from experiments.figures.paper import FIGURES, reproduce_figure, summary
-from experiments.figures.row_figures import draw_cost, draw_training
-from paper_tables.committed import RESULTS
 
-ROW_FIGURES = {"cost": draw_cost, "training": draw_training}
-KNOWN = (*FIGURES, *ROW_FIGURES)
 LOG = "its last numbers are in docs/training_log.md"
 REMOVED = {  # figures by name, and what is there instead of them
+    "cost": "cvqmpt table RUNS has the times at the paper's cost of a state check",
+    "training": "curves.csv in the folder of a training has its curves; plot its columns",
     "equal-time": f"{LOG}; cvqmpt plan --optimize improves a path until the time is up",
     "difficulty": f"{LOG}; cvqmpt report lists the rows of a run problem by problem",
     "robustness": f"{LOG}; cvqmpt reproduce sensor measures planning from noisy cameras",
@@ -25,34 +21,20 @@ REMOVED = {  # figures by name, and what is there instead of them
 def run(args: argparse.Namespace) -> int:
     """Make the figure and print a summary."""
     out = args.out or Path("runs") / args.figure
-    if args.figure in ROW_FIGURES:
-        if args.rows is None:
-            raise InvalidInputError(
-                f"figure {args.figure} is drawn from rows or trainings: name their folder with "
-                "--rows"
-            )
-        if RESULTS.resolve() in (out.resolve(), *out.resolve().parents):
-            raise InvalidInputError(
-                f"--out {out} lies in the committed results; name a folder elsewhere: "
-                f"runs/{args.figure}"
-            )
-        make_folder(out)
-        written = ROW_FIGURES[args.figure](args.rows, out)
-    else:
-        settings = UpdateSettings(seed=args.seed)
-        compile_kernels(log)
-        problems = range(args.problems) if args.figure == "histogram" else (args.problem,)
-        updates, written = reproduce_figure(
-            args.figure, out, own_command(), problems, args.model, settings
-        )
-        print("\n".join(summary(updates)))
+    settings = UpdateSettings(seed=args.seed)
+    compile_kernels(log)
+    problems = range(args.problems) if args.figure == "histogram" else (args.problem,)
+    updates, written = reproduce_figure(
+        args.figure, out, own_command(), problems, args.model, settings
+    )
+    print("\n".join(summary(updates)))
     for path in written:
         print(f"written {path}")
     return 0
 
 
 OPTIONS: Options = {
-    "figure": option(f"one of {', '.join(KNOWN)}", type=one_of("figure", KNOWN, REMOVED)),
+    "figure": option(f"one of {', '.join(FIGURES)}", type=one_of("figure", FIGURES, REMOVED)),
     "--problem": option(
         "of concept: index of the place task's problem (0)", type=int, default=0, metavar="I"
     ),
@@ -62,6 +44,5 @@ OPTIONS: Options = {
     **WEIGHTS,
     **SEED,
     "--out": option("where results go (runs/FIGURE)", type=Path, metavar="DIR"),
-    "--rows": option(f"rows or trainings, of {', '.join(ROW_FIGURES)}", type=Path, metavar="DIR"),
 }
 COMMANDS = {"figure": (run, OPTIONS)}

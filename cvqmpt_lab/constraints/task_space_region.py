@@ -128,8 +128,8 @@ class TaskSpaceRegion(Checked):
     def sample_poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Poses T0_w T(x) Tw_e (count, 4, 4), x uniform in the bounds; free turns in +-pi.
 
-        Of a rotation vector e = (e_x, e_y, e_z), t = |e| <= pi, the tilt b has sin(b / 2) =
-        |(e_x, e_y)| sin(t / 2) / t >= |(e_x, e_y)| / pi: candidates are drawn in a box.
+        A rotation vector e turns by t <= pi and tilts by b: with h = hypot(e_x, e_y),
+        sin(b / 2) = h sin(t / 2) / t >= h / pi. Candidates are drawn in a box.
         """
         lower, upper = self.Bw.T.copy()
         if np.isinf(self.Bw[:3]).any():
