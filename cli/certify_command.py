@@ -8,7 +8,7 @@ import numpy as np
 
 from cli.options import FLAG, Options, log, numbers, option, positive
 from cli.problem_options import PROBLEM, ROBOT, problem_asked, robot_source
-from cvqmpt_lab.certificate_record import differences, record, report_lines
+from cvqmpt_lab.certificate_record import record, report_lines
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.motion_check import dry_run
 from cvqmpt_lab.problem import PlanningProblem
@@ -18,7 +18,7 @@ from cvqmpt_lab.trajectory.trajectory import read_motion
 def run(args: argparse.Namespace) -> int:
     """Judge and print; exit code 1 when anything is refused or not proven."""
     if args.path.is_dir():
-        ours = args.suite, args.problem_file, args.current, args.against, args.clearance
+        ours = args.suite, args.problem_file, args.current, args.clearance
         if any(given is not None for given in ours) or robot_source(args):
             raise InvalidInputError(
                 "the rows of a run name their problems and robots; give the directory alone"
@@ -37,11 +37,6 @@ def run(args: argparse.Namespace) -> int:
     found = dry_run(problem, motion, args.current, args.tolerance)
     contents = record(problem, motion, found)
     lines = report_lines(found, contents)
-    if args.against is not None:
-        changed = differences(contents, args.against)
-        contents["differences"] = changed
-        lines += [f"differs     {name}: {old} -> {new}" for name, (old, new) in changed.items()]
-        lines += [] if changed else [f"differs     in nothing from {args.against}"]
     print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
     return 0 if found.certificate.valid else 1
 
@@ -87,10 +82,5 @@ OPTIONS: Options = {
         "how far from there it may begin (0.01)", type=positive, default=0.01, metavar="RAD"
     ),
     "--json": option("print one json object instead, with all that was compared", **FLAG),
-    "--against": option(
-        "what --json printed of the same motion earlier, by another version: say what differs",
-        type=Path,
-        metavar="EARLIER.json",
-    ),
 }
 COMMANDS = {"certify": (run, OPTIONS)}

@@ -39,12 +39,14 @@ COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     ),
     "warmup": ("setup", "compile all kernels ahead of time"),
     "doctor": ("setup", "tell what is installed here, what is missing and how to get it"),
-    "completion": ("setup", "print what makes a shell complete commands, options and names"),
 }
 
 REMOVED = {  # commands and options, and what is there instead of them
     "calibrate": "calibrate with easy_handeye or MoveIt's hand-eye calibration, then give the "
     "camera's pose to cvqmpt scan or plan with --extrinsics CAM.json",
+    "completion": "cvqmpt --help lists the commands, cvqmpt COMMAND --help the options",
+    "--against": "save what certify --json prints and compare: diff EARLIER.json NOW.json",
+    "--ompl-log": "runs.csv beside the tables has a line for each run, as csv",
     "--view": "save a recording, --save RUN.rrd, and open it with: rerun RUN.rrd",
     "--srdf-out": "robot --json lists the pairs of links that are not checked, with the reason",
 }

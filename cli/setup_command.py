@@ -1,4 +1,4 @@
-"""`cvqmpt doctor`, `warmup`, `completion` and `bench`: checks and times of this machine."""
+"""`cvqmpt doctor`, `warmup` and `bench`: checks and times of this machine."""
 
 import argparse
 import json
@@ -7,14 +7,11 @@ import platform
 import textwrap
 from collections.abc import Iterator, Sequence
 from importlib import metadata
-from pathlib import Path
 from typing import NamedTuple
 
-import shtab
 from packaging.requirements import Requirement
 
-from cli.main import COMMANDS as ALL_COMMANDS
-from cli.main import THREADS, parser_with
+from cli.main import THREADS
 from cli.options import Options, log, one_of, option, positive_int, writable_file
 from cvqmpt_lab.errors import CvqmptError, install_command
 from cvqmpt_lab.files import write_text
@@ -124,36 +121,6 @@ def warmup(args: argparse.Namespace) -> int:
     return 0
 
 
-def completion(args: argparse.Namespace) -> int:
-    """Print the shell's completion script for commands, options, names and files."""
-    from cvqmpt_lab.benchmarks.suite import SUITES
-    from cvqmpt_lab.planners import CONTROLS, PLANNERS
-    from cvqmpt_lab.robot.source import ARMS
-    from cvqmpt_lab.search.space import BACKENDS
-
-    planners = [*PLANNERS, *CONTROLS]
-    names = {"suite": SUITES, "planner": planners, "planners": planners}  # by argument
-    names |= {"robot": ARMS, "backend": BACKENDS}
-    parser = parser_with(ALL_COMMANDS)
-    for action in _actions(parser):
-        if action.dest in names:
-            action.choices = list(names[action.dest])
-        elif Path in (action.type, getattr(action.type, "__annotations__", {}).get("return")):
-            kind = shtab.DIR if action.metavar == "DIR" else shtab.FILE
-            action.complete = kind  # type: ignore[attr-defined]
-    print(shtab.complete(parser, args.shell))
-    return 0
-
-
-def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    """All arguments and options, those of subcommands too."""
-    for action in parser._actions:
-        yield action
-        if isinstance(action, argparse._SubParsersAction):
-            for sub in action.choices.values():
-                yield from _actions(sub)
-
-
 def bench(args: argparse.Namespace) -> int:
     """Measure and print a table."""
     from cvqmpt_lab.warm_up import compile_kernels
@@ -174,11 +141,6 @@ def bench(args: argparse.Namespace) -> int:
     return 0
 
 
-SHELL: Options = {
-    "shell": option(
-        f"one of {', '.join(shtab.SUPPORTED_SHELLS)}", type=one_of("shell", shtab.SUPPORTED_SHELLS)
-    )
-}
 BENCH: Options = {
     "bench": option(", ".join(BENCHES), type=one_of("bench", BENCHES, REMOVED)),
     "--problems": option("of stages: problems (20)", type=positive_int, default=20, metavar="N"),
@@ -187,6 +149,5 @@ BENCH: Options = {
 COMMANDS = {
     "doctor": (doctor, {}),
     "warmup": (warmup, {}),
-    "completion": (completion, SHELL),
     "bench": (bench, BENCH),
 }

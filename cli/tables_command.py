@@ -23,15 +23,8 @@ from paper_tables.writers import text_lines
 
 
 def table(args: argparse.Namespace) -> int:
-    """Render the tables of a results directory and print the short one, or write OMPL's log."""
-    if not args.ompl_log:
-        show_tables(args.directory)
-        return 0
-    from paper_tables.ompl_log import ompl_log
-
-    write_text(writable_file(args.ompl_log), ompl_log(args.directory))
-    read = f"ompl_benchmark_statistics {args.ompl_log} -d FILE.db"
-    print(f"{args.ompl_log} written; read it with: {read}")
+    """Render the tables of a results directory and print the short one."""
+    show_tables(args.directory)
     return 0
 
 
@@ -158,11 +151,6 @@ def check_tables(args: argparse.Namespace) -> int:
 
 TABLE: Options = {
     "directory": option("a directory with runs.csv and provenance.json", type=Path, metavar="DIR"),
-    "--ompl-log": option(
-        "write OMPL's benchmark log instead, for ompl_benchmark_statistics and Planner Arena",
-        type=Path,
-        metavar="FILE",
-    ),
 }
 REPORT: Options = {
     "directory": option(

@@ -5,7 +5,6 @@ import json
 import math
 from collections import Counter
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,7 @@ from cvqmpt_lab.certificate import (
 )
 from cvqmpt_lab.collision.exact import ROUNDING
 from cvqmpt_lab.collision.solids import carried_pairs, obstacles_within, reach_with, solids
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import finite, read_json_object
+from cvqmpt_lab.files import finite
 from cvqmpt_lab.motion_check import DryRun
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import LeftOut
@@ -74,29 +72,6 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
             "rounding_m": ROUNDING,
         },
         "compared": _compared(problem),
-    }
-
-
-def differences(now: dict[str, Any], path: Path) -> dict[str, list[Any]]:
-    """Fields [earlier, now] of a record that differ from those in the file of an earlier one.
-
-    InvalidInputError: the file holds no record, or one of another problem or motion.
-    """
-    earlier = read_json_object(path, "certificate")
-    for name, what in (("problem_sha256", "another problem"), ("motion_sha256", "another motion")):
-        if name not in earlier:
-            raise InvalidInputError(
-                f"certificate {path} has no {name}: give what `cvqmpt certify --json` printed"
-            )
-        if earlier[name] != now[name]:
-            raise InvalidInputError(
-                f"certificate {path} is of {what}: only two of one motion can be compared"
-            )
-    old, new = _flat(earlier), _flat(now)
-    return {
-        name: [old.get(name), new.get(name)]
-        for name in sorted(old.keys() | new.keys())
-        if not name.startswith("differences") and old.get(name) != new.get(name)
     }
 
 
@@ -208,13 +183,3 @@ def _compared(problem: PlanningProblem) -> dict[str, Any]:
         "own_pairs": len(robot.collision_model.collisionPairs) + sum(pieces[k] for _, k in pairs),
         "left_out": left_out,
     }
-
-
-def _flat(value: Any, name: str = "") -> dict[str, Any]:
-    """Json's leaves by dotted names; of pairs left out, the reason by the pair."""
-    if name == "compared.left_out":
-        return {f"{name}.{pair['first']} and {pair['second']}": pair["reason"] for pair in value}
-    if not isinstance(value, dict):
-        return {name: value}
-    parts = (_flat(item, f"{name}.{part}".strip(".")) for part, item in value.items())
-    return {key: leaf for part in parts for key, leaf in part.items()}

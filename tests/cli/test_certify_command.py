@@ -113,34 +113,6 @@ def test_the_record_says_what_was_compared_and_where_it_was_closest(judged, regi
     assert str(pair) == found["min_clearance_pair"]
 
 
-def test_two_certificates_of_one_path_are_compared(
-    judged, states, tmp_path, region_problem, capsys
-):
-    """Also from an earlier version with other bound and reason; not of another path or problem."""
-    record, motion, file = (tmp_path / name for name in ("old.json", "motion.csv", "problem.json"))
-    options = ["--against", str(record)]
-    earlier = judged(states)[1]
-    record.write_text(json.dumps(earlier))
-    assert judged(states, options=options)[1]["differences"] == {}
-    earlier["tolerances"]["step_rad"] = 0.2
-    pair = earlier["compared"]["left_out"][3]
-    reason, pair["reason"] = pair["reason"], "SRDF: Never seen"
-    record.write_text(json.dumps(earlier))
-    code, found = judged(states, options=options)
-    assert code == 0 and found["differences"] == {
-        "tolerances.step_rad": [0.2, 0.11],
-        f"compared.left_out.{pair['first']} and {pair['second']}": ["SRDF: Never seen", reason],
-    }
-    words = ["certify", motion, "--problem-file", file, *options]
-    replace(region_problem, goals=states[-1:]).save(file)
-    assert "is of another problem" in refused(capsys, *words)
-    region_problem.save(file)
-    save(motion, states[:-1])
-    assert "is of another motion" in refused(capsys, *words)
-    record.write_text("{}")
-    assert "has no problem_sha256" in refused(capsys, *words)
-
-
 def until(state, direction, reached):
     """The state moved along a direction until `reached(q)`, by at most 0.6 rad."""
     low, high = 0.0, 0.6

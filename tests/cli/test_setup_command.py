@@ -1,52 +1,14 @@
-"""`cvqmpt doctor`, `completion`, `bench`: installation report, shell completion, timings."""
+"""`cvqmpt doctor`, `bench`: installation report, timings."""
 
 import json
 import re
-import shutil
-import subprocess
 from importlib import metadata
 
 import pytest
 
 from cli import setup_command
-from cli.main import COMMANDS, main
-from cvqmpt_lab.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.vqmpt import weights
 from cvqmpt_lab.vqmpt.weights import weights_digest
-
-ASK = """source "$1"; shift; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1))
-$(complete -p cvqmpt | sed 's/.*-F \\([^ ]*\\).*/\\1/') cvqmpt "${@: -1}" "${@: -2:1}"
-printf '%s\\n' "${COMPREPLY[@]}"
-"""
-
-
-@pytest.fixture(scope="module")
-def script(tmp_path_factory):
-    """The script for bash, in a file."""
-    path = tmp_path_factory.mktemp("completion") / "cvqmpt"
-    with pytest.MonkeyPatch.context() as patch, path.open("w") as handle:
-        patch.setattr("sys.stdout", handle)
-        assert main(["completion", "bash"]) == 0
-    return path
-
-
-@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
-@pytest.mark.parametrize(
-    ("words", "offered"),
-    [
-        (("pl",), {"plan"}),
-        (("",), set(COMMANDS)),
-        (("plan", "place-task", "--planner", ""), {*PLANNERS, *CONTROLS}),
-        (("plan", "place-task", "--planner", "cvq-w"), {"cvq-wide"}),
-        (("reproduce", "place-task-w"), {"place-task-with-can"}),
-        (("robot", "xa"), {"xarm7"}),
-        (("table", "--ompl"), {"--ompl-log"}),
-    ],
-)
-def test_bash_offers(script, words, offered):
-    asked = ["bash", "-c", ASK, "bash", script, "cvqmpt", *words]
-    done = subprocess.run(asked, capture_output=True, text=True)
-    assert set(done.stdout.split()) == offered, done.stderr
 
 
 @pytest.fixture
