@@ -62,7 +62,6 @@ def shard(rng, seeds, paths_per_scene):
         "length": np.array(lengths, np.float32),
         "straight": np.array([np.linalg.norm((u[-1] - u[0]) * SPAN) for u in paths], np.float32),
         "trivial": row % 3 == 0,
-        "twin_of": np.where(row % paths_per_scene == 1, row - 1, -1).astype(np.int32),
     }
 
 

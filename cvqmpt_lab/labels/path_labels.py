@@ -30,12 +30,11 @@ class PathRecipe(SceneRecipe):
     labels: NearShortestSettings = field(default_factory=NearShortestSettings)
 
     def labelled(self, robot: Robot, scene: Scene, index: int) -> dict[str, Any]:
-        """Labelled paths; in every eighth scene of a family some get a second label, a twin."""
-        with_twins = index // len(self.families) % 8 == 0
+        """Labelled paths."""
         rng = np.random.default_rng((self.seed, index))
         space = unconstrained_space(robot, scene)
-        labels = _labels(space, rng, self.paths_per_scene, self.labels, with_twins)
-        paths = [path for path, _, _ in labels]
+        labels = _labels(space, rng, self.paths_per_scene, self.labels)
+        paths = [path for path, _ in labels]
         waypoints = [packed(path.spaced(SPACING), robot.lower, robot.upper) for path in paths]
         return {
             "path_scene": np.zeros(len(paths), int),
@@ -43,8 +42,7 @@ class PathRecipe(SceneRecipe):
             "waypoints": np.concatenate([np.empty((0, robot.dof), np.uint16), *waypoints]),
             "length": [path.length for path in paths],
             "straight": [np.linalg.norm(path.states[-1] - path.states[0]) for path in paths],
-            "trivial": [trivial for _, trivial, _ in labels],
-            "twin_of": np.array([first for _, _, first in labels], int),
+            "trivial": np.array([trivial for _, trivial in labels], bool),
         }
 
 
@@ -53,11 +51,10 @@ def _labels(
     rng: np.random.Generator,
     pairs: int,
     settings: NearShortestSettings,
-    with_twins: bool,
     most_trivial: float = 0.15,
     most_straight: float = 0.5,
     detour: float = 1.03,
-) -> list[tuple[JointPath, bool, int]]:
+) -> list[tuple[JointPath, bool]]:
     """Labelled paths of one scene.
 
     Half of the starts and goals are anywhere, half with the hand near an obstacle. Most motions are
@@ -68,24 +65,22 @@ def _labels(
         rng: draws starts, goals and searches.
         pairs: of start and goal, at most.
         settings: of the search.
-        with_twins: whether the first paths get a second, independent label.
         most_trivial: share of pairs whose straight line may be free.
         most_straight: share of paths that may be straight or nearly so.
         detour: a path is nearly straight unless it is so many times as long as the straight line.
 
     Returns:
-        Paths, whether the straight line of each is free, and the row of the path of which each is
-        a second label, or -1.
+        Paths, and whether the straight line of each is free.
     """
     candidates = free_configurations(space, rng)
     if len(candidates) < 2:
         return []
     tasklike = candidates[near_obstacles(space, candidates)]
-    labels: list[tuple[JointPath, bool, int]] = []
-    twins, straight = 2 if with_twins else 0, 0
+    labels: list[tuple[JointPath, bool]] = []
+    straight = 0
     for pair in range(pairs):
         pool = tasklike if pair % 2 and len(tasklike) >= 2 else candidates
-        enough = sum(is_trivial for _, is_trivial, _ in labels) >= most_trivial * pairs
+        enough = sum(is_trivial for _, is_trivial in labels) >= most_trivial * pairs
         for _ in range(10):
             start, goal = pool[rng.choice(len(pool), 2, replace=False)]
             trivial = bool(motion_free(space.arrays, start, goal))
@@ -101,10 +96,5 @@ def _labels(
         if nearly and straight >= most_straight * pairs:
             continue
         straight += int(nearly)
-        labels.append((path, trivial, -1))
-        if twins and not nearly:
-            again = near_shortest(space, start, goal, rng, settings)
-            if again is not None:
-                labels.append((again, False, len(labels) - 1))
-                twins -= 1
+        labels.append((path, trivial))
     return labels

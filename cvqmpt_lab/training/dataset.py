@@ -1,8 +1,7 @@
 """Datasets in memory: scenes as shapes, with paths as waypoints or as labels on a roadmap.
 
 Joints u are normalised to [0, 1] between the limits. Scenes whose seed is divisible by 20 validate,
-the others train; twins, second labels of a path, do neither. `shards` describes the folder on disk
-and the arrays.
+the others train. `shards` describes the folder on disk and the arrays.
 """
 
 import hashlib
@@ -74,11 +73,6 @@ class TrainingData:
 @dataclass(frozen=True, eq=False)
 class PathDataset(TrainingData):
     """A dataset of paths."""
-
-    def split(self, name: SplitName) -> np.ndarray:
-        """Rows of the paths for training or validation, without twins."""
-        rows = super().split(name)
-        return rows[self.arrays["twin_of"][rows] < 0]
 
     def require_splits(self) -> None:
         """Raise InvalidInputError without a path to train on or one to validate with."""

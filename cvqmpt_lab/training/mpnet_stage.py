@@ -133,19 +133,12 @@ class MPNetStage(Stage):
         return Batches(batches[: self.settings.batches_per_epoch], make, self.seed, epoch)
 
     def validation_batches(self) -> Batches:
-        """Equal held-out paths and clouds each time; scenes of a batch differ if possible."""
+        """Equal held-out paths and clouds each time."""
         rng, settings = np.random.default_rng(self.seed), self.settings
         rows = self.dataset.split("validation")
         rows = self.dataset.with_few_trivial(rows, settings.trivial_share, rng)
-        groups = self._grouped(rows, rng)
-        # first a group of each scene, then a second one of each, and so on
-        scene = self._scenes(groups)
-        by_scene = np.argsort(scene, kind="stable")
-        order = by_scene[np.lexsort((by_scene, _place_in_run(scene[by_scene])))]
-        groups = groups[order][: max(2, settings.validation_paths // settings.paths_per_scene)]
-        # the other scene is mostly of the same family
-        family = self.dataset.arrays["family"][self._scenes(groups)]
-        groups = groups[np.argsort(family, kind="stable")]
+        most = max(1, settings.validation_paths // settings.paths_per_scene)
+        groups = self._grouped(rows, rng)[:most]
         batches = np.array_split(groups, max(1, len(groups) // settings.scenes))
         return Batches(batches, partial(self._batch, augmented=False), self.seed, 0)
 

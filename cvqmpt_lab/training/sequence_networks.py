@@ -43,8 +43,9 @@ def open_sequences(folder: Path, dictionary: Checkpoint) -> SequenceDataset:
         return open_labels(folder)
     paths = open_dataset(folder)
     dictionary.robot.require_same(paths.robot)
-    start, once = paths.arrays["path_start"], np.flatnonzero(paths.arrays["twin_of"] < 0)
-    rows = paths.with_few_trivial(once, 0.15, np.random.default_rng(0))
+    start = paths.arrays["path_start"]
+    every = np.arange(len(start) - 1)
+    rows = paths.with_few_trivial(every, 0.15, np.random.default_rng(0))
     chain = paths.chain if dictionary.config.feature_dim else None
     links = LinkPositions(paths.robot.lower, paths.robot.upper, chain)
     counts = np.diff(start)[rows]

@@ -36,7 +36,7 @@ class Column(NamedTuple):
     rows: str  # there is one entry for each scene, shape, path, waypoint, code or end of links
     dtype: str
     ranges: str = ""  # each entry is where a range of these items begins; at last, where it ends
-    below: str = ""  # each entry is the number of one of these, or -1
+    below: str = ""  # each entry is the number of one of these
 
 
 SCENE_ARRAYS = {
@@ -57,8 +57,6 @@ PATH_ARRAYS = SCENE_ARRAYS | {
     "length": Column("path", "float32"),
     # the straight line is free
     "trivial": Column("path", "bool"),
-    # the path of which this is a second label, or -1
-    "twin_of": Column("path", "int32", below="path"),
 }
 LABEL_ARRAYS = SCENE_ARRAYS | {
     # packed bits: 1 where the node or edge is free
@@ -115,7 +113,7 @@ def joined(
         offsets = before.get(column.ranges or column.below)
         if offsets is not None:
             shifted = zip(parts, offsets, strict=False)
-            parts = [np.where(part < 0, -1, part.astype(int) + offset) for part, offset in shifted]
+            parts = [part.astype(int) + offset for part, offset in shifted]
         if column.ranges:
             parts = [*(part[:-1] for part in parts), before[column.ranges][-1:]]
         found[name] = np.concatenate(parts)

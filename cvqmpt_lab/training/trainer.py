@@ -8,9 +8,7 @@
     model/          checkpoint of the epoch with the best validation
 
 Random numbers of a batch depend on its seed, epoch and number alone, so that a training that was
-stopped and continued takes the same steps as one that was not. Under `torchrun` k processes, on one
-machine or several, take every k-th batch each, and DistributedDataParallel averages their
-gradients; the first one writes and reports.
+stopped and continued takes the same steps as one that was not.
 """
 
 import csv

@@ -191,7 +191,7 @@ def test_sequences_of_paths_are_their_codes_without_repeats(dataset, panda, conf
     assert opened.graph is None
     found, start = opened.arrays, paths["path_start"]
     by_ends = {}
-    for path in np.flatnonzero(paths["twin_of"] < 0).tolist():
+    for path in range(len(start) - 1):
         ends = paths["waypoints"][[start[path], start[path + 1] - 1]]
         by_ends[ends.tobytes()] = path
     links = LinkPositions(LOWER, UPPER, dataset.chain if model.config.feature_dim else None)
@@ -205,7 +205,7 @@ def test_sequences_of_paths_are_their_codes_without_repeats(dataset, panda, conf
         assert found["path_scene"][sequence] == paths["path_scene"][path]
 
 
-def test_shards_are_joined_and_split_by_scene_seed_without_twins(data, dataset):
+def test_shards_are_joined_and_split_by_scene_seed(data, dataset):
     assert dataset.robot.name == "panda" and dataset.families == ("cubes",)
     arrays = dataset.arrays
     assert arrays["scene_seed"].tolist() == [20, 1, 2, 40, 3, 4]
@@ -216,11 +216,9 @@ def test_shards_are_joined_and_split_by_scene_seed_without_twins(data, dataset):
         expected = second["waypoints"][rows] / np.float32(65535)
         np.testing.assert_array_equal(dataset.path(21 + path), expected)
     np.testing.assert_array_equal(dataset.shapes(4).size, second["shape_size"][5:10])
-    assert arrays["twin_of"][22] == 21 and arrays["twin_of"][21] == -1
     train, validation = dataset.split("train"), dataset.split("validation")
     assert set(arrays["scene_seed"][arrays["path_scene"][validation]]) == {20, 40}
-    assert len(train) == 24 and len(validation) == 12  # 6 of 7 paths of a scene are no twins
-    assert (arrays["twin_of"][np.concatenate((train, validation))] == -1).all()
+    assert len(train) == 28 and len(validation) == 14
 
 
 def test_the_share_of_trivial_paths_is_capped_and_drawn(dataset):
@@ -281,7 +279,7 @@ def test_damaged_and_missing_files_and_descriptions_that_do_not_fit_are_named(da
 def test_shards_that_lack_an_array_or_hold_objects_and_missing_splits_are_named(tmp_path):
     arrays = shard(np.random.default_rng(5), (7, 8), 3)
     bad = {"pickle": arrays | {"family": np.array([{}], dtype=object)}}
-    for name in ("waypoints", "twin_of"):
+    for name in ("waypoints", "trivial"):
         bad[name] = {key: array for key, array in arrays.items() if key != name}
     for message, found in bad.items():
         folder = write_dataset(tmp_path / message, shards=())
