@@ -26,7 +26,6 @@ from paper_tables.measures import (
 )
 from paper_tables.statements import PublishedValue
 from paper_tables.table_engine import Column, SuiteTable
-from paper_tables.writers import text_lines
 
 # in their order in the table; no planner has predictor graph any more, but committed rows do
 PREDICTORS = ("transformer", "published", "graph", "random", "oracle")
@@ -166,15 +165,12 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
     notes = [*NOTES, _named(runs.rows), *table.seed_notes(runs)]
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
     caption = f"{size}: products of predictor, Gaussians and update. {NOTES[0]}"
-    short = [[line[0], line[1].removeprefix(PREFIX), *line[2:]] for line in lines]
-    brief = table.brief_groups(short, [1, *range(3, len(lines[0]))])
     return SuiteTable(
         suite,
         size,
         [*found, *contrasts],
         {"Products": lines, "Contrasts": compared_lines, **table.counted(found), "Notes": notes},
         table.latex_groups(caption, suite, lines),
-        [*brief, "", *text_lines([[line[0], *line[2:4]] for line in compared_lines])],
     )
 
 

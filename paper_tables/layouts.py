@@ -22,8 +22,8 @@ from paper_tables.measures import (
     solved_within,
 )
 from paper_tables.statements import PublishedValue
-from paper_tables.table_engine import BriefColumn, Column, Entry, SuiteTable
-from paper_tables.writers import Lines, Sections, number, text_lines
+from paper_tables.table_engine import Column, Entry, SuiteTable
+from paper_tables.writers import Lines, Sections, number
 
 # ---------------------------------------------------------------- like the paper's Table I
 
@@ -203,7 +203,6 @@ def place_table(
         found,
         sections,
         table.latex_planners(caption, suite, found, HEADLINES),
-        [*text_lines(first), *table.fallback_lines(found)],
     )
 
 
@@ -317,7 +316,6 @@ def group_table(
         found,
         {f"By {what}": lines, **together, "Notes": notes},
         table.latex_groups(f"{size}. {notes[1]}", suite, lines),
-        table.brief_groups(lines, range(len(lines[0]))),
     )
 
 
@@ -333,12 +331,6 @@ PEER_COLUMNS: Mapping[str, Column] = {
         f"length / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["path_length"])
     ),
 }
-PEER_BRIEF = (
-    BriefColumn("certified [%]", "accuracy", "certified"),
-    BriefColumn("time [s]", "time", "wall_median", interval=True),
-    BriefColumn("time ratio", "time", "wall_ratio", interval=True),
-    BriefColumn("length [rad]", "path_length", "path_length_median"),
-)
 PEER_NOTES = (
     "Estimate [95 % interval]. Every planner has one thread, the same convex pieces of the "
     "robot, the same obstacles and pairs of pieces, its own collision checker; what it loads for "
@@ -375,4 +367,4 @@ def peer_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
     }
     shown = {name: {"": name} for name in PEER_COLUMNS}
     latex = table.latex_planners(" ".join(PEER_NOTES), suite, found, shown)
-    return SuiteTable(suite, size, found, sections, latex, table.brief_lines(found, PEER_BRIEF))
+    return SuiteTable(suite, size, found, sections, latex)

@@ -19,7 +19,7 @@ from paper_tables.measures import (
     solved,
 )
 from paper_tables.statements import PublishedValue
-from paper_tables.table_engine import BriefColumn, Column, Entry, SuiteTable
+from paper_tables.table_engine import Column, Entry, SuiteTable
 from paper_tables.writers import Lines, number
 
 # that a time sums over
@@ -110,14 +110,6 @@ PHASE_COLUMNS: Mapping[str, Column] = {
 HEADLINES = {"accuracy": {"ours": "solved"}} | {
     time: {"ours": time_metric(time, "paper", "mean")} for time in TIMES
 }
-PLANNING, EXECUTION = (
-    time_metric(time, "paper", "mean") for time in ("planning_time", "execution_time")
-)
-BRIEF = (
-    BriefColumn("solved [%]", "accuracy", "solved"),
-    BriefColumn("planning [s]", "planning_time", PLANNING, "our mean", interval=True),
-    BriefColumn("execution [s]", "execution_time", EXECUTION, "our mean"),
-)
 NOTES = (
     "Ours: estimate [95 % interval]; round brackets mark the whole range: too few runs for 95 %.",
     "A task counts as solved when every phase has a certified path that could be timed; Wilson "
@@ -163,7 +155,7 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
     }
     caption = f"Multi-sequence task, {size}, {PARTS['paper']}. {NOTES[2]} {NOTES[3]}"
     latex = table.latex_planners(caption, suite, tasks, HEADLINES)
-    return SuiteTable(suite, size, found, sections, latex, table.brief_lines(tasks, BRIEF))
+    return SuiteTable(suite, size, found, sections, latex)
 
 
 def _phase_entry(planner: str, rows: Rows, runs: SuiteRuns, phase: str) -> Entry:

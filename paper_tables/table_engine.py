@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
-from typing import NamedTuple
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows, split_problem
@@ -81,7 +80,19 @@ class SuiteTable:
     found: Sequence[Entry]  # in the order of the csv
     sections: Sections
     latex: str
-    brief: list[str]  # lines for a terminal
+
+    @property
+    def brief(self) -> list[str]:
+        """Lines for a terminal: the first section, and one on fallbacks, if any."""
+        first = [line for line in next(iter(self.sections.values())) if not isinstance(line, str)]
+        lines = [line for part in writers.narrow(first) for line in text_lines(part)]
+        counts = [(item, _n_runs(row for row in item.rows if row.fallback)) for item in self.found]
+        told = [
+            f"{item.planner} {count} of {item.n_runs}"
+            for item, count in counts
+            if count and not item.suffix  # all rows of a planner
+        ]
+        return [*lines, *([f"by fallback: {', '.join(told)}"] if told else [])]
 
     @property
     def markdown(self) -> str:
@@ -250,50 +261,6 @@ def count_lines(
             runs = f"{len(same)} of {item.n_runs}"
             lines.append([item.planner, what or "–", same[0], runs])
     return lines
-
-
-class BriefColumn(NamedTuple):
-    """A number in a terminal: title, the paper's metric, ours, statistic, with interval or not."""
-
-    title: str
-    published: str
-    ours: str
-    statistic: str = "ours"
-    interval: bool = False
-
-
-def brief_lines(found: Sequence[Entry], columns: Sequence[BriefColumn]) -> list[str]:
-    """A line a planner for a terminal, beside the paper's numbers; one on fallbacks, if any."""
-    papers = [column.published in item.published for column in columns for item in found]
-    shown = 2 if any(papers) else 1
-    lines = [[""], ["planner"]]
-    for column in columns:
-        lines[0] += [column.title, ""][:shown]
-        lines[1] += ["paper", column.statistic][-shown:]
-    for item in found:
-        lines.append([item.planner])
-        for column in columns:
-            interval = item.measured[column.ours]
-            ours = estimate(interval) if column.interval else number(interval.estimate)
-            lines[-1] += [item.paper_cell(column.published), ours][-shown:]
-    return [*text_lines(lines), *fallback_lines(found)]
-
-
-def fallback_lines(found: Iterable[Entry]) -> list[str]:
-    """A line about fallbacks, if any."""
-    counts = [(item, _n_runs(row for row in item.rows if row.fallback)) for item in found]
-    told = [f"{item.planner} {count} of {item.n_runs}" for item, count in counts if count]
-    return [f"by fallback: {', '.join(told)}"] if told else []
-
-
-def brief_groups(lines: Lines, columns: Sequence[int]) -> list[str]:
-    """Some columns of `group_lines` for a terminal, numbers without intervals."""
-    first = lines[0].index("planner")
-    short = [
-        [line[k] if k <= first else line[k].partition(" ")[0] for k in columns]
-        for line in lines[1:]
-    ]
-    return text_lines([[lines[0][k] for k in columns], *short])
 
 
 def latex_planners(
