@@ -281,17 +281,12 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, str]:
     from paper_tables import plots  # matplotlib takes a second to import
 
     length = VALUES["path_length"]
-    drawn = {
+    return {
         "Solved against time": plots.solved_curve(groups),
         "Path length, solved runs": plots.distribution(groups, length, "length [rad]", log=False),
         "Work, solved runs": plots.distribution(groups, work, "projections and state checks"),
         "Where time goes": plots.stage_times(groups),
     }
-    if REFERENCE in groups and len(groups) > 1:
-        for name, value, label in (("Work", work, "work"), ("Length", length, "length [rad]")):
-            title = f"{name}, problem by problem, against {REFERENCE}"
-            drawn[title] = plots.scatter(groups, REFERENCE, value, label)
-    return drawn
 
 
 def _row(row: ResultRow) -> list[object]:

@@ -1,7 +1,6 @@
 """Plots of rows as svg, by matplotlib without a display; how every figure draws a planner."""
 
 import io
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 from zlib import crc32
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from cvqmpt_lab.results.row import ResultRow
-from paper_tables.measures import Value, grouped
+from paper_tables.measures import Value
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
@@ -137,39 +136,6 @@ def stage_times(groups: Groups) -> str:
             beside = axes.get_yaxis_transform()
             axes.text(0.99, k, f"{total:.0f} ms →", transform=beside, ha="right", va="center")
     return svg(figure)
-
-
-@matplotlib.rc_context(STYLE)
-def scatter(groups: Groups, baseline: str, value: Value, label: str) -> str:
-    """Planners against the baseline: a dot a problem, geometric mean; below the line is less."""
-    shown = [name for name in groups if name != baseline]
-    columns = min(4, len(shown))
-    rows = math.ceil(len(shown) / columns)
-    figure = Figure(figsize=(WIDTH, 0.4 + 2.0 * rows), layout="constrained")
-    reference = _means(groups[baseline], value)
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-    for axes, name in zip(panels, shown, strict=False):
-        own = _means(groups[name], value)
-        both = sorted(own.keys() & reference.keys())
-        x, y = [reference[key] for key in both], [own[key] for key in both]
-        axes.loglog(x, y, ".", color=line_style(name)["color"], markersize=3.5, alpha=0.6)
-        if x:
-            axes.axline((x[0], x[0]), (2.0 * x[0], 2.0 * x[0]), color="0.6", linewidth=0.8)
-        axes.set_title(name, fontsize=8.5)
-        _plain(axes.xaxis)
-        _plain(axes.yaxis)
-    for axes in panels[len(shown) :]:
-        axes.set_axis_off()
-    figure.supxlabel(f"{label} of {baseline}", fontsize=9)
-    figure.supylabel(f"{label} of the planner", fontsize=9)
-    return svg(figure)
-
-
-def _means(rows: Sequence[ResultRow], value: Value) -> dict[str, float]:
-    """Geometric mean over the solved seeds of each problem."""
-    logs = [(row.problem, math.log(x)) for row in rows if row.solved and (x := value(row))]
-    means = {problem: math.fsum(of_it) / len(of_it) for problem, of_it in grouped(logs).items()}
-    return {problem: math.exp(mean) for problem, mean in means.items()}
 
 
 def _plain(axis: Axis) -> None:
