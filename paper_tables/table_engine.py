@@ -86,11 +86,11 @@ class SuiteTable:
         """Lines for a terminal: the first section, and one on fallbacks, if any."""
         first = [line for line in next(iter(self.sections.values())) if not isinstance(line, str)]
         lines = [line for part in writers.narrow(first) for line in text_lines(part)]
-        counts = [(item, _n_runs(row for row in item.rows if row.fallback)) for item in self.found]
         told = [
             f"{item.planner} {count} of {item.n_runs}"
-            for item, count in counts
-            if count and not item.suffix  # all rows of a planner
+            for item in self.found
+            if not item.suffix  # all rows of a planner
+            and (count := _n_runs(row for row in item.rows if row.fallback))
         ]
         return [*lines, *([f"by fallback: {', '.join(told)}"] if told else [])]
 

@@ -1,4 +1,4 @@
-"""What figures share: pictures and tables in files, logarithmic axes."""
+"""What figures share: pictures and tables in files."""
 
 import csv
 import io
@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from cvqmpt_lab.files import write_bytes, write_text
 
@@ -40,10 +38,3 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
         writer.writerow(cells)
     write_text(path, text.getvalue())
     return path
-
-
-def label_log_axis(axis: Axis, at: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
-    """Label a logarithmic axis by plain numbers, at these multiples of powers of ten."""
-    axis.set_major_locator(LogLocator(subs=at, numticks=12))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())

@@ -12,6 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.errors import RunStoreError
@@ -30,7 +31,7 @@ from experiments.figures.code_update import (
     squared_residual,
     update_codes,
 )
-from experiments.figures.drawing import label_log_axis, save_figure, write_csv
+from experiments.figures.drawing import save_figure, write_csv
 
 FIGURES = ("histogram", "concept")
 PICTURE = (900, 690)  # [pixels] width and height of the scene behind hands and beside clouds
@@ -131,7 +132,9 @@ def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
         ylabel="after [rad$^2$]",
     )
     for axis in (middle.xaxis, middle.yaxis):
-        label_log_axis(axis)
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
     middle.legend(frameon=False)
     means = np.array([[update.g(when).mean() for when in COLOURS] for update in updates])
     y = np.arange(len(updates))
