@@ -21,8 +21,9 @@ from cvqmpt_lab.vqmpt.codebook import CodeDecoder, ModelConfigurations, waypoint
 from cvqmpt_lab.vqmpt.weights import load_vq_mpt
 
 ENOUGH = Budget(iterations=20_000)
-STATES, PATHS = 5000, 50  # at most, on a problem
+STATES, PATHS, MOTIONS = 5000, 50, 12  # at most, on a problem
 FINE = 1e-3  # [rad] between the states at which brute force looks
+NEIGHBOURS = 1e-3  # [m] that a point moves at most from there to any state of the path
 AROUND = 5  # states on either side of one that was tampered with
 FAR = 1e-4  # numbers of order 1 that differ by more differ by more than rounding in 32 bits
 
@@ -114,6 +115,27 @@ def test_certificate(trials):
             free = not checker.in_collision_batch(fine).any()
             assert kinds & {"collision", "not_proven"} or free, piece.tolist()
             assert kinds & {"manifold", "not_proven"} or kept, piece.tolist()
+
+
+@pytest.mark.promise(
+    "the printed least clearance is between what is proven and what is found by brute force",
+    "motions",
+    ci=2,
+    long=500,
+)
+def test_clearance(trials):
+    for problem, count, seed in tuning_problems(trials, MOTIONS):
+        checker = problem.collision_checker()
+        for k in range(count):
+            states = simplified(problem, seed + k)
+            judged, fine = certify(problem, JointPath(states), checker), evenly_spaced(states, FINE)
+            for clearance, nearest in (
+                (judged.obstacle_clearance, checker.nearest_obstacle),
+                (judged.self_clearance, checker.nearest_of_itself),
+            ):
+                closest = min(nearest(q).distance for q in fine)
+                assert clearance.at_least_m <= closest + 1e-6, seed + k
+                assert clearance.distance_m >= closest - NEIGHBOURS, seed + k
 
 
 @pytest.mark.promise("motions are as fast as toppra's, to 1 %", "paths", ci=2, long=1000)
