@@ -1,4 +1,4 @@
-"""Field "robot" of a problem file: a name or a URDF, with options; and the arms with a name."""
+"""The field "robot" of a problem file: an arm's name or a URDF, with options. The named arms."""
 
 import hashlib
 import os
@@ -34,14 +34,15 @@ class PerJoint:
 
 @dataclass(frozen=True, eq=False)
 class RobotSource:
-    """Where a robot comes from, a URDF or an arm's name, and its options; "" where not given."""
+    """The source of a robot: a URDF file or an arm's name, and options; "" means: not given."""
 
     urdf: str = ""  # path of the file
-    end_effector: str = ""  # frame that constraints and goals are about; of an arm: the usual one
-    srdf: str = ""  # file with the link pairs to skip; without one: the named arm's own, or sampled
+    end_effector: str = ""  # frame that constraints and goals refer to; by default the named arm's
+    # file with the link pairs not to check; "": the named arm's file, or pairs found by sampling
+    srdf: str = ""
     # joints to fix, with their values [rad or m]
     locked: Mapping[str, float] = field(default_factory=dict)
-    # (n,) or () [rad/s^2 or m/s^2]
+    # (n,), or () for all joints [rad/s^2 or m/s^2]
     acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None
     # folders in which ``package://`` mesh paths are looked up first
     package_dirs: tuple[str, ...] = ()
@@ -51,14 +52,17 @@ class RobotSource:
     finger_opening: float | None = None  # [m] of each finger of the Panda
 
 
-def seen_from(folder: Path, source: Any) -> Any:
-    """A robot's source with paths made absolute from a folder; other json unchanged."""
+def with_absolute_paths(folder: Path, source: Any) -> Any:
+    """A robot's source in which paths relative to a folder are made absolute.
+
+    source: json of the field "robot"; anything but a mapping is returned unchanged.
+    """
     if not isinstance(source, Mapping):
         return source
     files: dict[str, Any] = {
         name: str((folder / source[name]).absolute())
         for name in ("urdf", "srdf")
-        # an empty name stands for what is not given
+        # "" means: not given
         if isinstance(source.get(name), str) and source[name]
     }
     folders = source.get("package_dirs")
@@ -68,12 +72,19 @@ def seen_from(folder: Path, source: Any) -> Any:
 
 
 def read_source(source: Mapping[str, Any]) -> RobotSource:
-    """The files and options of a robot's source; errors name the field, or list the arms."""
-    values = {name: value for name, value in mapping(source, WHERE).items() if name != ARTICULATED}
-    for name in ("end_effector", "srdf"):
-        # null stands for what is not given
-        if values.get(name) is None:
-            values.pop(name, None)
+    """Check a robot's source from json, and look up a named arm in `ARMS`.
+
+    Args:
+        source: fields of `RobotSource`; "articulated" is left to `robot.load`.
+
+    Raises InvalidInputError or UnknownChoiceError, which name the field, or list the arms.
+    """
+    values = {
+        name: value
+        for name, value in mapping(source, WHERE).items()
+        # null means: not given
+        if name != ARTICULATED and (value is not None or name not in ("end_effector", "srdf"))
+    }
     given = from_plain(RobotSource, values, WHERE)
     if given.name and given.urdf:
         raise InvalidInputError(f"{WHERE} has 'name' and 'urdf': give one of the two")
@@ -91,7 +102,7 @@ def read_source(source: Mapping[str, Any]) -> RobotSource:
 
 
 def _of_arm(given: RobotSource) -> RobotSource:
-    """The URDF, options and end effector that a name stands for, with the options given."""
+    """The source of a named arm; given options replace those of `ARMS`."""
     if given.name in ELSEWHERE:
         raise InvalidInputError(
             f"robot {given.name!r} is not in the package {EXAMPLES}: {ELSEWHERE[given.name]}; "
@@ -124,14 +135,14 @@ def _of_arm(given: RobotSource) -> RobotSource:
     )
 
 
-FINGER_OPENING = 0.04  # [m] of each finger of the Panda's hand, the largest
+FINGER_OPENING = 0.04  # [m] largest opening of each finger of the Panda's hand
 
 UR, XARM = "ur_description", "xarm_description"
 TALOS = "talos_data/robots/talos_reduced.urdf"
 BAXTER_SRDF = "baxter_description/srdf/baxter_manipulation.srdf"
 STANDING = {"torso_1_joint": 0.0, "torso_2_joint": 0.0}
 
-# Fixed-base arms; their files lie below `example_robots`.
+# arms with a fixed base; paths of files are relative to the folder of `example_robots`
 ARMS: Mapping[str, RobotSource] = {
     "panda": RobotSource(
         "panda_description/urdf/panda.urdf",
@@ -181,6 +192,7 @@ ARMS: Mapping[str, RobotSource] = {
 }
 
 ALIASES = {"so100": "so-arm", "so101": "so-arm101", "j2s6s200": "kinova", "franka": "panda"}
+# arms that `EXAMPLES` lacks, and where their URDF is found
 ELSEWHERE = {
     "gen3": "its URDF comes with ROS's kortex_description (github.com/Kinovarobotics/ros2_kortex)",
     **dict.fromkeys(
@@ -192,22 +204,24 @@ ELSEWHERE = {
 
 @lru_cache(maxsize=1024)
 def _digest(path: str, stamp: tuple[int, ...]) -> str:
+    """The sha256 of a file; the stamp is part of the cache's key."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 def content_digest(path: str, settled: float = 1e8) -> str:
-    """sha256 of what a regular file holds, "" if there is none.
+    """The sha256 of a regular file's content; "" if there is no such file.
 
-    Read again only if its times or size have changed, or less than `settled` [ns] ago: another
-    change could then leave the same time.
+    The digest is kept in memory. The file is read again if its times or size have changed, or if
+    it changed less than `settled` [ns] ago: a second change could then have the same time.
     """
     try:
-        # a Path takes 20 us
+        # making a Path takes 20 us
         status = os.stat(path)  # noqa: PTH116
         if not stat.S_ISREG(status.st_mode):
             return ""
         stamp = status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
         fresh = time.time_ns() - max(stamp[:2]) <= settled
+        # __wrapped__ is the function without its cache
         return (_digest.__wrapped__ if fresh else _digest)(path, stamp)
     except OSError:
         return ""
@@ -219,7 +233,7 @@ SCHEME = "package://"
 
 
 def example_robots() -> Path:
-    """The folder of robots that example-robot-data installed."""
+    """The folder of robots of the package example-robot-data; InvalidInputError without it."""
     robots = _installed_share() / EXAMPLES / "robots"
     if not robots.is_dir():
         raise InvalidInputError(f"robots by name need their descriptions: pip install {EXAMPLES}")
@@ -238,23 +252,33 @@ def _installed_share() -> Path:
 def find_collision_meshes(
     root: ElementTree.Element, urdf: Path, package_dirs: Sequence[Path]
 ) -> list[str]:
-    """Replace the names of collision meshes in a URDF by absolute paths, and return these.
+    """Replace the names of collision meshes in a URDF by absolute paths.
 
-    The unit of a DAE file, which pinocchio's loader ignores, goes into the mesh's scale. Errors
-    name a mesh that is not found or has an unknown unit.
+    The attribute scale of a DAE mesh is multiplied by the unit that the DAE file states, because
+    pinocchio's loader ignores that unit.
+
+    Args:
+        root: of the URDF; it is changed.
+        urdf: its file; relative names of meshes start at its folder.
+        package_dirs: folders in which ``package://`` names are looked up first.
+
+    Returns:
+        The absolute paths, one for each mesh.
+
+    Raises InvalidInputError, which names a mesh that is not found or has an unknown unit.
     """
     found = []
     for mesh in root.findall("link/collision/geometry/mesh"):
         name = mesh.get("filename", "")
-        if not name.startswith(SCHEME):
+        if name.startswith(SCHEME):
+            package, _, rest = name.removeprefix(SCHEME).partition("/")
+            path = in_package(package, rest, urdf, package_dirs)
+        else:
             path = urdf.parent / name.removeprefix("file://")
             if not path.is_file():
                 raise InvalidInputError(
                     f"{urdf.name}: mesh {name!r} is not there: {path} is no file"
                 )
-        else:
-            package, _, rest = name.removeprefix(SCHEME).partition("/")
-            path = in_package(package, rest, urdf, package_dirs)
         found.append(str(path.resolve()))
         mesh.set("filename", found[-1])
         if path.suffix.lower() == ".dae":
@@ -266,9 +290,21 @@ def find_collision_meshes(
 
 
 def in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
-    """The file of "package://PACKAGE/REST"; InvalidInputError says where it was sought."""
-    named = os.environ.get(ROS_VARIABLE, "").split(os.pathsep)
-    ros_folders = [Path(name) for name in named if name]
+    """The file that "package://PACKAGE/REST" names.
+
+    It is looked for in `package_dirs`, the folders of ROS_PACKAGE_PATH, the folders above the URDF
+    and the share folder of example-robot-data, in this order.
+
+    Args:
+        package: name of the ROS package.
+        rest: path of the file in the package.
+        urdf: file that names it.
+        package_dirs: folders that hold packages, or are packages.
+
+    Raises InvalidInputError, which lists the folders, if none has the file.
+    """
+    ros_path = os.environ.get(ROS_VARIABLE, "")
+    ros_folders = [Path(name) for name in ros_path.split(os.pathsep) if name]
     for folder in (*package_dirs, *ros_folders, *urdf.resolve().parents, _installed_share()):
         # the folder holds the package, or is the package
         if (folder / package / rest).is_file():
@@ -278,6 +314,6 @@ def in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path]
     given = ", ".join(str(folder) for folder in package_dirs) or "not given"
     raise InvalidInputError(
         f"{urdf.name}: mesh {SCHEME}{package}/{rest} is in none of these places: --package-dir "
-        f"({given}), {ROS_VARIABLE} ({os.environ.get(ROS_VARIABLE) or 'not set'}), the folders "
+        f"({given}), {ROS_VARIABLE} ({ros_path or 'not set'}), the folders "
         f"above {urdf.resolve().parent}; give --package-dir DIR, the folder that holds {package}"
     )

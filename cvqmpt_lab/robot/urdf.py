@@ -1,7 +1,7 @@
-"""URDF files: their joints and links, which joints planning moves or holds, and what is malformed.
+"""URDF files: read and check links and joints; find the joints that planning does not move.
 
-pinocchio's parser prints and leaves out what it does not understand. All that planning needs is
-checked here before, so that a wrong file ends in one line.
+pinocchio's parser leaves out what it does not understand, and only prints a message. So everything
+that planning needs is checked here before, and a malformed file gives an error of one line.
 """
 
 import copy
@@ -30,13 +30,13 @@ class Joint:
     child: str  # link
     lower: float  # [rad or m]; nan if the file states none
     upper: float  # [rad or m]; nan if the file states none
-    mimics: str | None  # joint whose value, times `multiplier` plus `offset`, it takes
+    mimics: str | None  # joint m that it follows: q = multiplier * q_m + offset; None: no joint
     multiplier: float
     offset: float  # [rad or m]
 
     @property
-    def hindrance(self) -> str | None:
-        """Why planning cannot move it, or None."""
+    def immovable_reason(self) -> str | None:
+        """Why planning cannot move it; None if it can."""
         if self.mimics is not None:
             return f"mimics {self.mimics}"
         if self.kind not in ("revolute", "prismatic", "continuous"):
@@ -48,7 +48,7 @@ class Joint:
 
     @property
     def neutral(self) -> float:
-        """The value nearest to 0 inside the limits [rad or m]."""
+        """The value nearest to 0 inside the limits [rad or m]; 0 without limits."""
         return min(max(0.0, self.lower), self.upper) if self.lower <= self.upper else 0.0
 
 
@@ -56,53 +56,53 @@ class HeldJoint(NamedTuple):
     """A joint that planning does not move."""
 
     name: str
-    value: float  # [rad or m]
-    reason: str
+    value: float  # at which it stays [rad or m]
+    reason: str  # why it is not moved
 
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """A file whose links and joints form a tree."""
+    """The content of a URDF file, whose links and joints form a tree."""
 
     path: Path
     root: ElementTree.Element
     links: tuple[str, ...]
-    joints: Mapping[str, Joint]
+    joints: Mapping[str, Joint]  # by name
 
     def chain(self, link: str) -> list[Joint]:
-        """Joints from the base to a link."""
-        above = {joint.child: joint for joint in self.joints.values()}
+        """Joints from the base to a link, in this order."""
+        joint_above = {joint.child: joint for joint in self.joints.values()}
         chain: list[Joint] = []
-        while link in above:
-            chain.append(above[link])
-            link = above[link].parent
+        while link in joint_above:
+            chain.append(joint_above[link])
+            link = joint_above[link].parent
         return chain[::-1]
 
     def likely_end_effectors(self, least_arm: int = 3) -> list[str]:
-        """Links at the ends of the chains with the most joints, tool frames first.
+        """Last links of the chains with the most movable joints, tool frames first.
 
-        After least_arm joints, a link that carries several moving ones counts as a hand: it is
-        named instead of its fingers.
+        A link that carries several moving joints, after at least `least_arm` movable ones, counts
+        as a hand. The hand is named in place of its fingers.
         """
-        carried = Counter(joint.parent for joint in self.joints.values() if joint.kind != "fixed")
+        moving = Counter(joint.parent for joint in self.joints.values() if joint.kind != "fixed")
         parents = {joint.parent for joint in self.joints.values()}
         joints_before: dict[str, int] = {}
         for leaf in (link for link in self.links if link not in parents):
-            end, moved = leaf, 0
+            movable, has_hand = 0, False
             for joint in self.chain(leaf):
-                if carried[joint.parent] > 1 and moved >= least_arm:
-                    joints_before[joint.parent] = moved
-                    end = joint.parent
-                moved += joint.hindrance is None
-            if end == leaf:
-                joints_before[leaf] = moved
+                if moving[joint.parent] > 1 and movable >= least_arm:
+                    joints_before[joint.parent] = movable
+                    has_hand = True
+                movable += joint.immovable_reason is None
+            if not has_hand:
+                joints_before[leaf] = movable
         most = max(joints_before.values(), default=0)
         likely = [link for link, count in joints_before.items() if count == most]
         return sorted(likely, key=lambda link: not re.search("tool|tcp", link, re.IGNORECASE))
 
 
 def read_urdf(path: Path) -> Urdf:
-    """Read a URDF file; InvalidInputError if its links and joints are no tree."""
+    """Read a URDF file; InvalidInputError if it is malformed, or its joints form no tree."""
     try:
         root = ElementTree.fromstring(read_text(path, "URDF"))
     except ElementTree.ParseError as error:
@@ -114,13 +114,13 @@ def read_urdf(path: Path) -> Urdf:
         raise InvalidInputError(f"{invalid}: its <robot> has no name")
     links = tuple(link.get("name", "") for link in root.findall("link"))
     joints = [_joint(element, path) for element in root.findall("joint")]
-    _refuse_no_tree(path.name, links, joints)
+    _check_tree(path.name, links, joints)
     return Urdf(path, root, links, {joint.name: joint for joint in joints})
 
 
 def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> Joint:
-    """The joint of an element; beyond most_turn [rad] sines lose digits."""
-    # stands for elements that the file leaves out: it has no attributes
+    """The joint of an element; a limit beyond `most_turn` [rad] is refused: sines lose digits."""
+    # in place of parts that the file leaves out; it has no attributes
     nothing = ElementTree.Element("nothing")
     parts = {part.tag: part for part in reversed(element)}
     parent, child, limit, mimic = (
@@ -142,7 +142,7 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
                 raise InvalidInputError(
                     f"its <limit> states no {attribute}; URDF needs velocity and effort"
                 )
-        # the format's default of a <limit> without lower or upper
+        # a <limit> without lower or upper means 0, by the URDF format
         unstated = math.nan if limit is nothing else 0.0
         joint = Joint(
             name=element.get("name", ""),
@@ -164,32 +164,33 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
         return joint
 
 
-def _refuse_no_tree(file: str, links: Sequence[str], joints: Sequence[Joint]) -> None:
-    """Refuse names used twice, links that do not exist, two roots or none, and rings."""
+def _check_tree(file: str, links: Sequence[str], joints: Sequence[Joint]) -> None:
+    """Refuse names used twice, links that do not exist, two roots or none, and loops."""
     unique(links, f"links of {file}")
     unique((joint.name for joint in joints), f"joints of {file}")
-    movers: dict[str, list[str]] = {link: [] for link in links}
-    below: dict[str, list[str]] = {link: [] for link in links}
+    joints_above: dict[str, list[str]] = {link: [] for link in links}
+    links_below: dict[str, list[str]] = {link: [] for link in links}
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
-            if link not in below:
+            if link not in links_below:
                 raise InvalidInputError(
                     f"joint {shown(joint.name)} of {file}: its {role} {shown(link)} is no link"
                 )
-        movers[joint.child].append(joint.name)
-        below[joint.parent].append(joint.child)
-        if len(movers[joint.child]) > 1:
+        joints_above[joint.child].append(joint.name)
+        links_below[joint.parent].append(joint.child)
+        if len(joints_above[joint.child]) > 1:
             raise InvalidInputError(
                 f"link {shown(joint.child)} of {file} is the child of "
-                f"{_listed(movers[joint.child])}: a link has one parent"
+                f"{_listed(joints_above[joint.child])}: a link has one parent"
             )
-    reached = [link for link in links if not movers[link]]
+    reached = [link for link in links if not joints_above[link]]
     if len(reached) != 1:
         raise InvalidInputError(
             f"{file} needs one link that no joint moves; it has {_listed(reached) or 'none'}"
         )
+    # the list grows during the loop, until all links below the root are in it
     for link in reached:
-        reached += below[link]
+        reached += links_below[link]
     loose = [link for link in links if link not in reached]
     if loose:
         raise InvalidInputError(
@@ -204,15 +205,20 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
 def held_joints(
     urdf: Urdf, end_effector: str, locked: Mapping[str, float], base_given: bool
 ) -> tuple[HeldJoint, ...]:
-    """The joints that planning does not move: those locked, and those off the chain.
+    """The joints that planning does not move: locked ones, and those outside the chain.
 
     Args:
         urdf: the robot.
-        end_effector: link; the chain goes from the base to it.
-        locked: values [rad or m] by joint.
-        base_given: then a floating joint of the chain is held, too.
+        end_effector: link at the end of the chain, which begins at the base.
+        locked: values [rad or m] of joints by name.
+        base_given: whether the pose of the base is given: then a floating joint of the chain is
+            held, too.
 
-    Raises InvalidInputError: it names joints that can be neither moved nor held, and the options.
+    Returns:
+        The joints in the order of the file.
+
+    Raises UnknownChoiceError for a name that the URDF lacks. Raises InvalidInputError if a joint
+    can be neither moved nor held (it names options that help), or if no joint is left to move.
     """
     if end_effector not in urdf.links:
         raise UnknownChoiceError("end-effector frame", end_effector, urdf.links)
@@ -230,7 +236,7 @@ def held_joints(
         held[name] = HeldJoint(name, number, "as asked for")
     chain = {joint.name for joint in urdf.chain(end_effector)}
     free = [joint for name, joint in movable.items() if name not in held]
-    # those that mimic come last: others may have been held by then
+    # mimicking joints come last: whether they are held can depend on the joint that they follow
     for joint in sorted(free, key=lambda joint: joint.mimics is not None):
         leader, off_chain = held.get(joint.mimics or ""), joint.name not in chain
         if joint.mimics is not None and off_chain and (leader or joint.mimics not in chain):
@@ -244,12 +250,12 @@ def held_joints(
         else:
             continue
         held[joint.name] = HeldJoint(joint.name, value, reason)
-    offending = [joint for joint in free if joint.name not in held and joint.hindrance]
+    offending = [joint for joint in free if joint.name not in held and joint.immovable_reason]
     if offending:
         floats = any(joint.kind == "floating" for joint in offending)
         raise InvalidInputError(
             f"joints of {urdf.path.name} that cannot be planned for: "
-            + ", ".join(f"{joint.name!r} {joint.hindrance}" for joint in offending)
+            + ", ".join(f"{joint.name!r} {joint.immovable_reason}" for joint in offending)
             + "; hold them: "
             + " ".join(f"--lock {joint.name}={joint.neutral:g}" for joint in offending)
             + (", or place the base: --base X,Y,Z" if floats else "")
@@ -263,7 +269,11 @@ def held_joints(
 
 
 def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
-    """The file with continuous joints limited to a turn either way, floating, planar ones fixed."""
+    """A copy of the URDF in which every joint has one coordinate, or none.
+
+    Continuous joints become revolute ones with limits of one turn either way, -2 pi and 2 pi.
+    Floating and planar joints become fixed.
+    """
     root = copy.deepcopy(urdf.root)
     for element in root.findall("joint"):
         kind = element.get("type")
@@ -271,9 +281,9 @@ def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
             limit = element.find("limit")
             if limit is None:
                 limit = ElementTree.SubElement(element, "limit")
-            # it turns once either way
-            stated = {"velocity": "0", "effort": "0"} | dict(limit.attrib)
-            limit.attrib.update(stated | {"lower": repr(-TURN), "upper": repr(TURN)})
+            # pinocchio needs velocity and effort; a continuous joint may leave them out
+            given = {"velocity": "0", "effort": "0"} | limit.attrib
+            limit.attrib.update(given | {"lower": repr(-TURN), "upper": repr(TURN)})
             element.set("type", "revolute")
         elif kind in ("floating", "planar"):
             element.set("type", "fixed")
@@ -281,7 +291,10 @@ def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
 
 
 def collada_unit(data: bytes) -> float:
-    """The unit [m] that a COLLADA file states, 1 if none; it must be a positive number."""
+    """The unit [m] that the content of a COLLADA file states; 1 if it states none.
+
+    InvalidInputError: the unit is not a positive number.
+    """
     stated = re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']*)", data)
     if stated is None:
         return 1.0
@@ -299,7 +312,12 @@ SHAPES = ("box", "cylinder", "sphere", "mesh")
 
 
 def check_bodies(root: ElementTree.Element, path: Path) -> None:
-    """Refuse malformed collision bodies, origins and axes; errors name the link or joint."""
+    """Raise InvalidInputError or UnknownChoiceError for a malformed collision body, origin or axis.
+
+    Args:
+        root: of the URDF.
+        path: its file; errors name it, and the link or joint.
+    """
     for link in root.findall("link"):
         for body in link.findall("collision"):
             with located(f"link {shown(link.get('name'))} of {path.name}, collision"):
@@ -318,15 +336,15 @@ def check_bodies(root: ElementTree.Element, path: Path) -> None:
             _check_numbers([*joint.findall("origin"), *axes])
 
 
-class Numbers(NamedTuple):
-    """What an attribute that pinocchio reads of a collision body or a joint must hold."""
+class NumbersOf(NamedTuple):
+    """The numbers that an attribute of a collision body or joint must hold."""
 
-    tag: str
+    tag: str  # of the element with the attribute
     attribute: str
-    length: int  # of the list of numbers
-    fits: Callable[[Sequence[float]], bool] = lambda _: True
+    length: int  # how many numbers
+    fits: Callable[[Sequence[float]], bool] = lambda _: True  # condition on the numbers
     cure: str = ""  # what to give instead of numbers that do not fit
-    has_default: bool = False
+    has_default: bool = False  # whether the attribute may be left out
 
 
 def _positive(values: Sequence[float]) -> bool:
@@ -334,30 +352,31 @@ def _positive(values: Sequence[float]) -> bool:
 
 
 ATTRIBUTES = (
-    Numbers("box", "size", 3, _positive, "more than 0 [m]"),
-    Numbers("cylinder", "radius", 1, _positive, "more than 0 [m]"),
-    Numbers("cylinder", "length", 1, _positive, "more than 0 [m]"),
-    Numbers("sphere", "radius", 1, _positive, "more than 0 [m]"),
-    Numbers("mesh", "scale", 3, all, "numbers other than 0", has_default=True),
-    Numbers("origin", "xyz", 3, has_default=True),
-    Numbers("origin", "rpy", 3, has_default=True),
-    Numbers("axis", "xyz", 3, any, "a direction"),
+    NumbersOf("box", "size", 3, _positive, "more than 0 [m]"),
+    NumbersOf("cylinder", "radius", 1, _positive, "more than 0 [m]"),
+    NumbersOf("cylinder", "length", 1, _positive, "more than 0 [m]"),
+    NumbersOf("sphere", "radius", 1, _positive, "more than 0 [m]"),
+    NumbersOf("mesh", "scale", 3, all, "numbers other than 0", has_default=True),
+    NumbersOf("origin", "xyz", 3, has_default=True),
+    NumbersOf("origin", "rpy", 3, has_default=True),
+    NumbersOf("axis", "xyz", 3, any, "a direction"),
 )
 
 
 def _check_numbers(elements: Sequence[ElementTree.Element]) -> None:
-    for element, row in product(elements, ATTRIBUTES):
-        text = element.get(row.attribute, "")
-        stated = row.attribute in element.attrib
-        if element.tag != row.tag or (row.has_default and not stated):
+    """Refuse elements whose attributes do not hold the numbers of `ATTRIBUTES`."""
+    for element, wanted in product(elements, ATTRIBUTES):
+        text = element.get(wanted.attribute, "")
+        stated = wanted.attribute in element.attrib
+        if element.tag != wanted.tag or (wanted.has_default and not stated):
             continue
-        what = f"{row.attribute} of its {row.tag} is {shown(text)}"
+        what = f"{wanted.attribute} of its {wanted.tag} is {shown(text)}"
         try:
             values = [float(word) for word in text.split()]
         except ValueError:
             values = []
         # Python reads 1_0 as a number
-        if len(values) != row.length or not all(map(math.isfinite, values)) or "_" in text:
-            raise InvalidInputError(f"{what}; it must be {row.length} finite numbers")
-        if not row.fits(values):
-            raise InvalidInputError(f"{what}; give {row.cure}")
+        if len(values) != wanted.length or not all(map(math.isfinite, values)) or "_" in text:
+            raise InvalidInputError(f"{what}; it must be {wanted.length} finite numbers")
+        if not wanted.fits(values):
+            raise InvalidInputError(f"{what}; give {wanted.cure}")

@@ -14,7 +14,7 @@ from typing import Any
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import located
 from cvqmpt_lab.files import read_json_object
-from cvqmpt_lab.robot.source import seen_from
+from cvqmpt_lab.robot.source import with_absolute_paths
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import (
@@ -46,7 +46,7 @@ def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     if "attachments" in data:
         read["attachments"] = _expanded(data["attachments"], folder, "attachments")[0]
     if "robot" in data:
-        read["robot"] = seen_from(folder, data["robot"])
+        read["robot"] = with_absolute_paths(folder, data["robot"])
     return read
 
 
