@@ -33,15 +33,16 @@ from cvqmpt_lab.training.shards import (
 )
 from cvqmpt_lab.vqmpt.learned_sampler import dictionary_roadmap
 
-# configurations of a scene between which paths are looked for
+# configurations drawn in each scene; shortest paths lead from starts to goals
 STARTS, GOALS = 16, 48
-# state checks an edge, on average: scenes that need more have a wall millimetres from the base
+# limit of state checks per edge, on average over a scene's edges: scenes that need more have a
+# wall millimetres from the base
 CHECKS = 60
 
 
 @dataclass(frozen=True)
 class RoadmapRecipe(SceneRecipe):
-    """Labels on the roadmap of a dictionary."""
+    """Recipe of a dataset of labels on the roadmap of a dictionary."""
 
     title: ClassVar = "Labels on a roadmap"
     columns: ClassVar = LABEL_ARRAYS
@@ -50,28 +51,32 @@ class RoadmapRecipe(SceneRecipe):
     model: str = "vq_mpt"  # name or folder of the dictionary's weights
 
     def check(self) -> None:
-        """Refuse a robot that the dictionary is not of, or one without a roadmap."""
+        """Raise the errors of `roadmap_graph` before anything is written."""
         roadmap_graph(self.model, robot_from_source(self.robot))
 
     def prepare(self, out: Path) -> None:
-        """Write the roadmap, or check that the existing one is equal."""
+        """Write the roadmap, or raise InvalidInputError if the existing one has other nodes."""
         graph = roadmap_graph(self.model, robot_from_source(self.robot))
         if (out / ROADMAP_FILE).exists() and RoadmapGraph.read(out).digest != graph.digest:
             raise InvalidInputError(f"{out} holds labels of another roadmap; choose another --out")
         graph.write(out)
 
     def labelled(self, robot: Robot, scene: Scene, index: int) -> dict[str, np.ndarray] | None:
-        """All nodes and edges checked, and shortest paths."""
+        """The arrays of `roadmap_labels` for the scene of this index."""
         graph = roadmap_graph(self.model, robot)
         return roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
 
 
 @lru_cache(maxsize=1)
 def roadmap_graph(model: str, robot: Robot) -> RoadmapGraph:
-    """Codes of a dictionary as nodes, undirected edges, and which of these the robot allows.
+    """Codes of a dictionary as nodes, undirected edges, and the edges free in an empty scene.
 
-    OtherRobotError for a robot that the dictionary is not of; InvalidInputError for a roadmap of
-    fewer nodes than ends are linked to, or one whose edges are too long to check.
+    Args:
+        model: name or folder of the dictionary's weights.
+        robot: the arm.
+
+    Raises OtherRobotError if the dictionary is of another robot, and InvalidInputError if the
+    roadmap has no more than `LINKS` nodes, or edges that are too long to check.
     """
     roadmap = dictionary_roadmap(model, robot)
     if len(roadmap.nodes) <= LINKS:
@@ -83,7 +88,7 @@ def roadmap_graph(model: str, robot: Robot) -> RoadmapGraph:
     edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
     space = unconstrained_space(robot, Scene("nothing", ()))
     checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS)
-    # although nothing is near
+    # in an empty scene, only long edges need so many checks
     if checked is None:
         raise InvalidInputError(
             f"nodes of {robot.name}'s roadmap are far apart; train its dictionary longer"
@@ -92,25 +97,32 @@ def roadmap_graph(model: str, robot: Robot) -> RoadmapGraph:
 
 
 def body_points(robot: Robot, count: int = 16) -> tuple[np.ndarray, np.ndarray]:
-    """Points that stand for the arm's body: centres of balls that cover the links.
+    """Points that represent the arm's body: centres of some of the balls that cover its links.
 
-    Each is the one farthest from those before it, on average over random configurations.
+    They are found by farthest point sampling, with distances averaged over random configurations:
+    the next point is argmax_i min_j mean_q |p_i(q) - p_j(q)|, where j are the points chosen before.
+
+    Args:
+        robot: the arm.
+        count: of points; an arm that has fewer balls gives all of them.
 
     Returns:
-        The joint that moves each (k,), and where the point is in its frame (k, 3) [m].
+        Index of the joint that moves each point (k,), and points in these joints' frames (k, 3)
+        [m].
     """
     geometry = robot_arrays(robot)
     rows = np.repeat(geometry.body_link, np.diff(geometry.body_start))
+    # the balls at the leaves of the links' sphere trees; pose row 0 is the fixed base
     used = (geometry.leaf >= 0) & (rows > 0)
     rows, offsets = rows[used], geometry.sphere[used, :3]
     states = robot.random_configurations(np.random.default_rng(0), 64)
     rotations, translations = link_poses(robot.kinematics, states)
-    places = np.einsum("skij,kj->ski", rotations[:, rows], offsets) + translations[:, rows]
-    chosen, away = [len(rows) - 1], np.full(len(rows), np.inf)
+    points = np.einsum("skij,kj->ski", rotations[:, rows], offsets) + translations[:, rows]
+    chosen, to_chosen = [len(rows) - 1], np.full(len(rows), np.inf)
     while len(chosen) < min(count, len(rows)):
-        apart = np.linalg.norm(places - places[:, chosen[-1:]], axis=2).mean(axis=0)
-        away = np.minimum(away, apart)
-        chosen.append(int(away.argmax()))
+        to_last = np.linalg.norm(points - points[:, chosen[-1:]], axis=2).mean(axis=0)
+        to_chosen = np.minimum(to_chosen, to_last)
+        chosen.append(int(to_chosen.argmax()))
     chosen.sort()
     return rows[chosen] - 1, offsets[chosen]
 
@@ -123,18 +135,18 @@ def verdicts(
     checks: int = CHECKS,
     margin: float = 0.002,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Whether nodes and edges are free.
+    """Check which nodes and edges are free of collision.
 
     Args:
         space: unconstrained space of a scene.
         nodes: (N, n) [rad or m].
-        edges: (E, 2) rows of nodes.
-        possible: (E,) edges that may be free, others are not checked; None for all.
-        checks: state checks an edge, on average, at most.
-        margin: [m] that free motions keep from obstacles.
+        edges: (E, 2), each the rows of two nodes.
+        possible: (E,) bool, False for edges that are known not to be free; None: any may be free.
+        checks: limit of state checks per edge, on average.
+        margin: distance that free motions keep from obstacles [m].
 
     Returns:
-        (N,) and (E,) bool, or None after too many checks.
+        Whether each node (N,) and each edge (E,) is free, or None if the limit was exceeded.
     """
     node_free = np.zeros(len(nodes), dtype=bool)
     edge_free = np.ones(len(edges), dtype=bool) if possible is None else possible.copy()
@@ -145,7 +157,7 @@ def verdicts(
 
 @lru_cache(maxsize=1)
 def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
-    """Limit of state checks an edge in a scene: CHECKS, or more if an empty scene takes more."""
+    """Limit of state checks per edge: CHECKS times 4, 16, ... if an empty scene needs more."""
     space, checks = unconstrained_space(robot, Scene("nothing", ())), CHECKS
     while verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks) is None:
         checks *= 4
@@ -155,20 +167,23 @@ def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
 def roadmap_labels(
     robot: Robot, scene: Scene, graph: RoadmapGraph, pairs: int, seed: Sequence[int]
 ) -> dict[str, np.ndarray] | None:
-    """Check all of a roadmap in a scene, and find shortest paths between pairs of ends.
+    """Check all nodes and edges of a roadmap in a scene, and find shortest paths through it.
 
-    Half of the starts and goals have the hand near an obstacle. Pairs whose straight motion is free
-    are left out. Ends of links are the starts, the goals and configurations among obstacles.
+    Paths lead from random starts to random goals; half of these have the hand near an obstacle.
+    Pairs of start and goal whose straight motion is free are left out. A link joins a configuration
+    to one of its `LINKS` nearest nodes. Starts, goals and configurations among obstacles are
+    linked.
 
     Args:
         robot: the arm.
         scene: what it must not touch.
         graph: the roadmap.
-        pairs: of start and goal, at most.
-        seed: of all that is drawn.
+        pairs: number of pairs of start and goal, at most.
+        seed: of all random draws.
 
     Returns:
-        Arrays of `training.shards.LABEL_ARRAYS` of this scene alone; None after too many checks.
+        Arrays of `training.shards.LABEL_ARRAYS` of this scene alone, or None if it needs too many
+        state checks.
     """
     space, rng = unconstrained_space(robot, scene), np.random.default_rng(seed)
     checks = checks_of(robot, graph)
@@ -178,30 +193,31 @@ def roadmap_labels(
     node_free, edge_free = checked
     ends = _ends(space, rng)
     starts, goals = ends[:STARTS], ends[STARTS:]
-    every = np.argwhere(np.ones((len(starts), len(goals)), dtype=bool))
     linked_ends = np.concatenate([ends, _confined(space, np.random.default_rng((*seed, 1)))])
     # squared distances: |end|^2 + |node|^2 - 2 <end, node>
-    lengths = (linked_ends**2).sum(1)[:, None] + (graph.nodes**2).sum(1)
-    squares = lengths - 2.0 * linked_ends @ graph.nodes.T
+    norms = (linked_ends**2).sum(1)[:, None] + (graph.nodes**2).sum(1)
+    squares = norms - 2.0 * linked_ends @ graph.nodes.T
     near = np.argpartition(squares, LINKS, axis=1)[:, :LINKS]
     nodes, count = np.concatenate([graph.nodes, linked_ends]), len(graph.nodes)
-    of_end = np.repeat(count + np.arange(len(linked_ends)), LINKS)
-    links = np.stack([of_end, near.ravel()], axis=1).astype(np.int32)
-    # near self-collision a link needs more checks than an edge that the robot itself allows
+    end_rows = np.repeat(count + np.arange(len(linked_ends)), LINKS)
+    links = np.stack([end_rows, near.ravel()], axis=1).astype(np.int32)
+    # links near self-collision need more checks than edges that are free in an empty scene
     linked = verdicts(space, nodes, links, checks=600)
     if linked is None:
         return None
     link_free = linked[1]
+    # paths start and end at starts and goals, not at configurations among obstacles
     nodes, links = nodes[: count + len(ends)], links[: LINKS * len(ends)]
     cost, before = _shortest_paths(
         nodes, graph.edges[edge_free], links[link_free[: len(links)]], count
     )
-    rows: list[tuple[int, int]] = []
-    for s, g in rng.permutation(every).tolist():
-        if len(rows) < pairs and not motion_free(space.arrays, starts[s], goals[g]):
-            rows.append((s, g))
-    codes = [_codes(before[s], count + STARTS + g) for s, g in rows]
-    s, g = np.array(rows, dtype=np.int64).reshape(-1, 2).T
+    every_pair = np.argwhere(np.ones((len(starts), len(goals)), dtype=bool))
+    chosen: list[tuple[int, int]] = []
+    for s, g in rng.permutation(every_pair).tolist():
+        if len(chosen) < pairs and not motion_free(space.arrays, starts[s], goals[g]):
+            chosen.append((s, g))
+    codes = [_codes(before[s], count + STARTS + g) for s, g in chosen]
+    s, g = np.array(chosen, dtype=np.int64).reshape(-1, 2).T
     return {
         "node_free": np.packbits(node_free)[None],
         "edge_free": np.packbits(edge_free)[None],
@@ -219,7 +235,7 @@ def roadmap_labels(
 
 
 def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
-    """Free configurations (at most STARTS + GOALS, n), half of them near an obstacle."""
+    """Free configurations (k, n), k at most STARTS + GOALS; half have the hand near an obstacle."""
     candidates = free_configurations(space, rng)
     near = near_obstacles(space, candidates)
     wanted = (STARTS + GOALS) // 2
@@ -231,10 +247,10 @@ def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
 def _confined(
     space: ConstrainedSpace, rng: np.random.Generator, most: int = 32, around: int = 12
 ) -> np.ndarray:
-    """Free configurations among obstacles (at most `most`, n).
+    """Free configurations among obstacles (k, n), k at most `most`.
 
-    Of those with the hand near an obstacle, the ones with the most collisions among `around`
-    normally distributed neighbours.
+    They have the hand near an obstacle, and the most collisions among `around` neighbours, which
+    are drawn from a Gaussian with a standard deviation of 0.25 rad.
     """
     robot = space.robot
     candidates = robot.random_configurations(rng, 1024)
@@ -249,18 +265,19 @@ def _confined(
 def _shortest_paths(
     nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Shortest paths from every start over edges both ways to every goal, by Dijkstra.
+    """Dijkstra's shortest paths from every start to every goal; edges are used in both directions.
 
     Args:
-        nodes: (N + s + g, n) [rad]: the roadmap's, STARTS starts, then goals.
-        edges: (E, 2) rows that are joined.
-        links: (l, 2) rows of starts and goals, and of nodes.
+        nodes: (N + s + g, n) [rad]: N nodes of the roadmap, s <= STARTS starts, then g goals.
+        edges: (E, 2), rows of `nodes`: the roadmap's free edges.
+        links: (l, 2), rows of `nodes`: a start or goal, and a node of the roadmap.
         count: N.
 
     Returns:
-        Costs (s, g) [rad], inf if there is no path, and each row's predecessor on the path from a
-        start (s, rows), negative if there is none.
+        Costs (s, g) [rad], inf if there is no path, and the predecessor of each row on the path
+        from each start (s, N + s + g), negative if there is none.
     """
+    # paths lead from starts to nodes, and from nodes to goals
     leaving = links[:, 0] < count + STARTS
     pairs = np.concatenate([edges, edges[:, ::-1], links[leaving], links[~leaving][:, ::-1]])
     length = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
@@ -273,7 +290,10 @@ def _shortest_paths(
 
 
 def _codes(before: np.ndarray, goal: int) -> list[int]:
-    """Codes on the path to row `goal`; empty if there is no path."""
+    """Codes on the path to row `goal`, in order; empty if there is no path.
+
+    before: (rows,), predecessor of each row, see `_shortest_paths`.
+    """
     rows, row = [], int(before[goal])
     while row >= 0:
         rows.append(row)
