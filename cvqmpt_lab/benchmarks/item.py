@@ -1,4 +1,4 @@
-"""Items of a suite that are neither a plain problem nor a task: unsolvable, or in a map."""
+"""Items of suites beside problems and tasks: unsolvable problems, problems in sensed maps."""
 
 from dataclasses import dataclass, replace
 
@@ -9,20 +9,20 @@ from cvqmpt_lab.scene.scene import Scene
 
 @dataclass(frozen=True)
 class UnsolvableProblem:
-    """An item for which no problem was found, and why."""
+    """An item of a suite for which no problem could be made."""
 
     name: str
-    reason: str
-    kind: FailReason = FailReason.NO_START  # what its rows are counted as
+    reason: str  # in words
+    kind: FailReason = FailReason.NO_START  # the failure that its result rows state
 
 
 @dataclass(frozen=True)
 class SensedProblem:
-    """A problem in a map, and the scene that the map is of."""
+    """A problem whose scene is a map made from depth images, and the real scene."""
 
-    problem: PlanningProblem  # as planners are given it
-    truth: Scene  # as it really is
-    seconds: float  # from images in files to the problem [s]
+    problem: PlanningProblem  # what planners are given: its scene is the map
+    truth: Scene  # the real scene, of which the images were taken
+    seconds: float  # time to make the problem from image files [s]
 
     @property
     def name(self) -> str:

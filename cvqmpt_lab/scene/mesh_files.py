@@ -1,4 +1,4 @@
-"""Meshes from files: STL, OBJ, DAE, as convex pieces that hold all of the surface."""
+"""Read STL, OBJ and DAE meshes, as convex pieces that together contain the whole surface."""
 
 import io
 from functools import partial
@@ -13,21 +13,23 @@ from cvqmpt_lab.scene.cloud_files import check_lengths, parsing, read_by_suffix
 from cvqmpt_lab.scene.convex import convex_pieces
 from cvqmpt_lab.values import FloatArray
 
-MOST_TRIANGLES = 200_000
+MOST_TRIANGLES = 200_000  # of a file
 
 
 def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
-    """Read a mesh as convex pieces that hold all of its surface; see `convex_pieces`.
+    """Read a mesh as convex pieces that together contain its whole surface; see `convex_pieces`.
 
     Args:
-        path: of the file. The unit that a DAE file states is applied before `scale`, and which axis
-            it calls up is ignored, both as for meshes of robots.
-        scale: length of one unit of the file [m].
+        path: of the file.
+        scale: length of one unit of the file [m]. A DAE file states its own unit: its lengths are
+            converted to metres first, and then multiplied by `scale`. Its up axis is ignored.
+            Meshes of robots are read in the same way.
 
-    Returns: vertices (k, 3) [m] of each piece.
+    Returns:
+        Vertices (k, 3) [m] of each piece.
 
-    Raises InvalidInputError for a file that cannot be read, has no triangle, too many, or none that
-    span a volume, or is evidently not in metres.
+    Raises InvalidInputError if the file cannot be read, has no triangle or more than
+    `MOST_TRIANGLES`, spans no volume, or has lengths that are evidently not metres.
     """
     path = Path(path)
     triangles = scale * read_triangles(path)
@@ -37,20 +39,21 @@ def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
 
 
 def read_triangles(path: Path) -> FloatArray:
-    """The corners (f, 3, 3) of a file's triangles, in its own unit."""
+    """Corners (f, 3, 3) of the triangles of a file, in its unit; those of a DAE file in metres."""
     return read_by_suffix(READERS, path, "mesh")
 
 
 def _triangles(kind: str, data: bytes) -> FloatArray:
+    """Corners (f, 3, 3) of the triangles in the content of a file of a kind, e.g. "stl"."""
     if kind == "obj":
-        # may have another encoding; trimesh passes over lines with tabs or blanks in front
+        # the encoding may not be UTF-8, and trimesh skips lines that begin with tabs or blanks
         lines = data.decode("utf-8", errors="replace").splitlines()
         data = "\n".join(" ".join(line.split()) for line in lines).encode()
     mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False)
     faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
     if len(faces) == 0:
         raise InvalidInputError("it has no triangle: cut short?")
-    # of the text form, from which trimesh leaves out what follows the end of a solid
+    # trimesh leaves out triangles that follow the end of a solid in a text STL
     stated = data.lower().count(b"endfacet") if kind == "stl" else 0
     if stated not in (0, len(faces)):
         raise InvalidInputError(f"{len(faces)} of its {stated} triangles belong to a solid")
@@ -65,4 +68,4 @@ def _triangles(kind: str, data: bytes) -> FloatArray:
 
 
 READERS = {f".{kind}": partial(_triangles, kind) for kind in ("stl", "obj", "dae")}
-"""Of meshes, by the file's suffix."""
+"""Readers of meshes by the file's suffix."""

@@ -19,18 +19,19 @@ from cvqmpt_lab.values import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """Poses of virtual cameras and thinning of their points; default: the published kitchen's."""
+    """Virtual cameras, and how their points become a cloud; by default as published."""
 
     cameras: tuple[Camera, ...] = cameras_on_sphere(
         Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0)
     )
-    """Of the published kitchen clouds."""
-    obstacles_only: bool = False  # leave out what is no obstacle, such as the floor
-    crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)  # which of the merged points stay
-    voxel: float | None = 0.025  # [m] cell in which points are averaged; None: no averaging
-    noise: float = 0.0  # [m] standard deviation added to every coordinate of the cloud
-    errors: DepthNoise | None = None  # of every camera; None: it measures perfectly
-    points: int | None = None  # size of the cloud, random, repeated if too few; None: all
+    """Those of the published kitchen clouds."""
+    obstacles_only: bool = False  # leave out objects that are no obstacles, such as the floor
+    crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)  # which points of all cameras stay
+    voxel: float | None = 0.025  # [m] edge of cells in which points are averaged; None: no cells
+    noise: float = 0.0  # [m] standard deviation of the noise of every coordinate of the cloud
+    errors: DepthNoise | None = None  # of the depths of every camera; None: exact depths
+    # size of the cloud: a random choice of its points, repeated if they are too few; None: all
+    points: int | None = None
 
     def __post_init__(self) -> None:
         if self.voxel is not None and not self.voxel > 0.0:
@@ -45,28 +46,45 @@ class CameraSettings:
         """Clouds like those of training: cameras on all sides, no floor, obstacles covered evenly.
 
         Unlike training clouds they lack what no camera sees, such as the inside of closed cabinets.
+
+        Args:
+            points: size of the cloud.
+            noise: standard deviation of every coordinate [m].
         """
-        lens, crop = Intrinsics.from_fov(vertical_fov=70.0, near=0.1), BallCrop()
+        intrinsics, crop = Intrinsics.from_fov(vertical_fov=70.0, near=0.1), BallCrop()
         cameras = cameras_on_sphere(
-            lens, (45.0, 135.0, -45.0, -135.0), (40.0, -40.0), centre=crop.centre
+            intrinsics, (45.0, 135.0, -45.0, -135.0), (40.0, -40.0), centre=crop.centre
         )
         return cls(cameras=cameras, obstacles_only=True, crop=crop, noise=noise, points=points)
 
 
 def camera_cloud(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Points (m, 3) [m, robot base frame] that the cameras see, in random order; empty if none."""
+    """Points (m, 3) [m, robot base frame] that the cameras see, in random order; m may be 0.
+
+    InvalidInputError: an object of the scene is a point cloud.
+    """
     return thinned(visible_points(scene, settings, rng), settings, rng)
 
 
 def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Voxel means (m, 3) of points (p, 3), with noise, shuffled; m = `settings.points`, if set.
+    """Average points in voxels, shuffle them, choose `settings.points` of them, add noise.
 
-    The order is random because the point encoder takes the neighbours of lowest index.
+    The order is random because the point encoder takes, of too many neighbours, those of lowest
+    index.
+
+    Args:
+        points: (p, 3) [m].
+        settings: its `voxel`, `points` and `noise` are used.
+        rng: of order and noise.
+
+    Returns:
+        (m, 3) [m], with m = `settings.points` if that is set and p > 0.
     """
     if settings.voxel is not None:
         points = voxel_means(points, settings.voxel)
     points = points[rng.permutation(len(points))]
     if settings.points is not None and len(points):
+        # after the last point comes the first one again
         points = points[np.arange(settings.points) % len(points)]
     if settings.noise > 0.0:
         points = points + settings.noise * rng.standard_normal(points.shape)
@@ -74,14 +92,17 @@ def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generat
 
 
 def visible_points(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Points (m, 3) [m] of all pixels of all cameras inside the crop."""
+    """Points (m, 3) [m, robot base frame] of the pixels of all cameras, inside the crop."""
     seen = [view.points for view in views_of(scene, settings, rng)]
-    points = np.concatenate(seen) if seen else np.empty((0, 3))
+    points = np.concatenate([np.empty((0, 3)), *seen])
     return points[settings.crop.contains(points)]
 
 
 def views_of(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> list[View]:
-    """What each camera sees of a scene, with its errors; materials are the same for all."""
+    """The depth image of each camera, with measurement errors if `settings.errors` is set.
+
+    Each object has one material, the same in all images.
+    """
     solids = solids_of(scene.obstacles if settings.obstacles_only else scene.objects)
     views = [view_of(solids, camera) for camera in settings.cameras]
     if settings.errors is None:
@@ -91,7 +112,7 @@ def views_of(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -
 
 
 def solids_of(objects: Sequence[SceneObject]) -> list[Solid]:
-    """What cameras see of scene objects; InvalidInputError names one that is a cloud already."""
+    """Scene objects as solids that cameras see; InvalidInputError names one that is a cloud."""
     return [_solid(item) for item in objects]
 
 
@@ -107,7 +128,8 @@ def _solid(item: SceneObject) -> Solid:
         case ConvexMesh(vertices):
             from scipy.spatial import ConvexHull  # a third of a second to import
 
-            planes = ConvexHull(vertices).equations.round(12)  # triangles may share planes
+            # rounded, so that the planes of coplanar triangles become equal
+            planes = ConvexHull(vertices).equations.round(12)
             return Solid(T, vertices, np.unique(planes, axis=0))
     raise InvalidInputError(
         f"cameras cannot see object {item.name!r}, a {type(item.shape).__name__}: use its points "
@@ -116,7 +138,7 @@ def _solid(item: SceneObject) -> Solid:
 
 
 def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
-    """Collision hulls of the robot's links at q (n,), as objects that a camera also sees."""
+    """Convex hulls of the robot's links at q (n,) [rad or m], as objects that cameras see."""
     rotations, translations = link_poses(
         robot.kinematics, np.ascontiguousarray(q, dtype=float)[None]
     )
