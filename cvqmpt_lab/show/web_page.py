@@ -1,6 +1,6 @@
-"""One html file that shows a plan or task in 3-D, with a time slider and plots.
+"""One html file that shows a solution or a task in 3-D, with a time slider and plots.
 
-It contains its viewer (WebGL, `plan_page.html`) and works without a network.
+The file contains its own viewer (WebGL, `plan_page.html`) and needs no network.
 """
 
 import json
@@ -23,7 +23,8 @@ from cvqmpt_lab.show.raster import clear_viewpoint
 from cvqmpt_lab.tasks.solve import TaskSolution
 
 TEMPLATE = Path(__file__).with_name("plan_page.html")
-PLACE = '<script type="application/json" id="data">{}</script>'  # of the data in the template
+# the element of the template that receives the data in place of {}
+PLACE = '<script type="application/json" id="data">{}</script>'
 
 
 def save_page(
@@ -32,13 +33,13 @@ def save_page(
     carried: Sequence[Attachment] = (),
     most_states: int = 400,
 ) -> None:
-    """Write a solution or a task, up to the phase that failed, as one html file.
+    """Write a solution or a task as one html file; a task is shown up to the phase that failed.
 
     Args:
         solution: what is shown.
         path: of the file.
-        carried: load in the hand if the problem does not model it.
-        most_states: a longer path is shown at as many even places.
+        carried: objects shown in the hand if the problem has no attachments.
+        most_states: a path of more states is resampled evenly to this number.
     """
     write_text(path, _html(seen_of_solution(solution, carried, most_states, plots=True)))
 
@@ -50,7 +51,15 @@ def path_html(
     carried: Sequence[Attachment] = (),
     most_states: int = 400,
 ) -> str:
-    """The same page for a valid path of states (m, n) [rad or m], with a verdict in words."""
+    """Text of an html file like that of `save_page`, for a valid path.
+
+    Args:
+        problem: what the path solves.
+        states: (m, n) [rad or m], of the path.
+        verdict: last part of the title, e.g. "certified path of birrt".
+        carried: objects shown in the hand if the problem has no attachments.
+        most_states: a path of more states is resampled evenly to this number.
+    """
     seen = seen_of_problem(
         problem,
         JointPath(states),
@@ -64,7 +73,13 @@ def path_html(
 
 
 def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> str:
-    """Text of a page with a first view of `size` [pixels]."""
+    """Text of the html file.
+
+    Args:
+        seen: what is shown.
+        size: width and height [pixels] for which the first viewpoint is chosen.
+    """
+    # the first view shows the robot at the start of a task, or at both ends of a path
     ends = (0,) if seen.times is not None else (0, len(seen.labels) - 1)
     robot = [body for body in seen.moving if body.layer == "robot"]
     viewpoint = clear_viewpoint([whole(robot, k) for k in ends], whole(seen.scene), size)
@@ -79,6 +94,7 @@ def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> str:
         "lines": list(seen.lines),
         "states": len(labels),
         "labels": labels,
+        # length of the animation
         "seconds": 6.0 if seen.times is None else max(float(seen.times[-1]), 1.0),
         "camera": {
             "target": list(map(float, viewpoint.target)),
@@ -90,24 +106,25 @@ def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> str:
         "bodies": [_body(body) for body in bodies],
         "plots": [_plot(plot) for plot in seen.plots],
     }
-    # else a name could end the script, or begin another in it
+    # without this, "</script>" in a name would end the script element
     text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
     return TEMPLATE.read_text(encoding="utf-8").replace(PLACE, PLACE.replace("{}", text))
 
 
 def _body(body: Body) -> dict[str, Any]:
+    """A body as json data; its normals as whole numbers from -127 to 127."""
     poses = body.poses[:, :3].reshape(len(body.poses), 12)
     return {
         "group": body.group,
         "colour": list(map(float, body.colour)),
         "opacity": body.opacity,
-        "positions": _text(body.mesh.corners.astype("<f4")),
-        "normals": _text(np.round(127 * body.mesh.normals).astype(np.int8)),
-        "poses": _text(poses.astype("<f4")),
+        "positions": _base64(body.mesh.corners.astype("<f4")),
+        "normals": _base64(np.round(127 * body.mesh.normals).astype(np.int8)),
+        "poses": _base64(poses.astype("<f4")),
     }
 
 
-def _text(array: np.ndarray) -> str:
+def _base64(array: np.ndarray) -> str:
     return b64encode(array.tobytes()).decode()
 
 
@@ -117,8 +134,9 @@ def _plot(
         "#1f6fb4", "#d1662a", "#2e8b57", "#8a4fa3", "#b8336a", "#8c6d1f", "#3aa6a6", "#70757d",
     ),
 ) -> dict[str, Any]:  # fmt: skip
+    """A plot as json data; bounds are red, and numbers that are not finite become null."""
     low, high = plot.extremes
-    room = 0.08 * max(high - low, 1e-3)
+    margin = 0.08 * max(high - low, 1e-3)
     curves = []
     for k, (name, values) in enumerate(plot.lines.items()):
         bound = name in plot.bounds
@@ -131,4 +149,4 @@ def _plot(
                 "bound": bound,
             }
         )
-    return {"title": plot.title, "curves": curves, "low": low - room, "high": high + room}
+    return {"title": plot.title, "curves": curves, "low": low - margin, "high": high + margin}
