@@ -1,4 +1,4 @@
-"""`cvqmpt plan`: one problem or task, one planner; a short report, files, pictures."""
+"""`cvqmpt plan`: solve one problem or task with one planner; print a report, write files."""
 
 import argparse
 import json
@@ -49,21 +49,22 @@ from cvqmpt_lab.warm_up import compile_kernels, warm_up
 if TYPE_CHECKING:
     from cvqmpt_lab.tasks.solve import TaskSolution
 
-OPTIMIZE = 0.05  # [s] after a first path, unless --optimize says otherwise
-RECORDING, FILM, PAGE = ".rrd", ".gif", ".html"  # endings of --save
+OPTIMIZE = 0.05  # [s] for shorter paths after the first one, unless --optimize is given
+RECORDING, FILM, PAGE = ".rrd", ".gif", ".html"  # suffixes of files that --save writes
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plan, print, show; exit code 1 when no certified path was found."""
-    asked = _asked(args)
-    if args.speed is not None and args.trajectory is None and not isinstance(asked, Task):
+    """Plan, print the report, write files; exit code 1 when no certified path was found."""
+    item = _problem_or_task(args)
+    if args.speed is not None and args.trajectory is None and not isinstance(item, Task):
         raise InvalidInputError(f"--speed {args.speed} is that of --trajectory OUT.csv; give it")
     args.speed = SLOW if args.speed is None else args.speed
-    if isinstance(asked, Task):
-        solution, told = _solved_task(args, asked)
+    if isinstance(item, Task):
+        solution, report = _solved_task(args, item)
     else:
-        solution, told = _solved_problem(args, asked)
-    print(as_json(told) if isinstance(told, dict) else "\n".join(told))
+        solution, report = _solved_problem(args, item)
+    print(as_json(report) if isinstance(report, dict) else "\n".join(report))
+    # with --json, standard output holds the json object alone
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.save_path and isinstance(solution, Solution) and solution.simplified:
         states = solution.simplified.path.states
@@ -85,16 +86,17 @@ def run(args: argparse.Namespace) -> int:
 def _solved_problem(
     args: argparse.Namespace, problem: PlanningProblem
 ) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
-    """A problem's solution, and what is said of it: data for --json, else lines."""
+    """A problem's solution, and its report: data for --json, else lines."""
     planner, why = (args.planner, "") if args.planner else default_planner(problem)
     method = planner_named(planner, args.model)
-    if args.cloud and not motion_given(args):  # of a suite or file, whose own obstacles count
+    if args.cloud and not motion_given(args):
+        # the obstacles are those of the suite or file; the cloud is what a network is shown
         method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
     if args.trajectory:
         from cvqmpt_lab.trajectory.trajectory import file_type
 
+        # a wrong file name or speed is refused before anything is planned
         file_type(writable_file(args.trajectory))
-        # refused before anything is planned
         problem.robot.joint_limits.scaled(args.speed)
     warm_up(problem, method, args.backend, log)
     if args.verbose:
@@ -116,15 +118,15 @@ def _solved_problem(
 def _solved_task(
     args: argparse.Namespace, task: Task
 ) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
-    """A task's solution, and what is said of it: data for --json, else lines."""
-    # timing needs scipy.interpolate, half a second to import
+    """A task's solution, and its report: data for --json, else lines."""
+    # timing needs scipy.interpolate, which takes half a second to import
     from cvqmpt_lab.tasks.solve import solve_task, task_data, task_lines
     from cvqmpt_lab.trajectory.timing import TimingSettings
 
-    wrong = [name for name in ("cloud", "optimize", "save_path") if getattr(args, name)]
-    if wrong:
+    unusable = [name for name in ("cloud", "optimize", "save_path") if getattr(args, name)]
+    if unusable:
         raise InvalidInputError(
-            f"--{wrong[0].replace('_', '-')} does not go with a task; leave it out"
+            f"--{unusable[0].replace('_', '-')} does not go with a task; leave it out"
         )
     folder = args.trajectory
     if folder is not None:
@@ -133,18 +135,18 @@ def _solved_task(
                 f"--trajectory {folder}: of a task it is a folder, for a file a phase; name one"
             )
         make_folder(folder)
-    planner = args.planner or "birrt"  # what tasks were measured with
+    planner = args.planner or "birrt"  # the planner with which tasks were measured
     method = planner_named(planner, args.model)
     compile_kernels(log)
     timing = TimingSettings(speed=args.speed)
-    # refused before anything is planned
+    # a wrong speed is refused before anything is planned
     robot_from_source(task.robot).joint_limits.scaled(args.speed)
     solution = solve_task(task, method, budget(args), args.seed, timing, backend=args.backend)
     return solution, (task_data if args.json else task_lines)(solution, planner)
 
 
-def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
-    """The problem or task of the command line."""
+def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
+    """The problem or task that the command line names."""
     of_scan = (args.intrinsics, args.extrinsics, args.level, args.down, args.crop)
     if not args.cloud and any(of_scan):
         raise InvalidInputError(
@@ -167,7 +169,7 @@ def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
 
 
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
-    """Time the certified path, certify the motion, write it; return the line to print."""
+    """Time the certified path, certify and write the motion; return the line to print."""
     from cvqmpt_lab.motion_check import certified_motion
     from cvqmpt_lab.trajectory.timing import TimingSettings
     from cvqmpt_lab.trajectory.trajectory import save_trajectory
@@ -184,7 +186,10 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
 
 
 def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> str:
-    """Write a file per planned phase and their index with the gripper's events; return its line."""
+    """Write a file for each planned phase, and an index; return the line to print.
+
+    The index lists these files and the gripper's events in the order in which they are executed.
+    """
     from cvqmpt_lab.tasks.solve import event_of
     from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
@@ -192,13 +197,13 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
         return "trajectory  none: only tasks whose phases are all certified are written"
     steps = []
     for k, (phase, outcome) in enumerate(solution.steps, start=1):
-        said = event_of(phase)
+        step = event_of(phase)
         if outcome is not None and outcome.arm_trajectory is not None:
             name = f"{k:02d}-{re.sub('[^A-Za-z0-9_.-]', '-', phase.name)}.json"
             save_trajectory(outcome.arm_trajectory, args.trajectory / name)
-            said |= {"file": name, "duration_s": outcome.arm_trajectory.duration}
-        steps.append(said)
-    index = args.trajectory / "task.json"  # what is done in which order
+            step |= {"file": name, "duration_s": outcome.arm_trajectory.duration}
+        steps.append(step)
+    index = args.trajectory / "task.json"
     text = json.dumps({"task": solution.task.name, "speed": args.speed, "steps": steps}, indent=1)
     write_text(index, text + "\n")
     files = sum("file" in step for step in steps)
@@ -206,7 +211,7 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
 
 
 def _savable(name: str) -> Path:
-    """A file that --save can write."""
+    """The path of a file that --save can write, by its suffix."""
     path, known = writable_file(name), (PAGE, RECORDING, FILM)
     if path.suffix == ".mp4":
         raise InvalidInputError(
@@ -219,8 +224,8 @@ def _savable(name: str) -> Path:
 
 
 def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list[str]:
-    """Write and open what was asked for of a problem or task; a line for each."""
-    # what the hand is shown with where the problem does not model it
+    """Write the picture, film, page or recording of the options; return a line for each."""
+    # some suites show an object in the hand that their problems leave out
     of_suite = args.suite and isinstance(solution, Solution)
     carried = suite_named(args.suite).carried if of_suite else ()
     lines = []
@@ -260,7 +265,7 @@ OPTIONS: Options = {
     **PROBLEM,
     "another robot for --problem-file, or for --start and --goal": ROBOT,
     "--task-file": option(
-        "a task of several phases instead, planned phase by phase", type=Path, metavar="T.json"
+        "a task of several phases instead, planned one after another", type=Path, metavar="T.json"
     ),
     "--planner": option(
         f"one of {', '.join(PLANNERS)}, or package.module:planner (roadmap, for a task or a held "
@@ -268,23 +273,25 @@ OPTIONS: Options = {
     ),
     **WEIGHTS,
     "--cloud": option(
-        "obstacles of --start and --goal; beside a suite or file what a network is shown; "
-        "repeatable",
+        "scan whose points are the obstacles of --start and --goal; with a suite or a problem "
+        "file, the points that a network is shown; repeatable",
         type=Path,
         metavar="SCAN.pcd|ply|npy|xyz|png",
         **REPEATED,
     ),
-    "--scene": option("obstacles of --start and --goal, not --cloud", type=Path, metavar="S.json"),
+    "--scene": option(
+        "obstacles of --start and --goal, instead of --cloud", type=Path, metavar="S.json"
+    ),
     **SEED,
     "--json": option("print one json object instead of the report", **FLAG),
-    "-v --verbose": option("say on standard error what happens inside", **FLAG),
+    "-v --verbose": option("log the stages of planning on standard error", **FLAG),
     **MOTION,
     **SCAN,
     **BUDGET,
     **optimize_option(f"; {OPTIMIZE:g}, 0 for none"),
     "pictures": {
         "--picture": option(
-            "a still picture: start, goal and the path between; of a task, the end of each phase",
+            "a still picture of start, path and goal; for a task, of the end of each phase",
             type=writable_file,
             metavar="P.png",
         ),
@@ -296,8 +303,8 @@ OPTIONS: Options = {
     },
     "--save-path": option("write the path's states as csv", type=writable_file, metavar="PATH.csv"),
     "--trajectory": option(
-        "write the path as the fastest motion in time, json for ROS; of a task a folder: a file "
-        "a phase",
+        "write the path as the fastest motion within --speed, json for ROS; for a task, a folder "
+        "with one file for each phase",
         type=Path,
         metavar="OUT.csv|OUT.json|DIR",
     ),
