@@ -1,4 +1,4 @@
-"""What figures share: pictures and tables in files."""
+"""Write figures and their tables to files."""
 
 import csv
 import io
@@ -12,16 +12,17 @@ from cvqmpt_lab.files import write_bytes, write_text
 
 
 def figure_bytes(figure: Figure, kind: str) -> bytes:
-    """A figure as png or svg; the same figure gives the same bytes."""
+    """A figure as the content of a file; kind: "png" or "svg". Equal figures give equal bytes."""
     buffer = io.BytesIO()
-    dated = {"Date": None} if kind == "svg" else None
+    # without metadata and hashsalt an svg file would contain the date and random identifiers
+    metadata = {"Date": None} if kind == "svg" else None
     with matplotlib.rc_context({"svg.hashsalt": "cvqmpt"}):
-        figure.savefig(buffer, format=kind, dpi=160, metadata=dated)
+        figure.savefig(buffer, format=kind, dpi=160, metadata=metadata)
     return buffer.getvalue()
 
 
 def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write name.png and name.svg, each at once or not at all."""
+    """Write NAME.png and NAME.svg into a folder, each atomically; returns their paths."""
     paths = [folder / f"{name}.{kind}" for kind in ("png", "svg")]
     for path in paths:
         write_bytes(path, figure_bytes(figure, path.suffix[1:]))
@@ -29,12 +30,17 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
-    """Write a table whose rows are cells by column, numbers to 6 digits, at once or not at all."""
+    """Write a table atomically; returns its path.
+
+    Args:
+        path: of the csv file.
+        rows: one or more, each with its cells by name of the column; the first one gives the
+            order of the columns. Floats are written with 6 significant digits.
+    """
     text = io.StringIO()
     writer = csv.DictWriter(text, rows[0], lineterminator="\n")
     writer.writeheader()
     for row in rows:
-        cells = {name: f"{x:.6g}" if isinstance(x, float) else x for name, x in row.items()}
-        writer.writerow(cells)
+        writer.writerow({k: f"{x:.6g}" if isinstance(x, float) else x for k, x in row.items()})
     write_text(path, text.getvalue())
     return path

@@ -1,4 +1,4 @@
-"""The paper's figures: histogram of the update, concept figure; pictures of hands and clouds."""
+"""The paper's figures: histogram of the update and concept figure. Pictures of hands, clouds."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -34,9 +34,9 @@ from experiments.figures.code_update import (
 from experiments.figures.drawing import save_figure, write_csv
 
 FIGURES = ("histogram", "concept")
-PICTURE = (900, 690)  # [pixels] width and height of the scene behind hands and beside clouds
+PICTURE = (900, 690)  # [pixels] width and height of pictures of the scene
 CLOSE = Viewpoint(eye=(-1.5, -1.75, 1.6), target=(0.3, -0.1, 0.45), height_angle=0.62)
-HANDS = 24  # drawn of each Gaussian
+HANDS = 24  # number of hands drawn for each Gaussian
 COLOURS = {"before": "#8c96a3", "after": "#c8452d"}
 START_COLOUR, GOAL_COLOUR = "#1a9850", "#3f3f46"
 TILT = "tilt of the hand [deg]"
@@ -50,16 +50,23 @@ def reproduce_figure(
     model: str | None = None,
     settings: UpdateSettings | None = None,
 ) -> tuple[list[CodeUpdate], list[Path]]:
-    """Predict and update on problems of the place task; write the figure, tables and provenance.
+    """Predict and update codes on place-task problems; write figure, tables and provenance.
 
     Args:
-        figure: one of FIGURES.
-        model: its name or folder (None: the shipped one).
+        figure: one of FIGURES; "concept" shows the first problem alone.
+        out: folder of the files; it is made, is empty, or has results of the same settings.
+        command: words of the command line, for the provenance.
+        problems: indices in the suite.
+        model: name or folder of the weights (None: the shipped ones).
+        settings: seed and number of draws (None: the defaults).
+
+    Returns:
+        The updates of the problems, and the paths of the files written.
 
     RunStoreError: the folder holds other results.
     """
     suite = suite_named("place-task")
-    posed = [suite.solvable(index) for index in problems]
+    items = [suite.solvable(index) for index in problems]
     settings, folder = settings or UpdateSettings(), resolve_model(model or "vq_mpt", VQ_MPT)
     configuration: dict[str, Any] = {
         "figure": figure,
@@ -76,9 +83,9 @@ def reproduce_figure(
             f"{out} holds files without {PROVENANCE_FILE}; use an empty folder as --out"
         )
     updates = [
-        update_codes(each, str(folder), settings)
-        for each in posed
-        if isinstance(each, PlanningProblem)
+        update_codes(item, str(folder), settings)
+        for item in items
+        if isinstance(item, PlanningProblem)
     ]
     record.create(configuration, session)
     if figure == "histogram":
@@ -94,7 +101,7 @@ def reproduce_figure(
 
 
 def summary(updates: Sequence[CodeUpdate]) -> list[str]:
-    """A few lines about updates; medians over problems, so that each counts once."""
+    """Lines of text about updates; values are medians over problems, so each counts once."""
     codes = [len(update.codes) for update in updates]
     lines = [f"{len(updates)} problems, {sum(codes)} codes, {min(codes)} to {max(codes)} a problem"]
     for what, goals in (("codes", False), ("all that is sampled, goals included", True)):
@@ -111,7 +118,11 @@ def summary(updates: Sequence[CodeUpdate]) -> list[str]:
 
 
 def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
-    """|F| of draws from codes; G of every code; G of all that is sampled, a line a problem."""
+    """Three plots of F before and after the update.
+
+    Left: histogram of |F| at samples of the codes. Middle: G = mean of F^T F over the samples of a
+    code, a point for each code. Right: G over all samples, goals included, a row for each problem.
+    """
     figure = Figure(figsize=(13.0, max(4.2, 0.6 + 0.16 * len(updates))), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     draw_norms(left, updates)
@@ -119,14 +130,14 @@ def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
     codes = np.array(
         [(row["g_before"], row["g_after"]) for row in rows if row["code"] != "goal"], dtype=float
     )
-    span = (0.7 * max(codes.min(), 1e-6), 1.4 * codes.max())
-    middle.plot(span, span, ":", color="0.5", label="not moved")
+    limits = (0.7 * max(codes.min(), 1e-6), 1.4 * codes.max())
+    middle.plot(limits, limits, ":", color="0.5", label="not moved")
     middle.scatter(*codes.T, s=14.0, color=COLOURS["after"], alpha=0.7)
     middle.set(
         xscale="log",
         yscale="log",
-        xlim=span,
-        ylim=span,
+        xlim=limits,
+        ylim=limits,
         title=f"$G$ of {len(codes)} codes",
         xlabel="before [rad$^2$]",
         ylabel="after [rad$^2$]",
@@ -155,7 +166,10 @@ def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:
 
 
 def draw_norms(axes: Axes, updates: Sequence[CodeUpdate]) -> None:
-    """The histogram of |F| of draws from the codes' Gaussians, without its last bin."""
+    """Draw the histograms of |F| [rad] at samples of the codes, before and after the update.
+
+    The last bin, which has no upper edge, is left out.
+    """
     rows = [row for row in histogram_rows(updates) if row["of"] == "codes"]
     edges = [float(str(row["from"])) for row in rows]
     for when, colour in COLOURS.items():
@@ -176,13 +190,13 @@ class HandPoses(NamedTuple):
 
     q: np.ndarray  # (s, n) [rad]
     positions: np.ndarray  # (s, 3) [m]
-    # (s, 3), directions of the hand's x axis, which points up when a can is carried upright
+    # (s, 3), directions of the hand's x axis, which is vertical when a can is carried upright
     up: np.ndarray
-    tilt: np.ndarray  # (s,), angle between that axis and the vertical [rad]
+    tilt: np.ndarray  # (s,), angle between this axis and the vertical [rad]
 
     @classmethod
     def of(cls, robot: Robot, q: np.ndarray) -> "HandPoses":
-        """Hands of a robot at configurations q (s, n)."""
+        """Hands of a robot at configurations q (s, n) [rad]."""
         T_world_hand = robot.poses(q)
         up = T_world_hand[:, :3, 0]
         tilt = np.arctan2(np.linalg.norm(up[:, :2], axis=1), up[:, 2])
@@ -190,7 +204,7 @@ class HandPoses(NamedTuple):
 
 
 def hand_rows(update: CodeUpdate) -> list[dict[str, object]]:
-    """A row for each hand in the concept figure."""
+    """A row for each hand in the concept figure: its position [m], x axis, tilt and F^T F."""
     names = ("x", "y", "z", "up_x", "up_y", "up_z", "tilt_rad", "g")
     rows: list[dict[str, object]] = []
     for when in WHEN:
@@ -206,22 +220,23 @@ def hand_rows(update: CodeUpdate) -> list[dict[str, object]]:
 
 
 def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
-    """The paper's concept figure: what the model saw, what is sampled before and after.
+    """The paper's concept figure: input of the model, and samples before and after the update.
 
-    Above: scene, cloud, start and goals; hands at samples before and after. Below: histogram of
-    |F|, and the Gaussians as ellipses of one standard deviation in the plane of (way of the hand
-    from start to goal, its lean); the line of no lean is where F(q) = 0.
+    Above: the scene with cloud, start and goals; the hand at samples before and after the update.
+    Below: histograms of |F|; each Gaussian before and after the update as the ellipse of one
+    standard deviation of (way, lean), see `_draw_ellipse`. F(q) = 0 holds on the line lean = 0.
     """
     problem, every, count = update.problem, range(len(update.before.means)), len(update.codes)
-    goal_states = update.before.means[count:]  # the first choice first
-    hands = problem.robot.poses(np.vstack([problem.start, goal_states]))
-    start, *goals = hands[:, :3, 3]
+    goal_states = update.before.means[count:]  # in order of preference
+    T_world_hand = problem.robot.poses(np.vstack([problem.start, goal_states]))
+    start, *goals = T_world_hand[:, :3, 3]
     figure = Figure(figsize=(14.4, 7.6), layout="constrained")
     (scene, *pictures), (histogram, *planes) = figure.subplots(2, 3, height_ratios=(1.25, 1.0))
     image = still_image(problem, problem.start, PICTURE, viewpoint)
     size = image.shape[:2]
-    both = 0.55 * image + 0.45 * still_image(problem, goal_states[0], PICTURE, viewpoint)
-    scene.imshow(both / 255.0)
+    # the robot at the start and at the first goal, one over the other
+    blended = 0.55 * image + 0.45 * still_image(problem, goal_states[0], PICTURE, viewpoint)
+    scene.imshow(blended / 255.0)
     x, y, _ = viewpoint.screen(update.cloud, size).T
     scene.scatter(x, y, s=0.8, color="#2166ac", alpha=0.6)
     for points, colour, label in (([start], START_COLOUR, "start"), (goals, GOAL_COLOUR, "goals")):
@@ -257,23 +272,37 @@ def concept_figure(update: CodeUpdate, viewpoint: Viewpoint = CLOSE) -> Figure:
 def _draw_ellipse(
     axes: Axes, hands: HandPoses, start: np.ndarray, goal: np.ndarray, colour: str
 ) -> None:
-    """Ellipse of one standard deviation of (share of the path, lean towards x [deg]) of hands."""
+    """Draw the ellipse of one standard deviation of (way, lean) of hands, and their mean.
+
+    With p the position of a hand and u its x axis:
+
+        way = (p - p_start) . (p_goal - p_start) / |p_goal - p_start|^2
+        lean = atan2(u_x, u_z) [deg]
+
+    Args:
+        axes: in which it is drawn; way to the right, lean upwards.
+        hands: at samples of one Gaussian.
+        start: p_start (3,) [m].
+        goal: p_goal (3,) [m].
+        colour: of the ellipse, which is dashed for `GOAL_COLOUR`.
+    """
     way = (hands.positions - start) @ (goal - start) / np.square(goal - start).sum()
     points = np.column_stack([way, np.degrees(np.arctan2(hands.up[:, 0], hands.up[:, 2]))])
     values, vectors = np.linalg.eigh(np.cov(points.T))
+    # whole axes: one standard deviation to each side
     width, height = 2.0 * np.sqrt(values)
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
     middle, is_goal = points.mean(axis=0), colour == GOAL_COLOUR
-    look: Any = {"angle": angle, "color": colour, "linestyle": "--" if is_goal else "-"}
-    axes.add_patch(Ellipse(tuple(middle), width, height, fill=False, linewidth=1.2, **look))
-    axes.add_patch(Ellipse(tuple(middle), width, height, alpha=0.0 if is_goal else 0.14, **look))
+    style: Any = {"angle": angle, "color": colour, "linestyle": "--" if is_goal else "-"}
+    axes.add_patch(Ellipse(tuple(middle), width, height, fill=False, linewidth=1.2, **style))
+    axes.add_patch(Ellipse(tuple(middle), width, height, alpha=0.0 if is_goal else 0.14, **style))
     axes.plot(*middle, "o", color=colour, markersize=4.0)
 
 
 def hand_figure(
     problem: PlanningProblem, panels: Sequence[tuple[str, HandPoses]], viewpoint: Viewpoint = CLOSE
 ) -> Figure:
-    """Titled panels of hands over a picture of the scene."""
+    """Hands over a picture of the scene, in one panel for each title and its hands."""
     image = still_image(problem, problem.start, PICTURE, viewpoint)
     figure = Figure(figsize=(1.2 + 4.6 * len(panels), 4.05), layout="constrained")
     tilts = np.concatenate([hands.tilt for _, hands in panels])
@@ -291,20 +320,29 @@ def _draw_hands(
     viewpoint: Viewpoint,
     norm: Normalize,
 ) -> None:
-    """A stick of 9 cm from each hand upwards, coloured by its tilt; farther ones first."""
+    """Draw the x axis of each hand, 9 cm long and coloured by tilt, over a picture of the scene.
+
+    Args:
+        figure: gets a colour bar.
+        axes_of: one for each panel.
+        panels: title and hands of each.
+        image: (rows, columns, 3), picture of the scene, 0 to 255.
+        viewpoint: of the picture.
+        norm: range of tilts [deg] that the colours cover.
+    """
     rows, columns = image.shape[:2]
-    look: Any = {"cmap": "viridis_r", "norm": norm}
+    style: Any = {"cmap": "viridis_r", "norm": norm}
     for axes, (title, hands) in zip(axes_of, panels, strict=True):
         axes.imshow(0.45 * image / 255.0 + 0.55)
         ends = np.stack((hands.positions, hands.positions + 0.09 * hands.up), axis=1)
         screen = viewpoint.screen(ends, (rows, columns))
-        order = np.argsort(-screen[:, 0, 2], kind="stable")
+        order = np.argsort(-screen[:, 0, 2], kind="stable")  # the farthest hand first
         segments, tilt = screen[order, :, :2], np.degrees(hands.tilt[order])
-        sticks = LineCollection(list(segments), linewidths=1.4, alpha=0.9, **look)
-        sticks.set_array(tilt)
-        axes.add_collection(sticks)
+        lines = LineCollection(list(segments), linewidths=1.4, alpha=0.9, **style)
+        lines.set_array(tilt)
+        axes.add_collection(lines)
         x, y = segments[:, 1].T
-        axes.scatter(x, y, c=tilt, s=9.0, zorder=3, **look)
+        axes.scatter(x, y, c=tilt, s=9.0, zorder=3, **style)
         axes.set(xlim=(0, columns), ylim=(rows, 0), title=title)
         axes.axis("off")
     colours = ScalarMappable(norm, "viridis_r")
@@ -314,7 +352,7 @@ def _draw_hands(
 def cloud_figure(
     problem: PlanningProblem, cloud: np.ndarray, viewpoint: Viewpoint = CLOSE
 ) -> Figure:
-    """A problem's scene, and beside it its cloud (m, 3) [m] from there, coloured by height."""
+    """A picture of a problem's scene; its cloud (m, 3) [m] in the same view, coloured by height."""
     image = still_image(problem, problem.start, PICTURE, viewpoint)
     rows, columns = image.shape[:2]
     figure = Figure(figsize=(10.4, 4.05), layout="constrained")
@@ -322,7 +360,7 @@ def cloud_figure(
     scene.imshow(image)
     scene.set(title="scene")
     screen = viewpoint.screen(cloud, (rows, columns))
-    order = np.argsort(-screen[:, 2], kind="stable")  # farther ones first
+    order = np.argsort(-screen[:, 2], kind="stable")  # the farthest point first
     x, y, _ = screen[order].T
     drawn = points.scatter(x, y, c=cloud[order, 2], cmap="viridis", s=7.0)
     title = f"cloud of {len(cloud)} points"
