@@ -1,4 +1,4 @@
-"""Cost of a state check in the paper's simulator, PyBullet: distances of all pairs of links."""
+"""Cost of a state check in the paper's simulator, PyBullet: all distances between bodies."""
 
 import importlib.util
 from collections.abc import Sequence
@@ -16,16 +16,19 @@ from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 from experiments.stage_times import CpuClock, Measured
 
-STATES = 100
+STATES = 100  # random configurations that are checked
 Placement = tuple[list[float], list[float]]  # position [m] and quaternion (x, y, z, w)
-EVERYTHING = 10.0  # [m] no pair is further apart, so that getClosestPoints measures them all
+MOST_DISTANCE = 10.0  # [m] no pair is farther apart, so getClosestPoints measures every pair
 
 
 def paper_check(problem: PlanningProblem) -> list[Measured]:
-    """Processor time of all distances of a robot to itself and the kitchen, as published.
+    """Processor times [ms] of the paper's state check, and of its distances between links alone.
 
-    A link is the convex hull of its meshes, an obstacle a box or cylinder. Placing the links is
-    counted, forward kinematics is not. InvalidInputError without the extra `pybullet`.
+    The state check measures all distances between links, and from links to obstacles. A link is
+    the convex hull of its meshes, an obstacle a box or cylinder. The time includes placing the
+    links, but no forward kinematics.
+
+    InvalidInputError: the extra `pybullet` is not installed.
     """
     if importlib.util.find_spec("pybullet") is None:
         raise InvalidInputError(
@@ -43,18 +46,19 @@ def paper_check(problem: PlanningProblem) -> list[Measured]:
         ]
         bodies = [bullet.createMultiBody(0.0, hull) for hull in hulls]
         kitchen, count = _obstacles(bullet, problem.scene.obstacles), len(problem.scene.obstacles)
+        # with the pair of each body and itself
         pairs = list(combinations_with_replacement(bodies, 2))
 
-        def itself() -> None:
+        def measure_links() -> None:
             for first, second in pairs:
-                bullet.getClosestPoints(first, second, EVERYTHING)
+                bullet.getClosestPoints(first, second, MOST_DISTANCE)
 
         def check(placed: Sequence[Placement]) -> None:
             for body, placement in zip(bodies, placed, strict=True):
                 bullet.resetBasePositionAndOrientation(body, *placement)
-            clock(f"PyBullet: {len(pairs)} distances between {len(bodies)} links", itself)
+            clock(f"PyBullet: {len(pairs)} distances between {len(bodies)} links", measure_links)
             for body in bodies:
-                bullet.getClosestPoints(body, kitchen, EVERYTHING)
+                bullet.getClosestPoints(body, kitchen, MOST_DISTANCE)
 
         for q in problem.robot.random_configurations(np.random.default_rng(0), STATES):
             rotation, translation = link_poses(problem.robot.kinematics, q[None])
@@ -72,8 +76,9 @@ def paper_check(problem: PlanningProblem) -> list[Measured]:
 
 
 def _links(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
-    """Pose row and corners (n, 3) [m, link frame] of every link with collision geometry."""
+    """Pose row and corners (n, 3) [m, link frame] of each link with collision geometry, by name."""
     found: dict[str, tuple[int, list[np.ndarray]]] = {}
+    # pieces are named after their link: LINK_0, LINK_1, ...
     for piece in robot.links:
         found.setdefault(piece.name.rpartition("_")[0], (piece.link, []))[1].append(
             piece.vertices_in_link
@@ -86,7 +91,7 @@ def _placement(rotation: np.ndarray, translation: np.ndarray) -> Placement:
 
 
 def _obstacles(bullet: Any, obstacles: tuple[SceneObject, ...]) -> int:
-    """All obstacles as one body of fixed links, like a kitchen from a URDF."""
+    """PyBullet's number of one body that holds all obstacles as fixed links, as from a URDF."""
     shapes, poses = [], []
     for item in obstacles:
         if isinstance(item.shape, Box):
@@ -98,15 +103,15 @@ def _obstacles(bullet: Any, obstacles: tuple[SceneObject, ...]) -> int:
             shapes.append(bullet.createCollisionShape(bullet.GEOM_CYLINDER, **size))
         T = item.T_world_object
         poses.append(_placement(T[:3, :3], T[:3, 3]))
-    count, nothing = len(shapes), [0.0, 0.0, 0.0]
+    count, origin = len(shapes), [0.0, 0.0, 0.0]
     return bullet.createMultiBody(
         0.0,
         linkMasses=[0.0] * count,
         linkCollisionShapeIndices=shapes,
         linkVisualShapeIndices=[-1] * count,
         linkPositions=[position for position, _ in poses],
-        linkOrientations=[turn for _, turn in poses],
-        linkInertialFramePositions=[nothing] * count,
+        linkOrientations=[quaternion for _, quaternion in poses],
+        linkInertialFramePositions=[origin] * count,
         linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * count,
         linkParentIndices=[0] * count,
         linkJointTypes=[bullet.JOINT_FIXED] * count,

@@ -1,7 +1,7 @@
-"""roboplan (pinocchio, coal; C++): RRT-Connect, states projected on a box of roll, pitch and yaw.
+"""roboplan (C++, pinocchio, coal): RRT-Connect, states projected on bounds of roll, pitch, yaw.
 
-Set up as in its own example of constrained planning, but for the first path found; its shortcutting
-knows no constraints and is left out.
+The set-up is that of its own example of constrained planning, but the search ends at the first
+path. Its shortcutting ignores constraints and is not used.
 """
 
 import tempfile
@@ -27,7 +27,8 @@ GROUP = "arm"
 
 
 @lru_cache(maxsize=4)
-def _scene(robot: Robot, scene: Scene, region: TaskSpaceRegion) -> roboplan.core.Scene:
+def _world(robot: Robot, scene: Scene, region: TaskSpaceRegion) -> roboplan.core.Scene:
+    """Robot and obstacles as roboplan's scene, with a frame `tool` at T_hand_tool = Tw_e^-1."""
     with tempfile.TemporaryDirectory() as folder:
         urdf, srdf = urdf_of(robot, scene, Path(folder), np.linalg.inv(region.Tw_e))
         description = roboplan.core.loadUrdfSceneDescriptionFromXml(urdf, [])
@@ -38,29 +39,38 @@ def _scene(robot: Robot, scene: Scene, region: TaskSpaceRegion) -> roboplan.core
 
 
 def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
-    """A path (m, n) [rad] by `roboplan.rrt.RRT`; None where it finds none in the budget."""
+    """Plan with `roboplan.rrt.RRT`.
+
+    Args:
+        problem: with one upright constraint and one goal, see `upright_region`.
+        budget: its seconds [s] are the planner's time limit.
+        seed: of the planner's random numbers.
+
+    Returns:
+        A path (m, n) [rad], or None if none was found in the budget.
+    """
     region = upright_region(problem)
-    scene = _scene(problem.robot, problem.scene, region)
+    world = _world(problem.robot, problem.scene, region)
     lower, upper = rpy_box(region).T
-    frame = np.asfortranarray(region.T0_w)
-    constraint = roboplan.rrt.PoseConstraint(scene, GROUP, TOOL, lower, upper, frame)
+    T0_w = np.asfortranarray(region.T0_w)
+    constraint = roboplan.rrt.PoseConstraint(world, GROUP, TOOL, lower, upper, T0_w)
     options = roboplan.rrt.RRTOptions(
         GROUP,
-        # more nodes than any time is enough for
+        # more nodes than can be made in any budget
         max_nodes=10_000_000,
-        # [rad] longest extension of a tree
+        # [rad] length of an extension of a tree, at most
         max_connection_distance=0.5,
-        # [rad] between states that are checked
+        # [rad] between states that are checked on an edge
         collision_check_step_size=0.05,
         max_planning_time=budget.seconds or 0.0,
         rrt_connect=True,
     )
-    search = roboplan.rrt.RRT(scene, options)
+    search = roboplan.rrt.RRT(world, options)
     search.setRngSeed(seed)
     names = list(problem.robot.joint_names)
     ends = [roboplan.core.JointConfiguration(names, q) for q in (problem.start, problem.goals[0])]
     try:
         return np.array(search.plan(*ends, [constraint]).positions)
     except RuntimeError:
-        # raised when time or nodes are over
+        # raised when no path was found within time and nodes
         return None
