@@ -27,12 +27,10 @@ ANY = ("birrt", "guided-birrt", "cvq-mpt", "roadmap-cvq", "mpnet")  # plan witho
 def between(rng, scene=EMPTY, spread=0.5):
     """From one free configuration to another near by."""
     robot = panda()
-    for _ in range(100):
-        ends = np.clip(READY + rng.uniform(-spread, spread, (2, 7)), robot.lower, robot.upper)
-        problem = PlanningProblem("extreme", robot, scene, ends[0], ends[1:])
-        if not problem.collision_checker(1e-3).in_collision_batch(ends).any():
-            return problem
-    raise AssertionError("no free configuration in a hundred")
+    checker = PlanningProblem("extreme", robot, scene, READY, READY[None]).collision_checker(1e-3)
+    drawn = np.clip(READY + rng.uniform(-spread, spread, (200, 7)), robot.lower, robot.upper)
+    start, goal = drawn[~checker.in_collision_batch(drawn)][:2]
+    return PlanningProblem("extreme", robot, scene, start, goal[None])
 
 
 def singular(rng):
