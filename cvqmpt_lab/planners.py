@@ -18,7 +18,7 @@ from cvqmpt_lab.external import entry_point_names, external_planner, is_external
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import informed_roadmap_path
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.controls import AroundPath, no_costs, other_costs
+from cvqmpt_lab.search.controls import guided, no_costs, other_costs
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.roadmap import (
@@ -168,28 +168,25 @@ PLANNERS = _by_name(
     _roadmap("roadmap-cvq", VQ_MPT),
 )
 
-# former names of controls, and the `SamplerChoice` that gives the same planner
+# former names of controls, and the `SamplerChoice` in their place
 _RENAMED = {
     "true-codes": "oracle+wide",
     "random-codes": "random+wide",
     "cvq-wrong-cloud": "transformer+decoded+other-cloud",
     "cvq-no-cloud": "transformer+decoded+no-cloud",
     "cvq-uniform": "transformer+decoded+uniform=0.15",
+    "straight-line": "nearest-lines+along+reach=1",
+    "straight-line-only": "nearest-lines+along+reach=1+uniform=0",
+    "solved-paths": "solved+along+reach=1+std=0.4",
 }
 
 CONTROLS = _by_name(
-    Method.simple("guided-birrt", predict=AroundPath("guide").unconstrained),
-    Method.simple("straight-line", predict=AroundPath("straight-line").straight_line),
-    Method.simple(
-        "straight-line-only",
-        predict=AroundPath("straight-line-only", uniform_share=0.0).straight_line,
-    ),
+    Method.simple("guided-birrt", predict=guided),
     # three sets of random nodes show how much results vary between roadmaps
     *(_roadmap(f"roadmap-uniform-{draw}", draw=draw) for draw in range(3)),
     _roadmap("roadmap-wrong-scene", VQ_MPT, costs=other_costs),
     _roadmap("roadmap-no-scene", VQ_MPT, costs=no_costs),
     _roadmap("roadmap-true-edges", VQ_MPT, costs=no_costs, oracle=True),
-    Method.simple("solved-paths", predict=AroundPath("solved-paths", std=0.25).solved_paths),
 )
 
 # need weights of the authors' architecture, which are imported or trained, not shipped
@@ -208,7 +205,7 @@ def planner_named(name: str, model: str | None = None) -> Method:
     """
     if name in _RENAMED:
         raise InvalidInputError(
-            f"{name} was removed; {PREFIX}{_RENAMED[name]} is the same, and suite factorial runs it"
+            f"{name} was removed; {PREFIX}{_RENAMED[name]} samples in its place"
         )
     if is_removed(name):
         raise InvalidInputError(

@@ -145,6 +145,7 @@ class ResultRow:
     draws: str | None = None
     goals: str | None = None
     reach: float | None = None  # [rad] empty: no limit
+    std: float | None = None  # [rad] of Gaussians along a sequence
 
     def __post_init__(self) -> None:
         for column in _COLUMNS:

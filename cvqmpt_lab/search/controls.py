@@ -1,7 +1,5 @@
 """Controls: Gaussians around paths that need no network; edge costs that do not see the scene."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from cvqmpt_lab.collision.arrays import scene_arrays
@@ -14,7 +12,6 @@ from cvqmpt_lab.search.planner_interface import (
     Observation,
     Proposal,
     Query,
-    SamplingDistribution,
 )
 from cvqmpt_lab.search.result import Budget, JointPath, PlanResult
 from cvqmpt_lab.search.roadmap import scene_costs
@@ -22,52 +19,20 @@ from cvqmpt_lab.search.shortcut import simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 
-@dataclass(frozen=True)
-class AroundPath:
-    """Gaussians of equal weight at waypoints along paths, and a uniform share."""
-
-    name: str
-    std: float = 0.5  # [rad] of each Gaussian, in every joint
-    uniform_share: float = 0.15
-
-    def mixture(self, query: Query, *paths: JointPath) -> SamplingDistribution:
-        """The distribution around waypoints that are 0.5 rad apart."""
-        means = np.concatenate([path.spaced(0.5) for path in paths])
-        covariance = self.std**2 * np.eye(means.shape[1])
-        return GaussianMixture.equal(
-            means, covariance, query.uniform, self.uniform_share, self.name
-        )
-
-    def straight_line(self, query: Query, observation: Observation) -> Proposal:
-        """Gaussians along the straight lines to the three nearest goals; nothing is checked."""
-        lines = [JointPath(np.stack([query.start, goal])) for goal in query.nearest_goals(3)]
-        return Proposal(self.mixture(query, *lines))
-
-    def solved_paths(self, query: Query, observation: Observation) -> Proposal:
-        """Gaussians around the shortest of six solutions of the problem: a bound of mixtures.
-
-        Uniform samples if no path is found. Finding the paths counts as time, not as work.
-        """
-        aside, best = ConstrainedSpace(query.space.problem, query.space.backend), None
-        for _ in range(6):
-            if query.deadline.spent():
-                break
-            shorter, _ = short_path(aside, query, query.deadline.rest())
-            if shorter is not None and (best is None or shorter.length < best.length):
-                best = shorter
-        return Proposal(query.uniform if best is None else self.mixture(query, best))
-
-    def unconstrained(self, query: Query, observation: Observation) -> Proposal:
-        """Gaussians around an unconstrained path, whose planning is counted."""
-        path, found = unconstrained_path(query)
-        if path is not None:
-            return Proposal(self.mixture(query, path), vertices=found.vertices)
-        return Proposal(
-            query.uniform,
-            detail="no unconstrained path",
-            vertices=found.vertices,
-            failure=found.status,
-        )
+def guided(query: Query, observation: Observation) -> Proposal:
+    """Gaussians of 0.5 rad around waypoints of an unconstrained path, whose planning is counted."""
+    path, found = unconstrained_path(query)
+    if path is not None:
+        means = path.spaced(0.5)
+        covariance = 0.5**2 * np.eye(means.shape[1])
+        mixture = GaussianMixture.equal(means, covariance, query.uniform, 0.15, "guide")
+        return Proposal(mixture, vertices=found.vertices)
+    return Proposal(
+        query.uniform,
+        detail="no unconstrained path",
+        vertices=found.vertices,
+        failure=found.status,
+    )
 
 
 def unconstrained_path(query: Query) -> tuple[JointPath | None, PlanResult]:

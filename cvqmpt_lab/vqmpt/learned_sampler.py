@@ -10,7 +10,7 @@ folder as `weights.resolve_model` takes it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
@@ -19,7 +19,6 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.families import another_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search.birrt import BiRRT
-from cvqmpt_lab.search.controls import unconstrained_path
 from cvqmpt_lab.search.planner_interface import (
     GaussianMixture,
     Observation,
@@ -27,12 +26,23 @@ from cvqmpt_lab.search.planner_interface import (
     Query,
     SamplingDistribution,
     Stages,
+    uniform,
     widened,
 )
-from cvqmpt_lab.search.result import JointPath, Timings
+from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.roadmap import Roadmap, linked_roadmap
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.sensing.virtual import CameraSettings
+from cvqmpt_lab.vqmpt.code_predictors import (
+    CodePredictor,
+    CodeProposal,
+    lines_to_nearest_goals,
+    lines_to_predicted_goals,
+    network_codes,
+    oracle_codes,
+    random_codes,
+    solved_way,
+)
 from cvqmpt_lab.vqmpt.codebook import (
     Codebook,
     code_noise,
@@ -61,98 +71,6 @@ from cvqmpt_lab.vqmpt.weights import (
 
 
 @dataclass(frozen=True, eq=False)
-class CodeProposal(Proposal):
-    """A proposal that remembers the codes it is made of."""
-
-    codes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))  # (c,)
-    goals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # (k, n) [rad or m]
-    # of each sequence: start, the nodes of its codes, goal, (s, n) [rad or m]
-    ways: tuple[np.ndarray, ...] = ()
-
-
-# proposes codes, and uniform samples until these are decoded
-CodePredictor = Callable[[Query, Observation], CodeProposal]
-
-
-def network_codes(
-    predictor: SequencePredictor,
-    all_beams: bool,
-    nodes: np.ndarray,
-    query: Query,
-    observation: Observation,
-    most_goals: int = 3,
-) -> CodeProposal:
-    """Codes of the sequences to the cheapest goals, by beam search (K = 3).
-
-    Args:
-        predictor: a sequence model.
-        all_beams: take every hypothesis of the beam, not only the likeliest.
-        nodes: (N, n), a configuration for each code [rad or m].
-        query: start and goals.
-        observation: the cloud.
-        most_goals: that the network is asked about; the search gets them all.
-    """
-    assert observation.cloud is not None
-    began = query.deadline.seconds
-    scene = predictor.encode(observation.cloud, observation.use_cache)
-    encoded = query.deadline.seconds
-    goals = predictor.by_cost(scene, query.start, query.goals)[:most_goals]
-    beams = predictor.hypotheses(scene, query.start, goals, every=all_beams)
-    most = None if all_beams else 1
-    by_goal = [
-        (sequence, goal)
-        for beam, goal in zip(beams, goals, strict=True)
-        for sequence in beam[:most]
-        if sequence.finished
-    ]
-    found = [sequence for sequence, _ in by_goal]
-    ways = tuple(
-        np.vstack([query.start, nodes[list(sequence.codes)], goal]) for sequence, goal in by_goal
-    )
-    listed = [code for sequence in found for code in sequence.codes]
-    if predictor.each_code_once:
-        listed = list(dict.fromkeys(listed))
-    detail = f"{len(listed)} codes of {len(found)} sequences to {len(goals)} goals"
-    timings = Timings(encode=encoded - began, predict=query.deadline.seconds - encoded)
-    codes = np.array(listed, dtype=np.int64)
-    return CodeProposal(query.uniform, timings, detail, codes=codes, goals=goals, ways=ways)
-
-
-def random_codes(
-    codes: int, query: Query, observation: Observation, count: int = 12
-) -> CodeProposal:
-    """Random codes of the dictionary: ablation baseline; about as many as predictors give."""
-    drawn = query.rng.choice(codes, min(count, codes), replace=False)
-    detail, goals = f"{len(drawn)} codes at random", query.nearest_goals(3)
-    return CodeProposal(query.uniform, detail=detail, codes=drawn, goals=goals)
-
-
-def oracle_codes(
-    codes_of: Callable[[np.ndarray], np.ndarray],
-    query: Query,
-    observation: Observation,
-    spacing: float = 0.2,
-) -> CodeProposal:
-    """Codes of an unconstrained path of the same problem, planned first: an upper bound.
-
-    Args:
-        codes_of: gives the codes (b,) of configurations (b, n) along a path.
-        query: start and goals; planning the path counts.
-        observation: not used.
-        spacing: between the waypoints whose codes are taken [rad].
-    """
-    began = query.deadline.seconds
-    path, plan = unconstrained_path(query)
-    found = CodeProposal(query.uniform, vertices=plan.vertices)
-    if path is None:
-        return replace(found, detail="no unconstrained path", failure=plan.status)
-    codes = np.unique(codes_of(path.spaced(spacing)))
-    timings = Timings(predict=query.deadline.seconds - began)
-    detail = f"{len(codes)} codes of an unconstrained path"
-    return replace(found, timings=timings, detail=detail, codes=codes, goals=path.states[-1:])
-
-
-@dataclass(frozen=True, eq=False)
 class LearnedSampler:
     """Mixture of the Gaussians of predicted codes (paper, eqn. sample_dist), and its updates."""
 
@@ -171,7 +89,6 @@ class LearnedSampler:
     # [rad] between states of a path whose codes are read: 1 % of the Panda's space (published data)
     waypoint_spacing: float = 0.13
     along_spacing: float = 0.4  # [rad] between Gaussians along a sequence, from tuning
-    along_std: float = 0.9  # [rad] of these, from tuning
 
     def gaussians(
         self, codes: np.ndarray, z: np.ndarray | None = None
@@ -207,7 +124,7 @@ class LearnedSampler:
         If no code was predicted: uniform samples, and a note of this fallback.
         """
         found = self.predict(query, observation)
-        if len(found.codes) == 0:
+        if len(found.codes) == 0 and not found.ways:
             return replace(found, fallback="no code sequence reached a goal")
         if self.choice.gaussians == "along":
             return replace(found, distribution=self.along(query, found.ways))
@@ -217,9 +134,9 @@ class LearnedSampler:
         return replace(found, distribution=mixture)
 
     def along(self, query: Query, ways: tuple[np.ndarray, ...]) -> SamplingDistribution:
-        """Gaussians N(q, along_std^2 I) of equal weight at states q along polylines (s, n)."""
+        """Gaussians N(q, std^2 I) of equal weight at states q along polylines (s, n)."""
         means = np.concatenate([JointPath(way).spaced(self.along_spacing) for way in ways])
-        covariance = self.along_std**2 * np.eye(means.shape[1])
+        covariance = self.choice.std**2 * np.eye(means.shape[1])
         share = self.choice.uniform_share
         return GaussianMixture.equal(means, covariance, query.uniform, share, self.name)
 
@@ -241,7 +158,7 @@ class LearnedSampler:
             found,
             codes=codes,
             timings=replace(found.timings, predict=predict),
-            detail=f"{found.detail}, {len(codes)} of every waypoint",
+            detail=", ".join(filter(None, (found.detail, f"{len(codes)} of every waypoint"))),
         )
 
     def moved(self, optimizer: LatentOptimizer, query: Query, proposal: Proposal) -> Proposal:
@@ -349,17 +266,27 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
     Raises:
         InvalidInputError: the weights lack what the predictor needs, or are another robot's.
     """
+    search = BiRRT(reach=choice.reach, draws=choice.draws.removesuffix("-draws"))
+    apart = choice.goals == "goals-apart"
+    if choice.predictor == "uniform":
+        return Stages(uniform, search, goals_apart=apart)
     codebook = codebook_of(model, robot)
     predict: CodePredictor
     observe: Callable[[Scene], np.ndarray] | None = None
     if choice.predictor == "random":
         predict = partial(random_codes, len(codebook.vectors))
+    elif choice.predictor == "solved":
+        predict = solved_way
+    elif choice.predictor == "nearest-lines":
+        predict = lines_to_nearest_goals
     elif choice.predictor == "oracle":
         predict = partial(oracle_codes, partial(codes_of, model_of(model), robot))
     else:
         predictor = sequence_predictor(model, robot, choice.predictor == "published")
         nodes = dictionary_nodes(model_of(model), robot)
         predict = partial(network_codes, predictor, choice.sequences == "all-beams", nodes)
+        if choice.predictor == "transformer-lines":
+            predict = partial(lines_to_predicted_goals, predict)
         clouds: dict[str, Callable[[Scene], np.ndarray]] = {
             "own-cloud": observer(),
             # controls, which see another scene or nothing
@@ -379,13 +306,7 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         ),
         "projected": sampler.projected,
     }
-    return Stages(
-        sampler.propose,
-        BiRRT(reach=choice.reach, draws=choice.draws.removesuffix("-draws")),
-        observe,
-        updates[choice.update],
-        goals_apart=choice.goals == "goals-apart",
-    )
+    return Stages(sampler.propose, search, observe, updates[choice.update], goals_apart=apart)
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:

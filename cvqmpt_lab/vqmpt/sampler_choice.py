@@ -1,10 +1,15 @@
 """A learned sampler as a product of choices: predictor of codes, their Gaussians, their update.
 
     predictor   transformer: the scene transformer; published: the authors' architecture;
-                random: any codes; oracle: codes of a path that ignores the constraint
+                random: any codes; uniform: none, samples anywhere between the joint limits;
+                oracle: codes of a path that ignores the constraint; solved: those of the shortest
+                of six solutions, a bound;
+                transformer-lines: straight lines to the transformer's goals; nearest-lines: to the
+                three nearest goals
     Gaussians   decoded: g(z) = N(mu, Sigma) as the decoder has them;
                 wide: around each code's node of the roadmap, no direction narrower than 1.1 rad;
-                along: N(q, 0.9^2 I) every 0.4 rad along the sequence's nodes, from start to goal
+                along: N(q, std^2 I) every 0.4 rad along the sequence's nodes, from start to goal
+    std         of Gaussians along a sequence [rad]
     reading     merged: the codes of a sequence as predicted;
                 every-waypoint: codes of all states, 0.13 rad apart, along the sequence's nodes, as
                 the authors encode paths; runs of equal codes are one
@@ -35,7 +40,10 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 
 PREFIX = "cvq:"
 CHOICES = {
-    "predictor": ("transformer", "published", "random", "oracle"),
+    "predictor": (
+        *("transformer", "published", "random", "uniform"),
+        *("oracle", "solved", "transformer-lines", "nearest-lines"),
+    ),
     "gaussians": ("decoded", "wide", "along"),
     "reading": ("merged", "every-waypoint"),
     "update": ("none", "algorithm-2", "printed", "projected"),
@@ -45,7 +53,13 @@ CHOICES = {
     "goals": ("goals-together", "goals-apart"),
 }
 # field: its word before "=", and what stands behind it
-NUMBERS = {"uniform_share": ("uniform", "0 to 1"), "reach": ("reach", "above 0 [rad], or inf")}
+NUMBERS = {
+    "uniform_share": ("uniform", "0 to 1"),
+    "std": ("std", "above 0 [rad]"),
+    "reach": ("reach", "above 0 [rad], or inf"),
+}
+NO_WAY = ("published", "random", "uniform")  # predictors without configurations from start to goal
+NO_CODES = ("solved", "transformer-lines", "nearest-lines")  # whose codes are read along the way
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,24 +76,30 @@ class SamplerChoice:
     draws: str = "projected-draws"
     reach: float = math.inf  # of extensions towards a draw [rad]
     goals: str = "goals-together"
+    std: float = 0.9  # [rad] of Gaussians along a sequence, from tuning
 
     def __post_init__(self) -> None:
         for name, known in CHOICES.items():
             if getattr(self, name) not in known:
                 raise UnknownChoiceError(f"{name} of a learned sampler", getattr(self, name), known)
-        along = self.gaussians == "along"
-        for word, given in (
-            ("all-beams", self.sequences == "all-beams"),
-            ("every-waypoint", self.reading == "every-waypoint"),
-            ("along", along),
-        ):
-            if given and self.predictor != "transformer":
-                raise InvalidInputError(
-                    f"{word} goes with predictor transformer, not {self.predictor}"
-                )
-        if along and self.update != "none":
+        along, every = self.gaussians == "along", self.reading == "every-waypoint"
+        if self.sequences == "all-beams" and self.predictor != "transformer":
             raise InvalidInputError(
-                f"{self.update} moves codes: along has none; leave one of them out"
+                f"all-beams goes with predictor transformer, not {self.predictor}"
+            )
+        if (along or every) and self.predictor in NO_WAY:
+            word = "along" if along else "every-waypoint"
+            raise InvalidInputError(
+                f"{word} needs a path or sequence: predictor {self.predictor} has none"
+            )
+        if self.predictor in NO_CODES and not (along or every):
+            raise InvalidInputError(
+                f"predictor {self.predictor} has no codes of its own: add every-waypoint or along"
+            )
+        if self.update != "none" and (along or self.predictor == "uniform"):
+            word = "along" if along else "uniform"
+            raise InvalidInputError(
+                f"{self.update} moves codes: {word} has none; leave one of them out"
             )
         if not 0.0 <= self.uniform_share <= 1.0:
             raise InvalidInputError(
@@ -88,6 +108,10 @@ class SamplerChoice:
         if not self.reach > 0.0:
             raise InvalidInputError(
                 f"reach {self.reach} of a learned sampler: give more than 0 [rad]; inf is no limit"
+            )
+        if not 0.0 < self.std < math.inf:
+            raise InvalidInputError(
+                f"std {self.std} of a learned sampler: give a number above 0 [rad]"
             )
 
     @classmethod
@@ -111,7 +135,7 @@ class SamplerChoice:
             numbers = [field for field, (said, _) in NUMBERS.items() if is_number and said == name]
             kind = numbers[0] if numbers else kinds.get(word)
             if kind is None:
-                known = [*kinds, "uniform=0.15", "reach=1"]
+                known = [*kinds, "uniform=0.15", "std=0.9", "reach=1"]
                 raise UnknownChoiceError(f"part of planner {PREFIX}{text}", word, known)
             if kind in found:
                 raise InvalidInputError(

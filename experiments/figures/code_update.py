@@ -21,7 +21,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.vqmpt.learned_sampler import CodeProposal, model_of
+from cvqmpt_lab.vqmpt.code_predictors import CodeProposal
+from cvqmpt_lab.vqmpt.learned_sampler import model_of
 
 PLANNER, PUBLISHED = "opt-cvq-mpt", "cvq:published+algorithm-2"
 WHEN = ("before", "after")

@@ -21,10 +21,10 @@ from cvqmpt_lab.search.result import Budget, JointPath, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.training.mpnet_stage import MPNet
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, stored
+from cvqmpt_lab.vqmpt.code_predictors import CodeProposal
 from cvqmpt_lab.vqmpt.codebook import codes_of
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.learned_sampler import (
-    CodeProposal,
     LearnedSampler,
     codebook_of,
     dictionary_roadmap,
@@ -68,6 +68,12 @@ def test_words_say_the_product():
         "random": {"predictor": "random"},
         "transformer+along+free-draws+reach=1+goals-apart": along | {"uniform_share": 0.15},
         "transformer+algorithm-2": {"update": "algorithm-2"},
+        "nearest-lines+along+std=0.5": {
+            "predictor": "nearest-lines",
+            "gaussians": "along",
+            "std": 0.5,
+            "uniform_share": 0.15,
+        },
         "random+wide": wide,
         "random+uniform=0.5+projected+wide+other-cloud": wide | other,
     }.items():
@@ -87,7 +93,10 @@ def test_other_words_are_refused():
         ("random+reach=near", "give a number, above 0 [rad], or inf, behind 'reach='"),
         ("random+reach=0", "reach 0.0 of a learned sampler: give more than 0 [rad]"),
         ("random+reach=1+reach=2", "two parts of one kind, 'reach=2'"),
-        ("random+every-waypoint", "every-waypoint goes with predictor transformer, not random"),
+        ("random+every-waypoint", "every-waypoint needs a path or sequence: predictor random has"),
+        ("solved", "predictor solved has no codes of its own: add every-waypoint or along"),
+        ("uniform+projected", "projected moves codes: uniform has none"),
+        ("transformer+along+std=0", "std 0.0 of a learned sampler: give a number above 0 [rad]"),
         ("transformer+along+printed", "printed moves codes: along has none; leave one of them"),
     ):
         refused(re.escape(message), planner_named, f"cvq:{words}", error=CvqmptError)
@@ -132,6 +141,27 @@ def test_gaussians_along_sequences_hold_start_and_goals(problem, proposed):
     np.testing.assert_array_equal(mixture.covariances, [0.81 * np.eye(7)] * len(mixture.means))
     length = sum(JointPath(way).length for way in proposal.ways)
     assert length / 0.4 <= len(mixture.means) <= length / 0.4 + 2 * len(proposal.ways)
+
+
+@pytest.mark.parametrize("predictor", ["nearest-lines", "transformer-lines", "solved", "oracle"])
+def test_controls_give_ways_from_the_start_to_goals(problem, proposed, predictor):
+    """Straight lines, or a path; the codes of their waypoints, or Gaussians along them."""
+    ways = proposed(f"cvq:{predictor}+every-waypoint").ways
+    for way in ways:
+        np.testing.assert_array_equal(way[0], problem.start)
+        assert (np.abs(problem.goals - way[-1]).max(axis=1) < 1e-9).any()
+        assert (len(way) == 2) == predictor.endswith("lines")
+    along = proposed(f"cvq:{predictor}+along+std=0.5").distribution
+    assert along.covariances[0, 0, 0] == 0.25
+    if predictor == "transformer-lines":
+        chosen = proposed("cvq:transformer").goals
+        np.testing.assert_array_equal([way[-1] for way in ways], chosen)
+
+
+def test_uniform_samples_as_a_product_are_those_of_birrt(problem):
+    product, printed = (plan(problem, name) for name in ("cvq:uniform", "birrt-printed"))
+    np.testing.assert_array_equal(product.path.states, printed.path.states)
+    assert product.counters == printed.counters
 
 
 def test_goals_are_tried_one_after_the_other(problem):
