@@ -4,8 +4,10 @@ Every tensor is checked. The authors' models are two folders with three json fil
 of tensors; a pickle that wants to run code is refused.
 """
 
+import io
 import pickle
 import re
+import tarfile
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -237,6 +239,8 @@ def read_tensors(path: Path) -> dict[str, Any]:
     or a pickle that wants to run code.
     """
     data = read_bytes(path)
+    if tarfile.is_tarfile(io.BytesIO(data)):  # torch would unpack it to a folder
+        raise InvalidInputError(f"{path} is a tar archive, no torch checkpoint; fetch it again")
     # a learning rate may have been saved as a numpy number, under either path
     scalar: Any = np.float64(0.0).__reduce__()[0]
     kinds = (np.dtypes.Float64DType, np.dtypes.Float32DType, np.dtypes.Int64DType)

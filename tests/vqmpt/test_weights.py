@@ -255,6 +255,7 @@ def test_files_that_are_something_else_are_called_what_they_are(tmp_path):
     torch.save([1], tmp_path / "list")
     os.mkfifo(tmp_path / "fifo")
     for name, content, message in (
+        ("tar", b"\0" * 1024, "tar is a tar archive, no torch checkpoint; fetch it again"),
         ("zip", b"PK\x03\x04 broken", "zip is no torch checkpoint, or cut short"),
         ("nothing", b"", "nothing is empty"),
         ("page", b"\n<!DOCTYPE html><html><title>Google Drive", "page is a web page"),
