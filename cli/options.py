@@ -32,13 +32,15 @@ WEIGHTS: Options = {
 }
 
 
-def _number(kind: type, holds: Callable[[float], bool], must: str) -> Callable[[str], Any]:
-    """The type of an option that is a finite number which meets a condition."""
+def _number(
+    kind: type, holds: Callable[[float], bool], must: str, most: float = sys.float_info.max
+) -> Callable[[str], Any]:
+    """The type of an option that is a number which meets a condition; most: that it may be."""
 
     def read(text: str) -> Any:
         with contextlib.suppress(ValueError, OverflowError):
             value = kind(text)
-            if math.isfinite(value) and holds(value):
+            if abs(value) <= most and holds(value):
                 return abs(value)  # -0 is 0
         raise argparse.ArgumentTypeError(f"{text!r} is not {must}")
 
@@ -48,9 +50,19 @@ def _number(kind: type, holds: Callable[[float], bool], must: str) -> Callable[[
 positive_int = _number(int, lambda x: x >= 1, "a whole number of 1 or more")
 not_negative_int = _number(int, lambda x: x >= 0, "a whole number of 0 or more")
 positive = _number(float, lambda x: x > 0, "a positive number")
+_positive_or_inf = _number(float, lambda x: x > 0, "a positive number or inf", math.inf)
 not_negative = _number(float, lambda x: x >= 0, "a number of 0 or more")
 SEED: Options = {
     "--seed": option("seed of all randomness (0)", type=not_negative_int, default=0, metavar="S")
+}
+
+
+REACH: Options = {
+    "--reach": option(
+        "longest extension of trees towards a sample [rad], inf: none (the planner's own)",
+        type=_positive_or_inf,
+        metavar="RAD",
+    )
 }
 
 

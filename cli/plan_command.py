@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cli.motion_options import MOTION, arm_of, motion_given, motion_problem, scanned
 from cli.options import (
     FLAG,
+    REACH,
     REPEATED,
     SEED,
     WEIGHTS,
@@ -88,7 +89,7 @@ def _solved_problem(
 ) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
     """A problem's solution, and its report: data for --json, else lines."""
     planner, why = (args.planner, "") if args.planner else default_planner(problem)
-    method = planner_named(planner, args.model)
+    method = planner_named(planner, args.model, args.reach)
     if args.cloud and not motion_given(args):
         # the obstacles are those of the suite or file; the cloud is what a network is shown
         method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
@@ -136,7 +137,7 @@ def _solved_task(
             )
         make_folder(folder)
     planner = args.planner or "birrt"  # the planner with which tasks were measured
-    method = planner_named(planner, args.model)
+    method = planner_named(planner, args.model, args.reach)
     compile_kernels(log)
     timing = TimingSettings(speed=args.speed)
     # a wrong speed is refused before anything is planned
@@ -272,6 +273,7 @@ OPTIONS: Options = {
         "mechanism birrt)"
     ),
     **WEIGHTS,
+    **REACH,
     "--cloud": option(
         "scan whose points are the obstacles of --start and --goal; with a suite or a problem "
         "file, the points that a network is shown; repeatable",

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from cli.options import (
     ONE_OF,
+    REACH,
     WEIGHTS,
     Options,
     ProgressBar,
@@ -33,6 +34,7 @@ FIXED = (
     "seeds",
     "planners",
     "model",
+    "reach",
     "cutoff",
     "iterations",
     "optimize",
@@ -57,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
         budget=budget(args),
         backend=args.backend,
         model=args.model,
+        reach=args.reach,
         optimize=optimize_budget(args),
     )
     out = args.out or Path("runs") / suite.name
@@ -119,6 +122,7 @@ OPTIONS: Options = {
         metavar="A,B",
     ),
     **WEIGHTS,
+    **REACH,
     **BUDGET,
     **optimize_option(),
     ONE_OF: {

@@ -46,6 +46,7 @@ class Method:
     model: str | None = None  # name or folder of its weights; None for the shipped ones
     sampler: SamplerChoice | None = None  # of a learned sampler, else None
     external: str = ""  # of an external planner: its Python distributions and versions
+    grows: bool = True  # whether its search, or what follows a roadmap without a path, is `BiRRT`
 
     @staticmethod
     def simple(name: str, **stages: Any) -> "Method":
@@ -58,6 +59,24 @@ class Method:
         if self.weights is None:
             raise InvalidInputError(f"{self.name} uses no weights: leave --model {model} out")
         return replace(self, model=model)
+
+    def with_reach(self, reach: float) -> "Method":
+        """The same planner with another longest extension towards a draw [rad]; inf: no limit.
+
+        InvalidInputError if its search has none, or reach is not above 0.
+        """
+        if not self.grows:
+            raise InvalidInputError(f"{self.name} has no reach of its own: leave --reach out")
+
+        def build(problem: PlanningProblem, model: str) -> Stages:
+            stages = self.build(problem, model)
+            search = stages.search or BiRRT()
+            assert isinstance(search, BiRRT)
+            return replace(stages, search=replace(search, reach=reach))
+
+        BiRRT(reach=reach)
+        sampler = self.sampler and replace(self.sampler, reach=reach)
+        return replace(self, build=build, sampler=sampler)
 
     def with_cloud(self, points: np.ndarray) -> "Method":
         """The same planner on points (p, 3) [m, base frame]; InvalidInputError if it uses none."""
@@ -97,18 +116,18 @@ def _ompl(name: str, manifold: str) -> Method:
 
         return Stages(search=OmplSearch(manifold))
 
-    return Method(name, build, needs_charts=manifold != "projected")
+    return Method(name, build, needs_charts=manifold != "projected", grows=False)
 
 
-def _learned(planner: str, builder: str, weights: str = VQ_MPT, **options: Any) -> Method:
-    """A planner whose stages are made by a function of `vqmpt.learned_sampler`."""
+def _mpnet(name: str, bridged: bool) -> Method:
+    """MPNet; bridged: tree growth connects rollouts that the network does not connect."""
 
     def build(problem: PlanningProblem, model: str) -> Stages:
-        from cvqmpt_lab.vqmpt import learned_sampler  # imports safetensors
+        from cvqmpt_lab.vqmpt.learned_sampler import mpnet  # imports safetensors
 
-        return getattr(learned_sampler, builder)(problem.robot, model, **options)
+        return mpnet(problem.robot, model, bridged)
 
-    return Method(planner, build, weights)
+    return Method(name, build, "mpnet", grows=False)
 
 
 def _roadmap(
@@ -146,7 +165,13 @@ def _roadmap(
 
 def _product(name: str, choice: SamplerChoice) -> Method:
     """A planner with a learned sampler, as `choice` composes it, and the paper's search."""
-    return replace(_learned(name, "learned", name=name, choice=choice), sampler=choice)
+
+    def build(problem: PlanningProblem, model: str) -> Stages:
+        from cvqmpt_lab.vqmpt.learned_sampler import learned  # imports safetensors
+
+        return learned(problem.robot, model, name, choice)
+
+    return Method(name, build, VQ_MPT, sampler=choice)
 
 
 def _by_name(*methods: Method) -> dict[str, Method]:
@@ -160,9 +185,8 @@ PLANNERS = _by_name(
     _ompl("ompl-projected", "projected"),
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),
-    _learned("mpnet", "mpnet", weights="mpnet"),  # the paper's MPNet (w/ proj)
-    # the same; tree growth connects rollouts that the network does not connect
-    _learned("mpnet-bridged", "mpnet", weights="mpnet", bridged=True),
+    _mpnet("mpnet", bridged=False),  # the paper's MPNet (w/ proj)
+    _mpnet("mpnet-bridged", bridged=True),
     *(_product(name, choice) for name, choice in NAMED.items() if choice.predictor != "published"),
     _roadmap("roadmap"),
     _roadmap("roadmap-cvq", VQ_MPT),
@@ -198,10 +222,13 @@ def is_removed(name: str) -> bool:
     return name == "graph-cvq" or name.startswith(f"{PREFIX}graph") or name in _RENAMED
 
 
-def planner_named(name: str, model: str | None = None) -> Method:
+def planner_named(name: str, model: str | None = None, reach: float | None = None) -> Method:
     """The planner or control of that name, also an external one, see `cvqmpt_lab.external`.
 
-    model: name or folder of its weights; None for the shipped ones.
+    Args:
+        name: of the planner.
+        model: name or folder of its weights; None for the shipped ones.
+        reach: longest extension towards a draw [rad], inf for no limit; None for the planner's own.
     """
     if name in _RENAMED:
         raise InvalidInputError(
@@ -218,12 +245,13 @@ def planner_named(name: str, model: str | None = None) -> Method:
         found = _product(name, SamplerChoice.of(name.removeprefix(PREFIX)))
     elif is_external(name):
         planner = external_planner(name)
-        found = Method(name, planner.stages, external=planner.made_by)
+        found = Method(name, planner.stages, external=planner.made_by, grows=False)
     if found is None:
         others = [*entry_point_names(), "package.module:planner"]
         known = [*ours, f"{PREFIX}random+wide, ...", *others]
         raise UnknownChoiceError("planner", name, known)
-    return found if model is None else found.with_model(model)
+    found = found if model is None else found.with_model(model)
+    return found if reach is None else found.with_reach(reach)
 
 
 def default_planner(problem: PlanningProblem) -> tuple[str, str]:

@@ -35,6 +35,8 @@ class Experiment:
     budget: Budget
     backend: str = "compiled"
     model: str | None = None  # weights in place of the shipped ones, of planners that use any
+    # [rad] longest extension towards a draw, in place of every planner's own; inf: no limit
+    reach: float | None = None
     optimize: Budget | None = None  # spent on a better path once there is one
 
     def __post_init__(self) -> None:
@@ -43,7 +45,7 @@ class Experiment:
             if index not in suite.problems:
                 suite.item(index)
         for name in self.planners:
-            planner_named(name)
+            planner_named(name, reach=self.reach)
         # a planner that cannot serve a problem of a folder is refused before anything runs
         for run in self.runs if suite.digests else ():
             problem = suite.solvable(run.item)
@@ -86,6 +88,7 @@ class Experiment:
             "iterations": self.budget.iterations,
             "backend": self.backend,
             **({"optimize": asdict(self.optimize)} if self.optimize else {}),
+            **({"reach_rad": str(self.reach)} if self.reach else {}),
             **suite_named(self.suite).settings,
         }
 
@@ -115,7 +118,8 @@ class Run(NamedTuple):
     @property
     def method(self) -> Method:
         """The planner with its weights."""
-        method, model = planner_named(self.planner), self.experiment.model
+        method = planner_named(self.planner, reach=self.experiment.reach)
+        model = self.experiment.model
         return method if model is None or method.weights is None else method.with_model(model)
 
     @property

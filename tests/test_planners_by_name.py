@@ -1,5 +1,7 @@
 """Planners by name: weights serve the robot they were trained for alone; each can be warmed up."""
 
+import math
+
 import numpy as np
 import pytest
 from refusals import refused
@@ -48,6 +50,29 @@ def test_what_was_removed_is_refused_with_what_replaces_it():
         (suite_named, "sensor-robustness", "suite sensor"),
     ):
         assert instead in refused("was removed", find, name)
+
+
+@pytest.mark.parametrize(
+    ("name", "reach", "same"),
+    [
+        ("birrt", math.inf, "birrt-printed"),
+        ("birrt-printed", 1.0, "birrt"),
+        ("cvq:transformer+decoded+reach=2", 0.5, "cvq:transformer+decoded+reach=0.5"),
+    ],
+)
+def test_another_reach_is_the_planner_that_has_it(name, reach, same):
+    def counted(method):
+        return vars(solve(place_problem(1003), method, Budget(iterations=2000), seed=1).plan)
+
+    one, other = counted(planner_named(name, reach=reach)), counted(planner_named(same))
+    assert one["vertices"] == other["vertices"] != counted(planner_named(name))["vertices"]
+    assert vars(one["counters"]) == vars(other["counters"])
+
+
+def test_reach_is_for_searches_that_have_one():
+    for name in ("ompl-projected", "mpnet", "search.test_planners:plan"):
+        refused("leave --reach out", planner_named, name, reach=1.0)
+    refused("above 0", planner_named, "birrt", reach=0.0)
 
 
 @pytest.mark.parametrize("name", PLANNERS)

@@ -42,7 +42,7 @@ EVERY = (*PLANNERS, *CONTROLS)
 CASES = (
     repeated("four planners", "place-task", SOME, 300, ci=1, long=12),
     repeated("all planners and controls", "place-task", EVERY, 3000, ci=0, long=8),
-    # few iterations: in 3000 the tree of `ompl-projected` meets the cutoff in a phase without a path
+    # few iterations: in 3000 `ompl-projected` meets the cutoff in a phase without a path
     repeated("tasks of several phases", "multi-sequence", tuple(PLANNERS), 200, ci=0, long=1),
 )
 
