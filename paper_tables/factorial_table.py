@@ -1,4 +1,4 @@
-"""Ablation of learned samplers: predictor, Gaussians, update and cloud, beside uniform samples."""
+"""Ablation of learned samplers: every choice of `vqmpt.sampler_choice`, beside uniform samples."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -28,7 +28,10 @@ from paper_tables.statements import PublishedValue
 from paper_tables.table_engine import Column, SuiteTable
 
 # in their order in the table; no planner has predictor graph any more, but committed rows do
-PREDICTORS = ("transformer", "published", "graph", "random", "oracle")
+PREDICTORS = (
+    *("uniform", "nearest-lines", "transformer-lines"),
+    *("transformer", "published", "graph", "random", "oracle", "solved"),
+)
 # the words whose products these tables compare
 GAUSSIANS, UPDATES, CLOUDS = (
     ("decoded", "wide"),
@@ -37,15 +40,28 @@ GAUSSIANS, UPDATES, CLOUDS = (
 )
 CONTRAST_HEAD = ["the first / the second", "problems", "work", "projections", "length", "G"]
 _UNIFORM = "uniform=0.15"  # the share that wide Gaussians have, for decoded ones
+_SEARCHED = ((), ("raw-draws",), ("reach=1",), ("raw-draws", "reach=1"))  # draws and reach
+_SEQUENCES = (
+    ("uniform",),
+    *product(("transformer", "random"), GAUSSIANS, UPDATES[:2]),
+    *product(
+        ("transformer", "transformer-lines", "nearest-lines", "solved"),
+        *(GAUSSIANS, UPDATES[:2], ("every-waypoint",)),
+    ),
+)
 _PRODUCTS = (
     *product(("transformer", "random", "oracle"), GAUSSIANS, UPDATES),
     *product(("transformer",), GAUSSIANS, UPDATES, CLOUDS[1:]),
     *product(("transformer", "random"), ("decoded",), UPDATES, (_UNIFORM,)),
     ("transformer", "wide", "projected", "all-beams"),
+    *((*words, *searched) for words in _SEQUENCES for searched in _SEARCHED),
 )
-PLANNERS = (REFERENCE, *(PREFIX + "+".join(words) for words in _PRODUCTS))
-# columns of rows
-FACTORS = ("predictor", "gaussians", "update", "cloud", "uniform_share", "sequences")
+PLANNERS = (REFERENCE, *dict.fromkeys(PREFIX + "+".join(words) for words in _PRODUCTS))
+# columns of rows; reach is None where extensions have no limit
+FACTORS = (
+    *("predictor", "gaussians", "update", "cloud", "uniform_share", "sequences"),
+    *("reading", "draws", "reach"),
+)
 COMPARED: Mapping[str, Value] = {
     "work": VALUES["work"],
     "projections": VALUES["projections"],
@@ -114,7 +130,31 @@ class Contrast(NamedTuple):
         return table.entry(self.title, sides[0], runs, columns, suffix="_contrast")
 
 
+EVERY: Mapping[str, object] = {"reading": "every-waypoint"}
 CONTRASTS = (
+    *(
+        Contrast(
+            f"{one} / {other}, {name}, every waypoint", "predictor", one, other, {**kind, **EVERY}
+        )
+        for one, other in (
+            ("transformer", "transformer-lines"),
+            ("transformer-lines", "nearest-lines"),
+            ("transformer", "solved"),
+        )
+        for name, kind in (("decoded", DECODED), ("wide", WIDE))
+    ),
+    *(
+        Contrast(
+            f"{title}, {predictor} {name}", factor, one, other, {"predictor": predictor, **kind}
+        )
+        for title, factor, one, other in (
+            ("every waypoint / merged", "reading", "every-waypoint", "merged"),
+            ("projected / raw draws", "draws", "projected-draws", "raw-draws"),
+            ("no limit / extensions of 1 rad", "reach", None, 1.0),
+        )
+        for predictor in ("transformer", "random", "uniform")
+        for name, kind in (("decoded", DECODED), ("wide", WIDE))
+    ),
     Contrast("transformer / random codes, decoded", "predictor", "transformer", "random", DECODED),
     Contrast("transformer / random codes, wide", "predictor", "transformer", "random", WIDE),
     Contrast("transformer / graph, decoded", "predictor", "transformer", "graph", DECODED),
@@ -164,7 +204,7 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
         compared_lines.append([item.planner, pairs, *map(item.cell, COMPARED)])
     notes = [*NOTES, _named(runs.rows), *table.seed_notes(runs)]
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
-    caption = f"{size}: products of predictor, Gaussians and update. {NOTES[0]}"
+    caption = f"{size}: products of choices of a learned sampler. {NOTES[0]}"
     return SuiteTable(
         suite,
         size,
@@ -200,4 +240,7 @@ def _place(row: ResultRow) -> tuple[int, ...]:
         GAUSSIANS.index(row.gaussians),
         UPDATES.index(row.update),
         CLOUDS.index(row.cloud),
+        row.reading == "every-waypoint",
+        row.draws == "raw-draws",
+        row.reach is not None,
     )

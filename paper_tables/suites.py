@@ -125,13 +125,13 @@ SUITES: Mapping[str, Suite] = {
         table=group_table,
     ),
     "factorial": Suite(
-        title="Factorial: predictor x Gaussians x update, place task",
+        title="Factorial: every choice of a learned sampler, place task",
         planners=PRODUCTS,
         amounts=(Amount(seeds=3, cutoff=3.0),),
         table=factorial_table,
     ),
     "factorial-constraints": Suite(
-        title="Factorial: predictor x Gaussians x update, eight kinds of constraints",
+        title="Factorial: every choice of a learned sampler, eight kinds of constraints",
         planners=PRODUCTS,
         amounts=(Amount(cutoff=2.0),),
         table=factorial_table,
