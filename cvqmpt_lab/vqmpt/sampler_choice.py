@@ -160,6 +160,6 @@ NAMED: Mapping[str, SamplerChoice] = {
     "opt-cvq-mpt": SamplerChoice.of(f"transformer+{PRINTED}+algorithm-2"),
     "cvq-published": SamplerChoice.of("published+decoded+goals-apart"),
     "cvq-wide": SamplerChoice.of("transformer+wide+projected+all-beams+reach=1"),
-    "cvq-tuned": SamplerChoice.of("transformer+along+free-draws+reach=1"),
+    "cvq-tuned": SamplerChoice.of("transformer+along+all-beams+free-draws+reach=1"),
 }
 """Products that planners are named after. The first three are the paper's, the others are ours."""
