@@ -108,6 +108,11 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         n_state_checks=work and work.state_checks,
         n_iterations=work and work.iterations,
         n_clearances=work and work.clearances,
+        n_extensions=(work and work.extensions) or None,
+        n_draw_projections=(work and work.draw_projections) or None,
+        n_draw_newton_iterations=(
+            work.draw_newton_iterations if work and work.draw_projections else None
+        ),
         vertices=None if plan.as_is else plan.vertices,
         path_length_raw_rad=plan.path.length if plan.path and not plan.as_is else None,
         path_length_rad=shorter.path.length if shorter else None,

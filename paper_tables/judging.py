@@ -86,7 +86,8 @@ def verdicts_of(claim: Claim, rows: Rows, published: Sequence[PublishedValue]) -
     if not claim.baselines:
         return [_share(claim, own, published)]
     judged = own[claim.planner]
-    numbers = {item.planner: float(item.value) for item in published if item.metric == claim.metric}
+    metric = claim.published or claim.metric
+    numbers = {item.planner: float(item.value) for item in published if item.metric == metric}
     found = []
     for baseline in claim.baselines:
         others = own.get(baseline, [])
@@ -94,7 +95,8 @@ def verdicts_of(claim: Claim, rows: Rows, published: Sequence[PublishedValue]) -
         if claim.planner in numbers and baseline in numbers:
             paper = 1.0 - numbers[claim.planner] / numbers[baseline]
         verdict = reduction(claim, baseline, paired(judged, others, VALUES[claim.metric]), paper)
-        left_out = "" if claim.incomparable else _left_out(judged, others)
+        silent = verdict.ruling is Ruling.INCOMPARABLE
+        left_out = "" if silent else _left_out(judged, others)
         found.append(verdict._replace(note="; ".join(filter(None, (verdict.note, left_out)))))
     return found
 
@@ -118,7 +120,7 @@ def reduction(
     """Reduction by both statistics; p is the larger one, 1 if they lie on different sides."""
     means = less(ratio_of_means_interval([(pair.own, pair.other) for pair in pairs]))
     found = Verdict(claim, baseline, paper, less(mean_ratio(pairs)), means, None, False)
-    if claim.incomparable:
+    if claim.incomparable and not pairs:
         nothing = UNDEFINED._replace(n=len(pairs))
         why, ruling = claim.incomparable, Ruling.INCOMPARABLE
         return found._replace(paired=nothing, means=nothing, note=why, ruling=ruling)

@@ -57,6 +57,10 @@ EFFORT = {
     "path_length_raw_median": Column("raw length [rad]", "rad", median_of("raw_length", "joint")),
     "projections_median": Column("projections", "1", median_of("projections")),
     "newton_iterations_median": Column("Newton iterations", "1", median_of("newton_iterations")),
+    "newton_steps_median": Column("steps a projection", "1", median_of("newton_steps", "stated")),
+    "newton_steps_ratio": Column(
+        f"steps a projection / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["newton_steps"])
+    ),
     "state_checks_median": Column("state checks", "1", median_of("state_checks")),
     "work_median": Column("work", "1", median_of("work")),
     "clearances_median": Column("approximate checks", "1", median_of("clearances")),
@@ -64,6 +68,16 @@ EFFORT = {
     "new_time_median": Column("time, scene new [s]", "s", median_of("new_time")),
     "time_ratio": Column(f"time / {BASELINE}", "1", ratio_to(BASELINE, VALUES["time"])),
     "fallbacks": Column("by fallback [%]", "%", share_of(lambda row: row.fallback is not None)),
+}
+GROWN = {  # only where rows say how trees grew
+    "extensions_median": Column("extension ends", "1", median_of("extensions", "solved")),
+    "extensions_mean": Column("extension ends, mean", "1", mean_of("extensions", "solved")),
+    "draw_newton_steps_median": Column(
+        "Newton steps a draw", "1", median_of("draw_newton_steps", "stated")
+    ),
+    "draw_newton_steps_ratio": Column(
+        f"Newton steps a draw / {REFERENCE}", "1", ratio_to(REFERENCE, VALUES["draw_newton_steps"])
+    ),
 }
 ROLLOUTS = {  # only where a planner joins states of rollouts
     "rollouts_alone": Column("by rollouts alone [%]", "%", share_of(partial(_said, ROLLOUTS_ALONE)))
@@ -116,7 +130,7 @@ METHOD_NOTES = (
     "where rows are of runs that did. Making the checker's obstacles and distance grid, as all "
     "planners need, and a roadmap for a robot that had none is in nobody's time. atlas-rrt and "
     "tb-rrt project inside OMPL's charts, where Newton iterations are counted and projections "
-    "are not: their work is too low.",
+    "are not: their work is too low, and steps a projection (of all runs) left out.",
     f"Time / {BASELINE}: geometric mean of the ratio over problems solved by both, bootstrap "
     "interval.",
     "By fallback: runs whose path did not come the way the planner's name promises; they count "
@@ -129,6 +143,11 @@ METHOD_NOTES = (
     f"checks) of {REFERENCE} with uniform samples, median over its other seeds. Ratios are "
     "geometric means over problems that both solved, bootstrap intervals; time includes goal "
     "inverse kinematics, which is the same for all.",
+)
+GROWN_NOTE = (
+    "Extension ends: ends of extensions in all trees, which is what OMPL stores; roots left out. "
+    "Vertices of our search are all states along extensions. Over solved runs in which a tree "
+    "grew. Newton steps a draw: Algorithm 1 on draws, before trees extend towards them."
 )
 SENSED: Mapping[str, Column] = {  # only of scanned scenes
     "certified_in_map": Column("certified in the map [%]", "%", share_of(solved)),
@@ -163,7 +182,13 @@ def place_table(
     runs = table.suite_runs(rows, published)
     by_rollouts = partial(_said, BY_ROLLOUTS)
     rolled = {name for name, own in runs.groups.items() if any(map(by_rollouts, own))}
-    columns = {**COLUMNS, **(SENSED if sensed else {}), **(ROLLOUTS if rolled else {})}
+    grown = any(row.n_extensions is not None for row in runs.rows)
+    more = {
+        **(SENSED if sensed else {}),
+        **(ROLLOUTS if rolled else {}),
+        **(GROWN if grown else {}),
+    }
+    columns = {**COLUMNS, **more}
     found = table.entries(runs, columns, published)
     rollouts = [item for item in found if item.planner in rolled]
     slowest = max(row.t_total_s or 0.0 for row in runs.rows)
@@ -182,6 +207,9 @@ def place_table(
         "In the map and in truth": table.column_lines(found, SENSED) if sensed else [],
         **papers,
         "Effort (medians)": table.column_lines(found, EFFORT),
+        "Vertices as OMPL counts them, and projections of draws": (
+            table.column_lines(found, GROWN) if grown else []
+        ),
         "Solved by rollouts alone, no tree grown between their states": (
             table.column_lines(rollouts, ("accuracy", *ROLLOUTS)) if rollouts else []
         ),
@@ -189,7 +217,7 @@ def place_table(
         f"Against {REFERENCE}": _split_lines(found, runs) if runs.split["easy"] else [],
         "Solved within a time, % of runs": table.column_lines(found, times),
         **table.counted(found),
-        "Notes": footnotes,
+        "Notes": [*footnotes, *([GROWN_NOTE] if grown else [])],
         "Notes on the paper's numbers (all but accuracy are means)": table.published_notes(
             runs, published
         ),

@@ -56,6 +56,20 @@ def paper_cost(row: ResultRow) -> float | None:
     return search + networks
 
 
+def newton_steps(row: ResultRow) -> float | None:
+    """Newton steps a projection (Algorithm 1); None where charts count steps alone."""
+    if row.sampler_used == "atlas-charts" or not row.n_projections:
+        return None
+    return None if row.n_newton_iterations is None else row.n_newton_iterations / row.n_projections
+
+
+def draw_newton_steps(row: ResultRow) -> float | None:
+    """The same of draws alone, before trees extend towards them."""
+    if row.n_draw_projections is None or row.n_draw_newton_iterations is None:
+        return None
+    return row.n_draw_newton_iterations / row.n_draw_projections
+
+
 def own_time(row: ResultRow) -> float | None:
     """Total time without goal inverse kinematics, which is the same for all planners [s]."""
     return None if row.t_total_s is None else row.t_total_s - (row.t_goals_s or 0.0)
@@ -91,9 +105,12 @@ VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
     "paper_cost": paper_cost,
     "projections": attrgetter("n_projections"),
     "newton_iterations": attrgetter("n_newton_iterations"),
+    "newton_steps": newton_steps,
+    "draw_newton_steps": draw_newton_steps,
     "state_checks": attrgetter("n_state_checks"),
     "clearances": attrgetter("n_clearances"),
     "vertices": attrgetter("vertices"),
+    "extensions": attrgetter("n_extensions"),
     "path_length": attrgetter("path_length_rad"),
     "raw_length": attrgetter("path_length_raw_rad"),
     "true_clearance": attrgetter("true_clearance_m"),

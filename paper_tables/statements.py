@@ -49,7 +49,8 @@ class Claim:
     stated: float = 0.0
     baselines: tuple[str, ...] = ()
     planner: str = OPT
-    incomparable: str = ""  # why rows do not answer it, or ""
+    incomparable: str = ""  # why rows without such values do not answer it, or ""
+    published: str = ""  # the paper's name of the metric where ours differs
     title: str = ""  # in our words
     paper: str = ""  # in the paper's
     suite: str = ""  # the results directory that judges it

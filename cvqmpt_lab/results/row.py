@@ -146,6 +146,13 @@ class ResultRow:
     goals: str | None = None
     reach: float | None = None  # [rad] empty: no limit
     std: float | None = None  # [rad] of Gaussians along a sequence
+    # Ends of extensions in trees, roots left out: OMPL stores these alone, we (`vertices`) every
+    # state of an extension. Empty where no tree grew.
+    n_extensions: int | None = None
+    # Of draws that were projected before trees extended towards them: parts of `n_projections` and
+    # `n_newton_iterations`. Empty where none was.
+    n_draw_projections: int | None = None
+    n_draw_newton_iterations: int | None = None
 
     def __post_init__(self) -> None:
         for column in _COLUMNS:

@@ -25,7 +25,12 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.search.motion import (
     DEVIATION,
+    DRAW_NEWTON_ITERATIONS,
+    DRAW_PROJECTIONS,
+    EXTENSIONS,
     ITERATIONS,
+    NEWTON_ITERATIONS,
+    PROJECTIONS,
     REACHED,
     STOPPED,
     Space,
@@ -111,7 +116,12 @@ def usable(space, q, draws):
     """Make a draw q (n,) a sample, in place, see DRAWS; False: it must be drawn again."""
     if draws == RAW:
         return True
-    if not project_state(space, q):
+    counters = space.counters
+    projections, steps = counters[PROJECTIONS], counters[NEWTON_ITERATIONS]
+    projected = project_state(space, q)
+    counters[DRAW_PROJECTIONS] += counters[PROJECTIONS] - projections
+    counters[DRAW_NEWTON_ITERATIONS] += counters[NEWTON_ITERATIONS] - steps
+    if not projected:
         return False
     return draws == PROJECTED or posed_state_valid(space, q, 0.0)
 
@@ -163,7 +173,9 @@ def grow(
                 index_new_nodes(trees.nearest, tree, nodes[tree], size[tree])
                 near = nearest_node(trees.nearest, tree, nodes[tree], size[tree], target)
             limit = reach if stage < 2 else np.inf
+            nodes_before = size[tree]
             node, met = extend(space, nodes[tree], parent[tree], size, tree, near, target, limit)
+            space.counters[EXTENSIONS] += size[tree] > nodes_before
             if stage == 0:
                 node_a = node
             else:

@@ -16,7 +16,16 @@ from cvqmpt_lab.jit import call_address, entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
 # rows of Space.counters
-PROJECTIONS, NEWTON_ITERATIONS, STATE_CHECKS, ITERATIONS, CLEARANCES = range(5)
+(
+    PROJECTIONS,
+    NEWTON_ITERATIONS,
+    STATE_CHECKS,
+    ITERATIONS,
+    CLEARANCES,
+    EXTENSIONS,
+    DRAW_PROJECTIONS,
+    DRAW_NEWTON_ITERATIONS,
+) = range(8)
 DOUBT = 0.2  # [rad] around a doubtful configuration
 STOPPED, ADVANCED, REACHED = range(3)
 # OMPL's lambda: how much longer a projected step may be than planned, a motion than straight
@@ -49,7 +58,7 @@ class Space(NamedTuple):
     doubtful: Annotated[np.ndarray, "doubtful n"]
     # no point of the robot moves further than swing[j] * |dq[j]| when joint j does [m/rad]
     swing: Annotated[np.ndarray, "n"]
-    counters: Annotated[np.ndarray, "int64 5"]  # PROJECTIONS to CLEARANCES
+    counters: Annotated[np.ndarray, "int64 8"]  # PROJECTIONS to DRAW_NEWTON_ITERATIONS
     state: Annotated[np.ndarray, "n"]  # work array
     scratch: ProjectionScratch  # work arrays of projections
 

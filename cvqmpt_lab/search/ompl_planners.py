@@ -15,7 +15,7 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from cvqmpt_lab.search.motion import ITERATIONS, NEWTON_ITERATIONS
+from cvqmpt_lab.search.motion import EXTENSIONS, ITERATIONS, NEWTON_ITERATIONS
 from cvqmpt_lab.search.planner_interface import SamplingDistribution
 from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -162,6 +162,8 @@ class _Run:
             data = ob.PlannerData(self._information)
             self._planner.getPlannerData(data)
             self.vertices += data.numVertices()
+            roots = data.numStartVertices() + data.numGoalVertices()
+            self._space.arrays.counters[EXTENSIONS] += data.numVertices() - roots
             if not self._problem.hasExactSolution():
                 break
             path = self._dense_path()

@@ -70,6 +70,10 @@ class Counters:
     iterations: int = 0
     # states whose clearance was read from a distance field: approximate checks, which free no path
     clearances: int = 0
+    extensions: int = 0  # of trees, that added nodes: so many ends; roots are none
+    # of draws, before trees extend towards them: a part of projections and newton_iterations
+    draw_projections: int = 0
+    draw_newton_iterations: int = 0
 
 
 @dataclass(frozen=True)

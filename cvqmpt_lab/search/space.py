@@ -142,7 +142,7 @@ class ConstrainedSpace:
             query=self._check.query,
             doubtful=np.empty((0, n)),
             swing=robot_swing(robot, problem.attachments),
-            counters=np.zeros(5, dtype=np.int64),
+            counters=np.zeros(8, dtype=np.int64),
             state=np.zeros(n),
             scratch=projection_scratch(n, regions),
         )

@@ -310,7 +310,7 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
 
 
 def mpnet(robot: Robot, model: str, bridged: bool = False) -> Stages:
-    """MPNet's rollouts; bridged: unconnected ones are connected with bidirectional RRT."""
+    """MPNet's rollouts, 50 as published; bridged: 10, connected with bidirectional RRT."""
     network = mpnet_network(model)
-    rollouts = MPNetRollouts(network, bridged)
+    rollouts = MPNetRollouts(network, bridged, rollouts=10) if bridged else MPNetRollouts(network)
     return Stages(predict=rollouts, observe=observer(network.config.n_points))

@@ -7,13 +7,13 @@ the direct one, else one by tree growth. If the sides do not meet or a pair is n
 rollout has failed and the next one starts.
 
 Differences to the published code, as far as known: proposals to one state are bounded, not repeated
-for ever; there are ten rollouts, not ten for each of five goals that are identical; a pair is first
-tried with the direct motion; the tree growth is the project's own and gets a share of the budget
-(there 5 of 50 s); the time to encode the cloud counts.
+for ever; a pair is first tried with the direct motion; the tree growth is the project's own and
+gets a share of the budget (there 5 of 50 s); the time to encode the cloud counts. There are 50
+rollouts: the published ten for each of five goals, which are identical there.
 
 In the bridged variant tree growth connects what the network does not, also sides that have not
-met; all goals take turns, sides meet along a constrained motion, and the network gets projected
-states as input.
+met; all goals take turns in ten rollouts, sides meet along a constrained motion, and the network
+gets projected states as input.
 """
 
 import time
@@ -110,7 +110,7 @@ class MPNetRollouts:
 
     network: MPNetNetwork
     bridged: bool = False  # unconnected rollouts are connected by tree growth
-    rollouts: int = 10  # tried before giving up
+    rollouts: int = 50  # tried before giving up
     predictions: int = 10  # states of one rollout
     attempts: int = 32  # proposals (they differ by dropout) per state before giving up
     share: float = 0.1  # of the whole budget, that joining two neighbouring states may take

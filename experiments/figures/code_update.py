@@ -116,6 +116,34 @@ def squared_residual(constraint: RegionConstraint, q: np.ndarray) -> np.ndarray:
     return np.square(constraint.residual(q)).sum(axis=1)
 
 
+def pooled_g(updates: Sequence[CodeUpdate], what: str, when: str) -> np.ndarray:
+    """F^T F at the draws of all problems' codes (what: "codes"), or of all that is sampled."""
+    every = [u.g(when)[: len(u.codes) if what == "codes" else None].ravel() for u in updates]
+    return np.concatenate(every)
+
+
+def exceedance_rows(
+    updates: Sequence[CodeUpdate], deltas: Sequence[float] = (1e-4, 1e-3, 0.01, 0.1, 1.0)
+) -> list[dict[str, object]]:
+    """P(G > delta) and its bound E[G] / delta (paper, Markov's inequality), G = F(q)^T F(q).
+
+    Shares of draws before limits and projection; deltas [constraint units^2].
+    """
+    rows: list[dict[str, object]] = []
+    for what in ("codes", "all"):
+        g = {when: pooled_g(updates, what, when) for when in WHEN}
+        rows += [
+            {
+                "of": what,
+                "delta": delta,
+                **{when: float((g[when] > delta).mean()) for when in WHEN},
+                **{f"bound_{when}": min(1.0, float(g[when].mean()) / delta) for when in WHEN},
+            }
+            for delta in deltas
+        ]
+    return rows
+
+
 def histogram_rows(
     updates: Sequence[CodeUpdate], bins: int = 40, shown: float = 0.99
 ) -> list[dict[str, object]]:
@@ -123,19 +151,12 @@ def histogram_rows(
 
     The bins cover the share `shown` of all draws; a last one holds the others.
     """
-    norms = {when: [np.sqrt(update.g(when)) for update in updates] for when in WHEN}
-    every = np.concatenate([n.ravel() for side in norms.values() for n in side])
+    every = np.sqrt(np.concatenate([pooled_g(updates, "all", when) for when in WHEN]))
     top = float(np.quantile(every, shown))
     edges = np.append(np.linspace(0.0, top if top > 0.0 else 1.0, bins + 1), np.inf)
     rows: list[dict[str, object]] = []
     for what in ("codes", "all"):
-        counts = []
-        for side in norms.values():
-            counted = [
-                n[: len(u.codes) if what == "codes" else None].ravel()
-                for n, u in zip(side, updates, strict=True)
-            ]
-            counts.append(np.histogram(np.concatenate(counted), edges)[0])
+        counts = [np.histogram(np.sqrt(pooled_g(updates, what, when)), edges)[0] for when in WHEN]
         rows += [
             {"of": what, "from": low, "to": high, "before": int(b), "after": int(a)}
             for (low, high), b, a in zip(pairwise(map(float, edges)), *counts, strict=True)

@@ -27,6 +27,7 @@ from experiments.figures.code_update import (
     WHEN,
     CodeUpdate,
     UpdateSettings,
+    exceedance_rows,
     histogram_rows,
     squared_residual,
     update_codes,
@@ -92,6 +93,7 @@ def reproduce_figure(
         drawn = histogram_figure(updates)
         values = [row for update in updates for row in update.rows()]
         tables = {"histogram.csv": histogram_rows(updates), "values.csv": values}
+        tables["exceedance.csv"] = exceedance_rows(updates)
     else:
         drawn = concept_figure(updates[0])
         tables = {"concept.csv": hand_rows(updates[0])}
@@ -114,7 +116,11 @@ def summary(updates: Sequence[CodeUpdate]) -> list[str]:
             f"{what}: mean F^T F {means[0]:.3g} before, {means[1]:.3g} after; median |F| "
             f"{norms[0]:.3g} before, {norms[1]:.3g} after"
         )
-    return lines
+    return lines + [
+        f"{row['of']}: P(F^T F > {row['delta']:g}) {row['before']:.3f} before, "
+        f"{row['after']:.3f} after"
+        for row in exceedance_rows(updates)
+    ]
 
 
 def histogram_figure(updates: Sequence[CodeUpdate]) -> Figure:

@@ -84,7 +84,7 @@ def test_suites_know_their_problems(suite):
     sizes |= dict.fromkeys(("place-task-single-goal", "peers", "sensor"), 30)
     sizes |= dict.fromkeys(("place-task-mirrored", "factorial"), 60)
     sizes |= dict.fromkeys(("multi-sequence", "open-door"), 10)
-    sizes |= {"constraints": 160, "factorial-constraints": 80, "robots": 180}
+    sizes |= {"constraints": 160, "factorial-constraints": 80, "robots": 180, "unconstrained": 120}
     assert last + 1 == sizes.get(suite, 50)
     assert suite_named(suite).item(last).name.partition("/")[0] == str(last)
     for index in (-1, last + 1, 1000):

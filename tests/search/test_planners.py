@@ -60,8 +60,8 @@ def test_every_planner_solves_a_place_problem(problem, name):
         assert result.status is LENIENT[name]
         assert solution.simplified is None and solution.certificate is None and not solution.solved
         return
-    # no clearances are read
-    assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)[:-1]) > 0
+    # projections to iterations; the others are zero where no tree grows and no clearance is read
+    assert result.status is PlanStatus.SOLVED and min(astuple(result.counters)[:4]) > 0
     assert solution.certificate.reasons == () and solution.solved
     # not simplified
     assert name in LENIENT or certify(problem, result.path, clearance=False).reasons == ()
@@ -159,6 +159,17 @@ def test_any_distribution_is_sampled_and_named_and_its_samples_clipped(problem, 
     assert result.sampler == "outside" and certify(problem, result.path, clearance=False).valid
 
 
+def test_extensions_are_counted_by_their_ends(problem):
+    """Where one step makes an extension, each adds one node; where it takes many, far fewer."""
+    roots = 1 + len(problem.goals)
+    result = searched(ConstrainedSpace(problem), Budget(iterations=40), step=100.0)
+    assert result.counters.extensions == result.vertices - roots > 0
+    result = searched(ConstrainedSpace(problem), Budget(iterations=40))
+    assert 0 < 3 * result.counters.extensions < result.vertices - roots
+    result = plan(problem, "ompl-projected", ENOUGH)
+    assert 1 <= result.vertices - result.counters.extensions - 1 <= len(problem.goals)
+
+
 @pytest.mark.parametrize("draws", ["raw", "projected", "free"])
 def test_trees_extend_towards_what_is_made_of_draws(problem, draws):
     """Raw draws stay; projected ones keep F(q) = 0; free ones are free of collision, too."""
@@ -171,9 +182,17 @@ def test_trees_extend_towards_what_is_made_of_draws(problem, draws):
     off = np.linalg.norm(problem.manifold.residual(made[:used_to]), axis=1)
     free = space.valid_batch(made[:used_to])
     assert space.counters.iterations - before.iterations == used_to
+    counted = space.counters_since(before)
+    projected = counted.draw_projections, counted.draw_newton_iterations
     if draws == "raw":
         assert used == used_to and (made == drawn).all() and off.min() > 0.01
+        assert projected == (0, 0)
     else:
+        for q in drawn[:used_to].copy():
+            space.project(q)
+        alone = space.counters_since(before)
+        steps = alone.newton_iterations - counted.newton_iterations
+        assert projected == (alone.projections - counted.projections, steps) and steps > used_to
         assert (off < 1e-3).sum() >= used > 0
         usable = (off < 1e-3) & (free | (draws == "projected"))
         assert usable.sum() == used

@@ -335,11 +335,15 @@ def test_published_rollouts_end_at_the_nearest_goal(tuning):
     states = plan(tuning, mpnet_of(tuning.robot)).path.states
     nearest = min(tuning.goals, key=lambda goal: np.linalg.norm(goal - tuning.start))
     np.testing.assert_array_equal(states[-1], nearest)
+    tried = [
+        planner_named(name).stages(tuning).predict.rollouts for name in ("mpnet", "mpnet-bridged")
+    ]
+    assert tried == [50, 10], "as published; ours"
 
 
 def test_attempts_are_bounded_where_nothing_is_free(tuning):
     stuck, few = stuck_network(tuning), {"rollouts": 3, "attempts": 6}
-    cut = "2 of 10 rollouts failed: 1 cut short by the budget, 1"
+    cut = "2 of 50 rollouts failed: 1 cut short by the budget, 1"
     for limits, budget, iterations, detail in (
         (few, ENOUGH, 3 * 6, "all 3 of 3 rollouts failed: 3"),
         ({}, Budget(iterations=40), 40, cut),

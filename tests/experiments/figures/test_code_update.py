@@ -20,6 +20,7 @@ from cvqmpt_lab.vqmpt.weights import weights_digest
 from experiments.figures import paper
 from experiments.figures.code_update import (
     UpdateSettings,
+    exceedance_rows,
     histogram_rows,
     squared_residual,
     update_codes,
@@ -76,6 +77,19 @@ def test_rows_and_bins_count_every_draw_and_figures_repeat_byte_for_byte(update)
     assert bins[len(bins) // 2]["after"] == 2 * near[0].sum()
 
 
+def test_shares_of_draws_above_delta_and_their_bound(update):
+    for row in exceedance_rows([update, update], (0.05, 0.5)):
+        count = len(update.codes if row["of"] == "codes" else update.before.means)
+        for when in ("before", "after"):
+            draws = np.concatenate([update.draws(when, i) for i in range(count)])
+            residual = update.problem.manifold.residual(draws)
+            violated = np.linalg.norm(residual, axis=1) > np.sqrt(row["delta"])
+            assert row[when] == pytest.approx(violated.mean()) and 0.0 < row[when] < 1.0
+            mean = np.square(residual).sum() / len(draws)
+            assert row[f"bound_{when}"] == pytest.approx(min(1.0, mean / row["delta"]))
+            assert row[when] <= row[f"bound_{when}"]
+
+
 def test_a_problem_counts_once_in_the_claim(tmp_path):
     lines = ["problem,code,g_before,g_after", "a,1,4,1", "a,2,4,4", "a,goal,1,100", "b,3,1,0.5"]
     (tmp_path / "values.csv").write_text("\n".join(lines))
@@ -110,7 +124,11 @@ def test_the_command_writes_the_histogram_and_leaves_files_of_others_alone(tmp_p
     words = ["figure", "histogram", "--problems", "2", "--model", str(model), "--out"]
     assert main([*words, str(out)]) == 0
     files = {f"histogram.{ending}" for ending in ("png", "svg", "csv")}
-    assert {path.name for path in out.iterdir()} == files | {"values.csv", "provenance.json"}
+    assert {path.name for path in out.iterdir()} == files | {
+        "values.csv",
+        "exceedance.csv",
+        "provenance.json",
+    }
     assert ET.parse(out / "histogram.svg").getroot().tag.endswith("svg")
     assert {row["problem"] for row in rows_of(out / "values.csv")} == {"0", "1"}
     record = json.loads((out / "provenance.json").read_text())
