@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +42,9 @@ def _placement(text: str) -> dict[str, Any]:
     return {"xyz": x[:3], "rpy": x[3:] or None}
 
 
-def _limits(text: str) -> float | list[float]:
-    """The numbers of --acceleration, or a single one."""
-    limits = numbers("--acceleration", text)
+def _limits(option: str, text: str) -> float | list[float]:
+    """The numbers of an option of limits, or a single one."""
+    limits = numbers(option, text)
     return limits[0] if len(limits) == 1 else limits
 
 
@@ -75,8 +76,13 @@ ROBOT_DETAILS: Options = {  # what may be said of a robot, whichever way it is n
     ),
     "--acceleration": option(
         "acceleration limits, one a joint or one for all [rad/s^2]; --trajectory needs them",
-        type=_limits,
+        type=partial(_limits, "--acceleration"),
         metavar="A[,A...]",
+    ),
+    "--jerk": option(
+        "jerk limits, likewise [rad/s^3] (the panda's are known; others have none)",
+        type=partial(_limits, "--jerk"),
+        metavar="J[,J...]",
     ),
 }
 ROBOT: Options = {
@@ -129,8 +135,8 @@ def robot_source(
         return {"urdf": str(args.urdf.absolute()), **options}
     if options and problem_file is None:
         raise InvalidInputError(
-            "--end-effector, --srdf, --package-dir, --lock, --base and --acceleration describe "
-            "the robot of --robot or --urdf; give it"
+            "--end-effector, --srdf, --package-dir, --lock, --base, --acceleration and --jerk "
+            "describe the robot of --robot or --urdf; give it"
         )
     if not options or problem_file is None:
         return None
@@ -154,6 +160,7 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
         "locked": dict(args.lock),
         "base": args.base,
         "acceleration_limits": args.acceleration,
+        "jerk_limits": args.jerk,
     }
     return {name: value for name, value in given.items() if value not in (None, [], {})}
 

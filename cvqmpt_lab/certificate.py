@@ -43,6 +43,7 @@ class FaultKind(StrEnum):
     NOT_PROVEN = "not_proven"
     VELOCITY = "velocity"
     ACCELERATION = "acceleration"
+    JERK = "jerk"
     CURRENT = "current"
 
 

@@ -2,7 +2,7 @@
 
 Between its points a trajectory is the cubic through positions and velocities, as controllers
 interpolate. Where accelerations are stated, a controller may take the quintic through these too:
-then both curves are judged.
+then both curves are judged. Jerk is that of the quintic: between cubics accelerations jump.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.trajectory.piecewise import extremes
 from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
 # Share by which limits may be exceeded: the cubics of `time_path` do so by up to 4 %.
-OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05}
+OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05, FaultKind.JERK: 0.01}
 SHARES = np.linspace(0.0, 1.0, 33)  # of a piece, where its rates are computed
 
 
@@ -49,7 +50,7 @@ def certified_motion(
 ) -> Trajectory:
     """The fastest certified motion along a path.
 
-    The certificate is of the cubics between its points, as controllers interpolate. Raises
+    The certificate is of the quintics between its points, and of the cubics. Raises
     InvalidInputError if the path does not move, the robot has no acceleration limits, or no motion
     is certified.
     """
@@ -63,7 +64,8 @@ def certified_motion(
     states[-1] = path.states[-1]
 
     def faults(motion: Trajectory) -> Sequence[str]:
-        moving = Motion(motion.joint_names, motion.positions, motion.times, motion.velocities)
+        states = (motion.positions, motion.times, motion.velocities, motion.accelerations)
+        moving = Motion(motion.joint_names, *states)
         return dry_run(problem, moving).certificate.reasons
 
     return time_path(states, problem.robot.joint_limits, settings, faults)
@@ -163,7 +165,7 @@ def _curves(motion: Motion) -> dict[str, PPoly]:
         }
         # closer than a nanometre or nanoradian, one of them is judged
         if (h**2 / 32.0 * np.maximum(np.abs(d0), np.abs(d1)) <= 1e-9).all():
-            del curves["quintic"]
+            del curves["quintic" if a is None else "cubic"]
         return curves
 
 
@@ -173,40 +175,6 @@ def _rates(curve: PPoly, order: int) -> np.ndarray:
         return np.polyval(
             curve.derivative(order).c, SHARES[:, None, None] * np.diff(curve.x)[:, None]
         )
-
-
-def _extremes(curve: PPoly, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shares (m, k, n) of every piece that have its extremes of a derivative, and its rates there.
-
-    Of a polynomial p(u) of degree d these are 0, the roots of p' in between, and 1.
-    """
-    spans = np.diff(curve.x)[:, None]
-    p = curve.derivative(order).c
-    p = p[p.any(axis=(1, 2)).argmax() :]  # a cubic's highest powers of a quintic are 0
-    p = p * spans ** np.arange(len(p))[::-1, None, None]
-    shares = _monotone_between(p)
-    return shares, np.polyval(p, shares)
-
-
-def _monotone_between(p: np.ndarray, halvings: int = 40) -> np.ndarray:
-    """Sorted u (d + 1, ...), from 0 to 1, between which polynomials p(u) are monotone.
-
-    p: (d + 1, ...), the highest power first. Roots of p' are found by bisection, one each where p'
-    is monotone.
-    """
-    powers = np.arange(len(p))[::-1]
-    ends = np.stack([np.zeros(p.shape[1:]), np.ones(p.shape[1:])])
-    if len(p) < 3:
-        return ends
-    slope = p[:-1] * powers[:-1].reshape(-1, *[1] * (p.ndim - 1))
-    cuts = _monotone_between(slope)
-    low, high = cuts[:-1], cuts[1:]
-    sign = np.sign(np.polyval(slope, low))
-    for _ in range(halvings):
-        middle = 0.5 * (low + high)
-        before = np.sign(np.polyval(slope, middle)) == sign
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
-    return np.concatenate([ends[:1], low, ends[1:]])
 
 
 def _moments(
@@ -241,12 +209,15 @@ def _moments(
 def _limit_faults(
     curve: PPoly, stated: np.ndarray | None, limits: JointLimits, times: np.ndarray
 ) -> Iterator[Fault]:
-    """The joint most above its velocity and acceleration limit: extremes, and rates as stated."""
+    """The joint most above each of its limits: extremes, and rates as stated."""
     for order, kind, unit, limit in (
         (1, FaultKind.VELOCITY, "rad/s", limits.velocity),
         (2, FaultKind.ACCELERATION, "rad/s^2", limits.acceleration),
+        (3, FaultKind.JERK, "rad/s^3", limits.jerk),
     ):
-        shares, rates = _extremes(curve, order)
+        if limit is None or (kind == FaultKind.JERK and not curve.c[:2].any()):
+            continue
+        shares, rates = extremes(curve, order)
         if order == 2 and stated is not None:
             rates = np.concatenate([rates, stated[None, :-1], stated[None, 1:]])
             shares = np.concatenate([shares, shares[[0, -1]]])

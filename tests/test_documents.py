@@ -146,6 +146,6 @@ def test_a_motion_becomes_the_fields_of_a_ros_2_message(tmp_path, solution):
     assert message["joint_names"] == list(solution.problem.robot.joint_names)
     last = message["points"][-1]
     assert last["positions"] == motion.positions[-1].tolist()
-    assert last["velocities"] == [0.0] * 7 and last["accelerations"] == last["effort"] == []
+    assert last["velocities"] == last["accelerations"] == [0.0] * 7 and last["effort"] == []
     when = last["time_from_start"]
     assert when["sec"] + 1e-9 * when["nanosec"] == pytest.approx(motion.duration, abs=1e-9)

@@ -63,6 +63,7 @@ def load_robot(
     locked: Mapping[str, float] | None = None,
     package_dirs: Sequence[Path | str] = (),
     acceleration_limits: float | Sequence[float] | None = None,
+    jerk_limits: float | Sequence[float] | None = None,
     base: np.ndarray | None = None,
 ) -> Robot:
     """Load the arm of hinge and slider joints between the base of a URDF and a frame of it.
@@ -77,6 +78,7 @@ def load_robot(
         locked: joints to fix, with their values [rad or m].
         package_dirs: folders in which ``package://`` mesh paths are looked up first.
         acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2], for timing only.
+        jerk_limits: likewise [rad/s^3 or m/s^3].
         base: (4, 4), pose of the base link in the world.
     """
     source: dict[str, Any] = {
@@ -86,8 +88,9 @@ def load_robot(
         "locked": dict(locked or {}),
         "package_dirs": [str(Path(folder).resolve()) for folder in package_dirs],
     }
-    if acceleration_limits is not None:
-        source["acceleration_limits"] = np.asarray(acceleration_limits).tolist()
+    for kind, values in (("acceleration", acceleration_limits), ("jerk", jerk_limits)):
+        if values is not None:
+            source[f"{kind}_limits"] = np.asarray(values).tolist()
     if base is not None:
         source["base"] = np.asarray(base).tolist()
     return _built(source)
@@ -152,11 +155,14 @@ def _built(source: Mapping[str, Any]) -> Robot:
     model, geometry, meshes = _models(urdf, given, held)
     replace_meshes_by_hulls(geometry)
     axes = axis_frames(model)
-    accelerations = None
-    if given.acceleration_limits is not None:
-        names = list(model.names)[1:]
-        limits = given.acceleration_limits
-        accelerations = positive_per_joint("acceleration", limits, names, "rad/s^2")
+    names = list(model.names)[1:]
+    accelerations, jerks = (
+        None if values is None else positive_per_joint(kind, values, names, unit)
+        for kind, unit, values in (
+            ("acceleration", "rad/s^2", given.acceleration_limits),
+            ("jerk", "rad/s^3", given.jerk_limits),
+        )
+    )
     hand = model.frames[model.getFrameId(given.end_effector, pin.FrameType.BODY)]
     robot = Robot(
         name=model.name,
@@ -170,6 +176,7 @@ def _built(source: Mapping[str, Any]) -> Robot:
         self_collision_pairs=(),
         held_joints=held,
         acceleration_limits=accelerations,
+        jerk_limits=jerks,
         files=tuple({**read, **meshes}.items()),
     )
     if robot.reach > MOST_REACH:

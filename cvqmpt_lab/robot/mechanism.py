@@ -101,9 +101,11 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     for part in item.parts:
         left_out += [LeftOut(part.name, fixed.name, "casing") for fixed in item.casing]
     frames = axis_frames(model)
-    accelerations = robot.acceleration_limits
+    accelerations, jerks = robot.acceleration_limits, robot.jerk_limits
     if accelerations is not None:
         accelerations = np.append(accelerations, item.acceleration)
+    if jerks is not None:  # the mechanism limits none
+        jerks = np.append(jerks, 1e3 * jerks.max())
     return replace(
         robot,
         name=f"{robot.name}+{item.name}",
@@ -115,6 +117,7 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
         self_collision_pairs=(*robot.self_collision_pairs, *pairs),
         left_out_pairs=(*robot.left_out_pairs, *left_out),
         acceleration_limits=accelerations,
+        jerk_limits=jerks,
     )
 
 

@@ -62,24 +62,28 @@ SLOW = 0.1  # share of the speed limits for first tries on a real arm: 0.2 rad/s
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Largest speed and acceleration of each joint, both directions alike."""
+    """Largest speed, acceleration and jerk of each joint, both directions alike."""
 
     joint_names: tuple[str, ...]  # n names, for messages
     velocity: np.ndarray  # (n,) [rad/s or m/s]
     acceleration: np.ndarray  # (n,) [rad/s^2 or m/s^2]
+    jerk: np.ndarray | None = None  # (n,) [rad/s^3 or m/s^3]; None: not known, nor limited
 
     def __post_init__(self) -> None:
-        for name, unit in (("velocity", "rad/s"), ("acceleration", "rad/s^2")):
-            values = positive_per_joint(name, getattr(self, name), self.joint_names, unit)
-            object.__setattr__(self, name, values)
+        units = {"velocity": "rad/s", "acceleration": "rad/s^2", "jerk": "rad/s^3"}
+        for name, unit in units.items():
+            if getattr(self, name) is not None:
+                values = positive_per_joint(name, getattr(self, name), self.joint_names, unit)
+                object.__setattr__(self, name, values)
 
     def scaled(self, speed: float) -> "JointLimits":
-        """Both limits times speed, a number above 0 and at most 1."""
+        """All limits times speed, a number above 0 and at most 1."""
         if not 0.0 < speed <= 1.0:
             raise InvalidInputError(
                 f"speed factor {speed}: give a number above 0 and at most 1 (full speed)"
             )
-        return JointLimits(self.joint_names, speed * self.velocity, speed * self.acceleration)
+        jerk = None if self.jerk is None else speed * self.jerk
+        return JointLimits(self.joint_names, speed * self.velocity, speed * self.acceleration, jerk)
 
 
 def positive_per_joint(
@@ -127,11 +131,13 @@ class Robot:
     left_out_pairs: tuple[LeftOut, ...] = ()
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
     acceleration_limits: np.ndarray | None = None  # (n,) [rad/s^2 or m/s^2], or None if not given
+    jerk_limits: np.ndarray | None = None  # (n,) [rad/s^3 or m/s^3], or None if not given
     files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each file that it was built from
 
     def __post_init__(self) -> None:
         # problems share robots
-        frozen((self.kinematics, self.end_effector_link, self.acceleration_limits))
+        limits = (self.acceleration_limits, self.jerk_limits)
+        frozen((self.kinematics, self.end_effector_link, *limits))
 
     def __repr__(self) -> str:
         return (
@@ -167,7 +173,7 @@ class Robot:
 
     @property
     def joint_limits(self) -> JointLimits:
-        """Velocity limits of the URDF with `acceleration_limits`; refused without the latter."""
+        """Velocity limits of the URDF with those given of acceleration, which must be, and jerk."""
         if self.acceleration_limits is None:
             raise InvalidInputError(
                 f"robot {self.name} has no acceleration limits, which a URDF cannot state: give "
@@ -175,7 +181,7 @@ class Robot:
                 "in a problem file 'acceleration_limits' of 'robot'"
             )
         velocity = np.array(self.model.upperVelocityLimit)
-        return JointLimits(self.joint_names, velocity, self.acceleration_limits)
+        return JointLimits(self.joint_names, velocity, self.acceleration_limits, self.jerk_limits)
 
     @cached_property
     def kinematics_digest(self) -> str:

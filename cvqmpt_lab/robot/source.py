@@ -44,6 +44,8 @@ class RobotSource:
     locked: Mapping[str, float] = field(default_factory=dict)
     # (n,), or () for all joints [rad/s^2 or m/s^2]
     acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None
+    # (n,), or () for all joints [rad/s^3 or m/s^3]
+    jerk_limits: Annotated[FloatArray, PerJoint()] | None = None
     # folders in which ``package://`` mesh paths are looked up first
     package_dirs: tuple[str, ...] = ()
     # (4, 4), pose of the URDF's base link in the world; None: the identity
@@ -124,14 +126,15 @@ def _of_arm(given: RobotSource) -> RobotSource:
                 f"{FINGER_OPENING} m"
             )
         fingers = dict.fromkeys(arm.locked, given.finger_opening)
-    limits = given.acceleration_limits
+    kinds = ("acceleration_limits", "jerk_limits")
+    limits = {kind: getattr(given, kind) for kind in kinds}
     return replace(
         given,
         urdf=str(robots / arm.urdf),
         end_effector=given.end_effector or arm.end_effector,
         srdf=given.srdf or (arm.srdf and str(robots / arm.srdf)),
         locked={**arm.locked, **fingers, **given.locked},
-        acceleration_limits=arm.acceleration_limits if limits is None else limits,
+        **{kind: getattr(arm, kind) if limits[kind] is None else limits[kind] for kind in kinds},
     )
 
 
@@ -149,8 +152,9 @@ ARMS: Mapping[str, RobotSource] = {
         "panda_hand",
         "panda_description/srdf/panda.srdf",
         {"panda_finger_joint1": FINGER_OPENING, "panda_finger_joint2": FINGER_OPENING},
-        # [rad/s^2], data sheet
+        # [rad/s^2] and [rad/s^3], Franka Control Interface, "Robot and interface specifications"
         np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]),
+        np.array([7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0]),
     ),
     "ur3": RobotSource(f"{UR}/urdf/ur3_robot.urdf", "tool0"),
     "ur5": RobotSource(f"{UR}/urdf/ur5_robot.urdf", "tool0"),

@@ -1,16 +1,17 @@
-"""Time a path: round its corners and find the fastest motion within speed and acceleration limits.
+"""Time a path: the fastest motion within limits of speed, acceleration and jerk.
 
-A robot can pass a corner of a planner's path without stopping only if the corner is rounded. The
-curve q(s) is Schoenberg's spline: a cubic B-spline over arc length whose i-th control point is the
-polyline at the average of knots i + 1 to i + 3. It keeps straight stretches, rounds corners on the
-inside (an interpolating spline would leave the checked clearance), stays in the range of each joint
-and has continuous curvature. Its distance from a corner is about a sixth of the knot spacing times
-the change of direction, so knots are packed at corners until that distance is small enough.
-
-The motion s(t) along it has the greatest sum of squared speeds b = (ds/dt)^2 within the limits, a
-linear program:
+Along a curve q(s) with rounded corners the motion s(t) has the greatest sum of squared speeds
+b = (ds/dt)^2 within the limits of speed and acceleration, a linear program:
 
     q' = dq/ds sqrt(b),    q'' = d2q/ds2 b + dq/ds a,    a = (db/ds) / 2.
+
+Its path acceleration a jumps. Averaged over a window of T seconds,
+
+    S(t) = 1/T int_{t-T}^{t} s(u) du,    S''(t) = (s'(t) - s'(t - T)) / T,
+
+it does not, and the motion takes T longer. The window is the one with which the motion within the
+limits of jerk is shortest; where averaging leads beyond a limit, the motion is slowed down as a
+whole.
 """
 
 import warnings
@@ -19,11 +20,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sparse
-from scipy.interpolate import BSpline
+from scipy.interpolate import PPoly
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import SLOW, JointLimits
+from cvqmpt_lab.trajectory.piecewise import extremes, quintic
+from cvqmpt_lab.trajectory.smooth_curve import SmoothCurve, smooth_curve
 from cvqmpt_lab.trajectory.trajectory import Trajectory
+
+WINDOW = 0.004  # [s] the shortest over which path accelerations are averaged
 
 
 @dataclass(frozen=True)
@@ -32,16 +37,6 @@ class TimingSettings:
 
     speed: float = SLOW  # factor on velocity and acceleration limits, above 0 and at most 1
     deviation: float = 1e-3  # of the motion from the polyline at rounded corners, at most [rad]
-
-
-@dataclass(frozen=True, eq=False)
-class SmoothCurve:
-    """A twice continuously differentiable curve q(s), s about arc length [rad or m]."""
-
-    spline: BSpline  # q(s) (n,) [rad or m]
-    grid: np.ndarray  # (g,) places at which speeds are computed: knots, and points between [rad]
-    deviation: float  # largest distance measured between q(s) and the polyline at s [rad]
-    marks: np.ndarray  # (m,) of the waypoints, the last the length of the polyline [rad]
 
 
 def time_path(
@@ -70,9 +65,9 @@ def time_path(
         )
     limits = limits.scaled(settings.speed)
     reasons: Sequence[str] = ()
-    # a refused curve is drawn again, three times, each at a quarter of the deviation
-    for k in range(4):
-        curve = smooth_curve(states, settings.deviation / 4**k)
+    # a refused curve is drawn again, five times, each at half the deviation
+    for k in range(6):
+        curve = smooth_curve(states, settings.deviation / 2**k)
         motion = _trajectory(curve, squared_speeds(curve, limits), limits)
         reasons = check(motion) if check else ()
         if not reasons:
@@ -105,129 +100,95 @@ def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
     return states
 
 
-def smooth_curve(
-    states: np.ndarray,
-    deviation: float,
-    widest: float = 0.08,
-    spans: int = 20,
-    refinements: int = 40,
-    samples: int = 8,
-) -> SmoothCurve:
-    """Curve along waypoints, nowhere further than deviation from their polyline.
-
-    Args:
-        states: waypoints (m, n) [rad or m], neighbours distinct.
-        deviation: [rad].
-        widest: spacing of knots on smooth stretches [rad].
-        spans: between knots at least, however short the path.
-        refinements: how often knots are packed more densely.
-        samples: places a knot span at which the distance is measured.
-    """
-    if not (np.isfinite(deviation) and deviation > 0.0):
-        raise InvalidInputError(f"deviation {deviation}: give a distance above 0 [rad]")
-    steps = np.diff(states, axis=0)
-    lengths = np.linalg.norm(steps, axis=1)
-    marks = np.concatenate([[0.0], np.cumsum(lengths)])
-    turns = np.linalg.norm(np.diff(steps / lengths[:, None], axis=0), axis=1)
-
-    def polyline(s: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(s, marks, joint) for joint in states.T], axis=1)
-
-    spacing, aim = min(widest, marks[-1] / spans), deviation
-    for _ in range(refinements):
-        knots = _knots(marks, turns, spacing, aim, spans)
-        t = np.concatenate([np.repeat(knots[0], 3), knots, np.repeat(knots[-1], 3)])
-        spline = BSpline(t, polyline((t[1:-3] + t[2:-2] + t[3:-1]) / 3.0), 3)
-        inside = np.arange(samples) / samples * np.diff(knots)[:, None]
-        s = np.concatenate([(knots[:-1, None] + inside).ravel(), marks])
-        # at equal s: no less than the distance between the two sets
-        measured = float(np.linalg.norm(spline(s) - polyline(s), axis=1).max())
-        if measured <= deviation:
-            # points between knots: spans are cut in three, short ones at corners in four
-            steps = np.diff(knots)
-            parts = np.where(steps < 0.6 * steps.max(), 4, 3)
-            cuts = [a + np.arange(m) / m * d for a, d, m in zip(knots, steps, parts, strict=False)]
-            return SmoothCurve(spline, np.concatenate([*cuts, knots[-1:]]), measured, marks)
-        aim *= 0.9 * deviation / measured
-        spacing *= np.sqrt(0.9 * deviation / measured)
-    raise InvalidInputError(
-        f"no smooth curve within {deviation} rad of the path was found; give a larger deviation"
-    )
-
-
-def _knots(
-    marks: np.ndarray,
-    turns: np.ndarray,
-    spacing: float,
-    aim: float,
-    spans: int,
-    flat: float = 1.5,
-    growth: float = 0.5,
-) -> np.ndarray:
-    """Knots (k,) from 0 to the end, dense enough at waypoints to cut their corners by aim.
-
-    Args:
-        marks: (m,) of the waypoints [rad].
-        turns: (m - 2,) changes of direction.
-        spacing: on smooth stretches [rad].
-        aim: distance from a corner [rad].
-        spans: at least.
-        flat: finest spacings, either side of a corner, before the spacing grows.
-        growth: the spacing grows by this share of the distance from a corner.
-    """
-    at_corner = 6.0 * aim / np.maximum(turns, 1e-12)
-    sharp = at_corner < spacing
-    corners, finest = marks[1:-1][sharp], at_corner[sharp]
-    # the spacing wished for is sampled on a lattice and, as it changes fast there, at corners
-    lattice = np.linspace(0.0, marks[-1], 4 * int(np.ceil(marks[-1] / spacing)) + 1)
-    around = corners[:, None] + np.outer(finest, (-6, -4, -2.5, -flat, 0, flat, 2.5, 4, 6))
-    s = np.unique(np.clip(np.concatenate([lattice, around.ravel()]), 0.0, marks[-1]))
-    wish = np.full(len(s), spacing)
-    for corner, fine in zip(corners, finest, strict=True):
-        wish = np.minimum(wish, fine + growth * np.maximum(np.abs(s - corner) - flat * fine, 0.0))
-    density = 0.5 * (1.0 / wish[1:] + 1.0 / wish[:-1]) * np.diff(s)
-    count = np.concatenate([[0.0], np.cumsum(density)])
-    most = max(spans, int(np.ceil(count[-1])))
-    return np.interp(np.linspace(0.0, count[-1], most + 1), count, s)
-
-
 def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) -> Trajectory:
-    """States on the curve's grid, slowed down where limits are exceeded between its points."""
-    speeds, grid = np.sqrt(squared), curve.grid
-    steps = np.diff(grid)
+    """The motion averaged over the shortest window, or twice it, while that is shorter."""
+    motion, window = _averaged(curve, squared, limits, WINDOW), 2.0 * WINDOW
+    while limits.jerk is not None:
+        other = _averaged(curve, squared, limits, window)
+        if other.duration >= motion.duration:
+            break
+        motion, window = other, 2.0 * window
+    return motion
+
+
+def _averaged(
+    curve: SmoothCurve, squared: np.ndarray, limits: JointLimits, window: float
+) -> Trajectory:
+    """The motion averaged over a window [s], slowed down until it keeps the limits."""
+    average = _average(_fastest(curve.grid, squared), window)
+    # where the third derivative of the curve jumps: Newton's method from linear interpolation
+    knots = np.unique(curve.spline.t)[1:-1]
+    passed = np.interp(knots, average(average.x)[:, 0], average.x)
+    for _ in range(4):
+        passed -= (average(passed)[:, 0] - knots) / average.derivative()(passed)[:, 0]
+    moments = _apart(np.concatenate([average.x, passed]), 0.01 * window)
+    motion = _along(curve, average, moments, limits.joint_names)
+    return _along(curve, average, moments, limits.joint_names, _excess(motion, limits))
+
+
+def _fastest(grid: np.ndarray, squared: np.ndarray) -> PPoly:
+    """The place s(t) of the motion with squared speeds (g,) at places grid (g,)."""
+    speeds, steps = np.sqrt(squared), np.diff(grid)
     times = np.concatenate([[0.0], np.cumsum(2.0 * steps / (speeds[1:] + speeds[:-1]))])
-    path_acceleration = np.diff(squared) / (2.0 * steps)
-    slower = _excess(curve, squared, path_acceleration, limits)
-    first, second = curve.spline(grid, 1), curve.spline(grid, 2)
-    a = np.append(path_acceleration, path_acceleration[-1])
+    return PPoly([np.diff(squared) / (4.0 * steps), speeds[:-1], grid[:-1]], times)
+
+
+def _average(s: PPoly, window: float) -> PPoly:
+    """S(t) (1,), the mean of a place s(t) over the window [s] before t; pieces without jumps."""
+    first, last = s.x[[0, -1]]
+    still = np.array([[0.0], [0.0], [s(last)]])
+    rest = PPoly(np.hstack([0.0 * still, s.c, still]), [first - window, *s.x, last + window])
+    times = _apart(np.concatenate([s.x, s.x + window]), 0.01 * window)
+    speed, rate = ((of(times) - of(times - window)) / window for of in (rest, rest.derivative()))
+    speed[[0, -1]] = rate[[0, -1]] = 0.0
+    # summed up: a difference of integrals loses digits that the jerk of short pieces needs
+    h = np.diff(times)
+    gains = h * (speed[:-1] + speed[1:]) / 2.0 + h**2 * (rate[:-1] - rate[1:]) / 12.0
+    place = np.concatenate([[0.0], np.cumsum(gains)])
+    place *= s(last) / place[-1]
+    return quintic(times, place[:, None], speed[:, None], rate[:, None])
+
+
+def _along(
+    curve: SmoothCurve,
+    average: PPoly,
+    moments: np.ndarray,
+    joint_names: tuple[str, ...],
+    slower: float = 1.0,
+) -> Trajectory:
+    """The motion q(S(t)) at moments (k,) [s], in `slower` times its time and whole nanoseconds."""
+    times = np.round(slower * moments, 9)
+    at = np.minimum(times / slower, average.x[-1])
+    place, speed, rate = (average.derivative(order)(at) / slower**order for order in range(3))
+    speed[[0, -1]] = rate[[0, -1]] = 0.0
+    slope, bend = curve.spline(place[:, 0], 1), curve.spline(place[:, 0], 2)
     return Trajectory(
-        joint_names=limits.joint_names,
-        times=slower * times,
-        positions=curve.spline(grid),
+        joint_names=joint_names,
+        times=times,
+        positions=curve.spline(place[:, 0]),
         # + 0.0 turns -0.0 into 0.0
-        velocities=first * speeds[:, None] / slower + 0.0,
-        accelerations=(second * squared[:, None] + first * a[:, None]) / slower**2,
+        velocities=slope * speed + 0.0,
+        accelerations=bend * speed**2 + slope * rate + 0.0,
         deviation=curve.deviation,
     )
 
 
-def _excess(
-    curve: SmoothCurve,
-    squared: np.ndarray,
-    path_acceleration: np.ndarray,
-    limits: JointLimits,
-    checks: int = 5,
-) -> float:
-    """Factor on time, 1 to about 1.002, for limits between grid points, at `checks` an interval."""
-    grid = curve.grid
-    share = np.linspace(0.0, 1.0, checks)
-    s = (grid[:-1, None] + share * np.diff(grid)[:, None]).ravel()
-    b = (squared[:-1, None] + share * np.diff(squared)[:, None]).ravel()
-    a = np.repeat(path_acceleration, checks)
-    first, second = curve.spline(s, 1), curve.spline(s, 2)
-    velocity = np.abs(first) * np.sqrt(b)[:, None] / limits.velocity
-    acceleration = np.abs(second * b[:, None] + first * a[:, None]) / limits.acceleration
-    return float(max(1.0, velocity.max(), np.sqrt(acceleration.max())))
+def _apart(times: np.ndarray, least: float) -> np.ndarray:
+    """Times in order, without those less than `least` [s] after another; the last one stays."""
+    ordered = np.sort(times)
+    kept = ordered[np.append(True, np.diff(ordered) > least)]
+    kept[-1] = ordered[-1]
+    return kept
+
+
+def _excess(motion: Trajectory, limits: JointLimits, spare: float = 1e-6) -> float:
+    """Factor on time, 1 or more, with which the motion keeps the limits."""
+    slower = 1.0
+    for order, limit in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
+        if limit is not None:
+            most = float((np.abs(extremes(motion.curve, order)[1]) / limit).max())
+            slower = max(slower, (1.0 + spare) * most ** (1.0 / order))
+    return slower
 
 
 def squared_speeds(

@@ -5,9 +5,8 @@ trajectory, whose columns are ``JOINT_position``, ``JOINT_velocity`` and perhaps
 ``JOINT_acceleration``. A json file holds a list of states, an object with ``joint_names`` and
 ``states`` (or ``path``, as ``cvqmpt plan --json`` prints), or ROS's `JointTrajectory`.
 
-Files are written without accelerations: a controller then follows the cubics through positions and
-velocities, which are certified. With accelerations, which jump between pieces, ROS's would follow
-quintics that exceed them by up to 75 %.
+Files are written with accelerations, which do not jump: a controller follows the quintics through
+positions, velocities and accelerations, which are certified.
 """
 
 from __future__ import annotations
@@ -33,11 +32,11 @@ from cvqmpt_lab.errors import (
     whole_number,
 )
 from cvqmpt_lab.files import json_object, read_text, write_text
+from cvqmpt_lab.trajectory.piecewise import quintic
 from cvqmpt_lab.values import numbers
 
 if TYPE_CHECKING:
-    # half a second to import
-    from scipy.interpolate import CubicHermiteSpline
+    from scipy.interpolate import PPoly  # half a second to import
 
 KINDS = ("position", "velocity", "acceleration")  # of columns in a csv
 # what `float` reads beside these (1_0, digits of other scripts) was not meant as a number
@@ -60,7 +59,7 @@ class Trajectory:
     times: np.ndarray  # (k,) from 0, increasing [s]
     positions: np.ndarray  # (k, n) [rad]
     velocities: np.ndarray  # (k, n) [rad/s]
-    accelerations: np.ndarray  # (k, n) [rad/s^2]; where one jumps, the value after the jump
+    accelerations: np.ndarray  # (k, n) [rad/s^2]
     deviation: float = 0.0  # largest distance from the path that was timed [rad]
 
     def __repr__(self) -> str:
@@ -77,17 +76,16 @@ class Trajectory:
     def at(self, t: float | np.ndarray) -> JointState:
         """State at a time or at times (k,) [s]; at rest before the start and after the end.
 
-        Between two points q(t) is the cubic through both positions and velocities.
+        Between two points q(t) is the quintic through their positions, velocities and
+        accelerations.
         """
         moment = np.asarray(t, dtype=float)
         if not np.isfinite(moment).all():
             raise InvalidInputError(f"time {t}: give finite seconds from 0 to {self.duration:.3f}")
         inside = np.clip(moment, 0.0, self.duration)
         moving = (moment == inside).astype(float)[..., None]
-        position, velocity, acceleration = self._motion
-        return JointState(
-            position(inside), moving * velocity(inside), moving * acceleration(inside)
-        )
+        velocity, acceleration = (self.curve.derivative(order)(inside) for order in (1, 2))
+        return JointState(self.curve(inside), moving * velocity, moving * acceleration)
 
     def sampled(self, period: float) -> Trajectory:
         """The same motion at even times, at most period [s] apart, ends included."""
@@ -97,12 +95,9 @@ class Trajectory:
         return Trajectory(self.joint_names, times, *self.at(times), self.deviation)
 
     @cached_property
-    def _motion(self) -> tuple[CubicHermiteSpline, CubicHermiteSpline, CubicHermiteSpline]:
-        """Cubic pieces as a robot's controller interpolates, and their two derivatives."""
-        from scipy.interpolate import CubicHermiteSpline
-
-        spline = CubicHermiteSpline(self.times, self.positions, self.velocities)
-        return spline, spline.derivative(1), spline.derivative(2)
+    def curve(self) -> PPoly:
+        """q(t) (n,): the quintic between any two points, as a robot's controller interpolates."""
+        return quintic(self.times, self.positions, self.velocities, self.accelerations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +141,10 @@ def file_type(path: Path | str) -> str:
 
 
 def as_csv(trajectory: Trajectory) -> str:
-    """Header, then a line a time: time [s], then all positions, then all velocities."""
-    columns = [f"{name}_{kind}" for kind in KINDS[:2] for name in trajectory.joint_names]
-    table = np.column_stack([trajectory.times, trajectory.positions, trajectory.velocities])
+    """Header, then a line a time: time [s], all positions, all velocities, all accelerations."""
+    columns = [f"{name}_{kind}" for kind in KINDS for name in trajectory.joint_names]
+    state = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
+    table = np.column_stack([trajectory.times, *state])
     lines = [",".join(map(repr, row)) for row in table.tolist()]
     return "\n".join([",".join(["time", *columns]), *lines]) + "\n"
 
@@ -156,13 +152,14 @@ def as_csv(trajectory: Trajectory) -> str:
 def as_ros_json(trajectory: Trajectory) -> str:
     """The fields of `trajectory_msgs/JointTrajectory`."""
     points = []
-    for t, q, v in zip(trajectory.times, trajectory.positions, trajectory.velocities, strict=True):
+    state = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
+    for t, q, v, a in zip(trajectory.times, *state, strict=True):
         sec, nanosec = divmod(round(1e9 * t), 1_000_000_000)
         points.append(
             {
                 "positions": q.tolist(),
                 "velocities": v.tolist(),
-                "accelerations": [],
+                "accelerations": a.tolist(),
                 "effort": [],
                 "time_from_start": {"sec": sec, "nanosec": nanosec},
             }

@@ -216,7 +216,8 @@ def test_a_trajectory_that_swings_out_between_its_points_is_refused(judged, traj
 
 
 @pytest.mark.parametrize(
-    ("acceleration", "code", "curve"), [(None, 0, "cubic"), (0.0, 0, "cubic"), (6.02, 1, "quintic")]
+    ("acceleration", "code", "curve"),
+    [(None, 0, "cubic"), (0.0, 0, "quintic"), (6.02, 1, "quintic")],
 )
 def test_accelerations_that_are_not_the_cubics_are_judged_as_quintics(
     judged, panda, acceleration, code, curve

@@ -231,7 +231,12 @@ def test_g_is_that_of_what_is_sampled(problem):
 def test_every_way_to_fail_has_its_reason():
     """A planner status or certificate fault without a reason would fail a run at its end."""
     statuses = {FailReason(status) for status in PlanStatus if status is not PlanStatus.SOLVED}
-    of_trajectories = {FaultKind.VELOCITY, FaultKind.ACCELERATION, FaultKind.CURRENT}
+    of_trajectories = {
+        FaultKind.VELOCITY,
+        FaultKind.ACCELERATION,
+        FaultKind.JERK,
+        FaultKind.CURRENT,
+    }
     faults = {FailReason(f"uncertified_{kind}") for kind in set(FaultKind) - of_trajectories}
     phases = {FailReason.NO_START, FailReason.NOT_TIMED, FailReason.NOT_REACHED}
     lost = {FailReason.WORKER_DIED, FailReason.WORKER_HUNG, FailReason.OUT_OF_MEMORY}

@@ -12,6 +12,7 @@ from properties.test_differential import tuning_problems
 from refusals import refused
 
 from cli.main import main
+from cvqmpt_lab.certificate import FaultKind
 from cvqmpt_lab.motion_check import certified_motion, dry_run
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
@@ -19,8 +20,9 @@ from cvqmpt_lab.robot.load import load_robot, panda, robot_from_source
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath
+from cvqmpt_lab.trajectory.piecewise import extremes
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
-from cvqmpt_lab.trajectory.trajectory import Motion
+from cvqmpt_lab.trajectory.trajectory import Motion, read_motion, save_trajectory
 
 FULL = TimingSettings(speed=1.0)
 TWO_JOINTS = JointLimits(("first", "second"), np.array([2.0, 1.0]), np.array([4.0, 5.0]))
@@ -91,11 +93,39 @@ def test_the_motion_of_a_solution_is_certified_as_its_file_is(solutions):
     refused("the path does not move", certified_motion, found.problem, still, FULL)
 
 
+def test_the_motion_keeps_all_limits_everywhere(paths, limits):
+    for states in paths:
+        motion, free = (time_path(states, of, FULL) for of in (limits, replace(limits, jerk=None)))
+        kinds = (limits.velocity, limits.acceleration, limits.jerk)
+        most = [(np.abs(extremes(motion.curve, k)[1]) / of).max() for k, of in enumerate(kinds, 1)]
+        assert max(most) <= 1.0 + 1e-4 and max(most) > 0.99
+        assert free.duration <= motion.duration <= 1.03 * free.duration
+        at_1_khz = motion.at(np.arange(0.0, motion.duration, 1e-3)).accelerations
+        assert (np.abs(np.diff(at_1_khz, axis=0)) / 1e-3 <= (1.0 + 1e-4) * limits.jerk).all()
+
+
+def test_jerk_limits_shape_the_motion_and_are_judged(solutions, tmp_path):
+    """Softer limits take longer; a file in less time than its own exceeds them."""
+    problem, path = solutions[0].problem, solutions[0].simplified.path
+    limits = problem.robot.joint_limits
+    soft = time_path(path.states, replace(limits, jerk=0.1 * limits.jerk), FULL)
+    motion = certified_motion(problem, path, FULL)
+    assert 1.02 * motion.duration < soft.duration < 2.0 * motion.duration
+    save_trajectory(motion, tmp_path / "motion.json")
+    written = read_motion(tmp_path / "motion.json")
+    assert dry_run(problem, written).certificate.valid
+    rates = [rate * 1.02 for rate in (written.velocities, 1.02 * written.accelerations)]
+    faster = Motion(written.joint_names, written.positions, written.times / 1.02, *rates)
+    kinds = {fault.kind for fault in dry_run(problem, faster).certificate.faults}
+    assert FaultKind.JERK in kinds <= {FaultKind.VELOCITY, FaultKind.ACCELERATION, FaultKind.JERK}
+
+
 def test_another_arm_has_its_urdfs_velocities_and_is_given_accelerations(slider_arm_urdf):
     silent = load_robot(slider_arm_urdf, "tool")
     refused(r"no acceleration limits.*--acceleration", lambda: silent.joint_limits)
     given = load_robot(slider_arm_urdf, "tool", acceleration_limits=[1.0, 2.0, 3.0, 4.0])
     assert given.joint_limits.velocity.tolist() == [1.0] * 4
+    assert given.joint_limits.jerk is None
     written = robot_from_source(json.loads(json.dumps(given.source)))
     for again in (written, pickle.loads(pickle.dumps(given))):
         assert again.joint_limits.acceleration.tolist() == [1.0, 2.0, 3.0, 4.0]
@@ -113,6 +143,7 @@ def test_bad_limits_are_named(slider_arm_urdf, tmp_path):
         ("fast", r"'fast'; it must be a number, or one a joint"),
     ):
         refused(words, load_robot, slider_arm_urdf, "tool", acceleration_limits=values)
+    refused("jerk limit 0.0 of joint 'rail'", load_robot, slider_arm_urdf, "tool", jerk_limits=0)
     still = tmp_path / "still.urdf"
     still.write_text(slider_arm_urdf.read_text().replace('velocity="1"', 'velocity="0"', 1))
     arm = load_robot(still, "tool", acceleration_limits=1.0)
@@ -177,7 +208,8 @@ def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, sl
     words = f"--problem-file {file} --urdf {slider_arm_urdf} --end-effector tool".split()
     words += ["--trajectory", str(out)]
     assert "--acceleration" in command_refused(capsys, "plan", *words) and not out.exists()
-    text = planned(capsys, *words, "--acceleration", "1,2,2,3", "--speed", "1")
+    softly = ("--acceleration", "1,2,2,3", "--jerk", "20")
+    text = planned(capsys, *words, *softly, "--speed", "1")
     assert out.read_text().startswith("time,rail_position,lift_position,")
     # 1 rad at 1 rad/s, from rest to rest
     assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0
