@@ -31,7 +31,6 @@ STOPPED, ADVANCED, REACHED = range(3)
 # OMPL's lambda: how much longer a projected step may be than planned, a motion than straight
 DEVIATION = 2.0
 GAP = 1.5  # midpoints stop when straight pieces are this many steps long: below DEVIATION
-MOST_HALVINGS = 8
 NEAR_HALF_TURN = 2.8  # [rad] the angle cannot pass pi within one segment from below this
 KINK = 1.25e-3  # [rad] between states checked near that angle, where F may rise to a point anywhere
 SLIVER = 5e-5  # [m] motions are not checked more finely than this
@@ -327,6 +326,7 @@ def refine_and_check(
         Number of states in out, and the first segment that cannot be refined or is not free, or -1.
     """
     count, n = states.shape
+    most_halvings = 8  # of a segment
     for j in range(n):
         out[0, j] = states[0, j]
     written, i = 1, 1
@@ -342,7 +342,7 @@ def refine_and_check(
             for j in range(n):
                 out[written, j] = 0.5 * (out[written - 1, j] + out[written, j])
             halvings += 1
-            if halvings > MOST_HALVINGS or not project_state(space, out[written]):
+            if halvings > most_halvings or not project_state(space, out[written]):
                 return written, i - 1
         if not motion_free(space, out[written - 1], out[written]):
             return written, i - 1

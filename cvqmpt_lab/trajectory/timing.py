@@ -28,8 +28,6 @@ from cvqmpt_lab.trajectory.piecewise import extremes, quintic
 from cvqmpt_lab.trajectory.smooth_curve import SmoothCurve, smooth_curve
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
-WINDOW = 0.004  # [s] the shortest over which path accelerations are averaged
-
 
 @dataclass(frozen=True)
 class TimingSettings:
@@ -100,14 +98,17 @@ def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
     return states
 
 
-def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) -> Trajectory:
-    """The motion averaged over the shortest window, or twice it, while that is shorter."""
-    motion, window = _averaged(curve, squared, limits, WINDOW), 2.0 * WINDOW
+def _trajectory(
+    curve: SmoothCurve, squared: np.ndarray, limits: JointLimits, window: float = 0.004
+) -> Trajectory:
+    """The motion averaged over a window [s], or twice it, and so on while that is shorter."""
+    motion = _averaged(curve, squared, limits, window)
     while limits.jerk is not None:
+        window *= 2.0
         other = _averaged(curve, squared, limits, window)
         if other.duration >= motion.duration:
             break
-        motion, window = other, 2.0 * window
+        motion = other
     return motion
 
 
