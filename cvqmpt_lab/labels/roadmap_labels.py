@@ -18,7 +18,6 @@ from cvqmpt_lab.labels.generation import (
     near_obstacles,
     unconstrained_space,
 )
-from cvqmpt_lab.labels.grasps import grasps_among
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -36,7 +35,6 @@ from cvqmpt_lab.vqmpt.learned_sampler import dictionary_roadmap
 
 # configurations drawn in each scene; shortest paths lead from starts to goals
 STARTS, GOALS = 16, 48
-CONFINED = 32  # configurations of each scene that are linked beside these, at most
 # limit of state checks per edge, on average over a scene's edges: scenes that need more have a
 # wall millimetres from the base
 CHECKS = 60
@@ -51,8 +49,6 @@ class RoadmapRecipe(SceneRecipe):
 
     labels: str = field(default="roadmap", init=False)
     model: str = "vq_mpt"  # name or folder of the dictionary's weights
-    # share of goals, and of the configurations linked beside starts and goals, that are grasps
-    grasps: float = 0.4
 
     def check(self) -> None:
         """Raise the errors of `roadmap_graph` before anything is written."""
@@ -68,8 +64,7 @@ class RoadmapRecipe(SceneRecipe):
     def labelled(self, robot: Robot, scene: Scene, index: int) -> dict[str, np.ndarray] | None:
         """The arrays of `roadmap_labels` for the scene of this index."""
         graph = roadmap_graph(self.model, robot)
-        seed = (self.seed, index)
-        return roadmap_labels(robot, scene, graph, self.paths_per_scene, seed, self.grasps)
+        return roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
 
 
 @lru_cache(maxsize=1)
@@ -170,19 +165,14 @@ def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
 
 
 def roadmap_labels(
-    robot: Robot,
-    scene: Scene,
-    graph: RoadmapGraph,
-    pairs: int,
-    seed: Sequence[int],
-    grasps: float = 0.0,
+    robot: Robot, scene: Scene, graph: RoadmapGraph, pairs: int, seed: Sequence[int]
 ) -> dict[str, np.ndarray] | None:
     """Check all nodes and edges of a roadmap in a scene, and find shortest paths through it.
 
-    Paths lead from random starts to goals, which are `grasps_among` obstacles or random; half of
-    the random ones have the hand near an obstacle. Pairs of start and goal whose straight motion is
-    free are left out. A link joins a configuration to one of its `LINKS` nearest nodes. Starts,
-    goals and configurations among obstacles are linked.
+    Paths lead from random starts to random goals; half of these have the hand near an obstacle.
+    Pairs of start and goal whose straight motion is free are left out. A link joins a configuration
+    to one of its `LINKS` nearest nodes. Starts, goals and configurations among obstacles are
+    linked.
 
     Args:
         robot: the arm.
@@ -190,8 +180,6 @@ def roadmap_labels(
         graph: the roadmap.
         pairs: number of pairs of start and goal, at most.
         seed: of all random draws.
-        grasps: share of goals and of configurations among obstacles that are grasps, if as many are
-            found; others take the place of those that are not.
 
     Returns:
         Arrays of `training.shards.LABEL_ARRAYS` of this scene alone, or None if it needs too many
@@ -203,12 +191,9 @@ def roadmap_labels(
     if checked is None:
         return None
     node_free, edge_free = checked
-    ends, confined = _ends(space, rng), _confined(space, np.random.default_rng((*seed, 1)))
-    for_goals, for_links = round(grasps * GOALS), round(grasps * CONFINED)
-    grasped = grasps_among(space, np.random.default_rng((*seed, 2)), for_goals + for_links)
-    ends = np.concatenate([ends[:STARTS], grasped[:for_goals], ends[STARTS:]])[: STARTS + GOALS]
+    ends = _ends(space, rng)
     starts, goals = ends[:STARTS], ends[STARTS:]
-    linked_ends = np.concatenate([ends, np.concatenate([grasped[for_goals:], confined])[:CONFINED]])
+    linked_ends = np.concatenate([ends, _confined(space, np.random.default_rng((*seed, 1)))])
     # squared distances: |end|^2 + |node|^2 - 2 <end, node>
     norms = (linked_ends**2).sum(1)[:, None] + (graph.nodes**2).sum(1)
     squares = norms - 2.0 * linked_ends @ graph.nodes.T
@@ -259,8 +244,10 @@ def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
     return rng.permutation(ends)
 
 
-def _confined(space: ConstrainedSpace, rng: np.random.Generator, around: int = 12) -> np.ndarray:
-    """Free configurations among obstacles (k, n), k at most CONFINED.
+def _confined(
+    space: ConstrainedSpace, rng: np.random.Generator, most: int = 32, around: int = 12
+) -> np.ndarray:
+    """Free configurations among obstacles (k, n), k at most `most`.
 
     They have the hand near an obstacle, and the most collisions among `around` neighbours, which
     are drawn from a Gaussian with a standard deviation of 0.25 rad.
@@ -272,7 +259,7 @@ def _confined(space: ConstrainedSpace, rng: np.random.Generator, around: int = 1
     offsets = rng.standard_normal((len(candidates), around, robot.dof))
     others = np.clip(candidates[:, None] + 0.25 * offsets, robot.lower, robot.upper)
     free = space.valid_batch(others.reshape(-1, robot.dof)).reshape(len(candidates), around)
-    return candidates[np.argsort(free.sum(axis=1), kind="stable")[:CONFINED]]
+    return candidates[np.argsort(free.sum(axis=1), kind="stable")[:most]]
 
 
 def _shortest_paths(

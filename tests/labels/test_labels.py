@@ -13,19 +13,12 @@ from refusals import refused
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.labels import generation
-from cvqmpt_lab.labels.generation import (
-    SceneRecipe,
-    generate,
-    near_obstacles,
-    unconstrained_space,
-)
-from cvqmpt_lab.labels.grasps import grasps_among
+from cvqmpt_lab.labels.generation import SceneRecipe, generate
 from cvqmpt_lab.labels.path_labels import PathRecipe
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
-from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.anytime import NearShortestSettings
 from cvqmpt_lab.training.dataset import open_dataset, open_labels
 from cvqmpt_lab.training.shards import (
@@ -113,30 +106,6 @@ def test_a_folder_that_another_run_writes_or_of_another_recipe_is_refused(tiny):
         refused("in use by another run", make, tiny)
     for change in ({"paths_per_scene": 3}, {"robot": {"name": "ur5"}}):
         refused("another recipe", make, tiny, replace(TINY, **change))
-
-
-def test_labels_with_another_share_of_grasps_are_of_another_recipe(labelled):
-    refused("another recipe", make, labelled, replace(FEW, grasps=0.0))
-
-
-def test_grasps_are_free_with_an_upright_hand_among_obstacles_and_depend_on_the_seed():
-    robot, scene = panda(), family_scene("shelves", 9_000_000)
-    space = unconstrained_space(robot, scene)
-    found = grasps_among(space, np.random.default_rng(0), 24)
-    assert len(found) == 24
-    np.testing.assert_array_equal(found, grasps_among(space, np.random.default_rng(0), 24))
-    assert not (found == grasps_among(space, np.random.default_rng(1), 24)).any()
-    assert not CollisionChecker(robot, scene).in_collision_batch(found).any()
-    assert near_obstacles(space, found, near_hand=0.35).all()
-    np.testing.assert_allclose(robot.poses(found)[:, 2, :3], [[1.0, 0.0, 0.0]] * 24, atol=1e-5)
-
-
-def test_an_arm_that_reaches_few_grasps_gives_few(slider_arm):
-    space = unconstrained_space(slider_arm, family_scene("table", 9_000_000))
-    found = grasps_among(space, np.random.default_rng(0), 24)
-    assert found.shape[1] == slider_arm.dof and len(found) < 24
-    nothing = unconstrained_space(slider_arm, Scene("nothing", ()))
-    assert len(grasps_among(nothing, np.random.default_rng(0), 24)) == 0
 
 
 def test_link_positions_of_a_robot_with_a_slider_are_those_of_its_kinematics(slider_arm):
@@ -229,15 +198,6 @@ def test_paths_walk_free_edges_and_cost_what_they_say(scene, graph):
         states = np.concatenate([[start], graph.nodes[codes], [goal]])
         length = np.linalg.norm(np.diff(states, axis=0), axis=1).sum()
         assert length == pytest.approx(arrays["cost"][row], rel=1e-3)
-
-
-def test_some_goals_and_linked_configurations_are_grasps(scene):
-    number, _, arrays = scene
-    goals = configurations(arrays["ends"][arrays["path_scene"] == number][:, 1])
-    ends = configurations(arrays["link_end"][slice(*arrays["link_start"][number : number + 2])])
-    for found in (goals, ends):
-        upright = panda().poses(found)[:, 2, 0] > 0.999
-        assert 0.05 < upright.mean() < 0.6
 
 
 def test_motions_of_all_shards_are_read(labelled):
