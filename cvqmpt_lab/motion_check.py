@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from cvqmpt_lab.trajectory.timing import TimingSettings
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
-# Share by which limits may be exceeded: the cubics of `time_path` do so by up to 4 %.
-OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.05, FaultKind.JERK: 0.01}
+# Share by which limits may be exceeded: the cubics through points of `time_path` do so by 0.5 %.
+OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.01, FaultKind.JERK: 0.01}
 SHARES = np.linspace(0.0, 1.0, 33)  # of a piece, where its rates are computed
 
 
