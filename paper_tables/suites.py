@@ -30,6 +30,7 @@ SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 UNIFORM_ROADMAPS = ("roadmap-uniform-0", "roadmap-uniform-1", "roadmap-uniform-2")
 # what nothing learned gives `cvq-tuned`, and its bound
 LINES = "cvq:nearest-lines+along+free-draws+reach=1"
+EVERY_WAYPOINT = "cvq:transformer+decoded+every-waypoint"  # `cvq-mpt` with all goals at once
 SOLVED = "cvq:solved+along+free-draws+reach=1+std=0.4"
 CONTROLLED = (
     *("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"),
@@ -172,7 +173,7 @@ SUITES: Mapping[str, Suite] = {
     ),
     "unconstrained": Suite(
         title="Kitchen and held-out families without a constraint",
-        planners=("birrt", "birrt-printed", "cvq-mpt", "cvq-tuned"),
+        planners=("birrt", "birrt-printed", "cvq-mpt", EVERY_WAYPOINT, "cvq-tuned"),
         amounts=(
             Amount(seeds=2, cutoff=3.0),
             Amount(profile="small", problems=8, cutoff=2.0),
