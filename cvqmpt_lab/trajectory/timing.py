@@ -98,10 +98,12 @@ def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
     return states
 
 
-def _trajectory(
-    curve: SmoothCurve, squared: np.ndarray, limits: JointLimits, window: float = 0.004
-) -> Trajectory:
-    """The motion averaged over a window [s], or twice it, and so on while that is shorter."""
+def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) -> Trajectory:
+    """The motion averaged over 4 ms, or twice that, and so on while it is shorter.
+
+    Over 1 ms without jerk limits: accelerations are continuous all the same.
+    """
+    window = 0.001 if limits.jerk is None else 0.004
     motion = _averaged(curve, squared, limits, window)
     while limits.jerk is not None:
         window *= 2.0
