@@ -101,9 +101,9 @@ def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
 def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) -> Trajectory:
     """The motion averaged over 4 ms, or twice that, and so on while it is shorter.
 
-    Over 1 ms without jerk limits: accelerations are continuous all the same.
+    Over 0.25 ms without jerk limits: accelerations are continuous all the same.
     """
-    window = 0.001 if limits.jerk is None else 0.004
+    window = 0.00025 if limits.jerk is None else 0.004
     motion = _averaged(curve, squared, limits, window)
     while limits.jerk is not None:
         window *= 2.0
