@@ -117,6 +117,9 @@ Length = Annotated[
     float,
     Condition(float, lambda x: 0.0 < x <= LARGEST, f"a positive length, up to {LARGEST:g} [m]"),
 ]
+Mass = Annotated[
+    float, Condition(float, lambda x: 0.0 < x <= 1e3, "a mass above 0, up to 1000 [kg]")
+]
 Padding = Annotated[
     float,
     Condition(

@@ -123,7 +123,8 @@ def _carried(scene: Scene, name: str, T: np.ndarray, trim: float = 0.02) -> Atta
     if isinstance(shape, Box):
         thin, wide, high = shape.size
         shape = Box((thin, wide - 2 * trim, high - 2 * trim))
-    return Attachment(name.rpartition("/")[2], shape, np.linalg.inv(T) @ item.T_world_object)
+    T_hand_object = np.linalg.inv(T) @ item.T_world_object
+    return Attachment(name.rpartition("/")[2], shape, T_hand_object, item.mass)
 
 
 NAMES = (*KINDS, "door")

@@ -35,7 +35,8 @@ def world() -> Scene:
     return kitchen().with_objects(
         CRACKER_BOX.at_com("cracker_box", (0.600, -0.623, 0.287), -np.pi / 4),
         MUSTARD_BOTTLE.at_com("mustard_bottle", (0.550, -0.303, 0.262)),
-        SceneObject(CAN_NAME, CAN.shape, pose(centre)),  # its axis through its centre of mass
+        # its axis through its centre of mass
+        SceneObject(CAN_NAME, CAN.shape, pose(centre), mass=CAN.mass),
     )
 
 

@@ -57,9 +57,8 @@ def carried_can() -> Attachment:
     """The can in the hand, at the grasp of `grasp_region`."""
     # Yaw is about the centre of mass, 2 mm off the cylinder's axis: the axis is taken instead.
     above = pose((0.0, 0.0, CAN.shape_centre[2] - CAN.com[2]))
-    return Attachment(
-        "carried_can", CAN.shape, np.linalg.inv(grasp_region(np.zeros(3)).Tw_e) @ above
-    )
+    T_hand_object = np.linalg.inv(grasp_region(np.zeros(3)).Tw_e) @ above
+    return Attachment("carried_can", CAN.shape, T_hand_object, CAN.mass)
 
 
 @lru_cache(maxsize=1)

@@ -18,7 +18,7 @@ from cvqmpt_lab.codec import Checked, from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown, unique
 from cvqmpt_lab.poses import Pose, pose
 from cvqmpt_lab.scene.shapes import OccupancyMap, Shape
-from cvqmpt_lab.values import FloatArray, Name
+from cvqmpt_lab.values import FloatArray, Mass, Name
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +29,7 @@ class SceneObject(Checked):
     shape: Shape  # the geometry, in the object frame
     T_world_object: Pose  # (4, 4), pose of the object frame in the world
     obstacle: bool = True  # False: cameras see it, planners ignore it (the floor)
+    mass: Mass | None = None  # [kg], counts once a hand carries it; None: not known, taken as 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +208,7 @@ class Attachment(Checked):
     name: Name  # unique among what the hand carries
     shape: Shape  # the geometry, in the object frame
     T_hand_object: Pose  # (4, 4), pose of the shape in the end-effector frame [m]
+    mass: Mass | None = None  # [kg], for timing and execution; None: not known, taken as 0
 
     def _check(self) -> None:
         if isinstance(self.shape, OccupancyMap):
