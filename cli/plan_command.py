@@ -42,7 +42,7 @@ from cvqmpt_lab.pipeline import Solution, solve
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.robot.robot import SLOW
+from cvqmpt_lab.robot.robot import SLOW, Robot
 from cvqmpt_lab.solution_report import solution_data, solution_lines
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import compile_kernels, warm_up
@@ -183,6 +183,7 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
     return (
         f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "
         f"{motion.deviation:.1e} rad off the path, certified; written to {args.trajectory}"
+        f"{_not_limited(solution.problem.robot)}"
     )
 
 
@@ -208,7 +209,20 @@ def _write_trajectories(args: argparse.Namespace, solution: "TaskSolution") -> s
     text = json.dumps({"task": solution.task.name, "speed": args.speed, "steps": steps}, indent=1)
     write_text(index, text + "\n")
     files = sum("file" in step for step in steps)
-    return f"trajectory  {files} files and {len(steps) - files} gripper events, in order in {index}"
+    events = f"{len(steps) - files} gripper events"
+    unlimited = _not_limited(robot_from_source(solution.task.robot))
+    return f"trajectory  {files} files and {events}, in order in {index}{unlimited}"
+
+
+def _not_limited(robot: Robot) -> str:
+    """A line for the limits that timing does not know, or nothing."""
+    from cvqmpt_lab.robot.dynamics import without_effort_limit
+
+    missing = [without_effort_limit(robot)]
+    if "jerk" not in robot.limits:
+        missing.append("jerk not limited: give --jerk")
+    said = "; ".join(filter(None, missing))
+    return f"\n            {said}" if said else ""
 
 
 def _savable(name: str) -> Path:

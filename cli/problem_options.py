@@ -84,6 +84,11 @@ ROBOT_DETAILS: Options = {  # what may be said of a robot, whichever way it is n
         type=partial(_limits, "--jerk"),
         metavar="J[,J...]",
     ),
+    "--effort": option(
+        "effort limits, likewise [Nm or N] (those of the URDF where they are plausible)",
+        type=partial(_limits, "--effort"),
+        metavar="E[,E...]",
+    ),
 }
 ROBOT: Options = {
     "--robot": option(
@@ -135,8 +140,7 @@ def robot_source(
         return {"urdf": str(args.urdf.absolute()), **options}
     if options and problem_file is None:
         raise InvalidInputError(
-            "--end-effector, --srdf, --package-dir, --lock, --base, --acceleration and --jerk "
-            "describe the robot of --robot or --urdf; give it"
+            f"{', '.join(ROBOT_DETAILS)} describe the robot of --robot or --urdf; give it"
         )
     if not options or problem_file is None:
         return None
@@ -161,6 +165,7 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
         "base": args.base,
         "acceleration_limits": args.acceleration,
         "jerk_limits": args.jerk,
+        "effort_limits": args.effort,
     }
     return {name: value for name, value in given.items() if value not in (None, [], {})}
 

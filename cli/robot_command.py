@@ -12,6 +12,7 @@ import numpy as np
 from cli.options import FLAG, Options, option, writable_file
 from cli.problem_options import ROBOT_DETAILS, robot_options
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.robot.dynamics import without_effort_limit
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.self_collision import OVERLAP
@@ -72,6 +73,7 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
                 "lower": float(robot.lower[j]),
                 "upper": float(robot.upper[j]),
                 "velocity": float(velocity[j]) if np.isfinite(velocity[j]) else None,
+                **{kind: float(x[j]) for kind, x in robot.limits.items() if np.isfinite(x[j])},
             }
             for j, name in enumerate(robot.joint_names)
         ],
@@ -123,8 +125,10 @@ def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[st
             yield f"             {pair.first} and {pair.second} {pair.reason}: not checked"
     free = 100.0 * said["share_free_of_self_collision"]
     yield f"free         {free:.0f} % of random configurations do not collide with themselves"
-    if robot.acceleration_limits is None:
+    if "acceleration" not in robot.limits:
         yield "timing       no acceleration limits: --trajectory needs --acceleration"
+    if unlimited := without_effort_limit(robot):
+        yield f"timing       {unlimited}"
 
 
 def _few(names: list[str], most: int = 8) -> str:

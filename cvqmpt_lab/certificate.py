@@ -44,6 +44,8 @@ class FaultKind(StrEnum):
     VELOCITY = "velocity"
     ACCELERATION = "acceleration"
     JERK = "jerk"
+    EFFORT = "effort"
+    TORQUE_RATE = "torque_rate"
     CURRENT = "current"
 
 

@@ -19,7 +19,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.trajectory.piecewise import extremes
+from cvqmpt_lab.trajectory.piecewise import bounds, extremes
 from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory
 
 if TYPE_CHECKING:
@@ -29,7 +29,13 @@ if TYPE_CHECKING:
 
 FLAT = 1e-6  # [rad or m] that a joint's cubic may leave the straight pieces it is certified by
 # Share by which limits may be exceeded: the cubics through points of `time_path` do so by 0.5 %.
-OVERSHOOT = {FaultKind.VELOCITY: 1e-3, FaultKind.ACCELERATION: 0.01, FaultKind.JERK: 0.01}
+OVERSHOOT = {
+    FaultKind.VELOCITY: 1e-3,
+    FaultKind.ACCELERATION: 0.01,
+    FaultKind.JERK: 0.01,
+    FaultKind.EFFORT: 0.01,
+    FaultKind.TORQUE_RATE: 0.01,
+}
 SHARES = np.linspace(0.0, 1.0, 33)  # of a piece, where its rates are computed
 
 
@@ -66,9 +72,9 @@ def certified_motion(
     def faults(motion: Trajectory) -> Sequence[str]:
         states = (motion.positions, motion.times, motion.velocities, motion.accelerations)
         moving = Motion(motion.joint_names, *states)
-        return dry_run(problem, moving).certificate.reasons
+        return dry_run(problem, moving, clearance=False).certificate.reasons
 
-    return time_path(states, problem.robot.joint_limits, settings, faults)
+    return time_path(states, problem.robot.joint_limits, settings, faults, problem.dynamics)
 
 
 def dry_run(
@@ -76,6 +82,7 @@ def dry_run(
     motion: Motion,
     current: np.ndarray | None = None,
     tolerance: float = 0.01,
+    clearance: bool = True,
 ) -> DryRun:
     """Check a path or trajectory before it is sent to an arm.
 
@@ -84,6 +91,7 @@ def dry_run(
         motion: the path or trajectory.
         current: (n,), where the arm stands [rad or m]; None: it is not checked.
         tolerance: between `current` and where the motion begins [rad or m].
+        clearance: whether the least distances are found and proven.
 
     Raises InvalidInputError: joints of another robot, no velocities, times that do not increase.
     """
@@ -96,32 +104,36 @@ def dry_run(
         else []
     )
     if motion.times is None or not usable:
-        certificate = certify(problem, JointPath(states))
+        certificate = certify(problem, JointPath(states), clearance=clearance)
         return DryRun(replace(certificate, faults=(*faults, *certificate.faults)), states)
     # [m] a hinge moves points by at most the diameter times dq, a slider by dq
     apart = max(2.0 * reach_with(robot, problem.attachments), 1.0) * robot.dof * FLAT
-    runs = []
-    for name, curve in _curves(motion).items():
-        times = _moments(curve, robot.joint_limits)
-        states = curve(times)
+    curves, gap = _curves(motion)
+    together = gap <= 0.5 * FLAT
+    runs: list[DryRun] = []
+    for name, curve in curves.items():
+        if not (runs and together):  # else what was certified is within FLAT of this one too
+            times = _moments(curve, robot.joint_limits, FLAT - gap * together)
+            states = curve(times)
+            checker = problem.collision_checker(apart)
+            certificate = certify(problem, JointPath(states), checker, clearance)
         # a quintic has the stated accelerations at its points already
         stated = motion.accelerations if name == "cubic" else None
-        certificate = certify(problem, JointPath(states), problem.collision_checker(apart))
         every = (
             *_limit_faults(curve, stated, robot.joint_limits, times),
+            *_effort_faults(problem, curve, times),
             *_rest_faults(curve, robot.joint_limits, times),
             *faults,
             *certificate.faults,
         )
-        certificate = replace(certificate, faults=every)
-        runs.append(DryRun(certificate, states, times, apart, name))
-        if certificate.faults:
+        runs.append(DryRun(replace(certificate, faults=every), states, times, apart, name))
+        if every:
             return runs[-1]
     return min(runs, key=lambda run: (run.certificate.valid, run.certificate.min_clearance_m))
 
 
-def _curves(motion: Motion) -> dict[str, PPoly]:
-    """The cubic q(t) (n,), and the quintic through stated accelerations if it differs.
+def _curves(motion: Motion) -> tuple[dict[str, PPoly], float]:
+    """The quintic q(t) (n,) through stated accelerations, and the cubic; how far they are apart.
 
     With h the length of a piece, s = t / h its share and d0, d1 the stated accelerations less the
     cubic's at its ends: quintic - cubic = h^2 / 2 (d0 s^2 (1 - s)^3 + d1 s^3 (1 - s)^2), at most
@@ -160,13 +172,14 @@ def _curves(motion: Motion) -> dict[str, PPoly]:
             none,
         )
         curves = {
-            "cubic": PPoly(cubic, times),
             "quintic": PPoly(cubic + 0.5 * np.array(factors), times),
+            "cubic": PPoly(cubic, times),
         }
+        gap = float((h**2 / 32.0 * np.maximum(np.abs(d0), np.abs(d1))).max())
         # closer than a nanometre or nanoradian, one of them is judged
-        if (h**2 / 32.0 * np.maximum(np.abs(d0), np.abs(d1)) <= 1e-9).all():
+        if gap <= 1e-9:
             del curves["quintic" if a is None else "cubic"]
-        return curves
+        return curves, gap
 
 
 def _rates(curve: PPoly, order: int) -> np.ndarray:
@@ -178,9 +191,13 @@ def _rates(curve: PPoly, order: int) -> np.ndarray:
 
 
 def _moments(
-    curve: PPoly, limits: JointLimits, hardest: float = 1e3, most_pieces: int = 100_000
+    curve: PPoly,
+    limits: JointLimits,
+    flat: float,
+    hardest: float = 1e3,
+    most_pieces: int = 100_000,
 ) -> np.ndarray:
-    """Times (m,) between which each joint is within FLAT of straight: |q''| dt^2 / 8 <= FLAT.
+    """Times (m,) between which each joint is within flat of straight: |q''| dt^2 / 8 <= flat.
 
     hardest: times its acceleration limit, beyond which units must be wrong.
     """
@@ -194,7 +211,7 @@ def _moments(
             "too much to follow; are units right?"
         )
     spans = np.diff(curve.x)
-    pieces = np.maximum(np.ceil(spans * np.sqrt(most.max(axis=1) / (8.0 * FLAT))), 1.0)
+    pieces = np.maximum(np.ceil(spans * np.sqrt(most.max(axis=1) / (8.0 * flat))), 1.0)
     if pieces.sum() > most_pieces:
         raise InvalidInputError(
             f"a motion of {spans.sum():.3g} s that would be followed in {pieces.sum():.3g} "
@@ -231,6 +248,54 @@ def _limit_faults(
             moment = curve.x[k] + shares[share, k, joint] * (curve.x[k + 1] - curve.x[k])
             state = float(np.interp(moment, times, np.arange(len(times))))
             yield Fault(kind, f"{reached}, its {kind} limit is {limit[joint]:.4g}", state)
+
+
+def _effort_faults(
+    problem: PlanningProblem,
+    curve: PPoly,
+    times: np.ndarray,
+    resolution: float = 0.005,
+    most_parts: int = 200_000,
+) -> Iterator[Fault]:
+    """The joint most above its effort limit, at any time, and above its torque rate at 1 kHz.
+
+    On a part of a piece, h [s] long, |tau| is at most the larger one of its ends plus
+    h^2 / 8 max |tau''|, see `Dynamics.curvature`; parts are so short that this is less than
+    `resolution` of the limit.
+    """
+    limits, dynamics = problem.robot.joint_limits, problem.dynamics
+    if dynamics is None or limits.effort is None:
+        return
+    spans, rates = np.diff(curve.x), np.array([bounds(curve, order) for order in range(5)])
+    bent = dynamics.curvature(rates[0], rates[1:])
+    parts = np.sqrt((bent / (8.0 * resolution * limits.effort)).max(axis=1)) * spans
+    parts = np.maximum(np.ceil(parts), 1.0)
+    if not parts.sum() <= most_parts:
+        text = f"efforts are not proven: {parts.sum():.3g} looks at them are too many"
+        yield Fault(FaultKind.NOT_PROVEN, text)
+        return
+    points = parts.astype(int) + 1
+    piece = np.repeat(np.arange(len(spans)), points)
+    number = np.arange(len(piece)) - np.repeat(np.cumsum(points) - points, points)
+    after = number * (spans / parts)[piece]
+    states = [np.polyval(curve.derivative(k).c[:, piece], after[:, None]) for k in range(3)]
+    most = (
+        np.abs(dynamics.efforts(*states)) + ((spans / parts) ** 2 / 8.0)[piece, None] * bent[piece]
+    )
+    found = [(FaultKind.EFFORT, "Nm", most, curve.x[piece] + after)]
+    if limits.torque_rate is not None:
+        every = np.minimum(np.arange(0.0, curve.x[-1] + 1e-3, 1e-3), curve.x[-1])
+        efforts = dynamics.efforts(*(curve(every, order) for order in range(3)))
+        rates = np.abs(np.diff(efforts, axis=0)) / 1e-3
+        found.append((FaultKind.TORQUE_RATE, "Nm/s", rates, every[:-1]))
+    for kind, unit, values, moments in found:
+        limit = getattr(limits, kind)
+        k, joint = np.unravel_index(int((values / limit).argmax()), values.shape)
+        if values[k, joint] > (1.0 + OVERSHOOT[kind]) * limit[joint]:
+            state = float(np.interp(moments[k], times, np.arange(len(times))))
+            what = f"{limits.joint_names[joint]} needs up to {values[k, joint]:.4g} {unit}"
+            words = kind.replace("_", " ")
+            yield Fault(kind, f"{what}, its {words} limit is {limit[joint]:.4g}", state)
 
 
 def _rest_faults(curve: PPoly, limits: JointLimits, times: np.ndarray) -> Iterator[Fault]:

@@ -44,8 +44,10 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegionChain,
 )
 from cvqmpt_lab.errors import InvalidProblemError, mapping, unique
+from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
 from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.scene.units import refuse_far, refuse_far_poses, report_out_of_reach
@@ -216,6 +218,11 @@ class PlanningProblem(Document):
     def manifold(self) -> RegionConstraint:
         """The constraint as a function F(q)."""
         return RegionConstraint(self.robot, self.constraint)
+
+    @cached_property
+    def dynamics(self) -> Dynamics | None:
+        """Of the robot with what it carries; None where no effort is limited."""
+        return Dynamics.of(self.robot, loads_of(self.attachments))
 
     def random_stream(self, *keys: int) -> np.random.Generator:
         """Generator seeded by keys (a seed) and the start; without keys alike for all planners."""

@@ -6,6 +6,7 @@ from toppra.algorithm import TOPPRA
 from toppra.constraint import (
     DiscretizationType,
     JointAccelerationConstraint,
+    JointTorqueConstraint,
     JointVelocityConstraint,
 )
 from toppra.interpolator import AbstractGeometricPath
@@ -24,8 +25,8 @@ class Curve(AbstractGeometricPath):
         return self.curve.spline(s, order)
 
 
-def toppra_duration(curve, velocity, acceleration):
-    """Duration [s]; velocity, acceleration: limits (n,)."""
+def toppra_duration(curve, velocity, acceleration, dynamics=None, effort=None):
+    """Duration [s]; velocity, acceleration, effort: limits (n,)."""
     toppra.setup_logging("ERROR")
     constraints = [
         JointVelocityConstraint(np.stack([-velocity, velocity], axis=1)),
@@ -33,8 +34,27 @@ def toppra_duration(curve, velocity, acceleration):
             np.stack([-acceleration, acceleration], axis=1), DiscretizationType.Interpolation
         ),
     ]
+    if dynamics is not None:
+
+        def efforts(q, v, a):
+            return dynamics.efforts(*np.array([q, v, a])[:, None])[0]
+
+        constraints.append(
+            JointTorqueConstraint(
+                efforts,
+                np.stack([-effort, effort], axis=1),
+                np.zeros(len(effort)),  # no friction
+                DiscretizationType.Interpolation,
+            )
+        )
     grid = np.unique(np.concatenate([curve.grid, 0.5 * (curve.grid[1:] + curve.grid[:-1])]))
     _, speed, _ = TOPPRA(constraints, Curve(curve), gridpoints=grid).compute_parameterization(
         0.0, 0.0
     )
     return float((2.0 * np.diff(grid) / (speed[1:] + speed[:-1])).sum())
+
+
+def weak_efforts(problem, states):
+    """Limits (n,) [Nm] a little above what the path takes standing still."""
+    still = np.zeros_like(states)
+    return 1.1 * np.abs(problem.dynamics.efforts(states, still, still)).max(axis=0) + 2.0

@@ -18,6 +18,7 @@ from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, mapping, sh
 from cvqmpt_lab.robot.hulls import link_geometry, replace_meshes_by_hulls
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
+    LIMIT_UNITS,
     Robot,
     axis_frames,
     in_link,
@@ -64,6 +65,8 @@ def load_robot(
     package_dirs: Sequence[Path | str] = (),
     acceleration_limits: float | Sequence[float] | None = None,
     jerk_limits: float | Sequence[float] | None = None,
+    effort_limits: float | Sequence[float] | None = None,
+    torque_rate_limits: float | Sequence[float] | None = None,
     base: np.ndarray | None = None,
 ) -> Robot:
     """Load the arm of hinge and slider joints between the base of a URDF and a frame of it.
@@ -79,6 +82,8 @@ def load_robot(
         package_dirs: folders in which ``package://`` mesh paths are looked up first.
         acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2], for timing only.
         jerk_limits: likewise [rad/s^3 or m/s^3].
+        effort_limits: likewise [Nm or N]; None: those of the URDF that are plausible.
+        torque_rate_limits: likewise [Nm/s or N/s].
         base: (4, 4), pose of the base link in the world.
     """
     source: dict[str, Any] = {
@@ -88,9 +93,13 @@ def load_robot(
         "locked": dict(locked or {}),
         "package_dirs": [str(Path(folder).resolve()) for folder in package_dirs],
     }
-    for kind, values in (("acceleration", acceleration_limits), ("jerk", jerk_limits)):
-        if values is not None:
-            source[f"{kind}_limits"] = np.asarray(values).tolist()
+    limits = {
+        "acceleration_limits": acceleration_limits,
+        "jerk_limits": jerk_limits,
+        "effort_limits": effort_limits,
+        "torque_rate_limits": torque_rate_limits,
+    }
+    source |= {k: np.asarray(v).tolist() for k, v in limits.items() if v is not None}
     if base is not None:
         source["base"] = np.asarray(base).tolist()
     return _built(source)
@@ -156,13 +165,11 @@ def _built(source: Mapping[str, Any]) -> Robot:
     replace_meshes_by_hulls(geometry)
     axes = axis_frames(model)
     names = list(model.names)[1:]
-    accelerations, jerks = (
-        None if values is None else positive_per_joint(kind, values, names, unit)
-        for kind, unit, values in (
-            ("acceleration", "rad/s^2", given.acceleration_limits),
-            ("jerk", "rad/s^3", given.jerk_limits),
-        )
-    )
+    limits = {
+        kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
+        for kind, values in ((k.removesuffix("_limits"), v) for k, v in given.limits.items())
+        if values is not None
+    }
     hand = model.frames[model.getFrameId(given.end_effector, pin.FrameType.BODY)]
     robot = Robot(
         name=model.name,
@@ -175,8 +182,7 @@ def _built(source: Mapping[str, Any]) -> Robot:
         links=tuple(link_geometry(item, axes) for item in geometry.geometryObjects),
         self_collision_pairs=(),
         held_joints=held,
-        acceleration_limits=accelerations,
-        jerk_limits=jerks,
+        limits={"effort": _plausible_efforts(model), **limits},
         files=tuple({**read, **meshes}.items()),
     )
     if robot.reach > MOST_REACH:
@@ -191,6 +197,16 @@ def _built(source: Mapping[str, Any]) -> Robot:
     left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
     pairs = checked_pairs(model, geometry, left_out)
     return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
+
+
+def _plausible_efforts(model: pin.Model, torque: float = 1e3, force: float = 1e4) -> np.ndarray:
+    """Effort limits (n,) of a URDF [Nm or N]; inf where it states 0, or torque, force or more.
+
+    No motor of an arm has these: they stand where a URDF must state something.
+    """
+    efforts = np.array(model.upperEffortLimit)
+    slides = [joint.shortname().startswith("JointModelP") for joint in list(model.joints)[1:]]
+    return np.where((efforts > 0.0) & (efforts < np.where(slides, force, torque)), efforts, np.inf)
 
 
 def _models(

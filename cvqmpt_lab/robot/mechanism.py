@@ -101,11 +101,10 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     for part in item.parts:
         left_out += [LeftOut(part.name, fixed.name, "casing") for fixed in item.casing]
     frames = axis_frames(model)
-    accelerations, jerks = robot.acceleration_limits, robot.jerk_limits
-    if accelerations is not None:
-        accelerations = np.append(accelerations, item.acceleration)
-    if jerks is not None:  # the mechanism limits none
-        jerks = np.append(jerks, 1e3 * jerks.max())
+    limits = {
+        kind: np.append(values, item.acceleration if kind == "acceleration" else np.inf)
+        for kind, values in robot.limits.items()
+    }
     return replace(
         robot,
         name=f"{robot.name}+{item.name}",
@@ -116,8 +115,7 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
         links=(*robot.links, *(link_geometry(objects[k], frames) for k in (*parts, *casing))),
         self_collision_pairs=(*robot.self_collision_pairs, *pairs),
         left_out_pairs=(*robot.left_out_pairs, *left_out),
-        acceleration_limits=accelerations,
-        jerk_limits=jerks,
+        limits=limits,
     )
 
 

@@ -5,8 +5,8 @@ arrays for the compiled kernels. Tests compare the two.
 """
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -57,39 +57,62 @@ class LinkGeometry:
         return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
 
+LIMIT_UNITS = {
+    "velocity": "rad/s",
+    "acceleration": "rad/s^2",
+    "jerk": "rad/s^3",
+    "effort": "Nm",
+    "torque_rate": "Nm/s",
+}
 SLOW = 0.1  # share of the speed limits for first tries on a real arm: 0.2 rad/s on the Panda
 
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Largest speed, acceleration and jerk of each joint, both directions alike."""
+    """Largest rates and efforts of each joint, both directions alike; None: not known."""
 
     joint_names: tuple[str, ...]  # n names, for messages
     velocity: np.ndarray  # (n,) [rad/s or m/s]
     acceleration: np.ndarray  # (n,) [rad/s^2 or m/s^2]
-    jerk: np.ndarray | None = None  # (n,) [rad/s^3 or m/s^3]; None: not known, nor limited
+    jerk: np.ndarray | None = None  # (n,) [rad/s^3 or m/s^3]
+    effort: np.ndarray | None = None  # torque or force of the motor (n,) [Nm or N]
+    torque_rate: np.ndarray | None = None  # change of effort within 1 ms, a second (n,) [Nm/s, N/s]
 
     def __post_init__(self) -> None:
-        units = {"velocity": "rad/s", "acceleration": "rad/s^2", "jerk": "rad/s^3"}
-        for name, unit in units.items():
-            if getattr(self, name) is not None:
-                values = positive_per_joint(name, getattr(self, name), self.joint_names, unit)
-                object.__setattr__(self, name, values)
+        for kind, unit in LIMIT_UNITS.items():
+            if getattr(self, kind) is not None:
+                # a door that is moved limits neither jerk nor effort
+                known = kind in ("jerk", "effort", "torque_rate")
+                values = positive_per_joint(
+                    kind, getattr(self, kind), self.joint_names, unit, unlimited=known
+                )
+                object.__setattr__(self, kind, values)
 
     def scaled(self, speed: float) -> "JointLimits":
-        """All limits times speed, a number above 0 and at most 1."""
+        """Rates times speed, a number above 0 and at most 1; efforts as they are."""
         if not 0.0 < speed <= 1.0:
             raise InvalidInputError(
                 f"speed factor {speed}: give a number above 0 and at most 1 (full speed)"
             )
-        jerk = None if self.jerk is None else speed * self.jerk
-        return JointLimits(self.joint_names, speed * self.velocity, speed * self.acceleration, jerk)
+        return replace(
+            self,
+            velocity=speed * self.velocity,
+            acceleration=speed * self.acceleration,
+            jerk=None if self.jerk is None else speed * self.jerk,
+        )
 
 
 def positive_per_joint(
-    what: str, values: float | Sequence[float] | np.ndarray, joint_names: Sequence[str], unit: str
+    what: str,
+    values: float | Sequence[float] | np.ndarray,
+    joint_names: Sequence[str],
+    unit: str,
+    unlimited: bool = False,
 ) -> np.ndarray:
-    """Limits (n,), finite and positive, one a joint; a single number is used for all joints."""
+    """Limits (n,), positive and finite, one a joint; a single number is used for all joints.
+
+    unlimited: infinity is allowed.
+    """
     n = len(joint_names)
     try:
         array = np.array(values, dtype=float)
@@ -103,7 +126,7 @@ def positive_per_joint(
             f"{', '.join(joint_names)}"
         )
     for name, value in zip(joint_names, array, strict=True):
-        if not (np.isfinite(value) and value > 0.0):
+        if not (value > 0.0 and (unlimited or np.isfinite(value))):
             raise InvalidInputError(
                 f"{what} limit {value} of joint {name!r}: give a finite number above 0 [{unit}]"
             )
@@ -130,14 +153,13 @@ class Robot:
     self_collision_pairs: tuple[tuple[int, int], ...]
     left_out_pairs: tuple[LeftOut, ...] = ()
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
-    acceleration_limits: np.ndarray | None = None  # (n,) [rad/s^2 or m/s^2], or None if not given
-    jerk_limits: np.ndarray | None = None  # (n,) [rad/s^3 or m/s^3], or None if not given
+    # (n,) each, of the kinds of `JointLimits` that are known, without velocity
+    limits: Mapping[str, np.ndarray] = field(default_factory=dict)
     files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each file that it was built from
 
     def __post_init__(self) -> None:
         # problems share robots
-        limits = (self.acceleration_limits, self.jerk_limits)
-        frozen((self.kinematics, self.end_effector_link, *limits))
+        frozen((self.kinematics, self.end_effector_link, *self.limits.values()))
 
     def __repr__(self) -> str:
         return (
@@ -172,16 +194,23 @@ class Robot:
         return frozen(~self.kinematics.prismatic & (self.upper - self.lower > 2.0 * np.pi))
 
     @property
+    def weightless(self) -> list[str]:
+        """Joints of the arm whose link has no mass in the URDF: no effort can be computed."""
+        arm = self.dof - ("articulated" in self.source)
+        masses = zip(self.joint_names[:arm], list(self.model.inertias)[1:], strict=False)
+        return [name for name, body in masses if body.mass <= 0.0]
+
+    @property
     def joint_limits(self) -> JointLimits:
-        """Velocity limits of the URDF with those given of acceleration, which must be, and jerk."""
-        if self.acceleration_limits is None:
+        """Velocity limits of the URDF and all others that are known, of acceleration at least."""
+        if "acceleration" not in self.limits:
             raise InvalidInputError(
                 f"robot {self.name} has no acceleration limits, which a URDF cannot state: give "
                 "load_robot(..., acceleration_limits=...), on the command line --acceleration, "
                 "in a problem file 'acceleration_limits' of 'robot'"
             )
         velocity = np.array(self.model.upperVelocityLimit)
-        return JointLimits(self.joint_names, velocity, self.acceleration_limits, self.jerk_limits)
+        return JointLimits(self.joint_names, velocity, **self.limits)
 
     @cached_property
     def kinematics_digest(self) -> str:

@@ -46,12 +46,21 @@ class RobotSource:
     acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None
     # (n,), or () for all joints [rad/s^3 or m/s^3]
     jerk_limits: Annotated[FloatArray, PerJoint()] | None = None
+    # (n,), or () for all joints [Nm or N]; None: the URDF's, where they are plausible
+    effort_limits: Annotated[FloatArray, PerJoint()] | None = None
+    # (n,), or () for all joints [Nm/s or N/s], for a controller that runs at 1 kHz
+    torque_rate_limits: Annotated[FloatArray, PerJoint()] | None = None
     # folders in which ``package://`` mesh paths are looked up first
     package_dirs: tuple[str, ...] = ()
     # (4, 4), pose of the URDF's base link in the world; None: the identity
     base: Pose | None = None
     name: str = ""  # a key of `ARMS`, instead of a URDF; options given beside it replace the arm's
     finger_opening: float | None = None  # [m] of each finger of the Panda
+
+    @property
+    def limits(self) -> dict[str, FloatArray | None]:
+        """Its fields that are limits, by name."""
+        return {name: values for name, values in vars(self).items() if name.endswith("_limits")}
 
 
 def with_absolute_paths(folder: Path, source: Any) -> Any:
@@ -126,15 +135,17 @@ def _of_arm(given: RobotSource) -> RobotSource:
                 f"{FINGER_OPENING} m"
             )
         fingers = dict.fromkeys(arm.locked, given.finger_opening)
-    kinds = ("acceleration_limits", "jerk_limits")
-    limits = {kind: getattr(given, kind) for kind in kinds}
+    limits: dict[str, Any] = {
+        kind: getattr(arm, kind) if values is None else values
+        for kind, values in given.limits.items()
+    }
     return replace(
         given,
         urdf=str(robots / arm.urdf),
         end_effector=given.end_effector or arm.end_effector,
         srdf=given.srdf or (arm.srdf and str(robots / arm.srdf)),
         locked={**arm.locked, **fingers, **given.locked},
-        **{kind: getattr(arm, kind) if limits[kind] is None else limits[kind] for kind in kinds},
+        **limits,
     )
 
 
@@ -152,9 +163,9 @@ ARMS: Mapping[str, RobotSource] = {
         "panda_hand",
         "panda_description/srdf/panda.srdf",
         {"panda_finger_joint1": FINGER_OPENING, "panda_finger_joint2": FINGER_OPENING},
-        # [rad/s^2] and [rad/s^3], Franka Control Interface, "Robot and interface specifications"
-        np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]),
-        np.array([7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0]),
+        # Franka Control Interface, "Robot and interface specifications"
+        acceleration_limits=np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]),
+        jerk_limits=np.array([7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0]),
     ),
     "ur3": RobotSource(f"{UR}/urdf/ur3_robot.urdf", "tool0"),
     "ur5": RobotSource(f"{UR}/urdf/ur5_robot.urdf", "tool0"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,7 +48,20 @@ def extremes(curve: PPoly, order: int) -> tuple[np.ndarray, np.ndarray]:
     return shares, np.polyval(p, shares)
 
 
-def _monotone_between(p: np.ndarray, halvings: int = 24) -> np.ndarray:
+def bounds(curve: PPoly, order: int) -> np.ndarray:
+    """Bounds (k, n) on the size of a derivative on each piece: its largest Bernstein coefficient.
+
+    Of p(u) = sum_i c_i u^i with degree d these are sum_(i <= j) C(j, i) / C(d, i) c_i.
+    """
+    c = curve.derivative(order).c[::-1]
+    c = c * np.diff(curve.x)[:, None] ** np.arange(len(c))[:, None, None]
+    rows = [
+        [math.comb(j, i) / math.comb(len(c) - 1, i) for i in range(len(c))] for j in range(len(c))
+    ]
+    return np.abs(np.tensordot(rows, c, 1)).max(axis=0)
+
+
+def _monotone_between(p: np.ndarray, halvings: int = 12) -> np.ndarray:
     """Sorted u (d + 1, ...), from 0 to 1, between which polynomials p(u) are monotone.
 
     p: (d + 1, ...), the highest power first. Roots of p' are found by bisection, one each where p'

@@ -23,6 +23,7 @@ import scipy.sparse as sparse
 from scipy.interpolate import PPoly
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.robot import SLOW, JointLimits
 from cvqmpt_lab.trajectory.piecewise import extremes, quintic
 from cvqmpt_lab.trajectory.smooth_curve import SmoothCurve, smooth_curve
@@ -42,15 +43,17 @@ def time_path(
     limits: JointLimits,
     settings: TimingSettings | None = None,
     check: Callable[[Trajectory], Sequence[str]] | None = None,
+    dynamics: Dynamics | None = None,
 ) -> Trajectory:
     """The fastest motion along waypoints within the limits, at rest at both ends.
 
     Args:
         waypoints: (m, n) [rad or m], neighbours distinct.
-        limits: velocity and acceleration of each joint.
+        limits: of each joint.
         settings: speed, and how far corners may be cut.
         check: faults of the motion, see `motion_check.certified_motion`. While there are any,
             corners are cut less.
+        dynamics: of the arm and what it carries; None: efforts are not limited.
 
     Raises InvalidInputError for waypoints that are no path, and names what holds the motion up.
     """
@@ -66,7 +69,7 @@ def time_path(
     # a refused curve is drawn again, five times, each at half the deviation
     for k in range(6):
         curve = smooth_curve(states, settings.deviation / 2**k)
-        motion = _trajectory(curve, squared_speeds(curve, limits), limits)
+        motion = _trajectory(curve, squared_speeds(curve, limits, dynamics), limits, dynamics)
         reasons = check(motion) if check else ()
         if not reasons:
             return motion
@@ -98,16 +101,18 @@ def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
     return states
 
 
-def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) -> Trajectory:
+def _trajectory(
+    curve: SmoothCurve, squared: np.ndarray, limits: JointLimits, dynamics: Dynamics | None
+) -> Trajectory:
     """The motion averaged over 4 ms, or twice that, and so on while it is shorter.
 
     Over 0.25 ms without jerk limits: accelerations are continuous all the same.
     """
     window = 0.00025 if limits.jerk is None else 0.004
-    motion = _averaged(curve, squared, limits, window)
+    motion = _averaged(curve, squared, limits, dynamics, window)
     while limits.jerk is not None:
         window *= 2.0
-        other = _averaged(curve, squared, limits, window)
+        other = _averaged(curve, squared, limits, dynamics, window)
         if other.duration >= motion.duration:
             break
         motion = other
@@ -115,7 +120,11 @@ def _trajectory(curve: SmoothCurve, squared: np.ndarray, limits: JointLimits) ->
 
 
 def _averaged(
-    curve: SmoothCurve, squared: np.ndarray, limits: JointLimits, window: float
+    curve: SmoothCurve,
+    squared: np.ndarray,
+    limits: JointLimits,
+    dynamics: Dynamics | None,
+    window: float,
 ) -> Trajectory:
     """The motion averaged over a window [s], slowed down until it keeps the limits."""
     average = _average(_fastest(curve.grid, squared), window)
@@ -126,7 +135,10 @@ def _averaged(
         passed -= (average(passed)[:, 0] - knots) / average.derivative()(passed)[:, 0]
     moments = _apart(np.concatenate([average.x, passed]), 0.01 * window)
     motion = _along(curve, average, moments, limits.joint_names)
-    return _along(curve, average, moments, limits.joint_names, _excess(motion, limits))
+    slower = _excess(motion, limits)
+    if dynamics is not None:
+        slower = max(slower, _excess_of_efforts(motion, limits, dynamics))
+    return _along(curve, average, moments, limits.joint_names, slower)
 
 
 def _fastest(grid: np.ndarray, squared: np.ndarray) -> PPoly:
@@ -194,14 +206,48 @@ def _excess(motion: Trajectory, limits: JointLimits, spare: float = 1e-6) -> flo
     return slower
 
 
+def _excess_of_efforts(
+    motion: Trajectory,
+    limits: JointLimits,
+    dynamics: Dynamics,
+    spare: float = 1e-3,
+    period: float = 1e-3,
+) -> float:
+    """Factor on time, 1 or more, with which the motion keeps effort and torque rate.
+
+    In c times its time efforts are (tau - g) / c^2 + g, and change at most by (tau - g)' / c^3 +
+    g'. Efforts are computed at the motion's points, their changes every `period` [s].
+    """
+    assert limits.effort is not None
+    curve, slower = motion.curve, 1.0
+    every = np.minimum(np.arange(0.0, curve.x[-1] + period, period), curve.x[-1])
+    for times, limit, order in ((curve.x, limits.effort, 2), (every, limits.torque_rate, 3)):
+        if limit is None:
+            continue
+        states = [curve(times, k) for k in range(3)]
+        weights = dynamics.weights(states[0], limits)
+        moving = dynamics.efforts(*states) - weights
+        if order == 3:
+            moving, weights = (np.diff(x, axis=0) / period for x in (moving, weights))
+            weights = np.abs(weights) * np.sign(moving)
+        room = np.maximum((1.0 - spare) * limit - np.sign(moving) * weights, spare * limit)
+        slower = max(slower, float((np.abs(moving) / room).max()) ** (1.0 / order))
+    return slower
+
+
 def squared_speeds(
-    curve: SmoothCurve, limits: JointLimits, flat: float = 1e-3, standstill: float = 1e-8
+    curve: SmoothCurve,
+    limits: JointLimits,
+    dynamics: Dynamics | None = None,
+    flat: float = 1e-3,
+    standstill: float = 1e-8,
 ) -> np.ndarray:
     """Squared speeds b = (ds/dt)^2 along a curve: the greatest sum within the limits.
 
     Args:
         curve: q(s).
         limits: |dq/ds| sqrt(b) <= velocity, |d2q/ds2 b + dq/ds (db/ds) / 2| <= acceleration.
+        dynamics: |M (d2q/ds2 b + dq/ds (db/ds) / 2) + C(q, dq/ds) dq/ds b + g| <= effort, or None.
         flat: least |dq/ds| / velocity, as a share of the usual; 0 where all joints reverse.
         standstill: b, as a share of the usual, below which there is no motion.
 
@@ -214,10 +260,13 @@ def squared_speeds(
     slope = np.abs(curve.spline(grid, 1))
     slowness = (slope / limits.velocity).max(axis=1)
     bound = np.maximum(slowness, flat * np.median(slowness)) ** -2
+    bound = np.minimum(bound, _slow_at_corners(curve, limits, dynamics))
     typical = 1.0 / np.median((slope / limits.acceleration).max(axis=1))
     scale = min(np.median(bound), 2.0 * float(curve.marks[-1]) * typical)
     faster = _velocity_rows(curve, limits.velocity, bound)
     rows = [_acceleration_rows(curve, limits.acceleration, bound), faster]
+    if dynamics is not None:
+        rows.append(_effort_rows(curve, limits, dynamics, bound))
     rows = scale * sparse.vstack(rows, format="csr")
     bound = bound / scale
     bound[[0, -1]] = 0.0
@@ -226,6 +275,31 @@ def squared_speeds(
     if greatest is None or shape[1:-1].min() <= standstill:
         raise InvalidInputError(_why_not(curve, limits, shape))
     return scale * np.maximum(shape, 0.0)
+
+
+def _slow_at_corners(
+    curve: SmoothCurve, limits: JointLimits, dynamics: Dynamics | None, share: float = 0.7
+) -> np.ndarray:
+    """Squared speeds b (g,) within jerk and torque rate at constant speed; inf where none limits.
+
+    |d3q/ds3| b^(3/2) <= jerk and |M d3q/ds3| b^(3/2) <= torque rate. Without these bounds one
+    sharp corner slows the whole motion down.
+
+    share: of b that is left to corners; the rest is for changes of speed.
+    """
+    middle = 0.5 * (curve.grid[1:] + curve.grid[:-1])  # d3q/ds3 jumps at the grid
+    change = curve.spline(middle, 3)
+    slowness = np.zeros(len(middle))
+    if limits.jerk is not None:
+        slowness = (np.abs(change) / limits.jerk).max(axis=1)
+    if dynamics is not None and limits.torque_rate is not None:
+        q = curve.spline(middle)
+        still = np.zeros_like(q)
+        pull = dynamics.efforts(q, still, change) - dynamics.efforts(q, still, still)
+        slowness = np.maximum(slowness, (np.abs(pull) / limits.torque_rate).max(axis=1))
+    around = np.maximum(np.append(slowness, 0.0), np.append(0.0, slowness))
+    with np.errstate(divide="ignore"):
+        return share * around ** (-2.0 / 3.0)
 
 
 def _velocity_rows(
@@ -262,11 +336,39 @@ def _acceleration_rows(
     for side in (left, right):
         side[1] = 2.0 * side[1] - 0.5 * (side[0] + side[2])
     lower, upper = (np.concatenate([*side, *(-x for x in side)], axis=1) for side in (left, right))
+    return _sparse_rows(lower, upper, bound)
+
+
+def _effort_rows(
+    curve: SmoothCurve, limits: JointLimits, dynamics: Dynamics, bound: np.ndarray
+) -> sparse.csr_matrix:
+    """Matrix A of the effort limits A b <= 1, at the ends and in the middle of every interval.
+
+    tau = m a + c b + g, with m = M dq/ds and c = M d2q/ds2 + C(q, dq/ds) dq/ds.
+    """
+    assert limits.effort is not None
+    steps, lower, upper = np.diff(curve.grid), [], []
+    for share in (0.0, 0.5, 1.0):
+        s = curve.grid[:-1] + share * steps
+        q, slope, bend = (curve.spline(s, order) for order in range(3))
+        weights = dynamics.weights(q, limits)
+        pull = dynamics.efforts(q, np.zeros_like(q), slope) - weights
+        pull /= 2.0 * steps[:, None]
+        swing = dynamics.efforts(q, slope, bend) - weights
+        for sign in (1.0, -1.0):
+            room = limits.effort - sign * weights
+            lower.append(sign * ((1.0 - share) * swing - pull) / room)
+            upper.append(sign * (share * swing + pull) / room)
+    return _sparse_rows(np.concatenate(lower, axis=1), np.concatenate(upper, axis=1), bound)
+
+
+def _sparse_rows(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> sparse.csr_matrix:
+    """Rows lower b_k + upper b_(k+1) <= 1 (g - 1, r), without those that others imply."""
     interval, column = np.nonzero(_binding(lower, upper, bound[:-1]))
     row = np.arange(len(interval))
     values = np.concatenate([lower[interval, column], upper[interval, column]])
     places = (np.concatenate([row, row]), np.concatenate([interval, interval + 1]))
-    return sparse.csr_matrix((values, places), shape=(len(row), len(grid)))
+    return sparse.csr_matrix((values, places), shape=(len(row), len(bound)))
 
 
 def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from ompl import base as ob
-from toppra_duration import toppra_duration
+from toppra_duration import toppra_duration, weak_efforts
 
 from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
 from cvqmpt_lab.certificate import TOLERANCE, certify
@@ -146,9 +146,13 @@ def test_timing(trials):
         limits = replace(problem.robot.joint_limits, jerk=None)
         for k in range(count):
             states = simplified(problem, seed + k)
-            ours = time_path(states, limits, TimingSettings(speed=1.0)).duration
+            # on every other path motors are so weak that they hold the motion up
+            dynamics = problem.dynamics if (seed + k) % 2 else None
+            effort = weak_efforts(problem, states)
+            full, weak = TimingSettings(speed=1.0), replace(limits, effort=effort)
+            ours = time_path(states, weak, full, dynamics=dynamics).duration
             curve = smooth_curve(states, TimingSettings().deviation)
-            theirs = toppra_duration(curve, limits.velocity, limits.acceleration)
+            theirs = toppra_duration(curve, limits.velocity, limits.acceleration, dynamics, effort)
             assert ours == pytest.approx(theirs, rel=0.01), seed + k
 
 

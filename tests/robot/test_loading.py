@@ -262,7 +262,7 @@ def test_an_arm_is_loaded_by_its_name_and_what_is_given_beside_it_overrides_it()
     source = {"name": "ur5", "locked": {"elbow_joint": 1.0}, "end_effector": "ee_link"}
     robot = robot_from_source(source | {"acceleration_limits": 3.0})
     assert robot.source == source | {"acceleration_limits": 3.0}
-    assert robot.end_effector == "ee_link" and robot.acceleration_limits.tolist() == [3.0] * 5
+    assert robot.end_effector == "ee_link" and robot.limits["acceleration"].tolist() == [3.0] * 5
 
 
 def test_a_wrong_field_of_a_robot_is_named():

@@ -1,0 +1,146 @@
+"""Inverse dynamics of an arm and what it carries: efforts of a motion, and bounds between samples.
+
+    tau = M(q) q'' + C(q, q') q' + g(q)
+
+Efforts of a motion in `slower` times its time are (tau - g) / slower^2 + g. Friction and the
+inertia of rotors are not known, nor what a door asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.robot import JointLimits, Robot
+
+
+class Load(NamedTuple):
+    """The mass of something fixed to the end effector."""
+
+    T_hand_object: np.ndarray  # (4, 4) [m]
+    mass: float  # [kg]
+    centre: np.ndarray  # of mass (3,), in the object's frame [m]
+    tensor: np.ndarray  # of inertia about the centre of mass (3, 3) [kg m^2]
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """An arm's links with their masses, and what its hand carries as part of the last one."""
+
+    model: pin.Model
+
+    @staticmethod
+    def of(robot: Robot, loads: Iterable[Load] = ()) -> Dynamics | None:
+        """The dynamics of a robot; None where no effort is limited, see `without_effort_limit`."""
+        if robot.weightless or np.isinf(robot.limits["effort"]).all():
+            return None
+        model = robot.model.copy()
+        frame = model.frames[model.getFrameId(robot.end_effector, pin.FrameType.BODY)]
+        for load in loads:
+            inertia = pin.Inertia(load.mass, load.centre, load.tensor)
+            held = frame.placement * pin.SE3(load.T_hand_object)
+            model.appendBodyToJoint(frame.parentJoint, inertia, held)
+        return Dynamics(model)
+
+    def efforts(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Efforts tau (k, n) [Nm or N] at q, q', q'' (k, n)."""
+        data = self.model.createData()
+        rows = zip(*(np.ascontiguousarray(x) for x in (q, v, a)), strict=True)
+        return np.array([pin.rnea(self.model, data, *row) for row in rows]).reshape(np.shape(q))
+
+    def weights(self, q: np.ndarray, limits: JointLimits) -> np.ndarray:
+        """g(q) (k, n) [Nm or N]; InvalidInputError where it takes the whole effort limit."""
+        still = np.zeros_like(q)
+        efforts = self.efforts(q, still, still)
+        assert limits.effort is not None
+        k, joint = np.unravel_index(int((np.abs(efforts) / limits.effort).argmax()), q.shape)
+        if abs(efforts[k, joint]) >= limits.effort[joint]:
+            raise InvalidInputError(
+                f"joint {limits.joint_names[joint]!r} needs {abs(efforts[k, joint]):.3g} of "
+                f"{limits.effort[joint]:.3g} Nm standing still: carry less, raise --effort, or "
+                "plan another path"
+            )
+        return efforts
+
+    def curvature(self, places: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """A bound on |tau''| (k, n) [Nm/s^2 or N/s^2] on each of k pieces of a motion.
+
+        Vectors of the links are bounded by their lengths, with derivatives up to the fourth: a
+        vector r fixed to a link with angular velocity w has r' = w x r, and the k-th derivative of
+        a product is sum_m C(k, m) |x^(m)| |y^(k - m)|.
+
+        Args:
+            places: bounds on |q| (k, n) [rad or m].
+            rates: on the first to the fourth derivative of q (4, k, n).
+        """
+        model, rows = self.model, range(1, self.model.njoints)
+        still = np.zeros((5, rates.shape[1]))
+        turns, moves, axes, arms = [still[:4]], [still], [still[:4]], [still]
+        forces, moments = [still[:3]], [still[:3]]
+        for i in rows:
+            parent, placement = model.parents[i], model.jointPlacements[i]
+            slides = model.joints[i].shortname().startswith("JointModelP")
+            axis = _attached(1.0, turns[parent])
+            arm = _attached(float(np.linalg.norm(placement.translation)), turns[parent])
+            turn = turns[parent]
+            if slides:
+                stroke = np.concatenate([places[None], rates])[:, :, i - 1]
+                arm = arm + _product(axis, stroke)
+            else:
+                turn = turn + _product(axis[:4], rates[:, :, i - 1])
+            body = model.inertias[i]
+            lever = _attached(float(np.linalg.norm(body.lever)), turn)
+            move = moves[parent] + arm
+            # m (c'' - g) and its derivatives
+            force = body.mass * (move + lever)[2:]
+            force[0] += body.mass * float(np.linalg.norm(model.gravity.linear))
+            # the momentum I w, whose I = R I_0 R^T turns: I' = w x I - I x w
+            inertia = float(np.linalg.eigvalsh(body.inertia).max())
+            tensor = _attached(inertia, 2.0 * turn)[:4]
+            moments.append(_product(lever[:3], force) + _product(tensor, turn)[1:])
+            forces.append(force)
+            turns.append(turn)
+            moves.append(move)
+            axes.append(axis)
+            arms.append(arm)
+        found = np.empty(rates.shape[1:])
+        for i in reversed(rows):
+            slides = model.joints[i].shortname().startswith("JointModelP")
+            found[:, i - 1] = _product(axes[i][:3], forces[i] if slides else moments[i])[2]
+            parent = model.parents[i]
+            moments[parent] = moments[parent] + moments[i] + _product(arms[i][:3], forces[i])
+            forces[parent] = forces[parent] + forces[i]
+        return found
+
+
+def without_effort_limit(robot: Robot) -> str:
+    """Which efforts are not limited, and why; "" if all of the arm are."""
+    if names := robot.weightless:
+        return f"efforts not limited: the URDF states no mass of what {', '.join(names)} moves"
+    stated = zip(
+        robot.joint_names, robot.limits["effort"], robot.model.upperEffortLimit, strict=True
+    )
+    # the joint of a door, which has no motor, states infinity
+    odd = [f"{name} ({x:g})" for name, limit, x in stated if np.isinf(limit) and np.isfinite(x)]
+    return f"effort not limited of {', '.join(odd)}: not plausible in the URDF" if odd else ""
+
+
+def _product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Bounds on the derivatives (k, ...) of a product, from those of its factors."""
+    return np.array(
+        [sum(comb(k, m) * x[m] * y[k - m] for m in range(k + 1)) for k in range(len(x))]
+    )
+
+
+def _attached(length: float, turn: np.ndarray) -> np.ndarray:
+    """Bounds on r and its derivatives (5, ...), r fixed to what turns with w (4, ...)."""
+    r = np.full((5, *turn.shape[1:]), length)
+    for k in range(1, 5):
+        r[k] = sum(comb(k - 1, m) * turn[m] * r[k - 1 - m] for m in range(k))
+    return r
