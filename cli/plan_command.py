@@ -38,7 +38,8 @@ from cli.scan_command import SCAN
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import make_folder, write_text
-from cvqmpt_lab.pipeline import Solution, solve
+from cvqmpt_lab.margins import Margin, solve_with_margin
+from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
@@ -99,21 +100,23 @@ def _solved_problem(
         # a wrong file name or speed is refused before anything is planned
         file_type(writable_file(args.trajectory))
         problem.robot.joint_limits.scaled(args.speed)
+    margin = Margin(args.margin, args.margin_angle).check()
     warm_up(problem, method, args.backend, log)
     if args.verbose:
         logging.basicConfig(format="%(name)s: %(message)s", level=logging.INFO)
-    solution = solve(
+    solution, kept = solve_with_margin(
         problem,
         method,
         budget(args),
         args.seed,
+        margin,
         backend=args.backend,
         optimize=optimize_budget(args, OPTIMIZE),
         near_goals_first=args.suite is None,
     )
     if args.json:
-        return solution, solution_data(solution, planner, why, problem)
-    return solution, solution_lines(solution, planner, why)
+        return solution, solution_data(solution, planner, why, problem) | {"margin": kept}
+    return solution, [*solution_lines(solution, planner, why), f"margin      {kept}"]
 
 
 def _solved_task(
@@ -139,10 +142,11 @@ def _solved_task(
     planner = args.planner or "birrt"  # the planner with which tasks were measured
     method = planner_named(planner, args.model, args.reach)
     compile_kernels(log)
+    margin = Margin(max(args.margin, args.clearance or 0.0), args.margin_angle).check()
     timing = TimingSettings(speed=args.speed)
     # a wrong speed is refused before anything is planned
     robot_from_source(task.robot).joint_limits.scaled(args.speed)
-    solution = solve_task(task, method, budget(args), args.seed, timing, backend=args.backend)
+    solution = solve_task(task, method, budget(args), args.seed, timing, args.backend, margin)
     return solution, (task_data if args.json else task_lines)(solution, planner)
 
 
@@ -279,6 +283,19 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
 OPTIONS: Options = {
     **PROBLEM,
     "another robot for --problem-file, or for --start and --goal": ROBOT,
+    "--margin": option(
+        "robot and hand may be off by M: obstacles and bounds of position are kept away by it "
+        "where start, goals and budget allow it (0.002; 0 for none) [m]",
+        type=float,
+        metavar="M",
+        default=Margin().metres,
+    ),
+    "--margin-angle": option(
+        "likewise of bounds of rotation and tilt (0.005) [rad]",
+        type=float,
+        metavar="RAD",
+        default=Margin().radians,
+    ),
     "--task-file": option(
         "a task of several phases instead, planned one after another", type=Path, metavar="T.json"
     ),

@@ -198,13 +198,9 @@ def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
 def with_clearance(
     args: argparse.Namespace, problem: PlanningProblem | Task
 ) -> PlanningProblem | Task:
-    """The problem with --clearance; refused for tasks."""
-    if not args.clearance:
+    """The problem with --clearance; that of a task is a margin, since its hand touches things."""
+    if not args.clearance or isinstance(problem, Task):
         return problem
-    if isinstance(problem, Task):
-        raise InvalidInputError(
-            "--clearance does not go with a task, whose hand touches things; leave it out"
-        )
     return replace(problem, clearance=args.clearance)
 
 

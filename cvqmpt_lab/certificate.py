@@ -3,6 +3,7 @@
 It uses no compiled function of the planners: pinocchio gives poses, coal distances.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -11,7 +12,9 @@ import numpy as np
 
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.motion_proof import Least, prove_free
-from cvqmpt_lab.constraints.between_states import largest_violation
+from cvqmpt_lab.collision.solids import reach_with
+from cvqmpt_lab.constraints.between_states import largest_violation, least_slack
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
 
@@ -67,6 +70,21 @@ class Clearance(NamedTuple):
     at: float  # where it was found, as `Fault.at`
 
 
+class Deviation(NamedTuple):
+    """How far a motion may be off without a collision or a broken bound of positive width."""
+
+    points_m: float  # every point of the robot and of what it carries [m]
+    hand_rad: float  # turn of the hand [rad]
+    joints: float  # all joints at once; points and hand then stay within the above [rad or m]
+
+    def __str__(self) -> str:
+        """In words."""
+        turn = f", a hand turned by {self.hand_rad:.2g} rad" if np.isfinite(self.hand_rad) else ""
+        if not np.isfinite(self.points_m):
+            return f"any position of its points{turn}"
+        return f"points {1e3 * self.points_m:.2g} mm off{turn}; joints {self.joints:.2g} rad off"
+
+
 @dataclass(frozen=True)
 class Certificate:
     """The result of `certify`."""
@@ -85,6 +103,7 @@ class Certificate:
     # from obstacles, and of the robot's own pieces; None without pairs, or when not asked for
     obstacle_clearance: Clearance | None = None
     self_clearance: Clearance | None = None
+    tolerated: Deviation | None = None  # None when not asked for
 
     @property
     def verdict(self) -> Verdict:
@@ -150,9 +169,17 @@ def certify(
             f"middle, where {pair} are {1e3 * gap:.2g} mm apart"
         )
         faults.append(Fault(FaultKind.NOT_PROVEN, text, _place(path.states, q)))
-    rooms = [_clearance(path.states, least) for least in (proof.obstacles, proof.itself)]
+    proven_free = proof.colliding is None and proof.unproven is None
+    kept = (problem.clearance if proven_free else -np.inf, -np.inf)
+    rooms = [
+        _clearance(path.states, *of)
+        for of in zip((proof.obstacles, proof.itself), kept, strict=True)
+    ]
     closest = min(filter(None, rooms), key=lambda room: room.distance_m, default=None)
     least_m = np.inf if clearance else np.nan
+    tolerated = None
+    if clearance:
+        tolerated = deviation_tolerated(problem, path.states, rooms, checker.margin)
     return Certificate(
         faults=tuple(faults),
         max_violation_rad=violation.radians,
@@ -165,7 +192,38 @@ def certify(
         unproven_m=moved,
         obstacle_clearance=rooms[0],
         self_clearance=rooms[1],
+        tolerated=tolerated,
     )
+
+
+def deviation_tolerated(
+    problem: PlanningProblem,
+    states: np.ndarray,
+    rooms: Sequence[Clearance | None],
+    apart: float = 0.0,
+) -> Deviation:
+    """How far a motion may be off.
+
+    Args:
+        problem: its constraint, and the robot with what it carries.
+        states: the path (m, n) [rad or m].
+        rooms: distances from obstacles, and of the robot's own pieces.
+        apart: of the motion from straight lines between states [m].
+    """
+    robot, regions = problem.robot, problem.constraint
+    turned, moved = least_slack(robot, regions, states, SPACING)
+    # both pieces of a pair of the robot's own may come closer
+    free = [room.at_least_m / k for k, room in enumerate(rooms, start=1) if room]
+    points = max(min([moved, *free]) - apart, 0.0)
+    hand = max(turned - apart, 0.0)
+    carried = reach_with(robot, problem.attachments) - robot.reach
+    arms = [float(np.linalg.norm(np.linalg.inv(region.Tw_e)[:3, 3])) for region in regions]
+    levers = robot.levers(max([carried, *arms]))
+    if any(isinstance(region, TaskSpaceRegionChain) for region in regions):
+        # seen from what it hangs on, which turns too, the hand is no further away than this
+        levers = np.maximum(levers, 2.0 * robot.reach)
+    hinges = (~robot.kinematics.prismatic).sum()
+    return Deviation(points, hand, float(min(points / levers.sum(), hand / max(hinges, 1))))
 
 
 def _place(states: np.ndarray, q: np.ndarray) -> float:
@@ -177,11 +235,14 @@ def _place(states: np.ndarray, q: np.ndarray) -> float:
     return float(off.argmin() + share[off.argmin()])
 
 
-def _clearance(states: np.ndarray, least: Least | None) -> Clearance | None:
-    """The least distance along a path (m, n) for people; None without a pair."""
+def _clearance(states: np.ndarray, least: Least | None, kept: float) -> Clearance | None:
+    """The least distance along a path (m, n) for people; None without a pair.
+
+    kept: distance [m] that the proof has shown beside.
+    """
     if least is None or least.pair is None:
         return None
-    proven = least.distance - least.bound
+    proven = max(least.distance - least.bound, kept)
     return Clearance(least.distance, proven, str(least.pair), _place(states, least.q))
 
 

@@ -14,6 +14,7 @@ from cvqmpt_lab.certificate import (
     LARGEST_STEP,
     TOLERANCE,
     Clearance,
+    Deviation,
     FaultKind,
     Verdict,
 )
@@ -58,7 +59,7 @@ def record(problem: PlanningProblem, motion: Motion, found: DryRun) -> dict[str,
         "curve": found.curve,
         **finite(
             {
-                name: value._asdict() if isinstance(value, Clearance) else value
+                name: value._asdict() if isinstance(value, Clearance | Deviation) else value
                 for name, value in vars(certificate).items()
                 if name != "faults"
             }
@@ -115,6 +116,7 @@ def report_lines(found: DryRun, contents: dict[str, Any]) -> list[str]:
         f"constraint  at most {certificate.max_violation_rad:.2g} rad, "
         f"{certificate.max_violation_m:.2g} m outside; {TOLERANCE:g} is allowed",
         *(f"clearance   {distance}" for distance in distances),
+        *([f"tolerates   {certificate.tolerated}"] if certificate.tolerated else []),
         f"resolution  {proven}, by {certificate.states_checked} looks{curve}",
         f"compared    {it['moving_pieces']} moving and {it['carried_pieces']} carried pieces: "
         f"{it['own_pairs']} pairs with each other, all with the {it['obstacle_pieces']} pieces of "

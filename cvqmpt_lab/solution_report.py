@@ -1,5 +1,6 @@
 """Solutions as lines for people, or as plain data for json."""
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from cvqmpt_lab.certificate import Certificate
@@ -30,7 +31,7 @@ def solution_lines(solution: Solution, planner: str, why: str = "") -> list[str]
     simplify = f", simplify {1e3 * shorter.seconds:.1f} ms" if shorter else ""
     lines = [
         f"problem     {problem.name}: robot {problem.robot.name}, {len(problem.goals)} goals",
-        *(f"left out    {text}" for text in solution.left_out),
+        *_left_out(solution.left_out),
         f"constraint  {constraint}",
         f"planner     {planner}{why and f' ({why})'}, samples: {plan.sampler}",
         f"status      {_status(solution)}",
@@ -56,7 +57,17 @@ def solution_lines(solution: Solution, planner: str, why: str = "") -> list[str]
             f"certificate {verdict} ({certificate.states_checked} states{gaps}, clearance "
             f"{_distances(certificate)})"
         )
+        if certificate.valid and certificate.tolerated:
+            lines.append(f"tolerates   {certificate.tolerated}")
     return lines
+
+
+def _left_out(goals: Sequence[str], shown: int = 2) -> Iterator[str]:
+    """Lines for the first goals that were left out, and how many more there are."""
+    more = len(goals) - shown
+    for number, text in enumerate(goals[:shown], start=1):
+        rest = f"; and {more} more" if number == shown and more > 0 else ""
+        yield f"left out    {text}{rest}"
 
 
 def _distances(certificate: Certificate) -> str:

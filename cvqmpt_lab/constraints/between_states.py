@@ -8,6 +8,7 @@ import numpy as np
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.values import frozen
 
 # Bound on the second derivative of a rotation vector's entry per D^2, D = sum_j |dq_j|: |Jl^-1| is
 # at most pi / 2, its derivative 1.29, and the angular velocity changes by half.
@@ -74,6 +75,51 @@ def largest_violation(
         if outside.max() > most:
             most, at = outside.max(), q[outside.argmax()]
     return Violation(float(radians), float(metres), float(highest), at)
+
+
+def least_slack(
+    robot: Robot,
+    regions: Sequence[TaskSpaceRegion],
+    states: np.ndarray,
+    spacing: float,
+    resolution: float = 2e-4,
+) -> tuple[float, float]:
+    """Proven slack [rad] and [m] of straight joint motions: a hand turned or moved by it stays in.
+
+    Rows of width 0 have none and are left out; inf without others. Entries of the rotation vector
+    change by up to RATE times the turn of the hand, and change signs at angle pi: where a path may
+    come there and bounds are not symmetric, the slack is 0.
+
+    Args: as `largest_violation`; resolution: what the proof may lose [m, rad].
+    """
+    slack = np.array([np.inf, np.inf])
+    q = evenly_spaced(states, spacing)
+    for region in regions:
+        lower, upper = region.bounds.T
+        thin = ~np.isin(np.arange(7), region.bounded_rows) | (lower == upper)
+        x = displacements(robot, region, q)
+        inside = np.where(thin, np.inf, -excess(region, x).max(axis=0))
+        seen = np.array([inside[3:].min(), inside[:3].min()]).clip(min=0.0)
+        free = np.where(thin[:6, None], [-np.inf, np.inf], 0.0)
+        for _ in range(ROUNDS if np.isfinite(seen).any() else 0):
+            radians, metres = np.where(np.isinf(seen), 0.0, seen).tolist()
+            moved = region.inset(metres, radians, share=0.5)
+            moved = moved.changed(Bw=frozen(np.where(thin[:6, None], free, moved.Bw)))
+            found = largest_violation(robot, (moved,), states, spacing, resolution)
+            if max(found.radians, found.metres) <= resolution:
+                seen -= found.largest
+                break
+            # less than at the states looked at first
+            seen = (seen - max(found.radians, found.metres)).clip(min=0.0)
+        else:
+            seen = np.where(np.isinf(seen), seen, 0.0)
+        turns = ~thin[3:6]
+        if turns.any():
+            furthest = np.linalg.norm(x[:, 3:6], axis=1).max() + RATE * spacing * robot.dof
+            flips = furthest + seen[0] > np.pi and (lower[3:6] != -upper[3:6])[turns].any()
+            seen[0] = 0.0 if flips else seen[0] / RATE
+        slack = np.minimum(slack, seen.clip(min=0.0))
+    return float(slack[0]), float(slack[1])
 
 
 def evenly_spaced(states: np.ndarray, spacing: float) -> np.ndarray:

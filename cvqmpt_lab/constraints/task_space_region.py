@@ -5,7 +5,7 @@ from __future__ import annotations  # so `help` shows forms by their names
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 
@@ -124,6 +124,18 @@ class TaskSpaceRegion(Checked):
         lower, upper = self.bounds.T
         limit = np.array([np.inf] * 3 + [np.pi] * 4)
         return frozen(np.flatnonzero((lower > -limit) | (upper < limit)))
+
+    def inset(self, metres: float, radians: float, share: float = 0.4) -> Self:
+        """The region whose bounds lie inside by [m] and [rad]; rows of width 0 stay.
+
+        share: of the width of a row that its bound is moved at most.
+        """
+        lower, upper = self.bounds.T
+        width = np.where(np.isinf(lower) | np.isinf(upper), FREE, upper - lower)
+        inside = np.minimum(np.repeat([metres, radians], (3, 4)), share * width)
+        Bw = np.column_stack([lower + inside, upper - inside])[:6]
+        tilt = None if self.tilt is None else float(self.tilt - inside[6])
+        return self.changed(Bw=frozen(Bw), tilt=tilt)
 
     def sample_poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Poses T0_w T(x) Tw_e (count, 4, 4), x uniform in the bounds; free turns in +-pi.

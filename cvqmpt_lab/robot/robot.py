@@ -243,6 +243,25 @@ class Robot:
             ends.append(distance[piece.link] + np.linalg.norm(piece.vertices_in_link, axis=1).max())
         return float(max(ends))
 
+    def levers(self, carried: float = 0.0) -> np.ndarray:
+        """Bounds (n,) on the speed of any point, per unit speed of each joint [m/rad or m/m].
+
+        Of a hinge, the largest distance from its origin to a point that it moves.
+
+        carried: radius of a ball around the end effector with what it carries [m].
+        """
+        k, far = self.kinematics, np.zeros(self.dof + 1)
+        link, T = self.end_effector_link
+        far[link] = np.linalg.norm(T[:3, 3]) + carried
+        for piece in self.links:
+            corners = np.linalg.norm(piece.vertices_in_link, axis=1).max()
+            far[piece.link] = max(far[piece.link], corners)
+        slides = np.where(k.prismatic, np.maximum(np.abs(k.lower), np.abs(k.upper)), 0.0)
+        for j in reversed(range(self.dof)):
+            beyond = np.linalg.norm(k.translation[j]) + slides[j] + far[j + 1]
+            far[k.parent[j]] = max(far[k.parent[j]], beyond)
+        return np.where(k.prismatic, 1.0, far[1:])
+
     def pose(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
         """T_world_frame (4, 4) of the end effector or a named body frame, at q (n,) [rad or m]."""
         return self.poses(np.asarray(q)[None], frame)[0]

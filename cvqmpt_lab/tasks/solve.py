@@ -14,8 +14,9 @@ import numpy as np
 
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError, require_kind, whole_number
+from cvqmpt_lab.margins import NO_MARGIN, Margin, solve_with_margin
 from cvqmpt_lab.motion_check import certified_motion
-from cvqmpt_lab.pipeline import Solution, no_plan, solve
+from cvqmpt_lab.pipeline import Solution, no_plan
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.solution_report import solution_data
@@ -35,6 +36,7 @@ class PhaseOutcome:
     attempts: tuple[Solution, ...]  # in order; the last one counts
     trajectory: Trajectory | None = None  # of the last attempt, if it is certified
     timing_seconds: float = 0.0
+    margin: str = ""  # that it was planned with, and why not more
     fallback: str = ""  # why another planner than the one asked for was used, or ""
     reason: str = ""  # why the phase failed, or ""
 
@@ -109,6 +111,7 @@ def solve_task(
     seed: int,
     timing: TimingSettings | None = None,
     backend: str = "compiled",
+    margin: Margin = NO_MARGIN,
 ) -> TaskSolution:
     """Plan, certify and time every phase.
 
@@ -120,13 +123,15 @@ def solve_task(
         seed: of all randomness.
         timing: speed of the motions.
         backend: of collision checks, see `pipeline.solve`.
+        margin: of every phase, as far as its start and goals allow it.
     """
     require_kind("task", task, Task, "Task.load(path) reads a file; a PlanningProblem is for solve")
     Budget.require(budget)
     seed = whole_number("seed", seed)
     method = planner_named(method) if isinstance(method, str) else method
     require_kind("method", method, Method, "or the name of a planner")
-    return _Run(task.in_legs, method, budget, seed, timing or TimingSettings(), backend).solve()
+    timing = timing or TimingSettings()
+    return _Run(task.in_legs, method, budget, seed, timing, backend, margin.check()).solve()
 
 
 @dataclass(eq=False)
@@ -158,6 +163,7 @@ class _Run:
     seed: int
     timing: TimingSettings
     backend: str
+    margin: Margin
     retries: int = 0  # times that it may still go back to another goal
     runs: int = 0
     cut_short: bool = False  # whether a run failed with a share of the budget
@@ -220,7 +226,7 @@ class _Run:
         problem = step.world.problem(self.task, step.phase)
         incompatible = self.method.incompatibility(problem)
         fallback = f"birrt: {incompatible}" if incompatible else ""
-        reason = step.reason
+        reason, margin = step.reason, ""
         if len(step.goals) == 0:
             solution = Solution(problem, no_plan(PlanStatus.NO_GOAL))
             reason = "; ".join(filter(None, (reason, problem.why_no_goal())))
@@ -228,11 +234,12 @@ class _Run:
             self.runs += 1
             try:
                 # each phase must observe its own world, so not from the cache
-                solution = solve(
+                solution, margin = solve_with_margin(
                     problem.changed(goals=step.goals),
                     "birrt" if incompatible else self.method,
                     self.budget.share(share),
                     int(np.random.default_rng([self.seed, self.runs]).integers(2**32)),
+                    self.margin,
                     backend=self.backend,
                     use_cache=False,
                 )
@@ -244,7 +251,9 @@ class _Run:
         step.goal_seconds = 0.0
         name = step.phase.name
         attempts = self.attempts[name] = (*self.attempts.get(name, ()), solution)
-        outcome = PhaseOutcome(step.phase, step.world, attempts, fallback=fallback, reason=reason)
+        outcome = PhaseOutcome(
+            step.phase, step.world, attempts, margin=margin, fallback=fallback, reason=reason
+        )
         if not solution.solved or solution.simplified is None:
             return outcome
         began = time.perf_counter()
@@ -279,6 +288,7 @@ def task_data(solution: TaskSolution, planner: str) -> dict[str, Any]:
             more = {
                 "attempts": len(outcome.attempts),
                 "duration_s": seconds,
+                "margin": outcome.margin,
                 "reason": outcome.reason,
             }
             said |= more | solution_data(outcome.solution, planner)

@@ -17,7 +17,7 @@ def test_plan_prints_a_report_and_writes_the_path(cvqmpt, problem_file, problem,
     out = tmp_path / "path.csv"
     words = f"plan --problem-file {problem_file} --iterations 20000 --save-path {out}"
     lines = cvqmpt(words).splitlines()
-    heads = "problem constraint planner status time counts length certificate path"
+    heads = "problem constraint planner status time counts length certificate tolerates margin path"
     assert [line.split()[0] for line in lines] == heads.split()
     assert lines[3].split() == ["status", "solved"] and " valid " in lines[7]
     assert out.read_text().splitlines()[0] == ",".join(problem.robot.joint_names)

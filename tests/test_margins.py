@@ -1,0 +1,81 @@
+"""Margins: planned with, and the deviations that a certificate says are tolerated."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.constraints.between_states import least_slack
+from cvqmpt_lab.constraints.report import displacements, excess
+from cvqmpt_lab.margins import NO_MARGIN, Margin, solve_with_margin, with_margin
+from cvqmpt_lab.poses import rotation_matrices
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.tasks.solve import solve_task
+
+
+@pytest.fixture(scope="module")
+def inside(problem):
+    """A solution of `problem` with the usual margin, and what is said of it."""
+    return solve_with_margin(problem, "birrt", Budget(iterations=20_000), 0, Margin())
+
+
+def test_the_margin_asked_for_is_kept_and_tolerated(inside):
+    solution, text = inside
+    assert solution.solved and text == "2 mm, 0.005 rad"
+    assert solution.certificate.obstacle_clearance.at_least_m >= 0.002
+    assert solution.certificate.tolerated.points_m >= 0.0019
+    assert solution.certificate.tolerated.hand_rad >= 0.003
+
+
+def test_joints_that_are_off_by_what_is_tolerated_neither_collide_nor_break_a_bound(
+    problem, inside
+):
+    rng = np.random.default_rng(0)
+    off = inside[0].certificate.tolerated.joints
+    states = inside[0].simplified.path.states
+    picked = states[rng.integers(len(states), size=300)]
+    signs = np.sign(rng.standard_normal(picked.shape))
+    checker = problem.collision_checker()
+    assert off > 1e-4
+    assert not any(checker.in_collision(q) for q in picked + off * signs)
+    for region in problem.constraint:
+        assert excess(region, displacements(problem.robot, region, picked + off * signs)).max() < 0
+
+
+def test_no_turn_of_the_hand_within_the_slack_breaks_a_bound(problem, inside):
+    rng = np.random.default_rng(0)
+    states = inside[0].simplified.path.states
+    turned, moved = least_slack(problem.robot, problem.constraint, states, 0.02)
+    assert 0.003 < turned < 0.1 and moved == np.inf
+    (region,) = problem.constraint
+    for q in states[rng.integers(len(states), size=50)]:
+        axis, turn = rng.standard_normal(3), np.eye(4)
+        turn[:3, :3] = rotation_matrices(axis[None] / np.linalg.norm(axis) * turned)[0]
+        # the hand turned by R is the region turned by its inverse
+        other = region.changed(Tw_e=turn @ region.Tw_e)
+        assert excess(other, displacements(problem.robot, other, q[None])).max() <= 1e-9
+
+
+def test_a_start_that_is_closer_lowers_the_margin_and_is_named(problem):
+    inner, used, why = with_margin(problem, Margin(metres=0.09))
+    room = problem.collision_checker().nearest_obstacle(problem.start).distance
+    assert (
+        inner.clearance == used.metres < min(room, 0.09) and "start is" in why and "mm from" in why
+    )
+
+
+def test_without_a_path_inside_it_is_planned_without(problem):
+    # one iteration cannot find a path inside, nor one without: the second run is the plain one
+    solution, text = solve_with_margin(problem, "birrt", Budget(iterations=2), 0, Margin())
+    assert text.startswith("none of 2 mm, 0.005 rad: no path inside by it")
+    assert solution.problem.clearance == problem.clearance
+
+
+def test_no_margin_is_the_plain_solution(problem, solution):
+    again, text = solve_with_margin(problem, "birrt", Budget(iterations=20_000), 0, NO_MARGIN)
+    assert text == "none asked for"
+    assert np.array_equal(again.simplified.path.states, solution.simplified.path.states)
+
+
+def test_phases_of_a_task_keep_what_their_start_and_goals_allow(task):
+    solved = solve_task(task, "birrt", Budget(seconds=20.0), 0, margin=Margin())
+    assert solved.solved
+    assert all("mm" in outcome.margin for outcome in solved.outcomes)
