@@ -37,6 +37,7 @@ from cvqmpt_lab.robot.source import (
     read_source,
 )
 from cvqmpt_lab.robot.urdf import (
+    LOCKED,
     HeldJoint,
     Urdf,
     check_bodies,
@@ -155,12 +156,18 @@ def unpickled(source: Mapping[str, Any], files: Sequence[tuple[str, str]]) -> Ro
 copyreg.pickle(Robot, lambda robot: (unpickled, (robot.source, robot.files)))
 
 
-def _built(source: Mapping[str, Any]) -> Robot:
-    """The robot of a source that has no articulated object."""
+def with_gripper(robot: Robot) -> Robot:
+    """The arm whose gripper moves, too: the joints that its source locks; without limits."""
+    return _built(robot.source, [j.name for j in robot.held_joints if j.reason == LOCKED])
+
+
+def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
+    """The robot of a source that has no articulated object; free: held joints that move, too."""
     given = read_source(source)
     read = {path: content_digest(path) for path in (given.urdf, given.srdf) if path}
     urdf = read_urdf(Path(given.urdf))
     held = held_joints(urdf, given.end_effector, given.locked, given.base is not None)
+    held = tuple(joint for joint in held if joint.name not in free)
     model, geometry, meshes = _models(urdf, given, held)
     replace_meshes_by_hulls(geometry)
     axes = axis_frames(model)
@@ -168,7 +175,8 @@ def _built(source: Mapping[str, Any]) -> Robot:
     limits = {
         kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
         for kind, values in ((k.removesuffix("_limits"), v) for k, v in given.limits.items())
-        if values is not None
+        # those of the source have no entries for joints that are free beside the arm's
+        if values is not None and not free
     }
     hand = model.frames[model.getFrameId(given.end_effector, pin.FrameType.BODY)]
     robot = Robot(

@@ -52,6 +52,9 @@ class Joint:
         return min(max(0.0, self.lower), self.upper) if self.lower <= self.upper else 0.0
 
 
+LOCKED = "as asked for"  # reason of a joint that is locked by its name
+
+
 class HeldJoint(NamedTuple):
     """A joint that planning does not move."""
 
@@ -233,7 +236,7 @@ def held_joints(
                 f"joint {name!r} cannot be locked at {number:g} rad, more than 2 pi: degrees? "
                 "Give radians"
             )
-        held[name] = HeldJoint(name, number, "as asked for")
+        held[name] = HeldJoint(name, number, LOCKED)
     chain = {joint.name for joint in urdf.chain(end_effector)}
     free = [joint for name, joint in movable.items() if name not in held]
     # mimicking joints come last: whether they are held can depend on the joint that they follow

@@ -1,14 +1,11 @@
-"""A problem's robot and obstacles as URDF and MJCF, so that other planners check the same bodies.
+"""A problem's robot and obstacles as URDF, so that other planners check the same bodies.
 
-Both files have the joint axes of `Robot.kinematics` as z, a body for every convex piece of a link
-and one for every obstacle, which is fixed to the world. Lengths in metres.
+The file has the joint axes of `Robot.kinematics` as z, a body for every convex piece of a link and
+one for every obstacle, which is fixed to the world. Lengths in metres.
 """
 
 import warnings
-from collections.abc import Iterator
-from itertools import combinations
 from pathlib import Path
-from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -16,48 +13,12 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from trimesh import Trimesh
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.execution.mjcf import Body, bodies_of, unchecked_pairs
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 
-HAND, TOOL = "hand", "tool"
-
-
-class Body(NamedTuple):
-    """A convex body, fixed to a link."""
-
-    name: str
-    link: int  # pose row that carries it, 0: the world
-    T_link_body: np.ndarray  # (4, 4)
-    shape: Shape
-
-
-def bodies_of(robot: Robot, scene: Scene) -> list[Body]:
-    """The robot's pieces in the order of `Robot.links`, then the obstacles.
-
-    Raises InvalidInputError for an obstacle that is no convex solid.
-    """
-    found = [
-        Body(f"piece_{k}", piece.link, piece.T_link_geometry, ConvexMesh(piece.vertices))
-        for k, piece in enumerate(robot.links)
-    ]
-    for k, item in enumerate(scene.obstacles):
-        if not isinstance(item.shape, Box | Cylinder | Sphere | ConvexMesh):
-            raise InvalidInputError(
-                f"obstacle {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
-                "cylinders, spheres or convex meshes"
-            )
-        found.append(Body(f"obstacle_{k}", 0, item.T_world_object, item.shape))
-    return found
-
-
-def unchecked_pairs(robot: Robot) -> Iterator[tuple[str, str]]:
-    """Pairs of the robot's bodies that are not checked against each other, by name."""
-    checked = {frozenset(pair) for pair in robot.self_collision_pairs}
-    for pair in combinations(range(len(robot.links)), 2):
-        if frozenset(pair) not in checked:
-            yield f"piece_{pair[0]}", f"piece_{pair[1]}"
+TOOL = "tool"
 
 
 def urdf_of(robot: Robot, scene: Scene, folder: Path, T_hand_tool: np.ndarray) -> tuple[str, str]:
@@ -142,58 +103,3 @@ def _urdf_shape(geometry: Element, body: Body, folder: Path) -> None:
             path = folder / f"{body.name}.stl"
             Trimesh(vertices, ConvexHull(vertices).simplices, process=False).export(path)
             SubElement(geometry, "mesh", filename=str(path))
-
-
-def mjcf_of(robot: Robot, scene: Scene) -> str:
-    """MJCF of robot and obstacles as text; the hand is a site."""
-    root = Element("mujoco", model="arm")
-    SubElement(root, "compiler", angle="radian", autolimits="true")
-    assets = SubElement(root, "asset")
-    links = [SubElement(root, "worldbody")]
-    arm = robot.kinematics
-    for j, name in enumerate(robot.joint_names):
-        link = _placed(links[arm.parent[j]], f"link_{j + 1}", arm.rotation[j], arm.translation[j])
-        kind = "slide" if arm.prismatic[j] else "hinge"
-        limits = _numbers(np.r_[arm.lower[j], arm.upper[j]])
-        SubElement(link, "joint", name=name, type=kind, axis="0 0 1", range=limits)
-        SubElement(link, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
-        links.append(link)
-    for body in bodies_of(robot, scene):
-        T = body.T_link_body
-        part = _placed(links[body.link], body.name, T[:3, :3], T[:3, 3])
-        _mjcf_shape(part, assets, body)
-    row, T_link_hand = robot.end_effector_link
-    _placed(links[row], HAND, T_link_hand[:3, :3], T_link_hand[:3, 3], "site")
-    contact = SubElement(root, "contact")
-    for first, second in unchecked_pairs(robot):
-        SubElement(contact, "exclude", body1=first, body2=second)
-    return tostring(root, encoding="unicode")
-
-
-def _placed(
-    parent: Element,
-    name: str,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    tag: str = "body",
-) -> Element:
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    quaternion = _numbers(np.array([w, x, y, z]))
-    return SubElement(parent, tag, name=name, pos=_numbers(translation), quat=quaternion)
-
-
-def _mjcf_shape(part: Element, assets: Element, body: Body) -> None:
-    name = f"{body.name}_geom"
-    match body.shape:
-        case Box(size):
-            SubElement(part, "geom", name=name, type="box", size=_numbers(0.5 * np.array(size)))
-        case Cylinder(radius, height):
-            sizes = _numbers(np.array([radius, 0.5 * height]))
-            SubElement(part, "geom", name=name, type="cylinder", size=sizes)
-        case Sphere(radius):
-            SubElement(part, "geom", name=name, type="sphere", size=repr(radius))
-        case ConvexMesh(vertices):
-            SubElement(
-                assets, "mesh", name=body.name, vertex=_numbers(vertices.ravel()), inertia="convex"
-            )
-            SubElement(part, "geom", name=name, type="mesh", mesh=body.name)

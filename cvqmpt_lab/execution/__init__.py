@@ -1,0 +1,1 @@
+"""Motions and tasks executed in a physics simulation (MuJoCo, extra `physics`)."""

@@ -1,0 +1,64 @@
+"""Controllers of an arm at 1 kHz: efforts from the state that is wanted and the state that is.
+
+Gains are the same for any arm: a joint gives its whole effort limit at an error of 1 / STIFFNESS.
+Every controller is limited by the arm's effort limits.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.execution.mjcf import ARMATURE, DAMPING
+from cvqmpt_lab.robot.dynamics import Dynamics, Load, without_effort_limit
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.trajectory.trajectory import JointState
+
+PERIOD = 1e-3  # [s] of control
+STIFFNESS, TIME_CONSTANT = 10.0, 0.05  # [1/rad], [s]: Kd = TIME_CONSTANT Kp
+SERVO_STIFFNESS, SERVO_TIME_CONSTANT = 50.0, 0.1  # as in MuJoCo Menagerie's Panda
+CONTROLLERS = {
+    "computed-torque": "tau = RNEA(q_d, q_d', q_d'') + Kp (q_d - q) + Kd (q_d' - q'); masses of "
+    "arm and load, rotors and damping are known",
+    "computed-torque-unknown-load": "the same, but load, rotors and damping are not known",
+    "position-servo": "tau = g(q) + Kp (q_d - q) - Kd q', stiffer; the load is not known",
+}
+
+
+class Controller:
+    """A controller by its name in `CONTROLLERS`."""
+
+    def __init__(self, name: str, robot: Robot) -> None:
+        """robot: the arm with its gripper closed; InvalidInputError where efforts are not known."""
+        if name not in CONTROLLERS:
+            raise UnknownChoiceError("controller", name, CONTROLLERS)
+        if why := without_effort_limit(robot):
+            raise InvalidInputError(
+                f"robot {robot.name} cannot be executed: {why}; give a URDF with masses, and "
+                "--effort"
+            )
+        self.name, self.robot, self.limits = name, robot, robot.limits["effort"]
+        self.carry(())
+
+    def carry(self, loads: Sequence[Load]) -> None:
+        """Take up loads, or put them down."""
+        known = loads if self.name == "computed-torque" else ()
+        dynamics = Dynamics.of(self.robot, known)
+        assert dynamics is not None
+        self._model, self._data = dynamics.model, dynamics.model.createData()
+
+    def efforts(self, wanted: JointState, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Efforts (n,) [Nm or N] at q and q' (n,), within the limits."""
+        off = wanted.positions - q
+        if self.name == "position-servo":
+            gravity = pin.computeGeneralizedGravity(self._model, self._data, q)
+            Kp = SERVO_STIFFNESS * self.limits
+            tau = gravity + Kp * (off - SERVO_TIME_CONSTANT * v)
+        else:
+            Kp = STIFFNESS * self.limits
+            tau = pin.rnea(self._model, self._data, *wanted)
+            tau = tau + Kp * (off + TIME_CONSTANT * (wanted.velocities - v))
+            if self.name == "computed-torque":
+                tau = tau + ARMATURE * wanted.accelerations + DAMPING * wanted.velocities
+        return np.clip(tau, -self.limits, self.limits)

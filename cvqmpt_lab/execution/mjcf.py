@@ -1,0 +1,241 @@
+"""A robot and a scene as MJCF, MuJoCo's file format.
+
+Planners of others read the geometry alone. With `Physics` the file also has masses, motors,
+fingers that move, doors as hinges and what is carried. Joint axes are those of `Robot.kinematics`
+as z; every convex piece of a link and every obstacle is a body. Lengths in metres.
+"""
+
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.robot import Robot, axis_frames, in_link
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
+
+HAND = "hand"
+LOAD = "load"  # name of the body that is carried
+# contact bits
+FIXED, DOOR, ROBOT, OBJECT = 1, 2, 4, 8
+ARMATURE, DAMPING = 0.1, 1.0  # of every joint of the arm, as in MuJoCo Menagerie's Panda
+HINGE_DAMPING, HINGE_FRICTION = 0.5, 0.3  # of a door [Nms/rad, Nm]
+FRICTION = "0.8 0.005 0.0001"  # of rubber pads: sliding, torsional, rolling
+WOOD = 600.0  # density of doors [kg/m^3]
+
+
+class Body(NamedTuple):
+    """A convex body, fixed to a link."""
+
+    name: str
+    link: int  # pose row that carries it, 0: the world
+    T_link_body: np.ndarray  # (4, 4)
+    shape: Shape
+
+
+class Physics(NamedTuple):
+    """What a simulation has beyond the geometry."""
+
+    contact_time: float  # time constant of contacts, MuJoCo's solref [s]
+    # sliding joints of the gripper, each with the one that it follows, or ""
+    fingers: Mapping[str, str] = {}
+    doors: tuple[str, ...] = ()  # articulations of the scene that move
+    welded: Attachment | None = None  # load that is fixed to the hand
+    free: SceneObject | None = None  # load that moves freely; it has a mass
+
+    @property
+    def step(self) -> float:
+        """The time step [s]: at most half of the contact time, 1 ms divided by a whole number."""
+        return 1e-3 / max(1, round(2e-3 / self.contact_time))
+
+
+def bodies_of(robot: Robot, scene: Scene) -> list[Body]:
+    """The robot's pieces in the order of `Robot.links`, then the obstacles.
+
+    Raises InvalidInputError for an obstacle that is no convex solid.
+    """
+    found = [
+        Body(f"piece_{k}", piece.link, piece.T_link_geometry, ConvexMesh(piece.vertices))
+        for k, piece in enumerate(robot.links)
+    ]
+    for k, item in enumerate(scene.obstacles):
+        if not isinstance(item.shape, Box | Cylinder | Sphere | ConvexMesh):
+            raise InvalidInputError(
+                f"obstacle {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
+                "cylinders, spheres or convex meshes"
+            )
+        found.append(Body(f"obstacle_{k}", 0, item.T_world_object, item.shape))
+    return found
+
+
+def unchecked_pairs(robot: Robot) -> Iterator[tuple[str, str]]:
+    """Pairs of the robot's bodies that are not checked against each other, by name."""
+    checked = {frozenset(pair) for pair in robot.self_collision_pairs}
+    for pair in combinations(range(len(robot.links)), 2):
+        if frozenset(pair) not in checked:
+            yield f"piece_{pair[0]}", f"piece_{pair[1]}"
+
+
+def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
+    """MJCF of robot and obstacles as text; the hand is a site."""
+    root = Element("mujoco", model="arm")
+    SubElement(root, "compiler", angle="radian", autolimits="true", balanceinertia="true")
+    assets = SubElement(root, "asset")
+    world = SubElement(root, "worldbody")
+    links, arm = [world], robot.kinematics
+    for j, name in enumerate(robot.joint_names):
+        link = _placed(links[arm.parent[j]], f"link_{j + 1}", arm.rotation[j], arm.translation[j])
+        kind = "slide" if arm.prismatic[j] else "hinge"
+        limits = _numbers(np.r_[arm.lower[j], arm.upper[j]])
+        joint = SubElement(link, "joint", name=name, type=kind, axis="0 0 1", range=limits)
+        if physics is None:
+            SubElement(link, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
+        else:
+            _add_dynamics(joint, link, robot, j, name in physics.fingers)
+        links.append(link)
+    carriers = links if physics is None else _with_doors(world, scene, physics)
+    of_door = {
+        item: name
+        for name in (physics.doors if physics else ())
+        for item in scene.articulation(name).moves
+    }
+    pieces = len(robot.links)
+    for k, body in enumerate(bodies_of(robot, scene)):
+        bits, parent, T = (ROBOT, FIXED | DOOR | ROBOT), links[body.link], body.T_link_body
+        if k >= pieces:
+            bits, door = (FIXED, 0), of_door.get(scene.obstacles[k - pieces].name)
+            if door is not None:
+                bits, parent = (DOOR, 0), carriers[door]
+                T = np.linalg.inv(scene.articulation(door).T_world_joint) @ T
+        part = _placed(parent, body.name, T[:3, :3], T[:3, 3])
+        geom = _add_shape(part, assets, body)
+        if physics is not None:
+            _touching(geom, bits, density=WOOD if bits[0] == DOOR else 0.0)
+    row, T_link_hand = robot.end_effector_link
+    _placed(links[row], HAND, T_link_hand[:3, :3], T_link_hand[:3, 3], "site")
+    contact = SubElement(root, "contact")
+    for first, second in unchecked_pairs(robot):
+        SubElement(contact, "exclude", body1=first, body2=second)
+    if physics is not None:
+        if physics.welded is not None:
+            T = T_link_hand @ physics.welded.T_hand_object
+            _add_load(links[row], assets, physics.welded, T)
+        if physics.free is not None:
+            part = _add_load(world, assets, physics.free, physics.free.T_world_object)
+            SubElement(part, "freejoint", name=LOAD)
+        _add_motors(root, robot, physics)
+    return tostring(root, encoding="unicode")
+
+
+def _add_dynamics(joint: Element, link: Element, robot: Robot, j: int, finger: bool) -> None:
+    """Rotor, damping and mass; light fingers would give way by centimetres without a rotor."""
+    rotor = (1.0, 250.0) if finger else (ARMATURE, DAMPING)
+    joint.set("armature", repr(rotor[0]))
+    joint.set("damping", repr(rotor[1]))
+    if finger:
+        joint.set("solreflimit", "0.004 1")
+    _, T = in_link(axis_frames(robot.model), j + 1, pin.SE3.Identity())
+    body = pin.SE3(T).act(robot.model.inertias[j + 1])
+    tensor = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    lever, mass = _numbers(body.lever), repr(float(body.mass))
+    SubElement(link, "inertial", pos=lever, mass=mass, fullinertia=_numbers(tensor))
+
+
+def _with_doors(world: Element, scene: Scene, physics: Physics) -> dict[str, Element]:
+    """Bodies of doors and drawers, by name, that move from where they stand in the scene."""
+    found = {}
+    for name in physics.doors:
+        door = scene.articulation(name)
+        T = door.T_world_joint
+        found[name] = _placed(world, f"door_{name}", T[:3, :3], T[:3, 3])
+        SubElement(
+            found[name],
+            "joint",
+            name=name,
+            type="hinge" if door.kind == "hinge" else "slide",
+            axis="0 0 1",
+            range=_numbers(np.array([door.lower, door.upper]) - door.value),
+            damping=repr(HINGE_DAMPING),
+            frictionloss=repr(HINGE_FRICTION),
+            armature="0.01",
+        )
+    return found
+
+
+def _add_load(
+    parent: Element, assets: Element, load: SceneObject | Attachment, T: np.ndarray
+) -> Element:
+    part = _placed(parent, LOAD, T[:3, :3], T[:3, 3])
+    geom = _add_shape(part, assets, Body(LOAD, 0, T, load.shape))
+    _touching(geom, (OBJECT, FIXED | DOOR | ROBOT), mass=load.mass or 0.0)
+    return part
+
+
+def _touching(geom: Element, bits: tuple[int, int], **weight: float) -> None:
+    """Which geoms it touches, friction and weight."""
+    values = {"contype": bits[0], "conaffinity": bits[1], "condim": 4, "friction": FRICTION}
+    for name, value in {**values, **weight}.items():
+        geom.set(name, str(value))
+
+
+def _add_motors(root: Element, robot: Robot, physics: Physics) -> None:
+    """Time step, motors of all joints, and joints of the gripper that follow another one."""
+    option = SubElement(
+        root, "option", timestep=repr(physics.step), integrator="implicitfast", cone="elliptic"
+    )
+    # of an elliptic cone: friction is stiffer than the normal force, so little creeps
+    option.set("impratio", "20")
+    SubElement(option, "flag", multiccd="enable")
+    usual = SubElement(SubElement(root, "default"), "geom")
+    usual.set("solref", f"{physics.contact_time} 1")
+    motors, equality = SubElement(root, "actuator"), SubElement(root, "equality")
+    for name in robot.joint_names:
+        SubElement(motors, "motor", name=name, joint=name)
+    for name, leader in physics.fingers.items():
+        if leader:
+            SubElement(
+                equality, "joint", joint1=name, joint2=leader, polycoef="0 1 0 0 0", solref="0.004 1"
+            )
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _placed(
+    parent: Element,
+    name: str,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    tag: str = "body",
+) -> Element:
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    quaternion = _numbers(np.array([w, x, y, z]))
+    return SubElement(parent, tag, name=name, pos=_numbers(translation), quat=quaternion)
+
+
+def _add_shape(part: Element, assets: Element, body: Body) -> Element:
+    name = f"{body.name}_geom"
+    match body.shape:
+        case Box(size):
+            sizes = _numbers(0.5 * np.array(size))
+            return SubElement(part, "geom", name=name, type="box", size=sizes)
+        case Cylinder(radius, height):
+            sizes = _numbers(np.array([radius, 0.5 * height]))
+            return SubElement(part, "geom", name=name, type="cylinder", size=sizes)
+        case Sphere(radius):
+            return SubElement(part, "geom", name=name, type="sphere", size=repr(radius))
+        case ConvexMesh(vertices):
+            SubElement(
+                assets, "mesh", name=body.name, vertex=_numbers(vertices.ravel()), inertia="convex"
+            )
+            return SubElement(part, "geom", name=name, type="mesh", mesh=body.name)
+    raise InvalidInputError(
+        f"{body.name} is of type {type(body.shape).__name__}: give a box, cylinder, sphere or "
+        "convex mesh"
+    )

@@ -1,0 +1,190 @@
+"""A robot in a scene in MuJoCo, moved by a controller at 1 kHz, and what is observed meanwhile."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.execution.controllers import PERIOD, Controller
+from cvqmpt_lab.execution.mjcf import HAND, LOAD, Physics, mjcf_of
+from cvqmpt_lab.robot.load import with_gripper
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.source import read_source
+from cvqmpt_lab.robot.urdf import read_urdf
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.trajectory.trajectory import JointState, Trajectory
+
+GRIP, OPEN = -50.0, 30.0  # force that closes and opens each finger [N]
+EVERY = 10  # periods between two states that are kept
+
+
+class Contact(NamedTuple):
+    """Two bodies that touched where they should not."""
+
+    first: str
+    second: str
+    depth_m: float  # largest, at `time_s`
+    time_s: float
+
+
+class Sample(NamedTuple):
+    """A moment of an execution."""
+
+    time: float  # [s]
+    phase: str
+    q: np.ndarray  # (n,) of the arm
+    doors: dict[str, float]  # values of the articulations
+    T_world_load: np.ndarray | None  # (4, 4)
+
+
+def mujoco_module() -> Any:
+    """MuJoCo; InvalidInputError where it is not installed."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise InvalidInputError(
+            "executing needs MuJoCo, which is not installed: pip install 'cvqmpt-lab[physics]'"
+        ) from error
+    return mujoco
+
+
+class Simulation:
+    """A robot in a scene; see `Physics` for what else there is.
+
+    Args:
+        arm: with its gripper held.
+        scene: at the beginning, without the load.
+        q: (n,) where the arm stands at the beginning.
+        controller: of the arm.
+        physics: contact time, doors and load.
+        gripper: whether the fingers move; else they stay where the arm's source holds them.
+    """
+
+    def __init__(
+        self,
+        arm: Robot,
+        scene: Scene,
+        q: np.ndarray,
+        controller: Controller,
+        physics: Physics,
+        gripper: bool,
+    ) -> None:
+        self.mujoco = mujoco_module()
+        self.scene, self.controller, self.physics = scene, controller, physics
+        robot = arm
+        if gripper:
+            robot = with_gripper(arm)
+            self.physics = physics = physics._replace(fingers=_fingers(arm, robot))
+        text = mjcf_of(robot, scene, physics)
+        self.model = model = self.mujoco.MjModel.from_xml_string(text)
+        self.data = data = self.mujoco.MjData(model)
+        joints = [model.joint(name) for name in arm.joint_names]
+        self._q = np.array([joint.qposadr[0] for joint in joints])
+        self._v = np.array([joint.dofadr[0] for joint in joints])
+        self._motors = np.array([model.actuator(name).id for name in arm.joint_names])
+        self._fingers = np.array([model.actuator(name).id for name in physics.fingers], dtype=int)
+        labels = {f"piece_{k}_geom": piece.name for k, piece in enumerate(robot.links)}
+        labels |= {f"obstacle_{k}_geom": item.name for k, item in enumerate(scene.obstacles)}
+        self.names = [labels.get(model.geom(k).name, LOAD) for k in range(model.ngeom)]
+        data.qpos[self._q] = q
+        held = {joint.name: joint.value for joint in arm.held_joints}
+        for name in physics.fingers:
+            data.qpos[model.joint(name).qposadr[0]] = held[name]
+        self.mujoco.mj_forward(model, data)
+        self.force = OPEN  # of each finger [N]
+        self.phase = ""
+        self.samples: list[Sample] = []
+        # by names: (depth, time, place of the load) of every moment of a contact would be long
+        self.touched: dict[tuple[str, str], Contact] = {}
+        self.allowed: set[frozenset[str]] = set()
+        self.errors: list[float] = []  # largest |q_d - q| of each period [rad or m]
+        self.saturated = 0  # periods in which an effort limit was reached
+        self._periods = 0
+
+    @property
+    def q(self) -> np.ndarray:
+        """Positions (n,) of the arm's joints."""
+        return self.data.qpos[self._q].copy()
+
+    @property
+    def T_world_hand(self) -> np.ndarray:
+        """Pose (4, 4) of the hand."""
+        site = self.data.site(HAND)
+        return _pose(site.xmat, site.xpos)
+
+    @property
+    def T_world_load(self) -> np.ndarray | None:
+        """Pose (4, 4) of the load."""
+        if self.physics.free is None and self.physics.welded is None:
+            return None
+        body = self.data.body(LOAD)
+        return _pose(body.xmat, body.xpos)
+
+    @property
+    def doors(self) -> dict[str, float]:
+        """Values of the articulations that move."""
+        return {
+            name: self.scene.articulation(name).value + float(self.data.joint(name).qpos[0])
+            for name in self.physics.doors
+        }
+
+    def follow(self, motion: Trajectory) -> None:
+        """Execute a motion of the arm."""
+        times = np.arange(0.0, motion.duration + PERIOD, PERIOD)
+        for state in zip(*motion.at(times), strict=True):
+            self._step(JointState(*state))
+
+    def hold(self, q: np.ndarray, seconds: float) -> None:
+        """Stay at q (n,)."""
+        still = np.zeros_like(q)
+        for _ in range(round(seconds / PERIOD)):
+            self._step(JointState(q, still, still))
+
+    def _step(self, wanted: JointState) -> None:
+        data = self.data
+        tau = self.controller.efforts(wanted, data.qpos[self._q], data.qvel[self._v])
+        self.saturated += bool((np.abs(tau) >= self.controller.limits).any())
+        data.ctrl[self._motors] = tau
+        data.ctrl[self._fingers] = self.force
+        self.mujoco.mj_step(self.model, data, nstep=round(PERIOD / self.physics.step))
+        self.errors.append(float(np.abs(data.qpos[self._q] - wanted.positions).max()))
+        for (first, second), depth in zip(data.contact.geom, -data.contact.dist, strict=True):
+            self._touch(self.names[first], self.names[second], float(depth))
+        if self._periods % EVERY == 0:
+            sample = Sample(data.time, self.phase, self.q, self.doors, self.T_world_load)
+            self.samples.append(sample)
+        self._periods += 1
+
+    def _touch(self, first: str, second: str, depth: float) -> None:
+        if depth < 0.0 or frozenset((first, second)) in self.allowed:
+            return
+        pair = min(first, second), max(first, second)
+        if pair not in self.touched or depth > self.touched[pair].depth_m:
+            self.touched[pair] = Contact(*pair, depth, self.data.time)
+
+
+def allow(pairs: Iterable[Sequence[str]]) -> set[frozenset[str]]:
+    """Pairs of names whose contact is no fault."""
+    return {frozenset(pair) for pair in pairs}
+
+
+def _fingers(arm: Robot, robot: Robot) -> Mapping[str, str]:
+    """Joints of the gripper, each with the one that it follows; refused if one turns."""
+    names = [name for name in robot.joint_names if name not in arm.joint_names]
+    turning = [n for n in names if not robot.kinematics.prismatic[robot.joint_names.index(n)]]
+    if turning or not names:
+        what = f"turns {', '.join(turning)}" if turning else "has no fingers that its source locks"
+        raise InvalidInputError(
+            f"the gripper of {arm.name} {what}: only fingers on sliders are simulated; weld the "
+            "load instead, --hold weld"
+        )
+    joints = read_urdf(Path(read_source(arm.source).urdf)).joints
+    return {name: joints[name].mimics or "" for name in names}
+
+
+def _pose(R: np.ndarray, p: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R.reshape(3, 3), p
+    return T
