@@ -16,7 +16,9 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.trajectory.trajectory import JointState
 
 PERIOD = 1e-3  # [s] of control
-STIFFNESS, TIME_CONSTANT = 10.0, 0.05  # [1/rad], [s]: Kd = TIME_CONSTANT Kp
+# [1/rad], [s]: Kp = STIFFNESS x effort limit, 3000 Nm/rad at the Panda's shoulder as in libfranka's
+# setDefaultBehavior; Kd = TIME_CONSTANT Kp damps joints of 0.1 to 3 kg m^2 by 0.5 to 1.2
+STIFFNESS, TIME_CONSTANT = 35.0, 0.04
 SERVO_STIFFNESS, SERVO_TIME_CONSTANT = 50.0, 0.1  # as in MuJoCo Menagerie's Panda
 CONTROLLERS = {
     "computed-torque": "tau = RNEA(q_d, q_d', q_d'') + Kp (q_d - q) + Kd (q_d' - q'); masses of "

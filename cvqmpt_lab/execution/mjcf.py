@@ -98,7 +98,7 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
         else:
             _add_dynamics(joint, link, robot, j, name in physics.fingers)
         links.append(link)
-    carriers = links if physics is None else _with_doors(world, scene, physics)
+    carriers = _with_doors(world, scene, physics) if physics else {}
     of_door = {
         item: name
         for name in (physics.doors if physics else ())
@@ -199,7 +199,12 @@ def _add_motors(root: Element, robot: Robot, physics: Physics) -> None:
     for name, leader in physics.fingers.items():
         if leader:
             SubElement(
-                equality, "joint", joint1=name, joint2=leader, polycoef="0 1 0 0 0", solref="0.004 1"
+                equality,
+                "joint",
+                joint1=name,
+                joint2=leader,
+                polycoef="0 1 0 0 0",
+                solref="0.004 1",
             )
 
 

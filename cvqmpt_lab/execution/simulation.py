@@ -1,6 +1,6 @@
 """A robot in a scene in MuJoCo, moved by a controller at 1 kHz, and what is observed meanwhile."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.trajectory.trajectory import JointState, Trajectory
 
 GRIP, OPEN = -50.0, 30.0  # force that closes and opens each finger [N]
+AT_REST = 0.02  # [m] from where a load is grasped or put down: it may touch what it stands on
 EVERY = 10  # periods between two states that are kept
 
 
@@ -96,9 +97,10 @@ class Simulation:
         self.force = OPEN  # of each finger [N]
         self.phase = ""
         self.samples: list[Sample] = []
-        # by names: (depth, time, place of the load) of every moment of a contact would be long
         self.touched: dict[tuple[str, str], Contact] = {}
-        self.allowed: set[frozenset[str]] = set()
+        self.allowed: set[frozenset[str]] = set()  # pairs of names that may touch
+        # (3,) places where the load may touch what it stands on
+        self.rests: list[np.ndarray] = []
         self.errors: list[float] = []  # largest |q_d - q| of each period [rad or m]
         self.saturated = 0  # periods in which an effort limit was reached
         self._periods = 0
@@ -160,14 +162,13 @@ class Simulation:
     def _touch(self, first: str, second: str, depth: float) -> None:
         if depth < 0.0 or frozenset((first, second)) in self.allowed:
             return
+        if LOAD in (first, second):
+            place = self.data.body(LOAD).xpos
+            if any(np.linalg.norm(place - rest) < AT_REST for rest in self.rests):
+                return
         pair = min(first, second), max(first, second)
         if pair not in self.touched or depth > self.touched[pair].depth_m:
             self.touched[pair] = Contact(*pair, depth, self.data.time)
-
-
-def allow(pairs: Iterable[Sequence[str]]) -> set[frozenset[str]]:
-    """Pairs of names whose contact is no fault."""
-    return {frozenset(pair) for pair in pairs}
 
 
 def _fingers(arm: Robot, robot: Robot) -> Mapping[str, str]:

@@ -1,0 +1,306 @@
+"""Execute a motion or a task in simulation, and judge what came of it.
+
+A simulation is no arm: contacts depend on the solver's settings. So a verdict on contacts counts
+only if it is the same at two contact times, see `agreed`.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from cvqmpt_lab.constraints.report import displacements, excess
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.execution.controllers import Controller
+from cvqmpt_lab.execution.mjcf import LOAD, Physics
+from cvqmpt_lab.execution.simulation import GRIP, OPEN, Contact, Sample, Simulation
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.coal_shapes import loads_of
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
+from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution
+from cvqmpt_lab.tasks.task import Grasp, Hold, Phase, Release
+from cvqmpt_lab.tasks.world import World
+from cvqmpt_lab.trajectory.trajectory import Trajectory
+
+CONTACT_TIMES = 0.004, 0.001  # [s] at which a verdict must be the same
+SETTLE = 0.3  # [s] before a motion and after it
+CLOSE = 0.4  # [s] for opening or closing the fingers
+PLACED = 0.03, 0.1  # [m], [rad] that an object may stand off where it was to be put down
+HELD = 0.05  # [m] in the hand by which a load has moved when it counts as lost
+
+
+class Outcome(StrEnum):
+    """What became of a motion or task."""
+
+    EXECUTED = "executed as planned"
+    NOT_EXECUTED = "not executed as planned"
+    UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True)
+class Execution:
+    """The result of executing a motion or task once."""
+
+    name: str
+    controller: str
+    contact_time: float  # [s]
+    seconds: float  # of simulated time
+    off_path_m: float  # largest distance of the hand from its planned path
+    off_rad: float  # largest difference of a joint from where it should be at the time [rad or m]
+    outside_rad: float  # largest violation of a bound of rotation or tilt of positive width
+    outside_m: float  # likewise of position
+    tilt_rad: float  # largest absolute entry of rotation that has a bound; nan without one
+    contacts: tuple[Contact, ...]  # but for those at grasp and place
+    saturated_s: float  # time in which a motor gave its whole effort
+    drift_m: float | None = None  # of the load in the hand; None: it is welded, or there is none
+    placed: bool | None = None  # whether it stands where it should; None: nothing is put down
+    placed_off_m: float | None = None  # distance from there
+    samples: tuple[Sample, ...] = ()  # every 10 ms
+
+    @property
+    def faults(self) -> list[str]:
+        """Why it was not executed as planned."""
+        found = [
+            f"{contact.first} touches {contact.second}, {1e3 * contact.depth_m:.2g} mm deep, at "
+            f"{contact.time_s:.2f} s"
+            for contact in self.contacts
+        ]
+        if self.outside_rad > 0.0 or self.outside_m > 0.0:
+            found.append(
+                f"the constraint is broken by {self.outside_rad:.2g} rad, {self.outside_m:.2g} m"
+            )
+        if self.drift_m is not None and self.drift_m > HELD:
+            found.append("the load left the hand")
+        if self.placed is False:
+            found.append(f"the load ends {1e3 * (self.placed_off_m or 0.0):.0f} mm from its place")
+        return found
+
+    @property
+    def pairs(self) -> set[tuple[str, str]]:
+        """What touched."""
+        return {(contact.first, contact.second) for contact in self.contacts}
+
+
+def agreed(executions: Iterable[Execution]) -> tuple[Outcome, str]:
+    """The outcome of the same execution at several contact times, and why."""
+    first, *others = executions
+    for other in others:
+        if first.pairs != other.pairs or first.placed != other.placed:
+            a, b = (1e3 * one.contact_time for one in (first, other))
+            different = sorted(first.pairs ^ other.pairs)
+            what = f"{' and '.join(different[0])} touch" if different else "the load is placed"
+            return Outcome.UNDECIDED, f"{what} at one of the contact times {a:g} and {b:g} ms"
+        if bool(first.faults) != bool(other.faults):
+            return Outcome.UNDECIDED, "bounds are kept at one of the contact times"
+    faults = first.faults
+    return (Outcome.NOT_EXECUTED if faults else Outcome.EXECUTED), "; ".join(faults)
+
+
+def execute_motion(
+    problem: PlanningProblem,
+    motion: Trajectory,
+    controller: str,
+    contact_time: float = CONTACT_TIMES[0],
+    friction: bool = False,
+) -> Execution:
+    """Execute a certified motion.
+
+    Args:
+        problem: that it solves.
+        motion: of its robot.
+        controller: a name of `controllers.CONTROLLERS`.
+        contact_time: of the simulation [s].
+        friction: whether fingers hold the load, else it is welded to the hand.
+    """
+    if "articulated" in problem.robot.source:
+        raise InvalidInputError("a motion that holds a door is executed as part of a task")
+    if motion.joint_names != problem.robot.joint_names:
+        raise InvalidInputError(
+            f"the motion is of joints {', '.join(motion.joint_names)}, the problem's robot has "
+            f"{', '.join(problem.robot.joint_names)}"
+        )
+    (load,) = problem.attachments or (None,)
+    q = motion.positions[0]
+    physics = Physics(contact_time, welded=load)
+    if friction:
+        if load is None:
+            raise InvalidInputError("--hold friction: the problem has nothing in the hand")
+        T = problem.robot.pose(q) @ load.T_hand_object
+        item = SceneObject(load.name, load.shape, T, mass=_mass(load))
+        physics = Physics(contact_time, free=item)
+    control = Controller(controller, problem.robot)
+    control.carry(loads_of(problem.attachments))
+    world = Simulation(problem.robot, problem.scene, q, control, physics, friction)
+    world.phase, before = problem.name, np.eye(4)
+    if load is not None:
+        ends = problem.robot.poses(motion.positions[[0, -1]])
+        world.rests = list((ends @ load.T_hand_object)[:, :3, 3])
+    if friction:
+        world.allowed = _hand_pairs(problem.robot, [LOAD])
+        world.force = GRIP
+    world.hold(q, SETTLE)
+    if friction:
+        before = _in_hand(world)
+    world.saturated, world.errors = 0, []
+    world.follow(motion)
+    world.hold(motion.positions[-1], SETTLE)
+    moved = [sample for sample in world.samples if sample.time > SETTLE]
+    found = _judged(problem.name, world, [(problem, motion, moved)])
+    if friction:
+        found = replace(found, drift_m=float(np.linalg.norm((_in_hand(world) - before)[:3, 3])))
+    return found
+
+
+def execute_task(
+    solution: TaskSolution, controller: str, contact_time: float = CONTACT_TIMES[0]
+) -> Execution:
+    """Execute a solved task: fingers hold what is grasped by friction, doors move by contact.
+
+    Args: as `execute_motion`.
+    """
+    if not solution.solved:
+        raise InvalidInputError(f"task {solution.task.name} is not solved: {solution.failure}")
+    task, start = solution.task, World.before(solution.task)
+    grasps = [phase.object for phase in task.phases if isinstance(phase, Grasp)]
+    if len(grasps) > 1:
+        raise InvalidInputError(
+            f"task {task.name} grasps {', '.join(grasps)}: only tasks that grasp one object are "
+            "simulated"
+        )
+    load = task.scene[grasps[0]] if grasps else None
+    if load is not None:
+        load = replace(load, mass=_mass(load))
+    doors = tuple(phase.articulation for phase in task.phases if isinstance(phase, Hold))
+    scene = task.scene.without(*grasps)
+    physics = Physics(contact_time, doors=tuple(dict.fromkeys(doors)), free=load)
+    control = Controller(controller, start.arm)
+    world = Simulation(start.arm, scene, task.start, control, physics, gripper=True)
+    if load is not None:
+        world.rests = [
+            load.T_world_object[:3, 3],
+            solution.world.scene[load.name].T_world_object[:3, 3],
+        ]
+    world.hold(task.start, SETTLE)
+    q, parts, before, drift = task.start, [], None, None
+    for phase, outcome in solution.steps:
+        world.phase = phase.name
+        if outcome is None:
+            if isinstance(phase, Release) and before is not None:
+                drift = float(np.linalg.norm((_in_hand(world) - before)[:3, 3]))
+            _move_fingers(world, phase, q, scene, start.arm, load)
+            before = _in_hand(world) if isinstance(phase, Grasp) else before
+            continue
+        motion, began = outcome.arm_trajectory, len(world.samples)
+        assert motion is not None
+        world.follow(motion)
+        q = motion.positions[-1]
+        world.hold(q, 0.1)
+        parts.append((_problem_of(outcome), motion, world.samples[began:]))
+    world.hold(q, SETTLE)
+    found = _judged(task.name, world, parts)
+    if load is None or not isinstance(task.phases[-1], Release):
+        return replace(found, drift_m=drift)
+    there, T = solution.world.scene[load.name].T_world_object, world.T_world_load
+    assert T is not None
+    off = float(np.linalg.norm((T - there)[:2, 3]))
+    lean = float(np.arccos(np.clip(T[:3, 2] @ there[:3, 2], -1.0, 1.0)))
+    placed = off < PLACED[0] and lean < PLACED[1]
+    return replace(found, drift_m=drift, placed=placed, placed_off_m=off)
+
+
+def _mass(load: Attachment | SceneObject) -> float:
+    if load.mass is None:
+        raise InvalidInputError(f"{load.name!r} has no mass: state it in kg, 'mass' in its file")
+    return load.mass
+
+
+def _problem_of(outcome: PhaseOutcome) -> PlanningProblem:
+    return outcome.solution.problem
+
+
+def _move_fingers(
+    world: Simulation,
+    phase: Phase,
+    q: np.ndarray,
+    scene: Scene,
+    arm: Robot,
+    load: SceneObject | None,
+) -> None:
+    """Close or open the fingers; what they hold may touch the hand from then on."""
+    closes = isinstance(phase, Hold | Grasp)
+    world.force = GRIP if closes else OPEN
+    if isinstance(phase, Hold):
+        held = scene.articulation(phase.articulation).moves
+        world.allowed = _hand_pairs(arm, held)
+    elif isinstance(phase, Grasp) and load is not None:
+        world.allowed = _hand_pairs(arm, [LOAD])
+        item = Attachment(LOAD, load.shape, _in_hand(world), load.mass)
+        world.controller.carry(loads_of([item]))
+    else:
+        world.controller.carry(())
+    world.hold(q, CLOSE)
+
+
+def _hand_pairs(arm: Robot, held: Iterable[str]) -> set[frozenset[str]]:
+    """Pieces of the hand's link, fingers among them, with what is held."""
+    row = arm.end_effector_link[0]
+    hand = [piece.name for piece in arm.links if piece.link == row]
+    return {frozenset((piece, name)) for piece in hand for name in held}
+
+
+def _in_hand(world: Simulation) -> np.ndarray:
+    """Pose (4, 4) of the load in the hand."""
+    T = world.T_world_load
+    assert T is not None
+    return np.linalg.inv(world.T_world_hand) @ T
+
+
+def _judged(
+    name: str,
+    world: Simulation,
+    parts: list[tuple[PlanningProblem, Trajectory, list[Sample]]],
+) -> Execution:
+    """What was observed, compared with the plans of the motions."""
+    off, tilt, outside = 0.0, np.nan, np.zeros(2)
+    for problem, motion, samples in parts:
+        executed = np.array([sample.q for sample in samples])
+        planned = motion.sampled(0.01).positions
+        if executed.shape[1] < problem.robot.dof:
+            (door,) = (name for name in samples[0].doors if name in problem.robot.joint_names)
+            executed = np.column_stack([executed, [sample.doors[door] for sample in samples]])
+            planned = np.column_stack([planned, np.zeros(len(planned))])
+        there = problem.robot.poses(executed)[:, :3, 3]
+        off = max(off, _off_polyline(problem.robot.poses(planned)[:, :3, 3], there))
+        for region in problem.constraint:
+            x = displacements(problem.robot, region, executed)
+            wide = region.bounds[:, 0] < region.bounds[:, 1]
+            beyond = np.where(wide, excess(region, x), 0.0).max(axis=0)
+            outside = np.maximum(outside, (beyond[3:].max(), beyond[:3].max()))
+            rows = [k for k in region.bounded_rows if wide[k] and k >= 3]
+            if rows:
+                tilt = float(np.nanmax([tilt, np.abs(x[:, rows]).max()]))
+    return Execution(
+        name=name,
+        controller=world.controller.name,
+        contact_time=world.physics.contact_time,
+        seconds=float(world.data.time),
+        off_path_m=off,
+        off_rad=max(world.errors),
+        outside_rad=float(outside[0]),
+        outside_m=float(outside[1]),
+        tilt_rad=tilt,
+        contacts=tuple(world.touched.values()),
+        saturated_s=1e-3 * world.saturated,
+        samples=tuple(world.samples),
+    )
+
+
+def _off_polyline(points: np.ndarray, places: np.ndarray) -> float:
+    """Largest distance [m] of places (k, 3) from a polyline (m, 3)."""
+    steps = np.diff(points, axis=0)
+    squares = np.maximum((steps**2).sum(axis=1), 1e-18)
+    to = places[:, None] - points[:-1]
+    share = np.clip((to * steps).sum(axis=2) / squares, 0.0, 1.0)
+    return float(np.linalg.norm(to - share[..., None] * steps, axis=2).min(axis=1).max())
