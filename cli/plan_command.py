@@ -280,9 +280,7 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
     return lines
 
 
-OPTIONS: Options = {
-    **PROBLEM,
-    "another robot for --problem-file, or for --start and --goal": ROBOT,
+MARGIN: Options = {
     "--margin": option(
         "robot and hand may be off by M: obstacles and bounds of position are kept away by it "
         "where start, goals and budget allow it (0.002; 0 for none) [m]",
@@ -296,6 +294,11 @@ OPTIONS: Options = {
         metavar="RAD",
         default=Margin().radians,
     ),
+}
+OPTIONS: Options = {
+    **PROBLEM,
+    "another robot for --problem-file, or for --start and --goal": ROBOT,
+    **MARGIN,
     "--task-file": option(
         "a task of several phases instead, planned one after another", type=Path, metavar="T.json"
     ),

@@ -7,7 +7,6 @@ Every controller is limited by the arm's effort limits.
 from collections.abc import Sequence
 
 import numpy as np
-import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.execution.mjcf import ARMATURE, DAMPING
@@ -48,18 +47,18 @@ class Controller:
         known = loads if self.name == "computed-torque" else ()
         dynamics = Dynamics.of(self.robot, known)
         assert dynamics is not None
-        self._model, self._data = dynamics.model, dynamics.model.createData()
+        self._dynamics = dynamics
 
     def efforts(self, wanted: JointState, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Efforts (n,) [Nm or N] at q and q' (n,), within the limits."""
         off = wanted.positions - q
         if self.name == "position-servo":
-            gravity = pin.computeGeneralizedGravity(self._model, self._data, q)
+            gravity = self._dynamics.gravity(q[None])[0]
             Kp = SERVO_STIFFNESS * self.limits
             tau = gravity + Kp * (off - SERVO_TIME_CONSTANT * v)
         else:
             Kp = STIFFNESS * self.limits
-            tau = pin.rnea(self._model, self._data, *wanted)
+            tau = self._dynamics.efforts(*(x[None] for x in wanted))[0]
             tau = tau + Kp * (off + TIME_CONSTANT * (wanted.velocities - v))
             if self.name == "computed-torque":
                 tau = tau + ARMATURE * wanted.accelerations + DAMPING * wanted.velocities

@@ -4,23 +4,27 @@ A simulation is no arm: contacts depend on the solver's settings. So a verdict o
 only if it is the same at two contact times, see `agreed`.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.certificate import TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.execution.controllers import Controller
 from cvqmpt_lab.execution.mjcf import LOAD, Physics
 from cvqmpt_lab.execution.simulation import GRIP, OPEN, Contact, Sample, Simulation
+from cvqmpt_lab.files import finite
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution
-from cvqmpt_lab.tasks.task import Grasp, Hold, Phase, Release
+from cvqmpt_lab.tasks.task import Grasp, HandPhase, Hold, Phase, Release
 from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
@@ -54,10 +58,11 @@ class Execution:
     tilt_rad: float  # largest absolute entry of rotation that has a bound; nan without one
     contacts: tuple[Contact, ...]  # but for those at grasp and place
     saturated_s: float  # time in which a motor gave its whole effort
+    scene: Scene  # at the beginning, the load in it
+    samples: tuple[Sample, ...]  # every 10 ms
     drift_m: float | None = None  # of the load in the hand; None: it is welded, or there is none
     placed: bool | None = None  # whether it stands where it should; None: nothing is put down
     placed_off_m: float | None = None  # distance from there
-    samples: tuple[Sample, ...] = ()  # every 10 ms
 
     @property
     def faults(self) -> list[str]:
@@ -67,7 +72,7 @@ class Execution:
             f"{contact.time_s:.2f} s"
             for contact in self.contacts
         ]
-        if self.outside_rad > 0.0 or self.outside_m > 0.0:
+        if max(self.outside_rad, self.outside_m) > TOLERANCE:
             found.append(
                 f"the constraint is broken by {self.outside_rad:.2g} rad, {self.outside_m:.2g} m"
             )
@@ -81,6 +86,29 @@ class Execution:
     def pairs(self) -> set[tuple[str, str]]:
         """What touched."""
         return {(contact.first, contact.second) for contact in self.contacts}
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """Plain data for json."""
+        left_out = "scene", "samples", "contacts"
+        plain = {name: value for name, value in vars(self).items() if name not in left_out}
+        return finite(plain | {"contacts": [contact._asdict() for contact in self.contacts]})
+
+    @property
+    def moments(self) -> Iterator[tuple[float, str, World]]:
+        """Time, phase and world every 0.1 s, to be shown."""
+        for sample in self.samples[::10]:
+            scene = self.scene
+            for name, value in sample.doors.items():
+                joint = scene.articulation(name)
+                scene = scene.with_joint(name, float(np.clip(value, joint.lower, joint.upper)))
+            if sample.T_world_load is not None:
+                load = self.scene.objects[-1]
+                scene = scene.without(load.name)
+                scene = scene.with_objects(replace(load, T_world_object=sample.T_world_load))
+            arm = robot_from_source(sample.source)
+            q = np.clip(sample.q, arm.lower, arm.upper)
+            yield sample.time, sample.phase, World(sample.source, scene, q)
 
 
 def agreed(executions: Iterable[Execution]) -> tuple[Outcome, str]:
@@ -230,6 +258,8 @@ def _move_fingers(
 ) -> None:
     """Close or open the fingers; what they hold may touch the hand from then on."""
     closes = isinstance(phase, Hold | Grasp)
+    if isinstance(phase, HandPhase):
+        world.source = {**world.source, **phase.gripper}
     world.force = GRIP if closes else OPEN
     if isinstance(phase, Hold):
         held = scene.articulation(phase.articulation).moves
@@ -293,7 +323,18 @@ def _judged(
         tilt_rad=tilt,
         contacts=tuple(world.touched.values()),
         saturated_s=1e-3 * world.saturated,
+        scene=_with_load(world, world.samples[0]),
         samples=tuple(world.samples),
+    )
+
+
+def _with_load(world: Simulation, sample: Sample) -> Scene:
+    load = world.physics.free or world.physics.welded
+    if load is None:
+        return world.scene
+    assert sample.T_world_load is not None
+    return world.scene.with_objects(
+        SceneObject(load.name, load.shape, sample.T_world_load, obstacle=False)
     )
 
 

@@ -11,11 +11,11 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
-import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.robot import Robot, axis_frames, in_link
+from cvqmpt_lab.robot.dynamics import link_inertia
+from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 
@@ -139,11 +139,9 @@ def _add_dynamics(joint: Element, link: Element, robot: Robot, j: int, finger: b
     joint.set("damping", repr(rotor[1]))
     if finger:
         joint.set("solreflimit", "0.004 1")
-    _, T = in_link(axis_frames(robot.model), j + 1, pin.SE3.Identity())
-    body = pin.SE3(T).act(robot.model.inertias[j + 1])
-    tensor = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    lever, mass = _numbers(body.lever), repr(float(body.mass))
-    SubElement(link, "inertial", pos=lever, mass=mass, fullinertia=_numbers(tensor))
+    mass, centre, tensor = link_inertia(robot, j)
+    six = _numbers(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+    SubElement(link, "inertial", pos=_numbers(centre), mass=repr(float(mass)), fullinertia=six)
 
 
 def _with_doors(world: Element, scene: Scene, physics: Physics) -> dict[str, Element]:

@@ -35,6 +35,7 @@ class Sample(NamedTuple):
 
     time: float  # [s]
     phase: str
+    source: Mapping[str, Any]  # of the arm, with its gripper as it was told to be
     q: np.ndarray  # (n,) of the arm
     doors: dict[str, float]  # values of the articulations
     T_world_load: np.ndarray | None  # (4, 4)
@@ -95,7 +96,7 @@ class Simulation:
             data.qpos[model.joint(name).qposadr[0]] = held[name]
         self.mujoco.mj_forward(model, data)
         self.force = OPEN  # of each finger [N]
-        self.phase = ""
+        self.phase, self.source = "", arm.source
         self.samples: list[Sample] = []
         self.touched: dict[tuple[str, str], Contact] = {}
         self.allowed: set[frozenset[str]] = set()  # pairs of names that may touch
@@ -155,8 +156,9 @@ class Simulation:
         for (first, second), depth in zip(data.contact.geom, -data.contact.dist, strict=True):
             self._touch(self.names[first], self.names[second], float(depth))
         if self._periods % EVERY == 0:
-            sample = Sample(data.time, self.phase, self.q, self.doors, self.T_world_load)
-            self.samples.append(sample)
+            self.samples.append(
+                Sample(data.time, self.phase, self.source, self.q, self.doors, self.T_world_load)
+            )
         self._periods += 1
 
     def _touch(self, first: str, second: str, depth: float) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.robot import JointLimits, Robot
+from cvqmpt_lab.robot.robot import JointLimits, Robot, axis_frames, in_link
 
 
 class Load(NamedTuple):
@@ -54,10 +54,14 @@ class Dynamics:
         rows = zip(*(np.ascontiguousarray(x) for x in (q, v, a)), strict=True)
         return np.array([pin.rnea(self.model, data, *row) for row in rows]).reshape(np.shape(q))
 
+    def gravity(self, q: np.ndarray) -> np.ndarray:
+        """g(q) (k, n) [Nm or N]."""
+        still = np.zeros_like(q)
+        return self.efforts(q, still, still)
+
     def weights(self, q: np.ndarray, limits: JointLimits) -> np.ndarray:
         """g(q) (k, n) [Nm or N]; InvalidInputError where it takes the whole effort limit."""
-        still = np.zeros_like(q)
-        efforts = self.efforts(q, still, still)
+        efforts = self.gravity(q)
         assert limits.effort is not None
         k, joint = np.unravel_index(int((np.abs(efforts) / limits.effort).argmax()), q.shape)
         if abs(efforts[k, joint]) >= limits.effort[joint]:
@@ -117,6 +121,16 @@ class Dynamics:
             moments[parent] = moments[parent] + moments[i] + _product(arms[i][:3], forces[i])
             forces[parent] = forces[parent] + forces[i]
         return found
+
+
+def link_inertia(robot: Robot, joint: int) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) of what a joint moves alone.
+
+    In the frame of `Robot.kinematics` whose z is the joint's axis.
+    """
+    _, T = in_link(axis_frames(robot.model), joint + 1, pin.SE3.Identity())
+    body = pin.SE3(T).act(robot.model.inertias[joint + 1])
+    return body.mass, body.lever, body.inertia
 
 
 def without_effort_limit(robot: Robot) -> str:

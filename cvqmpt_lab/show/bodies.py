@@ -249,7 +249,7 @@ def seen_of_solution(
 ) -> Seen:
     """What is shown of a solution, or of a task; see `seen_of_problem`."""
     if isinstance(solution, TaskSolution):
-        return seen_of_task(solution, hidden=hidden)
+        return seen_of_moments(moments_of(solution), hidden=hidden)
     return seen_of_problem(
         solution.problem,
         solution.simplified.path if solution.simplified else None,
@@ -269,6 +269,25 @@ class Frame(NamedTuple):
     time: float
     phase: str
     world: World
+
+
+class Moments(NamedTuple):
+    """What is shown of something that moves a scene."""
+
+    title: str
+    scene: Scene  # at the beginning
+    frames: Sequence[Frame]  # at least one
+    lines: Sequence[str] = ()  # of text, below the drawing of a web page
+
+
+def moments_of(solution: TaskSolution) -> Moments:
+    """Moments of a task up to the phase that failed; InvalidInputError where there are none."""
+    name, found = solution.task.name, frames(solution)
+    if not found:
+        raise InvalidInputError(f"nothing to show of task {name}: {solution.failure}")
+    verdict = "solved and certified" if solution.solved else solution.failure
+    title = f"task {name}: {verdict}"
+    return Moments(title, solution.task.scene, found, repr(solution).splitlines())
 
 
 def frames(solution: TaskSolution, period: float = 0.1, pause: float = 0.5) -> list[Frame]:
@@ -307,19 +326,13 @@ def shown(world: World) -> PlanningProblem:
     )
 
 
-def seen_of_task(
-    solution: TaskSolution, most: int | None = None, hidden: Sequence[str] = HIDDEN
+def seen_of_moments(
+    shows: Moments, most: int | None = None, hidden: Sequence[str] = HIDDEN
 ) -> Seen:
-    """What is shown of a task with at most `most` moments, up to the phase that failed.
-
-    Raises InvalidInputError if its first phase failed, so that there is no moment.
-    """
-    moments = frames(solution)
-    if not moments:
-        raise InvalidInputError(f"nothing to show of task {solution.task.name}: {solution.failure}")
+    """What is shown of moments, of at most `most` of them."""
+    moments, scene = shows.frames, shows.scene
     if most is not None and most < len(moments):
         moments = [moments[k] for k in np.linspace(0, len(moments) - 1, most).astype(int)]
-    scene = solution.task.scene
     poses: dict[str, list[np.ndarray]] = {name: [] for name in scene.names}
     arms = []
     for moment in moments:
@@ -341,16 +354,15 @@ def seen_of_task(
     for name, Ts in moved.items():
         mesh = shape_mesh(scene[name].shape)
         moving.append(Body("moved", "moving", name, mesh, colour_of(name), Ts))
-    verdict = "solved and certified" if solution.solved else solution.failure
     return Seen(
-        f"task {solution.task.name}: {verdict}",
+        shows.title,
         scene_bodies(scene.without(*moved), hidden),
         ground_height(scene),
         moving,
         (),
         [moment.phase for moment in moments],
         np.array([moment.time for moment in moments]),
-        lines=repr(solution).splitlines(),
+        lines=shows.lines,
     )
 
 

@@ -26,14 +26,16 @@ from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show.bodies import (
     HIDDEN,
     Body,
+    Moments,
     Seen,
     frames,
     ground_height,
+    moments_of,
     robot_bodies,
     scene_bodies,
+    seen_of_moments,
     seen_of_problem,
     seen_of_solution,
-    seen_of_task,
     shown,
     whole,
 )
@@ -273,14 +275,14 @@ def write_png(path: Path, image: np.ndarray) -> None:
 
 @one_thread()
 def film_solution(
-    solution: Solution | TaskSolution,
+    solution: Solution | TaskSolution | Moments,
     path: Path,
     size: tuple[int, int] = (600, 400),
     carried: Sequence[Attachment] = (),
     progress: Callable[[int, int], None] = lambda done, total: None,
     pictures: int | None = None,
 ) -> None:
-    """Write a film of the robot on its path (without a path, of the start), or of a task.
+    """Write a film of the robot on its path (without a path, of the start), or of moments.
 
     Args:
         solution: what is shown.
@@ -291,7 +293,9 @@ def film_solution(
         pictures: of the film, about; default: 49 of a path, 110 at most of a task.
     """
     if isinstance(solution, TaskSolution):
-        seen = seen_of_task(solution, pictures or 110)
+        solution = moments_of(solution)
+    if isinstance(solution, Moments):
+        seen = seen_of_moments(solution, pictures or 110)
         arm = [body for body in seen.moving if body.group == "robot"]
         captions = {name: strip([(name, None)], size[0], 24) for name in set(seen.labels)}
     else:

@@ -16,9 +16,10 @@ from cvqmpt_lab.constraints.task_space_region import upright, upright_box
 from cvqmpt_lab.show.bodies import (
     frames,
     ground_height,
+    moments_of,
     robot_bodies,
     scene_bodies,
-    seen_of_task,
+    seen_of_moments,
     whole,
 )
 from cvqmpt_lab.show.marks import constraint_marks
@@ -130,4 +131,4 @@ def test_pictures_film_and_recording_of_a_task(task_solution, recorded, tmp_path
     duration = sum(outcome.trajectory.duration for outcome in task_solution.outcomes)
     assert set(moments.values()) == {len(frames(task_solution))}
     assert min(moments.values()) > duration / 0.1
-    assert len(seen_of_task(task_solution, most=8).labels) == 8
+    assert len(seen_of_moments(moments_of(task_solution), most=8).labels) == 8

@@ -1,0 +1,219 @@
+"""`cvqmpt execute`: execute a motion or task in a physics simulation, or a suite of them."""
+
+import argparse
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cli.options import (
+    FLAG,
+    SEED,
+    Options,
+    ProgressBar,
+    as_json,
+    option,
+    positive,
+    writable_file,
+)
+from cli.plan_command import FILM, MARGIN
+from cli.problem_options import BUDGET, PROBLEM, ROBOT, budget, problem_asked, refuse_robot
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.execution.controllers import CONTROLLERS, Controller
+from cvqmpt_lab.execution.execute import (
+    CONTACT_TIMES,
+    Execution,
+    Outcome,
+    agreed,
+    execute_motion,
+    execute_task,
+)
+from cvqmpt_lab.execution.simulation import mujoco_module
+from cvqmpt_lab.files import make_folder
+from cvqmpt_lab.margins import Margin, solve_with_margin
+from cvqmpt_lab.motion_check import certified_motion, dry_run
+from cvqmpt_lab.planners import default_planner, planner_named
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.tasks.solve import solve_task
+from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.trajectory.timing import TimingSettings
+from cvqmpt_lab.trajectory.trajectory import Trajectory, read_motion
+
+EXECUTED = "executed"  # 50 place motions and ten tasks, two controllers, two speeds
+HOLDS = ("weld", "friction")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan unless a motion is given, execute, report; exit code 1 if not executed as planned."""
+    mujoco_module()  # refused before anything is planned
+    if args.suite == EXECUTED or args.out is not None:
+        return _suite(args)
+    if args.film is not None and args.film.suffix != FILM:
+        raise UnknownChoiceError(f"--film {args.film}: suffix", args.film.suffix, (FILM,))
+    if args.hold not in HOLDS:
+        raise UnknownChoiceError("--hold", args.hold, HOLDS)
+    if args.controller not in CONTROLLERS:
+        raise UnknownChoiceError("controller", args.controller, CONTROLLERS)
+    times = CONTACT_TIMES if args.contact_time is None else (args.contact_time,)
+    item = _asked(args)
+    executions = _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
+    outcome, why = agreed(executions)
+    if args.json:
+        runs = [execution.data for execution in executions]
+        print(as_json({"outcome": outcome, "why": why, "executions": runs}))
+    else:
+        print("\n".join(_lines(executions)))
+    if args.film is not None:
+        from cvqmpt_lab.show.bodies import Frame, Moments
+        from cvqmpt_lab.show.picture import film_solution
+
+        first = executions[0]
+        frames = [Frame(*moment) for moment in first.moments]
+        title = f"{first.name}: {outcome}"
+        film_solution(Moments(title, first.scene, frames), args.film, progress=ProgressBar("film"))
+        if not args.json:
+            print(f"film written to {args.film}")
+    return 0 if outcome == Outcome.EXECUTED else 1
+
+
+def _lines(executions: Sequence[Execution]) -> list[str]:
+    """The lines a person reads of one motion or task at several contact times."""
+    first = executions[0]
+    outcome, why = agreed(executions)
+    times = " and ".join(f"{1e3 * one.contact_time:g}" for one in executions)
+
+    def worst(values: Iterable[float]) -> float:
+        return max(values, default=0.0)
+
+    off = worst(one.off_path_m for one in executions)
+    joints = worst(one.off_rad for one in executions)
+    tilt = worst(one.tilt_rad for one in executions)
+    lines = [
+        f"executed    {first.name}, {first.seconds:.2f} s, by {first.controller}, contact times "
+        f"{times} ms",
+        f"path        the hand at most {1e3 * off:.2g} mm off it, joints {joints:.2g} rad behind",
+        "constraint  "
+        + ("" if np.isnan(tilt) else f"tilt {tilt:.3g} rad, ")
+        + f"{worst(one.outside_rad for one in executions):.2g} rad and "
+        f"{worst(one.outside_m for one in executions):.2g} m outside",
+        f"efforts     at their limits for {worst(one.saturated_s for one in executions):.3g} s",
+    ]
+    if first.drift_m is not None:
+        drift = worst(one.drift_m or 0.0 for one in executions)
+        lines.append(f"load        moves {1e3 * drift:.2g} mm in the hand")
+    if first.placed_off_m is not None:
+        off = worst(one.placed_off_m or 0.0 for one in executions)
+        lines.append(f"placed      {1e3 * off:.2g} mm from its place")
+    return [*lines, f"outcome     {outcome}{why and f': {why}'}"]
+
+
+def _suite(args: argparse.Namespace) -> int:
+    """All rows of the suite `executed`."""
+    from experiments.executed import TABLE, run_executed
+
+    if args.suite != EXECUTED or args.out is None:
+        raise InvalidInputError(f"--out goes with the suite {EXECUTED!r}, which needs it")
+    run_executed(make_folder(args.out), progress=ProgressBar(EXECUTED))
+    print((args.out / TABLE).read_text(encoding="utf-8"), end="")
+    return 0
+
+
+def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
+    if args.task_file is None:
+        return problem_asked(args)
+    if args.suite is not None or args.problem_file is not None:
+        raise InvalidInputError("--task-file goes without a suite and --problem-file")
+    refuse_robot(args)
+    return Task.load(args.task_file)
+
+
+def _task(args: argparse.Namespace, task: Task, times: tuple[float, ...]) -> list[Execution]:
+    """A task, planned and executed."""
+    if args.motion is not None:
+        raise InvalidInputError("--motion is of a problem; a task is planned here")
+    margin = Margin(args.margin, args.margin_angle).check()
+    timing = TimingSettings(speed=args.speed)
+    solution = solve_task(task, "birrt", budget(args), args.seed, timing, margin=margin)
+    return [execute_task(solution, args.controller, time) for time in times]
+
+
+def _motion(
+    args: argparse.Namespace, problem: PlanningProblem, times: tuple[float, ...]
+) -> list[Execution]:
+    """A motion of a file, or planned here, executed."""
+    Controller(args.controller, problem.robot)  # refused before anything is planned
+    motion = _planned(args, problem) if args.motion is None else _read(args, problem)
+    friction = args.hold == "friction"
+    return [execute_motion(problem, motion, args.controller, time, friction) for time in times]
+
+
+def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
+    """A certified motion of a problem."""
+    margin = Margin(args.margin, args.margin_angle).check()
+    settings = TimingSettings(speed=args.speed)
+    problem.robot.joint_limits.scaled(args.speed)
+    method = planner_named(default_planner(problem)[0])
+    solution, _ = solve_with_margin(problem, method, budget(args), args.seed, margin)
+    if not solution.solved or solution.simplified is None:
+        raise InvalidInputError(
+            f"problem {problem.name} is not solved: {solution.plan.detail or solution.plan.status}"
+            "; cvqmpt plan tells more"
+        )
+    return certified_motion(problem, solution.simplified.path, settings)
+
+
+def _read(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
+    """The motion of a file, if it is certified for the problem."""
+    found = read_motion(args.motion).of_joints(problem.robot.joint_names)
+    if found.times is None:
+        settings = TimingSettings(speed=args.speed)
+        return certified_motion(problem, JointPath(found.positions), settings)
+    if found.velocities is None or found.accelerations is None:
+        raise InvalidInputError(
+            f"{args.motion} states no accelerations: write it with cvqmpt plan --trajectory"
+        )
+    certificate = dry_run(problem, found, clearance=False).certificate
+    if not certificate.valid:
+        reasons = "; ".join(certificate.reasons)
+        raise InvalidInputError(f"{args.motion} is not certified for this problem: {reasons}")
+    states = found.positions, found.velocities, found.accelerations
+    return Trajectory(problem.robot.joint_names, found.times, *states)
+
+
+OPTIONS: Options = {
+    **PROBLEM,
+    "another robot for --problem-file": ROBOT,
+    "--task-file": option("a task of several phases instead", type=Path, metavar="T.json"),
+    "--motion": option(
+        "a motion of the problem, such as plan --trajectory writes; else one is planned",
+        type=Path,
+        metavar="M.json|M.csv",
+    ),
+    "--controller": option(
+        f"one of {', '.join(CONTROLLERS)} (computed-torque)", default="computed-torque"
+    ),
+    "--hold": option(
+        "how the hand holds the load of a problem: weld or friction (weld); in a task it is "
+        "friction",
+        default="weld",
+    ),
+    "--speed": option(
+        "share of the joints' limits that a planned motion uses (1)",
+        type=float,
+        metavar="FACTOR",
+        default=1.0,
+    ),
+    "--contact-time": option(
+        "time constant of contacts; by default 4 and 1 ms, which must agree [s]",
+        type=positive,
+        metavar="S",
+    ),
+    **MARGIN,
+    **SEED,
+    **BUDGET,
+    "--film": option("a film of what happened", type=writable_file, metavar="RUN.gif"),
+    "--out": option("with the suite 'executed': folder of its rows", type=Path, metavar="DIR"),
+    "--json": option("print one json object instead of the report", **FLAG),
+}
+COMMANDS = {"execute": (run, OPTIONS)}

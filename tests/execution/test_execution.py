@@ -1,0 +1,155 @@
+"""Motions and tasks in simulation: the simulated arm is the robot's, and faults are found."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from refusals import refused
+
+from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.execution import execute
+from cvqmpt_lab.execution.controllers import Controller
+from cvqmpt_lab.execution.execute import Outcome, agreed, execute_motion, execute_task
+from cvqmpt_lab.execution.mjcf import ARMATURE, HAND, Physics, mjcf_of
+from cvqmpt_lab.margins import Margin, solve_with_margin
+from cvqmpt_lab.motion_check import certified_motion
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.robot.load import robot_from_source, with_gripper
+from cvqmpt_lab.scene.scene import Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, PointCloud
+from cvqmpt_lab.search.result import Budget
+from experiments.executed import FILE, read_rows, run_executed
+
+mujoco = pytest.importorskip("mujoco")
+FINGERS = {"panda_finger_joint1": "", "panda_finger_joint2": "panda_finger_joint1"}
+
+
+@pytest.fixture(scope="module")
+def carrying():
+    """A problem that carries the can, and its certified motion."""
+    problem = suite_named("place-task-with-can").solvable(3)
+    found, _ = solve_with_margin(problem, "birrt", Budget(iterations=40_000), 0, Margin())
+    return problem, certified_motion(found.problem, found.simplified.path)
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "xarm7"])
+def test_the_simulated_arm_has_the_kinematics_and_inertia_of_the_robot(name):
+    robot = robot_from_source({"name": name})
+    model = mujoco.MjModel.from_xml_string(mjcf_of(robot, Scene("none", ()), Physics(0.004)))
+    data, M = mujoco.MjData(model), np.zeros((robot.dof, robot.dof))
+    for q in robot.random_configurations(np.random.default_rng(0), 20):
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        T = robot.pose(q)
+        assert np.allclose(data.site(HAND).xpos, T[:3, 3], atol=1e-9)
+        assert np.allclose(data.site(HAND).xmat.reshape(3, 3), T[:3, :3], atol=1e-9)
+        for row, one in zip(M, np.eye(robot.dof), strict=True):
+            mujoco.mj_mulM(model, data, row, one)
+        mass = pin.crba(robot.model, robot.model.createData(), q)
+        assert np.allclose(M - ARMATURE * np.eye(robot.dof), mass, atol=1e-6)
+
+
+def test_fingers_that_move_weigh_what_they_weighed_on_the_hand(panda):
+    robot = with_gripper(panda)
+    text = mjcf_of(robot, Scene("none", ()), Physics(0.004, fingers=FINGERS))
+    model = mujoco.MjModel.from_xml_string(text)
+    assert robot.dof == 9
+    held = sum(body.mass for body in list(panda.model.inertias)[1:])
+    assert model.body_mass.sum() == pytest.approx(held, rel=1e-9)
+
+
+def test_the_known_model_follows_closely_and_an_unknown_load_pulls_it_off(carrying):
+    known = execute_motion(*carrying, "computed-torque")
+    unknown = execute_motion(*carrying, "computed-torque-unknown-load")
+    assert not known.faults and known.off_path_m < 5e-4 and known.tilt_rad < 0.1
+    assert 5e-4 < unknown.off_path_m < 0.01
+    assert len(list(known.moments)) > 10
+
+
+def test_a_box_in_the_way_is_touched_and_named(carrying):
+    problem, motion = carrying
+    middle = problem.robot.pose(motion.at(0.5 * motion.duration).positions)[:3, 3]
+    box = SceneObject("box in the way", Box((0.1, 0.1, 0.1)), pose(middle))
+    blocked = replace(problem, scene=problem.scene.with_objects(box))
+    found = execute_motion(blocked, motion, "computed-torque")
+    assert any("box in the way" in pair for pair in found.pairs)
+    assert any("box in the way" in fault for fault in found.faults)
+
+
+def test_fingers_hold_the_can_and_lose_it_without_force(carrying, monkeypatch):
+    held = execute_motion(*carrying, "computed-torque", 0.001, friction=True)
+    assert held.drift_m < 0.005
+    monkeypatch.setattr(execute, "GRIP", 0.0)
+    lost = execute_motion(*carrying, "computed-torque", 0.001, friction=True)
+    assert "the load left the hand" in lost.faults
+
+
+def test_different_contacts_at_two_contact_times_decide_nothing(carrying):
+    one = execute_motion(*carrying, "computed-torque")
+    touched = execute.Contact("panda_hand_0", "shelf", 0.001, 1.0)
+    other = replace(one, contact_time=0.001, contacts=(touched,))
+    outcome, why = agreed([one, other])
+    assert outcome == Outcome.UNDECIDED
+    assert why == "panda_hand_0 and shelf touch at one of the contact times 4 and 1 ms"
+    assert agreed([one, one])[0] == Outcome.EXECUTED
+
+
+def test_a_task_is_executed_by_contact_alone(task_solution, monkeypatch):
+    found = execute_task(task_solution, "computed-torque")
+    assert found.placed and not found.faults
+    ends = found.samples[-1].doors
+    assert ends["dagger_door_left"] < -1.3  # opened by the fingers, nothing else moves it
+    # without force the fingers open no door
+    monkeypatch.setattr(execute, "GRIP", 0.0)
+    lost = execute_task(task_solution, "computed-torque")
+    assert lost.samples[-1].doors["dagger_door_left"] > -0.5 and lost.placed is False
+
+
+def test_what_cannot_be_executed_is_refused(carrying, panda, task):
+    problem, motion = carrying
+    refused("controller 'nope'|unknown controller", Controller, "nope", panda)
+    massless = replace(panda, model=panda.model.copy())
+    for k in range(1, 8):
+        massless.model.inertias[k] = pin.Inertia.Zero()
+    refused("cannot be executed: efforts not limited", Controller, "computed-torque", massless)
+    points = np.zeros((1, 3))
+    cloud = SceneObject("scan", PointCloud(points, 0.01), pose((2.0, 0.0, 0.0)))
+    sensed = replace(problem, scene=problem.scene.with_objects(cloud))
+    refused(
+        "obstacle 'scan' is of type PointCloud", execute_motion, sensed, motion, "position-servo"
+    )
+    empty = replace(problem, attachments=())
+    with pytest.raises(InvalidInputError, match="nothing in the hand"):
+        execute_motion(empty, motion, "computed-torque", friction=True)
+    weightless = replace(problem, attachments=(replace(problem.attachments[0], mass=None),))
+    with pytest.raises(InvalidInputError, match="has no mass"):
+        execute_motion(weightless, motion, "computed-torque", friction=True)
+    other = replace(motion, joint_names=tuple("abcdefg"))
+    refused("the motion is of joints a, b", execute_motion, problem, other, "computed-torque")
+
+
+def test_an_arm_without_fingers_on_sliders_cannot_hold_by_friction(carrying):
+    arm = robot_from_source({"name": "ur5"})
+    control, scene = Controller("computed-torque", arm), carrying[0].scene
+    with pytest.raises(InvalidInputError, match="no fingers that its source locks"):
+        execute.Simulation(arm, scene, np.zeros(6), control, Physics(0.004), True)
+
+
+def test_the_suite_goes_on_where_it_stopped(tmp_path):
+    rows = run_executed(tmp_path, (("place-task-with-can", 1),))
+    assert [row.outcome for row in rows] == ["executed as planned"] * 4
+    text = (tmp_path / FILE).read_text()
+    assert read_rows(tmp_path / FILE) == rows
+    assert run_executed(tmp_path, (("place-task-with-can", 1),)) == rows
+    assert (tmp_path / FILE).read_text() == text
+
+
+def test_execute_reports_and_answers_json(cvqmpt, tmp_path):
+    words = "execute place-task-with-can --problem 3 --iterations 40000"
+    assert "outcome     executed as planned" in cvqmpt(words)
+    told = json.loads(cvqmpt(f"{words} --json --contact-time 0.002"))
+    assert told["outcome"] == "executed as planned"
+    assert told["executions"][0]["contact_time"] == 0.002
