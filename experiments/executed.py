@@ -164,7 +164,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Markdown: a line for each suite, speed and controller."""
+    """Markdown: a title, and a line for each suite, speed and controller."""
     if not rows:
         raise InvalidInputError("no rows of executed motions")
     heads = (
@@ -193,4 +193,4 @@ def table(rows: Sequence[Row]) -> str:
             f"{sum(bool(row.placed) for row in some)}" if drift else "",
         ]
         lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join([*lines, ""])
+    return "\n".join(["# Executed in simulation", "", *lines, ""])

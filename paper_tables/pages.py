@@ -6,6 +6,7 @@ Words stand in `templates/`, and those about claims in `published/claims.toml`.
 import base64
 import re
 import shlex
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -86,6 +87,25 @@ def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
             cells = [shown.baseline, *numbers]
         lines.append([item.claim.title, *cells, str(item.ruling)])
     return lines
+
+
+def headline_lines(claims: Iterable[JudgedClaim]) -> Lines:
+    """The claims that the README shows: in the paper's words, measured, and why."""
+    lines = [["claim", "paper", "measured [%]", "verdict", "why"]]
+    for item in claims:
+        if item.claim.why and (shown := item.deciding) is not None:
+            against = "" if shown.baseline == NOTHING else f" against {shown.baseline}"
+            measured = f"{percent(shown, shown.paired)}{against}"
+            verdict = str(item.ruling)
+            lines.append([item.claim.title, item.claim.paper, measured, verdict, item.claim.why])
+    return lines
+
+
+def headline_text(claims: Sequence[JudgedClaim]) -> str:
+    """How many claims there are of each verdict, and the table of `headline_lines`."""
+    count = Counter(str(item.ruling) for item in claims)
+    counted = ", ".join(f"{ruling} {number}" for ruling, number in count.most_common())
+    return f"Of {len(claims)} claims: {counted}.\n\n{markdown_table(headline_lines(claims))}"
 
 
 def decomposition_lines(evidence: Evidence) -> Lines:
@@ -192,9 +212,7 @@ def committed_pages() -> dict[Path, str]:
     claims = judged_claims(found)
     pages = {PAGE: page_text(found, claims, PAGE.parent)}
     if README.is_file():
-        steps = markdown_table(decomposition_lines(found["place-task"]))
-        text = with_part(read_text(README), "verdicts", markdown_table(summary_lines(claims)))
-        pages[README] = with_part(text, "decomposition", steps)
+        pages[README] = with_part(read_text(README), "verdicts", headline_text(claims))
     return pages
 
 

@@ -55,6 +55,7 @@ class Claim:
     paper: str = ""  # in the paper's
     suite: str = ""  # the results directory that judges it
     remark: str = ""  # what a reader must know to take the numbers rightly
+    why: str = ""  # of the verdict, in one line; the README shows the claims that have one
 
 
 def _claim(item: dict[str, Any]) -> Claim:
