@@ -17,7 +17,15 @@ from cli.options import (
     writable_file,
 )
 from cli.plan_command import FILM, MARGIN
-from cli.problem_options import BUDGET, PROBLEM, ROBOT, budget, problem_asked, refuse_robot
+from cli.problem_options import (
+    BUDGET,
+    PROBLEM,
+    ROBOT,
+    budget,
+    name_file,
+    problem_asked,
+    refuse_robot,
+)
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.execution.controllers import CONTROLLERS, Controller
 from cvqmpt_lab.execution.execute import (
@@ -120,6 +128,7 @@ def _suite(args: argparse.Namespace) -> int:
 
 
 def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
+    name_file(args)
     if args.task_file is None:
         return problem_asked(args)
     if args.suite is not None or args.problem_file is not None:

@@ -11,7 +11,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NoReturn
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest
 
 COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     "plan": ("plan", "plan one problem and print a short report"),
@@ -52,6 +52,25 @@ REMOVED = {  # commands and options, and what is there instead of them
     "--srdf-out": "robot --json lists the pairs of links that are not checked, with the reason",
 }
 
+# Words of other programs, and ours.
+OTHER_WORDS = {
+    "--timeout": "--cutoff",
+    "--time-limit": "--cutoff",
+    "--max-time": "--cutoff",
+    "--output": "--save --out",
+    "-o": "--save --out",
+    "-p": "--planner",
+    "--algorithm": "--planner",
+    "--threads": "--jobs",
+    "--gui": "--save run.html",
+}
+# Options that `cvqmpt plan --help` shows; --help-all shows all.
+SHORT = {
+    "plan": "-h suite --problem --robot --planner --cutoff --seed --margin --optimize --start "
+    "--goal --start-pose --goal-pose --constraint --cloud --scene --picture --save --trajectory "
+    "--speed --json"
+}
+
 # Small networks are several times slower on many threads, and runs share the cores already.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -69,6 +88,8 @@ cvqmpt COMMAND --help tells the rest."""
 class Parser(argparse.ArgumentParser):
     """argparse whose errors are ours, one line without the usage; -0.1,0.2 is a value."""
 
+    whole = False  # whether helps show every option
+
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._negative_number_matcher = re.compile(r"-(\d|\.\d)[\d.,eE+-]*$")
@@ -80,6 +101,12 @@ class Parser(argparse.ArgumentParser):
     def format_help(self) -> str:
         """The help of a command, with its examples."""
         command = self.prog.partition(" ")[2]
+        if command in SHORT and not self.whole:
+            known = SHORT[command].split()
+            self.usage = f"{self.prog} [SUITE|FILE] [options]; --help-all shows every option"
+            for action in self._actions:
+                if not {*action.option_strings, action.dest} & {*known}:
+                    action.help = argparse.SUPPRESS
         if command:
             self.epilog = "\n  ".join(["examples:", *examples_of(command)])
         return super().format_help()
@@ -143,13 +170,29 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
     if asked != "train":
         for variable in THREADS:
             os.environ.setdefault(variable, "1")
-    args, unknown = parser_with([asked] if asked else ()).parse_known_args(argv)
+    first = next((word for word in argv if not word.startswith("-")), None)
+    if asked is None and first is not None:
+        raise UnknownChoiceError("command", first, COMMANDS)
+    Parser.whole = "--help-all" in argv
+    if Parser.whole:
+        argv = ["--help" if word == "--help-all" else word for word in argv]
+    parser = parser_with([asked] if asked else ())
+    args, unknown = parser.parse_known_args(argv)
     if unknown:
         raise InvalidInputError(
-            f"unknown arguments: {' '.join(unknown)}; cvqmpt {args.command} --help lists what can "
-            "be given"
+            f"unknown arguments: {' '.join(unknown)}{_meant(parser, args.command, unknown[0])}; "
+            f"cvqmpt {args.command} --help lists what can be given"
         )
     return args
+
+
+def _meant(parser: Parser, command: str, word: str) -> str:
+    """The option that was meant by a word, as "; did you mean ...?", or ""."""
+    (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    actions = commands.choices[command]._actions
+    known = [name for action in actions for name in action.option_strings]
+    ours = [name for name in OTHER_WORDS.get(word, "").split() if name in known]
+    return f"; did you mean {ours[0]!r}?" if ours else nearest(word, known)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -10,12 +10,15 @@ from cli.options import REPEATED, Options, log, numbers, option
 from cli.problem_options import chosen_robot, configuration, pose_region
 from cli.scan_command import scan_of, scan_report, scene_of
 from cvqmpt_lab.codec import field_kinds, from_plain
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach
 from cvqmpt_lab.sensing.scan import Arm, Scan, refuse_touching
@@ -25,6 +28,11 @@ MOTION: Options = {
         "--start": option("configuration, numbers separated by commas [rad or m]", metavar="Q"),
         "--goal": option(
             "goal configuration; repeatable: the path ends at any of them", metavar="Q", **REPEATED
+        ),
+        "--start-pose": option(
+            "end-effector pose at the start instead of --start, as --goal-pose",
+            type=partial(pose_region, "--start-pose"),
+            metavar="X,Y,Z,R,P,Y",
         ),
         "--goal-pose": option(
             "end-effector pose to reach instead: x, y, z [m], roll, pitch, yaw [rad]",
@@ -43,19 +51,22 @@ MOTION: Options = {
 
 def motion_given(args: argparse.Namespace) -> bool:
     """Whether start, goal or constraint are given."""
-    return bool(args.start or args.goal or args.goal_pose or args.constraint)
+    return any((args.start, args.start_pose, args.goal, args.goal_pose, args.constraint))
 
 
 def motion_problem(args: argparse.Namespace) -> PlanningProblem:
     """The problem of the options: from --start to --goal, obstacles from --cloud or --scene."""
-    if args.start is None or not (args.goal or args.goal_pose):
-        raise InvalidInputError("a motion needs --start Q, and --goal Q or --goal-pose X,Y,Z,R,P,Y")
+    if (args.start is None) == (args.start_pose is None) or not (args.goal or args.goal_pose):
+        raise InvalidInputError(
+            "a motion needs --start Q or --start-pose X,Y,Z,R,P,Y, one of the two, and --goal Q or "
+            "--goal-pose X,Y,Z,R,P,Y"
+        )
     if bool(args.cloud) == bool(args.scene):
         raise InvalidInputError(
             "--start and --goal need obstacles: give --cloud or --scene, one of the two"
         )
     robot = chosen_robot(args)
-    start = configuration(robot, "--start", args.start)
+    start = _start(args, robot)
     goals = [configuration(robot, "--goal", text) for text in args.goal]
     constraint = tuple(_constraint(text, robot, start) for text in args.constraint)
     if args.scene is not None:
@@ -75,6 +86,19 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
         constraint=constraint,
         goal_region=args.goal_pose,
     )
+
+
+def _start(args: argparse.Namespace, robot: Robot) -> np.ndarray:
+    """The configuration (n,) of --start, or one at --start-pose that touches nothing of --scene."""
+    if args.start is not None:
+        return configuration(robot, "--start", args.start)
+    scene = Scene("none", ()) if args.scene is None else read_scene(args.scene)
+    checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN)
+    rng = np.random.default_rng(args.seed)
+    found = sample_region(robot, args.start_pose, checker, rng, count=1)
+    if len(found.configurations) == 0:
+        raise InvalidInputError(f"--start-pose: {found.outcome}; give another pose, or --start Q")
+    return found.configurations[0]
 
 
 def scanned(args: argparse.Namespace, arm: Arm) -> Scan:

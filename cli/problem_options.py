@@ -98,7 +98,9 @@ ROBOT: Options = {
     **ROBOT_DETAILS,
 }
 PROBLEM: Options = {
-    "suite": option(f"suite of the problem or task: {', '.join(SUITES)}", nargs="?"),
+    "suite": option(
+        "a suite (cvqmpt problems list), or a problem or task file", nargs="?", metavar="SUITE|FILE"
+    ),
     "--problem": option("index in the suite (0)", type=int, default=0, metavar="I"),
     "--problem-file": option("a problem of your own instead", type=Path, metavar="P.json"),
     "--clearance": option(
@@ -182,8 +184,26 @@ def pose_region(option: str, text: str) -> TaskSpaceRegion:
     return from_plain(Region, {"pose": {"at": {"xyz": x[:3], "rpy": x[3:]}}}, option)
 
 
+def name_file(args: argparse.Namespace) -> None:
+    """Take SUITE|FILE as --problem-file or --task-file if it is a file."""
+    if args.suite is None or args.suite in SUITES:
+        return
+    path = Path(args.suite)
+    if path.suffix != ".json" and not path.is_file():
+        return
+    task = read_json_object(path, "problem file").get("schema") == Task.SCHEMA
+    if task and not hasattr(args, "task_file"):
+        raise InvalidInputError(f"{path} is a task; give a problem file")
+    option = "task_file" if task else "problem_file"
+    if getattr(args, option) is not None:
+        raise InvalidInputError(f"{path} and {getattr(args, option)}: give one file")
+    setattr(args, option, path)
+    args.suite = None
+
+
 def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
     """The problem of a suite or file, or the task of a suite."""
+    name_file(args)
     if (args.suite is None) == (args.problem_file is None):
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two"

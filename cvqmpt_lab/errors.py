@@ -15,6 +15,7 @@ from typing import Any
 
 LONGEST = 120  # characters of a value that a message shows
 LONGEST_LINE = 1200  # characters of a message
+MOST_CHOICES = 10  # that a message lists
 
 
 def shown(value: object) -> str:
@@ -53,7 +54,8 @@ class UnknownChoiceError(CvqmptError):
 
     def __init__(self, kind: str, value: object, choices: Iterable[object]) -> None:
         names = [str(choice) for choice in choices]
-        listed = ", ".join(names[:60]) + (f", ... ({len(names)} in all)" if len(names) > 60 else "")
+        more = len(names) - MOST_CHOICES
+        listed = ", ".join(names[:MOST_CHOICES]) + (f", and {more} more" if more > 0 else "")
         super().__init__(
             f"unknown {kind} {shown(value)}; valid choices: {listed}{nearest(value, names)}"
         )

@@ -217,6 +217,17 @@ CONTROLS = _by_name(
 PUBLISHED = _by_name(_product("cvq-published", NAMED["cvq-published"]))
 
 
+# Names of planners elsewhere, and ours of that kind.
+_ELSEWHERE = {
+    **dict.fromkeys(
+        ("rrtconnect", "rrt", "cbirrt", "cbirrt2"),
+        "'birrt', or OMPL's 'ompl-projected', the paper's CBiRRT",
+    ),
+    **dict.fromkeys(("prm", "lazyprm", "prmstar"), "'roadmap'"),
+    **dict.fromkeys(("cvqmpt", "vqmpt"), "'cvq-mpt' or 'opt-cvq-mpt'"),
+}
+
+
 def is_removed(name: str) -> bool:
     """Whether a planner of that name was removed; old committed rows may still contain the name."""
     return name == "graph-cvq" or name.startswith(f"{PREFIX}graph") or name in _RENAMED
@@ -238,6 +249,9 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
         raise InvalidInputError(
             f"{name} was removed; roadmap-cvq plans on the same dictionary's roadmap"
         )
+    plain = name.lower().replace("-", "").replace("_", "")
+    if plain in _ELSEWHERE and name not in PLANNERS:
+        raise InvalidInputError(f"unknown planner {name!r}; did you mean {_ELSEWHERE[plain]}?")
     ours = {**PLANNERS, **CONTROLS, **PUBLISHED}
     refuse_clash(name, ours)
     found = ours.get(name)

@@ -10,6 +10,8 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import Improvement
 from cvqmpt_lab.search.result import PlanStatus
 
+NEAR = 0.002  # [m]: a clearance below it is said to be small
+
 
 def uses_of(solution: Solution) -> tuple[BoundUse, ...]:
     """How much of every bound of the constraint the path uses; of the start where there is none."""
@@ -76,7 +78,13 @@ def _distances(certificate: Certificate) -> str:
         ("obstacles", certificate.obstacle_clearance),
         ("self", certificate.self_clearance),
     )
-    texts = [f"{what} {1e3 * part.distance_m:.1f} mm" for what, part in parts if part]
+    texts = [
+        f"{what} {1e3 * part.distance_m:.1f} mm"
+        # of obstacles also between what, where little remains
+        + (f" (small: {part.pair})" if what == "obstacles" and part.distance_m < NEAR else "")
+        for what, part in parts
+        if part
+    ]
     return ", ".join(texts) or f"{1e3 * certificate.min_clearance_m:.1f} mm"
 
 

@@ -107,3 +107,25 @@ def test_json_holds_the_record_that_certify_prints(tmp_path, cvqmpt):
     told = cvqmpt(f"plan {words} --planner birrt --iterations 20000 --save-path {path}")
     planned = json.loads(told)["certificate"]
     assert planned == json.loads(cvqmpt(f"certify {path} {words}")) and planned["valid"]
+
+
+def test_a_motion_begins_and_ends_at_poses_of_the_hand(cvqmpt, tmp_path, capsys):
+    scene = tmp_path / "scene.json"
+    box = {"name": "box", "shape": {"type": "box", "size": [0.1, 0.1, 0.3]}}
+    pose = {"xyz": [0.5, 0.0, 0.15], "rpy": [0, 0, 0]}
+    scene.write_text(json.dumps({"name": "s", "objects": [{**box, "T_world_object": pose}]}))
+    ends = "--start-pose 0.5,0.3,0.4,3.1,0,0 --goal-pose 0.5,-0.3,0.4,3.1,0,0"
+    out = tmp_path / "path.csv"
+    words = f"plan {ends} --scene {scene} --constraint upright --iterations 5000"
+    assert "certificate valid" in cvqmpt(f"{words} --save-path {out}")
+    states = np.loadtxt(out, delimiter=",", skiprows=1)
+    hand = robot_from_source({"name": "panda"}).poses(states[[0, -1]])[:, :3, 3]
+    assert np.allclose(hand, [[0.5, 0.3, 0.4], [0.5, -0.3, 0.4]], atol=1e-3)
+    far = "plan --start-pose 0,0,9,0,0,0 --goal-pose 0.5,0,0.4,3,0,0 --scene"
+    assert "give another pose" in refused(capsys, *far.split(), scene)
+
+
+def test_a_file_may_stand_in_the_place_of_a_suite(cvqmpt, problem_file):
+    named = cvqmpt(f"plan {problem_file} --iterations 20000 --json")
+    given = cvqmpt(f"plan --problem-file {problem_file} --iterations 20000 --json")
+    assert json.loads(named)["path"] == json.loads(given)["path"]
