@@ -164,12 +164,12 @@ def _planned(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
     problem.robot.joint_limits.scaled(args.speed)
     method = planner_named(default_planner(problem)[0])
     solution, _ = solve_with_margin(problem, method, budget(args), args.seed, margin)
-    if not solution.solved or solution.simplified is None:
+    if not solution.solved or solution.path is None:
         raise InvalidInputError(
             f"problem {problem.name} is not solved: {solution.plan.detail or solution.plan.status}"
             "; cvqmpt plan tells more"
         )
-    return certified_motion(problem, solution.simplified.path, settings)
+    return certified_motion(problem, solution.path, settings)
 
 
 def _read(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:

@@ -71,8 +71,8 @@ def run(args: argparse.Namespace) -> int:
     print(as_json(report) if isinstance(report, dict) else "\n".join(report))
     # with --json, standard output holds the json object alone
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
-    if args.save_path and isinstance(solution, Solution) and solution.simplified:
-        states = solution.simplified.path.states
+    if args.save_path and isinstance(solution, Solution) and solution.path:
+        states = solution.path.states
         lines = (",".join(repr(float(x)) for x in q) for q in states)
         names = ",".join(solution.problem.robot.joint_names)
         write_text(args.save_path, "\n".join([names, *lines, ""]))
@@ -183,10 +183,10 @@ def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
     from cvqmpt_lab.trajectory.timing import TimingSettings
     from cvqmpt_lab.trajectory.trajectory import save_trajectory
 
-    if not solution.solved or solution.simplified is None:
+    if not solution.solved or solution.path is None:
         return "trajectory  none: only certified paths are timed"
     timing = TimingSettings(speed=args.speed)
-    motion = certified_motion(solution.problem, solution.simplified.path, timing)
+    motion = certified_motion(solution.problem, solution.path, timing)
     save_trajectory(motion, args.trajectory)
     return (
         f"trajectory  {motion.duration:.2f} s at {args.speed:g} of the joint limits, at most "

@@ -61,5 +61,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Names for completion."""
-    return [*globals(), *_HOME]
+    """The public names, and nothing else."""
+    return __all__

@@ -110,9 +110,9 @@ def solve_with_margin(
             why = "; ".join(filter(None, (why, f"no path inside by it: {found.plan.status}")))
         plain = solve(problem, method, budget.share(0.5), seed, **options)
         return plain, f"none of {_text(margin)}: {why}"
-    assert found.certificate is not None and found.simplified is not None
+    assert found.certificate is not None and found.path is not None
     rooms = (found.certificate.obstacle_clearance, found.certificate.self_clearance)
-    tolerated = deviation_tolerated(problem, found.simplified.path.states, rooms)
+    tolerated = deviation_tolerated(problem, found.path.states, rooms)
     found = replace(
         found,
         problem=problem.changed(goals=found.problem.goals),

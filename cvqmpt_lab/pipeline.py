@@ -28,7 +28,7 @@ from cvqmpt_lab.search.planner_interface import (
     Stages,
     search,
 )
-from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
+from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.shortcut import Simplified, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.values import frozen
@@ -57,7 +57,7 @@ class Solution:
     left_out: tuple[str, ...] = ()  # goals that the problem had and that cannot be used, and why
 
     def __repr__(self) -> str:
-        plan, path, sure = self.plan, self.simplified and self.simplified.path, self.certificate
+        plan, path, sure = self.plan, self.path, self.certificate
         lines = [
             f"Solution of {self.problem.name!r}: "
             f"{'solved and certified' if self.solved else 'not solved'}",
@@ -74,6 +74,11 @@ class Solution:
             )
             lines.append(f"certificate {'; '.join((str(sure.verdict), *sure.reasons[:1]))}{clear}")
         return "\n".join(lines)
+
+    @property
+    def path(self) -> JointPath | None:
+        """The shortened path, the one that `certificate` judges; None without one."""
+        return self.simplified.path if self.simplified else None
 
     @property
     def solved(self) -> bool:

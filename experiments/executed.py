@@ -127,9 +127,9 @@ def _planned(item: Any, speed: float) -> tuple[Callable[[str, float], Execution]
             return None, f"not planned: {task.failure}"
         return lambda controller, time: execute_task(task, controller, time), ""
     solution, _ = solve_with_margin(item, PLANNER, BUDGET, SEED, Margin())
-    if not solution.solved or solution.simplified is None:
+    if not solution.solved or solution.path is None:
         return None, f"not planned: {solution.plan.status}"
-    motion = certified_motion(solution.problem, solution.simplified.path, timing)
+    motion = certified_motion(solution.problem, solution.path, timing)
     return lambda controller, time: execute_motion(item, motion, controller, time), ""
 
 

@@ -58,8 +58,8 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
     if isinstance(item, SensedProblem):
         whole = item.seconds + time.perf_counter() - began
         row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
-        if solution.simplified is not None:
-            truth = certify(item.true_problem, solution.simplified.path)
+        if solution.path is not None:
+            truth = certify(item.true_problem, solution.path)
             doubts = {FaultKind.COLLISION, FaultKind.NOT_PROVEN} & {
                 fault.kind for fault in truth.faults
             }
@@ -70,7 +70,7 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
 
 
 def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
-    return [solution.simplified.path.states for solution in solutions if solution.simplified]
+    return [solution.path.states for solution in solutions if solution.path]
 
 
 def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> list[ResultRow]:

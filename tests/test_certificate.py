@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture
 def states(solution):
-    return solution.simplified.path.states.copy()
+    return solution.path.states.copy()
 
 
 def reasons(problem, states):
@@ -38,7 +38,7 @@ def test_a_planned_path_is_accepted(problem, solution, states):
     assert certificate.valid and certificate.reasons == ()
     assert 0.0 <= certificate.max_violation_rad <= TOLERANCE and certificate.max_violation_m == 0.0
     assert certificate.min_clearance_m > 0.0
-    assert 10 < certificate.states_checked < solution.simplified.path.length / 0.01
+    assert 10 < certificate.states_checked < solution.path.length / 0.01
     assert certificate.unproven_rad == 0.0
     assert np.isnan(certify(problem, JointPath(states), clearance=False).min_clearance_m)
 
@@ -56,8 +56,8 @@ def test_a_path_certified_upright_leans_by_no_more_than_was_asked(panda, kind):
         start, goal = next(ends), next(ends)
         room = PlanningProblem("lean", panda, empty, start, goal[None], manifold.members)
         found = solve(room, "birrt", Budget(iterations=2000), seed=seed)
-        assert found.solved and certify(found.problem, found.simplified.path, clearance=False).valid
-        dense = evenly_spaced(found.simplified.path.states, 1e-3)
+        assert found.solved and certify(found.problem, found.path, clearance=False).valid
+        dense = evenly_spaced(found.path.states, 1e-3)
         leans.append(np.arccos(-panda.poses(dense)[:, 2, 2]).max())
     if kind is upright:
         assert 0.9 * asked < max(leans) <= asked + TOLERANCE
@@ -146,7 +146,7 @@ print(certify(problem, JointPath(np.load(sys.argv[2]))))
 def test_a_certificate_does_not_depend_on_what_its_process_did_before(tmp_path):
     """Bit-equal: GJK must not start from an earlier call's end; boxes have one size everywhere."""
     found = solve(place_problem(2), "birrt", Budget(iterations=20_000), seed=0, clearance=False)
-    np.save(tmp_path / "states.npy", found.simplified.path.states)
+    np.save(tmp_path / "states.npy", found.path.states)
     printed = [
         subprocess.run(
             [sys.executable, "-c", AFTER_OTHERS, str(count), tmp_path / "states.npy"],

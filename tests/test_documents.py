@@ -88,6 +88,13 @@ def test_the_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     assert "solved and certified" in capsys.readouterr().out
 
 
+def test_the_first_plan_of_an_own_robot_runs(capsys):
+    example = python_of("docs/your_own.md")[0]
+    assert len(example.strip().splitlines()) <= 8
+    exec(compile(example, "your_own.md", "exec"), {})
+    assert capsys.readouterr().out.endswith("valid\n")
+
+
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_the_short_examples_run_in_an_empty_folder(example, tmp_path):
     command = [sys.executable, example]
@@ -135,7 +142,7 @@ def test_notebooks_are_short_define_nothing_and_store_their_outputs(path):
 def test_a_motion_becomes_the_fields_of_a_ros_2_message(tmp_path, solution):
     names = {}
     exec(compile(python_of("docs/ros2.md")[0], "ros2.md", "exec"), names)
-    motion = time_path(solution.simplified.path.states, solution.problem.robot.joint_limits)
+    motion = time_path(solution.path.states, solution.problem.robot.joint_limits)
     messages = []
     for ending in ("json", "csv"):
         save_trajectory(motion, tmp_path / f"motion.{ending}")

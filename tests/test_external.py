@@ -125,16 +125,16 @@ def test_a_path_of_others_is_certified_as_it_is_and_its_work_is_not_counted():
     ours = solve(single_goal_problem(5), "birrt", ENOUGH, 0)
     found = solved_by("good")
     assert found.solved and found.plan.sampler == "their-planners 1.2" and found.plan.as_is
-    np.testing.assert_array_equal(found.simplified.path.states, ours.simplified.path.states)
+    np.testing.assert_array_equal(found.path.states, ours.path.states)
 
 
 def test_straight_segments_are_divided_and_not_moved():
     found, problem = solved_by("sparse"), single_goal_problem(5)
-    states = found.simplified.path.states
+    states = found.path.states
     corners = np.array([problem.start, problem.robot.upper, problem.goals[0]])
     assert np.linalg.norm(np.diff(states, axis=0), axis=1).max() <= 0.1 + 1e-12
     length = np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
-    assert found.simplified.path.length == pytest.approx(length)
+    assert found.path.length == pytest.approx(length)
     assert not found.solved and found.certificate.reasons
 
 
@@ -194,7 +194,7 @@ def test_rows_say_what_happened_and_who_made_the_planner(tmp_path):
     failed = {"raising": "planner_error", "ending": "planner_error"}
     assert reasons == {"good": None, "birrt": None, **failed, "cheating": "uncertified_limits"}
     ours = solve(single_goal_problem(5), "birrt", ENOUGH, 0)
-    assert by_name["birrt"].path_sha256 == states_hash(ours.simplified.path.states)
+    assert by_name["birrt"].path_sha256 == states_hash(ours.path.states)
     assert by_name["birrt"].certified and not by_name["cheating"].certified
     good = by_name["good"]
     assert good.certified and good.n_projections is None and good.vertices is None

@@ -30,7 +30,7 @@ def test_joints_that_are_off_by_what_is_tolerated_neither_collide_nor_break_a_bo
 ):
     rng = np.random.default_rng(0)
     off = inside[0].certificate.tolerated.joints
-    states = inside[0].simplified.path.states
+    states = inside[0].path.states
     picked = states[rng.integers(len(states), size=300)]
     signs = np.sign(rng.standard_normal(picked.shape))
     checker = problem.collision_checker()
@@ -42,7 +42,7 @@ def test_joints_that_are_off_by_what_is_tolerated_neither_collide_nor_break_a_bo
 
 def test_no_turn_of_the_hand_within_the_slack_breaks_a_bound(problem, inside):
     rng = np.random.default_rng(0)
-    states = inside[0].simplified.path.states
+    states = inside[0].path.states
     turned, moved = least_slack(problem.robot, problem.constraint, states, 0.02)
     assert 0.003 < turned < 0.1 and moved == np.inf
     (region,) = problem.constraint
@@ -72,7 +72,7 @@ def test_without_a_path_inside_it_is_planned_without(problem):
 def test_no_margin_is_the_plain_solution(problem, solution):
     again, text = solve_with_margin(problem, "birrt", Budget(iterations=20_000), 0, NO_MARGIN)
     assert text == "none asked for"
-    assert np.array_equal(again.simplified.path.states, solution.simplified.path.states)
+    assert np.array_equal(again.path.states, solution.path.states)
 
 
 def test_phases_of_a_task_keep_what_their_start_and_goals_allow(task):

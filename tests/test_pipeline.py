@@ -37,7 +37,7 @@ def test_many_problems_are_solved_as_each_alone_in_the_order_given(problem):
     for given, solution in zip(problems, found, strict=True):
         alone = solve(given, "birrt", ENOUGH, seed=1, clearance=False)
         assert solution.solved and solution.plan.counters == alone.plan.counters
-        np.testing.assert_array_equal(solution.simplified.path.states, alone.simplified.path.states)
+        np.testing.assert_array_equal(solution.path.states, alone.path.states)
     assert solve_many([], "birrt", ENOUGH) == []
 
 
@@ -46,15 +46,15 @@ def test_iterations_left_make_the_path_shorter_and_repeat(problem, planner):
     plain = solve(problem, planner, ENOUGH, seed=3, clearance=False)
     how = {"seed": 3, "clearance": False, "optimize": Budget(iterations=60)}
     better, again = (solve(problem, planner, ENOUGH, **how) for _ in range(2))
-    np.testing.assert_array_equal(better.simplified.path.states, again.simplified.path.states)
+    np.testing.assert_array_equal(better.path.states, again.path.states)
     made = better.improvement
     lengths = [length for _, length in made.lengths]
-    assert lengths[0] == plain.simplified.path.length
-    assert lengths[-1] == better.simplified.path.length
+    assert lengths[0] == plain.path.length
+    assert lengths[-1] == better.path.length
     assert lengths[-1] < lengths[0] and lengths == sorted(lengths, reverse=True)
     assert made.gained == pytest.approx(1.0 - lengths[-1] / lengths[0]) and made.iterations >= 60
     assert better.plan.counters == plain.plan.counters
-    assert better.solved and certify(problem, better.simplified.path).valid
+    assert better.solved and certify(problem, better.path).valid
 
 
 class Careless:
@@ -97,13 +97,13 @@ def test_a_clearance_is_planned_for_and_certified(problem, backend):
     plain = solve(world, "birrt", ENOUGH, seed=0, backend=backend)
     clear = solve(replace(world, clearance=0.02), "birrt", ENOUGH, seed=0, backend=backend)
     assert plain.solved and plain.certificate.min_clearance_m < 0.02 and clear.solved
-    near = certify(replace(world, clearance=0.02), plain.simplified.path)
+    near = certify(replace(world, clearance=0.02), plain.path)
     assert any("closer than the clearance of 20 mm" in reason for reason in near.reasons)
     geometry = problem.robot.collision_model.copy()
     geometry.removeAllCollisionPairs()
     robot = replace(problem.robot, self_collision_pairs=(), collision_model=geometry)
     alone = CollisionChecker(robot, world.scene)
-    assert all(alone.nearest(q).distance >= 0.02 for q in clear.simplified.path.states)
+    assert all(alone.nearest(q).distance >= 0.02 for q in clear.path.states)
     space = ConstrainedSpace(replace(world, clearance=0.02))
     states = problem.robot.random_configurations(np.random.default_rng(0), 2000)
     free = states[space.valid_batch(states)]
@@ -118,7 +118,7 @@ def test_near_goals_are_tried_first_where_joints_turn_more_than_once():
     far = [start + [0.6 + 2 * np.pi * (-1) ** k * 0.9, 0, 0, 0, 0, 0.01 * k] for k in range(10)]
     problem = PlanningProblem("turns", robot, Scene("empty", ()), start, np.array([*far, *near]))
     for seed in range(5):
-        states = solve(problem, "birrt", ENOUGH, seed, near_goals_first=True).simplified.path.states
+        states = solve(problem, "birrt", ENOUGH, seed, near_goals_first=True).path.states
         assert np.abs(problem.goals[10:] - states[-1]).max(axis=1).min() < 1e-9
 
 
@@ -136,7 +136,7 @@ def test_four_threads_find_the_paths_and_verdicts_of_one(four_threads, number, p
 
     def planned(seed):
         how = {"backend": backend, "clearance": False}
-        return solve(problem, planner, ENOUGH, seed, **how).simplified.path
+        return solve(problem, planner, ENOUGH, seed, **how).path
 
     alone = [planned(seed) for seed in range(3)]
     together = four_threads(planned, 2 * [0, 1, 2])

@@ -126,11 +126,11 @@ def _solved(problem: PlanningProblem, matters: bool) -> bool:
     Every second goal is left out: those are turned by whole turns towards the start.
     """
     solution = solve(problem, "birrt", Budget(iterations=1000), seed=0, clearance=False)
-    if not solution.solved or solution.simplified is None:
+    if not solution.solved or solution.path is None:
         return False
     if not matters:
         return True
-    space, last = ConstrainedSpace(solution.problem), solution.simplified.path.states[-1]
+    space, last = ConstrainedSpace(solution.problem), solution.path.states[-1]
     goals = (last, *solution.problem.goals[1::2])
     return all(direct_motion(space, problem.start, goal) is None for goal in goals)
 

@@ -252,7 +252,7 @@ def seen_of_solution(
         return seen_of_moments(moments_of(solution), hidden=hidden)
     return seen_of_problem(
         solution.problem,
-        solution.simplified.path if solution.simplified else None,
+        solution.path if solution.simplified else None,
         carried,
         most_states,
         goals=goals,
@@ -309,11 +309,11 @@ def frames(solution: TaskSolution, period: float = 0.1, pause: float = 0.5) -> l
         if phase.name not in outcomes:
             break
         outcome = outcomes[phase.name]
-        assert outcome.trajectory is not None and outcome.solution.simplified is not None
+        assert outcome.trajectory is not None and outcome.solution.path is not None
         motion = outcome.trajectory.sampled(period)
         for t, q in zip(motion.times, motion.positions, strict=True):
             found.append(Frame(time + float(t), phase.name, world.moved(q)))
-        world = world.moved(outcome.solution.simplified.path.states[-1])
+        world = world.moved(outcome.solution.path.states[-1])
         time += motion.duration
     return found
 

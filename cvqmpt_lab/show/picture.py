@@ -78,7 +78,7 @@ def draw(
         case PlanningProblem():
             image = problem_image(what, None, size)
         case Solution():
-            path_found = what.simplified.path if what.simplified else None
+            path_found = what.path if what.simplified else None
             image = problem_image(what.problem, path_found, size)
         case Task():
             image = problem_image(shown(World.before(what)), None, size)
@@ -127,7 +127,7 @@ def draw_solution(
         ghosts: number of poses shown between start and goal.
         carried: the load in the hand if the problem does not model it.
     """
-    planned = solution.simplified.path if solution.simplified else None
+    planned = solution.path if solution.simplified else None
     write_png(Path(path), problem_image(solution.problem, planned, size, ghosts, carried))
 
 

@@ -149,8 +149,8 @@ class _Step:
     @property
     def end(self) -> np.ndarray:
         """The end of its last path (n,)."""
-        assert self.outcome is not None and self.outcome.solution.simplified is not None
-        return self.outcome.solution.simplified.path.states[-1]
+        assert self.outcome is not None and self.outcome.solution.path is not None
+        return self.outcome.solution.path.states[-1]
 
 
 @dataclass(eq=False)
@@ -254,11 +254,11 @@ class _Run:
         outcome = PhaseOutcome(
             step.phase, step.world, attempts, margin=margin, fallback=fallback, reason=reason
         )
-        if not solution.solved or solution.simplified is None:
+        if not solution.solved or solution.path is None:
             return outcome
         began = time.perf_counter()
         try:
-            motion = certified_motion(solution.problem, solution.simplified.path, self.timing)
+            motion = certified_motion(solution.problem, solution.path, self.timing)
         except InvalidInputError as error:
             return replace(outcome, reason=f"not timed: {error}")
         return replace(outcome, trajectory=motion, timing_seconds=time.perf_counter() - began)

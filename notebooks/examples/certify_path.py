@@ -7,7 +7,7 @@ from cvqmpt_lab.benchmarks.suite import suite_named
 
 problem = suite_named("place-task").solvable(7)
 solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)
-path = solution.simplified.path
+path = solution.path
 straight = JointPath(np.linspace(path.states[0], path.states[-1], 200))
 for name, judged in (("planned", path), ("straight", straight)):
     certificate = certify(solution.problem, judged)

@@ -10,7 +10,7 @@ for planner in ("birrt", "roadmap", "roadmap-cvq", "opt-cvq-mpt"):
     found = [solve(problem, planner, Budget(seconds=10.0), seed=0) for problem in problems]
     seconds = median(solution.plan.seconds for solution in found)
     projections = median(solution.plan.counters.projections for solution in found)
-    lengths = [solution.simplified.path.length for solution in found if solution.solved]
+    lengths = [solution.path.length for solution in found if solution.solved]
     print(
         f"{planner:12} {len(lengths)} of {len(found)} solved, {1e3 * seconds:.1f} ms, "
         f"{projections:.0f} projections, {median(lengths):.2f} rad"

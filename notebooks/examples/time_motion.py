@@ -7,7 +7,7 @@ from cvqmpt_lab.benchmarks.suite import suite_named
 
 problem = suite_named("place-task").solvable(7)
 solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)
-states = solution.simplified.path.states
+states = solution.path.states
 motion = time_path(states, problem.robot.joint_limits, TimingSettings(speed=0.2))
 save_trajectory(motion, Path("motion.json"))
 print(f"{motion.duration:.1f} s, at most {motion.deviation:.1e} rad off the path")

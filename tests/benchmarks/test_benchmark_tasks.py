@@ -149,10 +149,10 @@ def test_an_arm_moves_upright_between_two_hand_poses(robot, joints, sliders):
     check_problem(problem)
     solution = solve(problem, "birrt", Budget(iterations=20_000), seed=0)
     assert solution.solved and solution.certificate.reasons == ()
-    ends = solution.simplified.path.states[[0, -1]]
+    ends = solution.path.states[[0, -1]]
     np.testing.assert_array_equal(ends[0], problem.start)
     np.testing.assert_allclose(problem.robot.pose(ends[1]), problem.goal_region.T0_w, atol=1e-4)
-    upright = [problem.robot.pose(q)[2, 0] for q in solution.simplified.path.states]
+    upright = [problem.robot.pose(q)[2, 0] for q in solution.path.states]
     assert min(upright) > np.cos(0.2)
 
 

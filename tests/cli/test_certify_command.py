@@ -33,7 +33,7 @@ def save(path, states):
 
 @pytest.fixture(scope="module")
 def states(solution):
-    return solution.simplified.path.states
+    return solution.path.states
 
 
 @pytest.fixture(scope="module")

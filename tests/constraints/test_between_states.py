@@ -127,7 +127,7 @@ def test_a_stretch_through_half_a_turn_near_the_bound_is_shown_to_be_inside(pand
 
 
 def test_the_largest_tilt_of_a_path_is_found_against_its_bound(solution):
-    problem, states = solution.problem, solution.simplified.path.states
+    problem, states = solution.problem, solution.path.states
     uses = bound_usage(problem.robot, problem.constraint, states)
     assert [(use.region, use.row, use.unit) for use in uses] == [(0, 4, "rad"), (0, 5, "rad")]
     tilts = np.abs(displacements(problem.robot, problem.constraint[0], states)[:, 4:6])

@@ -129,7 +129,7 @@ def test_every_planner_opens_the_door(panda, door, name):
     """Certified, hand always at the handle, last state lets the next phase open the fingers."""
     found = solve(door, planner_named(name), Budget(seconds=30.0), seed=0)
     assert found.solved, (found.plan.status, found.certificate and found.certificate.reasons)
-    states = found.simplified.path.states
+    states = found.path.states
     assert abs(states[0, 7]) < 1e-5 and abs(states[-1, 7] - OPEN) < 1e-5
     metres, radians = handle_errors(door, states)
     assert metres < 2e-3 and radians < np.deg2rad(0.5)
@@ -139,7 +139,7 @@ def test_every_planner_opens_the_door(panda, door, name):
 
 
 def test_the_certificate_sees_a_hand_that_lets_go(door, opened):
-    states = opened.simplified.path.states.copy()
+    states = opened.path.states.copy()
     assert certify(door, JointPath(states)).valid
     states[len(states) // 2, 7] += 0.01
     reasons = certify(door, JointPath(states)).reasons
@@ -152,13 +152,11 @@ def test_the_certificate_sees_the_door_hit_something(door, opened):
     blocked = replace(door, scene=door.scene.with_objects(brick))
     checker = blocked.collision_checker()
     assert not checker.in_collision(door.start)
-    assert (
-        f"in collision: {DOOR}/panel and brick" in certify(blocked, opened.simplified.path).reasons
-    )
+    assert f"in collision: {DOOR}/panel and brick" in certify(blocked, opened.path).reasons
 
 
 def test_the_certificate_sees_an_end_with_the_door_elsewhere(door, opened):
     """Hand region of the goal without its states: a path that stops half way fails."""
-    half = opened.simplified.path.states[: len(opened.simplified.path.states) // 2]
+    half = opened.path.states[: len(opened.path.states) // 2]
     reasons = certify(replace(door, goals=np.empty((0, 8))), JointPath(half)).reasons
     assert reasons == ("does not end at a goal",)

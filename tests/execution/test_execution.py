@@ -32,7 +32,7 @@ def carrying():
     """A problem that carries the can, and its certified motion."""
     problem = suite_named("place-task-with-can").solvable(3)
     found, _ = solve_with_margin(problem, "birrt", Budget(iterations=40_000), 0, Margin())
-    return problem, certified_motion(found.problem, found.simplified.path)
+    return problem, certified_motion(found.problem, found.path)
 
 
 @pytest.mark.parametrize("name", ["panda", "ur5", "xarm7"])

@@ -249,7 +249,7 @@ def test_a_path_that_is_refused_keeps_its_faults_and_a_fallback_counts_as_solved
     row = result_row(RUN, judged, goal_seconds=0.0)
     assert (row.solved, row.certified, row.fail_reason) == (False, False, "uncertified_step")
     assert row.detail.startswith("a step of 1 rad; in collision")
-    assert row.path_sha256 == states_hash(solution.simplified.path.states)
+    assert row.path_sha256 == states_hash(solution.path.states)
     fallen_back = replace(solution, plan=replace(solution.plan, fallback="no path: birrt"))
     row = result_row(RUN, fallen_back, goal_seconds=0.0)
     assert (row.solved, row.fallback, row.fail_reason) == (True, "no path: birrt", None)

@@ -40,7 +40,7 @@ def tuning_problems(trials, size):
 
 
 def simplified(problem, seed=0):
-    return solve(problem, "birrt", ENOUGH, seed, clearance=False).simplified.path.states
+    return solve(problem, "birrt", ENOUGH, seed, clearance=False).path.states
 
 
 def near_contact(problem, space, rng, count):

@@ -199,7 +199,7 @@ def test_paths(seed):
     solution = problem and solve(problem, "birrt", FEW, seed=seed, clearance=False)
     if solution is None or solution.plan.path is None:
         return
-    for path in (solution.plan.path, solution.simplified.path):
+    for path in (solution.plan.path, solution.path):
         np.testing.assert_array_equal(path.states[0], problem.start)
         assert (path.states[-1] == solution.problem.goals).all(axis=1).any()
     assert solution.certificate.valid, solution.certificate.reasons

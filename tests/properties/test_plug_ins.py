@@ -22,7 +22,7 @@ def ours():
     found = solve(single_goal_problem(5), "birrt", Budget(iterations=300), 0)
     assert found.solved
     counts = found.plan.counters, found.plan.vertices, found.certificate
-    return *counts, found.simplified.path.states.tobytes()
+    return *counts, found.path.states.tobytes()
 
 
 @pytest.mark.promise(

@@ -218,7 +218,7 @@ def planned(problem, states, rng):
     if not goals:
         return states
     found = solve(replace(problem, goals=np.array(goals[:1])), "birrt", BUDGET, 0, clearance=False)
-    path = found.simplified.path.states if found.solved else states
+    path = found.path.states if found.solved else states
     first = rng.integers(len(path) - 1)
     return path[first : first + STRETCH]
 

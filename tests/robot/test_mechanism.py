@@ -203,7 +203,7 @@ def test_an_arm_with_a_slider_is_planned_past_a_ball(slider_problem, name, backe
     assert slider_problem.collision_checker().in_collision_batch(direct).any()
     solution = solve(slider_problem, planner_named(name), ENOUGH, seed=0, backend=backend)
     assert solution.certificate.reasons == () and solution.solved
-    assert np.ptp(solution.simplified.path.states[:, 0]) > 0.1, "the slider took part"
+    assert np.ptp(solution.path.states[:, 0]) > 0.1, "the slider took part"
 
 
 ONE_JOINT = """<robot name="one"><link name="base"/><link name="arm">\
@@ -229,7 +229,7 @@ def test_robots_of_one_joint_are_planned_for(tmp_path, kind, wall, carried, back
         solution = solve(problem, planner_named("birrt"), ENOUGH, seed=0, backend=backend)
         assert solution.certificate.reasons == ()
         assert 0.0 < solution.certificate.min_clearance_m < 0.5
-        assert time_path(solution.simplified.path.states, robot.joint_limits).duration > 0.0
+        assert time_path(solution.path.states, robot.joint_limits).duration > 0.0
     refused("1 joints and 6 entries", solve, problem, planner_named("atlas-rrt"), ENOUGH, seed=0)
 
 

@@ -148,7 +148,7 @@ def test_a_budget_in_seconds_is_kept_to_a_tenth_of_a_second(problem, backend):
 
 
 def test_any_distribution_is_sampled_and_named_and_its_samples_clipped(problem, solution):
-    means = solution.simplified.path.states[::20]
+    means = solution.path.states[::20]
     uniform = Uniform(problem.robot.lower, problem.robot.upper)
     guide = GaussianMixture.equal(means, 0.05 * np.eye(7), uniform, 0.1, "gaussian-mixture")
     result = plan(problem, sampling(guide), ENOUGH)
@@ -222,7 +222,7 @@ def test_a_start_that_is_a_goal_is_solved(problem, name):
     there = replace(problem, goals=problem.start[None], goal_region=None)
     budget, optimize = Budget(seconds=10.0), Budget(seconds=0.02)
     solution = solve(there, planner_named(name), budget, seed=0, optimize=optimize)
-    assert solution.solved and solution.simplified.path.length < 0.5
+    assert solution.solved and solution.path.length < 0.5
     assert 0.0 <= solution.improvement.gained <= 1.0
 
 
@@ -277,9 +277,9 @@ def test_ompl_keeps_nothing_of_a_run(problem, manifold):
 
 
 def test_checked_path_names_the_bad_segment(problem, solution):
-    space, states = ConstrainedSpace(problem), solution.simplified.path.states
+    space, states = ConstrainedSpace(problem), solution.path.states
     good, bad = space.checked_path(states)
-    assert bad == -1 and good.length == pytest.approx(solution.simplified.path.length, rel=1e-3)
+    assert bad == -1 and good.length == pytest.approx(solution.path.length, rel=1e-3)
     through_the_kitchen = np.array([*states[:5], problem.goals[3], *states[5:]])
     assert space.checked_path(through_the_kitchen) == (None, 4)
 
@@ -342,7 +342,7 @@ def test_birrt_solves_from_a_doubtful_start_and_says_so(tight):
     assert solution.plan.detail == "exact checks near start"
     assert solution.certificate.reasons == () and solution.solved
     assert certify(tight, solution.plan.path, clearance=False).valid
-    assert space.checked_path(solution.simplified.path.states)[0] is not None
+    assert space.checked_path(solution.path.states)[0] is not None
 
 
 def test_what_touches_is_not_doubtful_but_refused(problem):

@@ -226,7 +226,7 @@ def test_informed_samples_keep_detours_to_one_of_the_goals_short(lengths):
 @pytest.fixture(scope="module")
 def first(problem):
     """A path of `birrt`, shortened."""
-    return solve(problem, "birrt", ENOUGH, 0, clearance=False).simplified.path
+    return solve(problem, "birrt", ENOUGH, 0, clearance=False).path
 
 
 def test_draws_kept_are_free_on_the_manifold_and_in_the_informed_set(problem, first):

@@ -90,7 +90,7 @@ def test_what_is_free_in_a_map_is_certified_in_it_and_in_the_truth(panda, truth)
     problem = PlanningProblem("over the wall", panda, seen, left, right[None])
     solution = solve(problem, "birrt", Budget(iterations=20_000), seed=0)
     assert solution.solved
-    path = solution.simplified.path
+    path = solution.path
     assert certify(replace(problem, scene=truth), path).valid
     tip = panda.pose(path.states[len(path.states) // 2])[:3, 3]
     hidden = truth.with_objects(SceneObject("lamp", Sphere(0.05), pose(tip)))

@@ -31,7 +31,7 @@ SHAPES = (
 def test_solved_recording_holds_everything(solution, recorded, tmp_path):
     log_solution(solution, tmp_path / "run.rrd", carried=[carried_can()])
     rows = recorded(tmp_path / "run.rrd")
-    states = len(solution.simplified.path.states)
+    states = len(solution.path.states)
     assert {f"/world/scene/{name}" for name in solution.problem.scene.names} <= rows.keys()
     assert {"/world/path/raw", "/world/path/hand", "/world/start/panda_hand_0"} <= rows.keys()
     assert {"/world/goals/0/panda_link0_0", "/world/constraint/0/mark"} <= rows.keys()
@@ -78,7 +78,7 @@ def test_plots_say_what_the_certificate_says(problem, solution, rows):
     for q, excess in zip(states, outside, strict=True):
         found = certify(problem, JointPath(np.stack([q, q])), clearance=False)
         assert excess == pytest.approx(found.max_violation_rad, abs=1e-9)
-    states = solution.simplified.path.states[::20]
+    states = solution.path.states[::20]
     *_, clearance, _ = plots_along(solution.problem, states)
     for q, drawn in zip(states, clearance.curves["clearance"], strict=True):
         expected = certify(solution.problem, JointPath(np.stack([q, q]))).min_clearance_m

@@ -34,7 +34,7 @@ def test_a_page_holds_the_motion_and_its_plots(solution, tmp_path):
     save_page(named, tmp_path / "a.html")
     assert "<!--" not in (tmp_path / "a.html").read_text()
     data = data_of(tmp_path / "a.html")
-    states = solution.simplified.path.states
+    states = solution.path.states
     assert data["title"].startswith("a</script><!--<script>b: panda, solved")
     assert data["states"] == len(states)
     robot = [body for body in data["bodies"] if body["group"] == "robot"]
@@ -56,7 +56,7 @@ def test_a_page_holds_the_motion_and_its_plots(solution, tmp_path):
 def test_a_browser_shows_scene_robot_and_plots(solution, task_solution, tmp_path):
     save_page(solution, tmp_path / "plan.html")
     save_page(task_solution, tmp_path / "task.html")
-    last = len(solution.simplified.path.states) - 1
+    last = len(solution.path.states) - 1
     shown = {}
     for page in ("plan.html#0", f"plan.html#{last}", "task.html#0"):
         words = "--headless --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader "

@@ -134,7 +134,7 @@ def test_a_carried_can_hits_a_board_that_one_5_mm_shorter_does_not(task_solution
     below = pose((*item.T_world_object[:2, 3], top - 0.05))
     board = SceneObject("board", Box((0.05, 0.05, 0.1)), below)
     problem = replace(solution.problem, scene=solution.problem.scene.with_objects(board))
-    (fault,) = certify(problem, solution.simplified.path).faults
+    (fault,) = certify(problem, solution.path).faults
     assert fault.kind is FaultKind.COLLISION and "can and board" in fault.text
 
 
@@ -147,7 +147,7 @@ def test_a_whole_task_is_solved_and_every_phase_certified(task_solution):
     assert task_solution.solved and task_solution.failure == ""
     assert [outcome.phase.name for outcome in task_solution.outcomes] == PHASES
     for outcome in task_solution.outcomes:
-        path = outcome.solution.simplified.path
+        path = outcome.solution.path
         assert certify(outcome.solution.problem, path).valid
         motion = outcome.trajectory
         np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-12)
@@ -173,7 +173,7 @@ def test_another_grasp_is_tried_when_a_later_phase_fails(task):
     assert solution.solved
     approach = next(outcome for outcome in solution.outcomes if outcome.phase.name == "approach")
     assert len(approach.attempts) == 2
-    first, second = (item.simplified.path.states[-1] for item in approach.attempts)
+    first, second = (item.path.states[-1] for item in approach.attempts)
     assert np.abs(first - second).max() > 1e-6
     rows = phase_rows(RUN, solution)
     row = next(row for row in rows if row.problem.endswith("approach"))

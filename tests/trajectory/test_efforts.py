@@ -93,11 +93,11 @@ def test_bounds_of_polynomials_are_above_their_extremes():
 def test_a_motion_keeps_its_efforts_and_one_beyond_them_is_refused(solution):
     """Weak motors take longer; what was timed for strong ones is a fault then."""
     problem = solution.problem
-    strong = certified_motion(problem, solution.simplified.path, FULL)
-    efforts = weak_efforts(problem, solution.simplified.path.states)
+    strong = certified_motion(problem, solution.path, FULL)
+    efforts = weak_efforts(problem, solution.path.states)
     weak = robot_from_source({"name": "panda", "effort_limits": efforts.tolist()})
     slowly = problem.changed(robot=weak)
-    motion = certified_motion(slowly, solution.simplified.path, FULL)
+    motion = certified_motion(slowly, solution.path, FULL)
     assert motion.duration > 1.01 * strong.duration
     dense = motion.at(np.arange(0.0, motion.duration, 1e-4))
     used = np.abs(problem.dynamics.efforts(*dense)) / efforts
@@ -113,8 +113,8 @@ def test_torque_rates_are_kept_where_they_are_limited(solution):
     problem = solution.problem.changed(
         robot=robot_from_source({"name": "panda", "torque_rate_limits": 1000.0})
     )
-    free = certified_motion(solution.problem, solution.simplified.path, FULL)
-    motion = certified_motion(problem, solution.simplified.path, FULL)
+    free = certified_motion(solution.problem, solution.path, FULL)
+    motion = certified_motion(problem, solution.path, FULL)
     assert motion.duration > 1.1 * free.duration
     efforts = problem.dynamics.efforts(*motion.at(np.arange(0.0, motion.duration, 1e-3)))
     assert 900.0 < np.abs(np.diff(efforts, axis=0)).max() / 1e-3 <= 1010.0
@@ -127,7 +127,7 @@ def test_too_heavy_a_load_is_named(solution):
     heavy = replace(solution.problem.attachments[0], mass=15.0)
     problem = solution.problem.changed(attachments=(heavy,))
     told = r"joint 'panda_joint\d' needs \d+(\.\d)? of \d+ Nm standing still"
-    refused(told, certified_motion, problem, solution.simplified.path, FULL)
+    refused(told, certified_motion, problem, solution.path, FULL)
 
 
 def test_what_no_urdf_says_is_named(slider_arm, solution, capsys):
@@ -145,7 +145,7 @@ def test_what_no_urdf_says_is_named(slider_arm, solution, capsys):
 
 def test_without_efforts_timing_is_as_before(solution):
     """The same motion as without dynamics where no effort is near its limit."""
-    states, limits = solution.simplified.path.states, solution.problem.robot.joint_limits
+    states, limits = solution.path.states, solution.problem.robot.joint_limits
     slow = TimingSettings(speed=0.1)
     durations = [
         time_path(states, limits, slow, dynamics=dynamics).duration

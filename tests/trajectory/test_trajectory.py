@@ -39,7 +39,7 @@ def solutions():
 
 @pytest.fixture(scope="module")
 def paths(solutions):
-    return [s.simplified.path.states for s in solutions]
+    return [s.path.states for s in solutions]
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_a_refused_curve_is_drawn_closer_to_the_path(paths, limits):
 def test_the_motion_of_a_solution_is_certified_as_its_file_is(solutions):
     """Between all its points; repeated states count once, a path at rest is refused."""
     for found in solutions:
-        path = JointPath(np.repeat(found.simplified.path.states, 2, axis=0))
+        path = JointPath(np.repeat(found.path.states, 2, axis=0))
         motion = certified_motion(found.problem, path, FULL)
         rates = (motion.velocities, motion.accelerations)
         for stated in (rates[:1], rates):  # controllers follow cubics or quintics
@@ -108,7 +108,7 @@ def test_the_motion_keeps_all_limits_everywhere(paths, limits):
 
 def test_jerk_limits_shape_the_motion_and_are_judged(solutions, tmp_path):
     """Softer limits take longer; a motion that starts with an acceleration jerks."""
-    problem, path = solutions[0].problem, solutions[0].simplified.path
+    problem, path = solutions[0].problem, solutions[0].path
     limits = problem.robot.joint_limits
     soft = time_path(path.states, replace(limits, jerk=0.1 * limits.jerk), FULL)
     motion = certified_motion(problem, path, FULL)
