@@ -16,4 +16,5 @@ def halfway(query, observation):
 
 problem = suite_named("place-task").solvable(7)
 method = Method.simple("halfway", predict=halfway)
-print(solve(problem, method, Budget(seconds=10.0), seed=0))
+solution = solve(problem, method, Budget(seconds=10.0), seed=0)
+print(solution)

@@ -4,5 +4,6 @@ from cvqmpt_lab import Budget, draw, solve
 from cvqmpt_lab.benchmarks.suite import suite_named
 
 problem = suite_named("place-task").solvable(7)
-draw(solve(problem, "roadmap", Budget(seconds=10.0), seed=0), "plan.png")
+solution = solve(problem, "roadmap", Budget(2.0), seed=0, optimize=Budget(0.25))
+draw(solution, "plan.png")
 print("plan.png")

@@ -24,4 +24,5 @@ problem = PlanningProblem(
     start=np.array([-0.9, 0.3, 0.0, -1.9, 0.0, 2.2, 0.8]),
     goals=np.array([[0.9, 0.3, 0.0, -1.9, 0.0, 2.2, 0.8]]),
 )
-print(solve(problem, "roadmap", Budget(seconds=10.0), seed=0))
+solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)
+print(solution)

@@ -1,0 +1,50 @@
+"""Write docs/gallery.md: every short program of notebooks/examples, what it prints and a picture.
+
+python docs/gallery.py
+"""
+
+import contextlib
+import io
+import os
+import runpy
+import tempfile
+from pathlib import Path
+
+from cvqmpt_lab import draw
+
+DOCS = Path(__file__).parent
+DRAWN = ("solution", "problem", "robot", "panda")  # the first of these that a program has
+HEAD = """# Gallery
+
+Short programs, one for each use, with what they print and a picture (`cvqmpt_lab.draw`).
+They are in `notebooks/examples`. This page is written by `python docs/gallery.py`.
+"""
+
+
+def main() -> None:
+    """Run the programs in an empty folder, and write the page and its pictures."""
+    parts, home = [HEAD], Path.cwd()
+    (DOCS / "gallery").mkdir(exist_ok=True)
+    for program in sorted((DOCS.parent / "notebooks" / "examples").glob("*.py")):
+        said = io.StringIO()
+        with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(said):
+            os.chdir(folder)
+            names = runpy.run_path(str(program))
+            os.chdir(home)
+        text = program.read_text(encoding="utf-8")
+        title = text.partition('"""')[2].partition('"""')[0].rstrip(".")
+        code = text.partition('"""')[2].partition('"""')[2].strip()
+        picture = DOCS / "gallery" / f"{program.stem}.png"
+        shown = next((names[name] for name in DRAWN if name in names), None)
+        printed = said.getvalue().strip()
+        parts.append(f"## {title}\n\n```python\n{code}\n```\n\n```text\n{printed}\n```\n")
+        if shown is not None:
+            image = draw(shown, size=(750, 500))
+            image.quantize(96).save(picture, optimize=True)
+            parts.append(f"![{title}](gallery/{picture.name})\n")
+        print(f"{program.stem}: {'picture' if shown is not None else 'text'}")
+    (DOCS / "gallery.md").write_text("\n".join(parts), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
