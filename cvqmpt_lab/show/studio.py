@@ -7,7 +7,7 @@ import io
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -19,13 +19,7 @@ from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region, why_none
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
-from cvqmpt_lab.errors import (
-    CvqmptError,
-    InvalidInputError,
-    UnknownChoiceError,
-    install_command,
-    whole_number,
-)
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, install_command
 from cvqmpt_lab.files import json_text
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.motion_check import certified_motion
@@ -33,7 +27,6 @@ from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named, require_fit
 from cvqmpt_lab.poses import Placement, Pose
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.roadmap import RoadmapPath
@@ -81,20 +74,12 @@ class Answer:
 class Studio:
     """Plans a problem again at every change, in one thread that always takes the newest request.
 
-    Requests have numbers; those that are overtaken while another is planned have no answer.
-
-    Args:
-        problem: to begin with.
-        planner: its name; None: the usual one of the problem.
-        seconds: budget of a request [s].
+    Requests, of a budget in `seconds`, are numbered; those overtaken meanwhile have no answer.
     """
 
-    def __init__(
-        self, problem: PlanningProblem, planner: str | None = None, seconds: float = 1.0
-    ) -> None:
+    def __init__(self, problem: PlanningProblem, seconds: float = 1.0) -> None:
         self.problem, self._budget = problem, Budget(seconds=seconds)
-        planner = planner or default_planner(problem)[0]
-        require_fit(planner_named(planner), problem)
+        planner = default_planner(problem)[0]
         fitting = (name for name, one in PLANNERS.items() if not one.incompatibility(problem))
         self.planners = tuple(dict.fromkeys((planner, *fitting)))
         standing = upright(axis=upper_axis(problem.robot.pose(problem.start)))
@@ -102,7 +87,7 @@ class Studio:
         self.on_answer: Callable[[Answer], None] = lambda answer: None  # in the planning thread
         self.request = Request(0, planner)  # the newest one
         self.state = Answer(Request(-1, planner), problem)  # the newest answer
-        self._changed, self._stopped, self._warm = threading.Condition(), False, set[str]()
+        self._changed, self._stopped = threading.Condition(), False
         threading.Thread(target=self._work, daemon=True, name="studio").start()
 
     def move_goal(self, T: np.ndarray) -> int:
@@ -169,8 +154,7 @@ class Studio:
     def _answered(self, request: Request) -> Answer:
         """The answer of a request; it has the last path where this one gives none."""
         method = planner_named(request.planner)
-        if request.planner not in self._warm:
-            self._warm.add(request.planner)
+        if request.planner != self.state.planner:
             warm_up(self.problem, method, "compiled")
         began = time.perf_counter()
         try:
@@ -179,9 +163,7 @@ class Studio:
             if found.solved:
                 how = ("certified", time.perf_counter() - began, found, request.planner)
                 return Answer(request, found.problem, *how)
-            sure = found.certificate
-            why = "; ".join(sure.reasons) if sure else found.plan.detail
-            message = f"{sure.verdict if sure else found.plan.status}{why and f': {why}'}"
+            message = " ".join(repr(found).splitlines()[-1].split())  # of certificate or plan
         except Exception as error:
             message = str(error)
             if not isinstance(error, CvqmptError):  # a fault of ours, or of an external planner
@@ -240,11 +222,7 @@ def _reached(problem: PlanningProblem, what: str, T: np.ndarray, near: np.ndarra
 
 
 def hands_drawn(answer: Answer) -> Iterator[tuple[str, np.ndarray, Colour]]:
-    """Layer, points (k, 3) [m] and colour of what an answer's planner sees and draws from.
-
-    Hands of a roadmap's or the trees' nodes, the cloud that a network sees, hands drawn from its
-    Gaussians before and after their update (Algorithm 2).
-    """
+    """Layer, points (k, 3) [m], colour: nodes, cloud, draws before and after Algorithm 2."""
     problem, method = answer.problem, planner_named(answer.request.planner)
     robot, stages, rng = problem.robot, method.stages(problem), np.random.default_rng(0)
     if isinstance(stages.predict, RoadmapPath):
@@ -264,28 +242,17 @@ def hands_drawn(answer: Answer) -> Iterator[tuple[str, np.ndarray, Colour]]:
                 yield "Gaussians", robot.poses(draws)[:, :3, 3], colour
 
 
-def studio(
-    problem: PlanningProblem,
-    port: int = 8090,
-    planner: str | None = None,
-    carried: Sequence[Attachment] = (),
-) -> "StudioPage":
-    """Serve a page of a problem at a local address until its `stop()`; notebooks show it.
-
-    Args:
-        problem: to begin with.
-        port: of the address; 0: any that is free.
-        planner: its name; None: the usual one of the problem.
-        carried: objects shown in the hand if the problem has no attachments.
-    """
+def studio(problem: PlanningProblem, port: int = 8090) -> "StudioPage":
+    """Serve a page at a local address until its `stop()`; port 0: any that is free."""
     try:
         import viser
     except ImportError as error:
         command = install_command("studio")
         raise InvalidInputError(f"studio needs viser, which is missing: {command}") from error
-    live, port = Studio(problem, planner), whole_number("port", port, 0, 65535)
+    if port not in range(65536):  # viser would wait for ever
+        raise InvalidInputError(f"port {port}: give a whole number from 0 to 65535")
     server = viser.ViserServer("127.0.0.1", port, f"cvqmpt: {problem.name}", verbose=False)
-    page = StudioPage(live, server, carried)
+    page = StudioPage(Studio(problem), server)
     # viser takes the next port where one is in use; the user would open what is there
     if port not in (0, server.get_port()):
         page.stop()
@@ -296,8 +263,8 @@ def studio(
 class StudioPage:
     """A page for a `Studio`, which is its attribute `live`; see `studio`."""
 
-    def __init__(self, live: Studio, server: Any, carried: Sequence[Attachment]) -> None:
-        self.live, self.server, self._carried = live, server, carried
+    def __init__(self, live: Studio, server: Any) -> None:
+        self.live, self.server = live, server
         self.address = f"http://127.0.0.1:{server.get_port()}"
         self._nodes: dict[str, tuple[Any, Any]] = {}  # mesh and node of the scene by name
         self._moving: list[tuple[Any, np.ndarray]] = []  # nodes, and their poses along the path
@@ -317,11 +284,10 @@ class StudioPage:
         self._slider = gui.add_slider("along the path", 0.0, 1.0, 0.01, 0.0)
         self._slider.on_update(lambda event: self._pose_robot())
         gui.add_button("play").on_click(self._play)
-        for k, name in enumerate("start goals path constraint search cloud Gaussians".split()):
-            shown = k < 4  # the others take time
-            scene.add_frame(f"/{name}", show_axes=False, visible=shown)
+        for name in ("start", "goals", "path", "constraint", "search", "cloud", "Gaussians"):
+            shown = name not in ("search", "cloud", "Gaussians")  # which take time
             self._layers[name] = gui.add_checkbox(f"show {name}", shown)
-            self._layers[name].on_update(partial(self._show_layer, name))
+            self._layers[name].on_update(lambda event: live.ask())  # the answer is drawn so
         for kind in ("problem", "page", "picture", "trajectory"):
             gui.add_button(f"save {kind}").on_click(partial(self._save, kind))
         for name in ("start", "goal", "obstacle"):
@@ -343,11 +309,6 @@ class StudioPage:
         self.live.stop()
         self.server.stop()
 
-    def _show_layer(self, name: str, event: Any) -> None:
-        """Show or hide a layer; what takes time is drawn with the next answer."""
-        self.server.scene.get_handle_by_name(f"/{name}").visible = event.target.value
-        self.live.ask()
-
     def _save(self, kind: str, event: Any) -> None:
         """Send a file to the tab that asked for it."""
         try:
@@ -366,10 +327,8 @@ class StudioPage:
         (self._dragged.discard if event.phase == "end" else self._dragged.add)(name)
         (w, x, y, z), (a, b, c) = event.target.wxyz.tolist(), event.target.position.tolist()
         T = Placement(xyz=(a, b, c), quaternion=(x, y, z, w)).matrix
-        if name == "obstacle":
-            self.live.move_obstacle(self._obstacle.value, T)
-        else:
-            (self.live.move_start if name == "start" else self.live.move_goal)(T)
+        moved = partial(self.live.move_obstacle, self._obstacle.value)
+        {"start": self.live.move_start, "goal": self.live.move_goal}.get(name, moved)(T)
 
     def _choose_obstacle(self, event: Any) -> None:
         """Put a gizmo at the chosen obstacle."""
@@ -382,12 +341,13 @@ class StudioPage:
     def _show(self, answer: Answer) -> None:
         """Draw an answer; in the planning thread."""
         problem, request, scene = answer.problem, answer.request, self.server.scene
-        seen = seen_of_problem(problem, answer.path, self._carried, ghosts=0)
-        bodies = seen.bodies("start", "goals", "constraint", "path")
-        named = {f"/{body.layer}/{body.name}": body for body in bodies}
+        seen = seen_of_problem(problem, answer.path, ghosts=0)
+        shown = {name for name, box in self._layers.items() if box.value}
+        # a slash would make one object move another
+        named = {f"/{it.layer}/{it.name.replace('/', '|')}": it for it in seen.bodies(*shown)}
         states = answer.path.states if answer.path else np.array([problem.start, *problem.goals])
-        wanted = [self._layers[name].value for name in ("search", "cloud", "Gaussians")]
-        points = list(hands_drawn(answer)) if any(wanted) else []
+        points = hands_drawn(answer) if shown & {"search", "cloud", "Gaussians"} else ()
+        drawn = [it for it in points if it[0] in shown]
         with self.server.atomic():
             self._text.content = text_of(answer)
             for name in self._nodes.keys() - named.keys():
@@ -398,23 +358,24 @@ class StudioPage:
                 if node is None or (mesh is not body.mesh and body.layer != "scene"):
                     corners = body.mesh.corners.reshape(-1, 3)
                     faces, faint = np.arange(len(corners)).reshape(-1, 3), body.opacity < 1.0
-                    look = {"color": _rgb(body.colour), "opacity": body.opacity if faint else None}
+                    look = {"color": body.colour, "opacity": body.opacity if faint else None}
                     node = scene.add_mesh_simple(name, corners, faces, **look)
                     self._nodes[name] = (body.mesh, node)
                 moved = request.moved if body.layer == "scene" else {}
                 _place(node, moved.get(body.name, body.poses[0]))
-            self._moving = [(self._nodes[name][1], body.poses) for name, body in named.items()]
+            moving = ((self._nodes[name][1], it.poses) for name, it in named.items())
+            self._moving = [(node, poses) for node, poses in moving if len(poses) > 1]
             for node in self._points:
                 node.remove()
             self._points = [
-                scene.add_point_cloud(f"/{layer}/{k}", at, _rgb(colour), point_size=0.008)
-                for k, (layer, at, colour) in enumerate(points)
+                scene.add_point_cloud(f"/{layer}/{k}", at, colour, point_size=0.008)
+                for k, (layer, at, colour) in enumerate(drawn)
             ]
-            ends = problem.robot.poses(states[[0, -1]])
-            for name, asked, T in zip(("start", "goal"), (request.start, request.goal), ends):
+            first, last = problem.robot.poses(states[[0, -1]])
+            for name, asked, T in (("start", request.start, first), ("goal", request.goal, last)):
                 if name not in self._dragged:  # under a user's hand it is where it is
                     _place(self._gizmos[name], T if asked is None else asked)
-        self._pose_robot()
+            self._pose_robot()
 
     def _pose_robot(self) -> None:
         """Put all that moves where the slider is."""
@@ -424,9 +385,10 @@ class StudioPage:
 
 def text_of(answer: Answer) -> str:
     """What the page says of an answer, as markdown."""
-    solution, text = answer.solution, answer.message
+    solution = answer.solution
     lines = [f"**{answer.verdict}**, {1e3 * answer.seconds:.0f} ms"]
-    lines += [text, "The path is that of an earlier request:"] if text else []
+    if answer.message:
+        lines += [answer.message, "The path is that of an earlier request:"]
     for line in solution_lines(solution, answer.planner) if solution else ():
         lines.append(f"*{line[:12].strip()}* {line[12:]}")
     return "\n\n".join(lines)
@@ -436,7 +398,3 @@ def _place(node: Any, T: np.ndarray) -> None:
     """Put a node of the scene at a pose (4, 4) [m]."""
     node.wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     node.position = T[:3, 3]
-
-
-def _rgb(colour: Colour) -> tuple[int, ...]:
-    return tuple(round(255 * part) for part in colour)
