@@ -5,6 +5,7 @@ The only module that imports viser, which serves the page; all its tabs show one
 
 import io
 import logging
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -249,15 +250,13 @@ def studio(problem: PlanningProblem, port: int = 8090) -> "StudioPage":
     except ImportError as error:
         command = install_command("studio")
         raise InvalidInputError(f"studio needs viser, which is missing: {command}") from error
-    if port not in range(65536):  # viser would wait for ever
-        raise InvalidInputError(f"port {port}: give a whole number from 0 to 65535")
+    try:  # viser would take the next port, at which the user would not look
+        socket.create_server(("127.0.0.1", port)).close()
+    except (OSError, OverflowError, TypeError) as error:
+        why = f"port {port} is in use or no port; give another one, or 0 for any"
+        raise InvalidInputError(why) from error
     server = viser.ViserServer("127.0.0.1", port, f"cvqmpt: {problem.name}", verbose=False)
-    page = StudioPage(Studio(problem), server)
-    # viser takes the next port where one is in use; the user would open what is there
-    if port not in (0, server.get_port()):
-        page.stop()
-        raise InvalidInputError(f"port {port} is in use; give another one, or 0 for any")
-    return page
+    return StudioPage(Studio(problem), server)
 
 
 class StudioPage:
@@ -360,9 +359,11 @@ class StudioPage:
                     faces, faint = np.arange(len(corners)).reshape(-1, 3), body.opacity < 1.0
                     look = {"color": body.colour, "opacity": body.opacity if faint else None}
                     node = scene.add_mesh_simple(name, corners, faces, **look)
+                    _place(node, body.poses[0])
                     self._nodes[name] = (body.mesh, node)
-                moved = request.moved if body.layer == "scene" else {}
-                _place(node, moved.get(body.name, body.poses[0]))
+                T = request.moved.get(body.name) if body.layer == "scene" else body.poses[0]
+                if T is not None:  # few objects of a scene were moved
+                    _place(node, T)
             moving = ((self._nodes[name][1], it.poses) for name, it in named.items())
             self._moving = [(node, poses) for node, poses in moving if len(poses) > 1]
             for node in self._points:
