@@ -31,15 +31,13 @@ def _problem(args: argparse.Namespace) -> PlanningProblem:
     """The problem of a file or suite; without either, one for the robot that is named."""
     name = args.what or "place-task"
     if args.what is None and (source := robot_source(args)) is not None:
-        from cvqmpt_lab.benchmarks.templates import problem_template
+        from cvqmpt_lab.benchmarks.templates import problem_template  # half a second to import
 
         return PlanningProblem.from_dict(problem_template(source))
-    is_file = name.endswith(".json")
-    args.suite, args.problem_file = (None, Path(name)) if is_file else (name, None)
-    problem = problem_asked(args)
-    if not isinstance(problem, PlanningProblem):
-        raise InvalidInputError(f"{name} has tasks, of several phases; studio is for problems")
-    return problem
+    args.suite, args.problem_file = (None, Path(name)) if name.endswith(".json") else (name, None)
+    if isinstance(problem := problem_asked(args), PlanningProblem):
+        return problem
+    raise InvalidInputError(f"{name} has tasks, of several phases; studio is for problems")
 
 
 OPTIONS: Options = {

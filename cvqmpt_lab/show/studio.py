@@ -3,7 +3,6 @@
 The only module that imports viser, which serves the page; all its tabs show one state.
 """
 
-import io
 import logging
 import socket
 import threading
@@ -20,11 +19,11 @@ from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region, why_none
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, install_command
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, require_kind
 from cvqmpt_lab.files import json_text
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.motion_check import certified_motion
-from cvqmpt_lab.pipeline import Solution
+from cvqmpt_lab.pipeline import LOAD, Solution
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named, require_fit
 from cvqmpt_lab.poses import Placement, Pose
 from cvqmpt_lab.problem import PlanningProblem
@@ -34,7 +33,7 @@ from cvqmpt_lab.search.roadmap import RoadmapPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.show.bodies import GHOST, GOAL, TRACE, seen_of_problem
 from cvqmpt_lab.show.meshes import Colour
-from cvqmpt_lab.show.picture import draw
+from cvqmpt_lab.show.picture import png_of
 from cvqmpt_lab.show.web_page import path_html
 from cvqmpt_lab.solution_report import solution_lines
 from cvqmpt_lab.trajectory.trajectory import as_ros_json
@@ -79,6 +78,7 @@ class Studio:
     """
 
     def __init__(self, problem: PlanningProblem, seconds: float = 1.0) -> None:
+        require_kind("problem", problem, PlanningProblem, LOAD)
         self.problem, self._budget = problem, Budget(seconds=seconds)
         planner = default_planner(problem)[0]
         fitting = (name for name, one in PLANNERS.items() if not one.incompatibility(problem))
@@ -86,8 +86,8 @@ class Studio:
         standing = upright(axis=upper_axis(problem.robot.pose(problem.start)))
         self.constraints = {"own": problem.constraint, "upright": (standing,), "none": ()}
         self.on_answer: Callable[[Answer], None] = lambda answer: None  # in the planning thread
-        self.request = Request(0, planner)  # the newest one
-        self.state = Answer(Request(-1, planner), problem)  # the newest answer
+        # the newest ones
+        self.request, self.state = Request(0, planner), Answer(Request(-1, planner), problem)
         self._changed, self._stopped = threading.Condition(), False
         threading.Thread(target=self._work, daemon=True, name="studio").start()
 
@@ -155,10 +155,11 @@ class Studio:
     def _answered(self, request: Request) -> Answer:
         """The answer of a request; it has the last path where this one gives none."""
         method = planner_named(request.planner)
-        if request.planner != self.state.planner:
-            warm_up(self.problem, method, "compiled")
         began = time.perf_counter()
         try:
+            if request.planner != self.state.planner:
+                warm_up(self.problem, method, "compiled")
+                began = time.perf_counter()
             asked = (self._posed(request), method, self._budget, 0, Margin())
             found, _ = solve_with_margin(*asked, near_goals_first=True)
             if found.solved:
@@ -166,7 +167,7 @@ class Studio:
                 return Answer(request, found.problem, *how)
             message = " ".join(repr(found).splitlines()[-1].split())  # of certificate or plan
         except Exception as error:
-            message = str(error)
+            message = str(error) or repr(error)
             if not isinstance(error, CvqmptError):  # a fault of ours, or of an external planner
                 logging.getLogger("cvqmpt").exception("request %d failed", request.number)
         last, seconds = self.state, time.perf_counter() - began
@@ -192,7 +193,7 @@ class Studio:
 
     def saved(self, kind: str) -> tuple[str, bytes]:
         """Name and content of a file: problem, page, picture or trajectory of the last path."""
-        answer, path, written = self.state, self.state.path, io.BytesIO()
+        answer, path = self.state, self.state.path
         if path is None:
             raise InvalidInputError(f"nothing to save: {answer.message or answer.verdict}")
         match kind:
@@ -202,24 +203,22 @@ class Studio:
                 verdict = f"certified path of {answer.planner}"
                 return "plan.html", path_html(answer.problem, path.states, verdict).encode()
             case "picture":
-                draw(answer.solution).save(written, format="PNG")
-                return "plan.png", written.getvalue()
+                return "plan.png", png_of(answer.solution) or b""
             case "trajectory":
                 return "motion.json", as_ros_json(certified_motion(answer.problem, path)).encode()
         raise UnknownChoiceError("file", kind, ("problem", "page", "picture", "trajectory"))
 
 
 def _reached(problem: PlanningProblem, what: str, T: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Configurations (k, n) with the hand at T (4, 4), near one (n,) if there are any."""
+    """Configurations (k, n) with the hand at T (4, 4), first those near one (n,)."""
     region = TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2)))
     checker, rng = problem.collision_checker(SAMPLE_MARGIN), np.random.default_rng(0)
-    for around, count in ((near, 2), (None, 8)):
-        asked = (rng, count, 2 * count, problem.constraint, around)
-        found = sample_region(problem.robot, region, checker, *asked)
-        if len(found.configurations):
-            return found.configurations
-    why = why_none(problem.robot, region, checker, problem.constraint)
-    raise InvalidInputError(f"the {what} cannot be there: {why or found.outcome}")
+    some = partial(sample_region, problem.robot, region, checker, rng, within=problem.constraint)
+    found = np.concatenate([some(2, 2, near=near).configurations, some(2, 12).configurations])
+    if len(found) == 0:
+        why = why_none(problem.robot, region, checker, problem.constraint) or "no configuration"
+        raise InvalidInputError(f"the {what} cannot be there: {why}")
+    return found
 
 
 def hands_drawn(answer: Answer) -> Iterator[tuple[str, np.ndarray, Colour]]:
@@ -248,8 +247,8 @@ def studio(problem: PlanningProblem, port: int = 8090) -> "StudioPage":
     try:
         import viser
     except ImportError as error:
-        command = install_command("studio")
-        raise InvalidInputError(f"studio needs viser, which is missing: {command}") from error
+        why = "studio needs viser, which is not installed: pip install 'cvqmpt-lab[studio]'"
+        raise InvalidInputError(why) from error
     try:  # viser would take the next port, at which the user would not look
         socket.create_server(("127.0.0.1", port)).close()
     except (OSError, OverflowError, TypeError) as error:
@@ -277,8 +276,7 @@ class StudioPage:
         planner.on_update(lambda event: live.set_planner(event.target.value))
         constraint = gui.add_dropdown("constraint", tuple(live.constraints))
         constraint.on_update(lambda event: live.set_constraint(event.target.value))
-        names = ("none", *(item.name for item in problem.scene.obstacles))
-        self._obstacle = gui.add_dropdown("drag an obstacle", names)
+        self._obstacle = gui.add_dropdown("drag an obstacle", ("none", *problem.scene.names))
         self._obstacle.on_update(self._choose_obstacle)
         self._slider = gui.add_slider("along the path", 0.0, 1.0, 0.01, 0.0)
         self._slider.on_update(lambda event: self._pose_robot())
