@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from command_line import run, start
+from command_line import ROOT, run, start
 from refusals import refused
 
 from cvqmpt_lab.certificate import certify
@@ -109,7 +109,7 @@ def test_a_goal_in_an_obstacle_says_what_collides(fresh):
 
 def test_wrong_poses_and_names_are_refused_and_ask_for_nothing(fresh):
     number = fresh.request.number
-    refused("goal is no rigid pose: its rotation", fresh.move_goal, 2.0 * np.eye(4))
+    refused("goal is no rigid pose: its rotation", fresh.move_goal, np.diag([2.0, 1.0, 1.0, 1.0]))
     refused("start", fresh.move_start, np.eye(3))
     refused("object of scene .* 'nope'", fresh.move_obstacle, "nope", np.eye(4))
     refused("unknown planner 'nope'", fresh.set_planner, "nope")
@@ -223,7 +223,7 @@ def test_an_address_is_shown_and_a_port_in_use_is_refused(page, problem):
 
 def test_without_viser_the_extra_is_named(tmp_path):
     (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['viser'] = None")
-    paths = f"{tmp_path}{os.pathsep}{os.getcwd()}"
+    paths = f"{tmp_path}{os.pathsep}{ROOT}"
     line = run(["studio", "place-task"], code=2, PYTHONPATH=paths)
     assert line.count("\n") == 1 and "pip install 'cvqmpt-lab[studio]'" in line
 
