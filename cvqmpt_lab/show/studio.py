@@ -89,7 +89,8 @@ class Studio:
         # the newest ones
         self.request, self.state = Request(0, planner), Answer(Request(-1, planner), problem)
         self._changed, self._stopped = threading.Condition(), False
-        threading.Thread(target=self._work, daemon=True, name="studio").start()
+        self._worker = threading.Thread(target=self._work, daemon=True, name="studio")
+        self._worker.start()
 
     def move_goal(self, T: np.ndarray) -> int:
         """Put the hand's goal at a pose (4, 4) [m]; like all changes it returns their number."""
@@ -134,6 +135,7 @@ class Studio:
         """End the planning thread, after the request it works on."""
         self._stopped = True
         self.ask()
+        self._worker.join()
 
     def _work(self) -> None:
         """Answer the newest request, again and again."""
@@ -216,8 +218,8 @@ def _reached(problem: PlanningProblem, what: str, T: np.ndarray, near: np.ndarra
     some = partial(sample_region, problem.robot, region, checker, rng, within=problem.constraint)
     found = np.concatenate([some(2, 2, near=near).configurations, some(2, 12).configurations])
     if len(found) == 0:
-        why = why_none(problem.robot, region, checker, problem.constraint) or "no configuration"
-        raise InvalidInputError(f"the {what} cannot be there: {why}")
+        why = why_none(problem.robot, region, checker, problem.constraint)
+        raise InvalidInputError(f"the {what} cannot be there: {why or 'the constraint is broken'}")
     return found
 
 
@@ -384,11 +386,10 @@ class StudioPage:
 
 def text_of(answer: Answer) -> str:
     """What the page says of an answer, as markdown."""
-    solution = answer.solution
     lines = [f"**{answer.verdict}**, {1e3 * answer.seconds:.0f} ms"]
     if answer.message:
         lines += [answer.message, "The path is that of an earlier request:"]
-    for line in solution_lines(solution, answer.planner) if solution else ():
+    for line in solution_lines(answer.solution, answer.planner) if answer.solution else ():
         lines.append(f"*{line[:12].strip()}* {line[12:]}")
     return "\n\n".join(lines)
 
