@@ -1,0 +1,247 @@
+"""A studio plans again as start, goal and obstacles move, and its page follows."""
+
+import json
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+from command_line import ROOT, run, start
+from refusals import refused
+
+from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.show.studio import Studio, hands_drawn, studio, text_of
+from cvqmpt_lab.trajectory.trajectory import read_motion
+
+FAR = pose((9.0, 0.0, 0.5))
+
+
+@pytest.fixture(scope="module")
+def live(problem):
+    """A warm studio."""
+    made = Studio(problem)
+    assert made.wait().verdict == "certified"
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def fresh(live, problem):
+    """The same, with everything back in its place."""
+    live.wait(live.ask(start=None, goal=None, moved={}, constraint="own", planner="roadmap"))
+    assert live.state.verdict == "certified"
+    return live
+
+
+def hand(answer, state):
+    """Pose of the hand at a state of an answer's path."""
+    return answer.problem.robot.pose(answer.path.states[state])
+
+
+def lifted(T, height):
+    """A pose, higher by that [m]."""
+    return pose((0.0, 0.0, height)) @ T
+
+
+def test_the_certified_path_follows_the_goal(fresh):
+    goal, seconds = hand(fresh.state, -1), []
+    for k in range(1, 6):
+        T = lifted(goal, 0.01 * k)
+        answer = fresh.wait(fresh.move_goal(T))
+        assert answer.verdict == "certified" and answer.message == ""
+        assert certify(answer.problem, answer.path).valid
+        assert hand(answer, -1) == pytest.approx(T, abs=1e-5)
+        assert np.array_equal(answer.path.states[0], fresh.problem.start)
+        seconds.append(answer.seconds)
+    assert min(seconds) < 0.5  # [s]; the others may have waited for a busy machine
+
+
+def test_the_newest_request_wins(fresh):
+    goal, seen = hand(fresh.state, -1), []
+    fresh.on_answer = lambda answer: seen.append(answer.request.number)
+    numbers = [fresh.move_goal(lifted(goal, 0.0005 * k)) for k in range(1, 101)]
+    answer = fresh.wait(numbers[-1])
+    assert numbers == list(range(numbers[0], numbers[0] + 100))
+    assert answer.request.number == numbers[-1] == fresh.request.number
+    assert hand(answer, -1) == pytest.approx(lifted(goal, 0.05), abs=1e-5)
+    fresh.on_answer = lambda answer: None
+    assert seen == sorted(set(seen)) and len(seen) < 50  # those overtaken were not planned
+
+
+def test_the_start_moves_and_the_path_begins_there(fresh):
+    T = lifted(fresh.problem.robot.pose(fresh.problem.start), 0.02)
+    answer = fresh.wait(fresh.move_start(T))
+    assert answer.verdict == "certified" and hand(answer, 0) == pytest.approx(T, abs=1e-5)
+    assert certify(answer.problem, answer.path).valid
+
+
+def test_an_obstacle_in_the_start_is_named_and_the_path_stays(fresh):
+    before, (item, *_) = fresh.state, fresh.problem.scene.obstacles
+    at = fresh.problem.robot.pose(fresh.problem.start)
+    answer = fresh.wait(fresh.move_obstacle(item.name, at))
+    assert answer.verdict == "no path" and answer.path is before.path
+    assert "start is in collision: " in answer.message and item.name in answer.message
+    assert "earlier request" in text_of(answer) and answer.message in text_of(answer)
+    answer = fresh.wait(fresh.move_obstacle(item.name, item.T_world_object))
+    assert answer.verdict == "certified" and "earlier request" not in text_of(answer)
+
+
+@pytest.mark.parametrize("end", ["goal", "start"])
+def test_an_end_that_cannot_be_reached_says_why_and_the_path_stays(fresh, end):
+    before = fresh.state.path
+    answer = fresh.wait(getattr(fresh, f"move_{end}")(FAR))
+    assert answer.path is before
+    assert f"the {end} cannot be there: they lie " in answer.message
+
+
+def test_a_goal_in_an_obstacle_says_what_collides(fresh):
+    goal, before = hand(fresh.state, -1), fresh.state.path
+    item = fresh.problem.scene.obstacles[0]
+    fresh.move_obstacle(item.name, goal)
+    answer = fresh.wait(fresh.move_goal(goal))
+    assert answer.path is before
+    assert "configurations that reach them collide" in answer.message
+    assert item.name in answer.message
+
+
+def test_wrong_poses_and_names_are_refused_and_ask_for_nothing(fresh):
+    number = fresh.request.number
+    refused("goal is no rigid pose: its rotation", fresh.move_goal, np.diag([2.0, 1.0, 1.0, 1.0]))
+    refused("start", fresh.move_start, np.eye(3))
+    refused("object of scene .* 'nope'", fresh.move_obstacle, "nope", np.eye(4))
+    refused("unknown planner 'nope'", fresh.set_planner, "nope")
+    refused("constraint 'nope'; valid choices: own, upright, none", fresh.set_constraint, "nope")
+    refused("problem is a str", Studio, "nope")
+    assert fresh.request.number == number
+
+
+def test_constraint_and_planner_are_chosen(fresh):
+    assert "birrt" in fresh.planners and "atlas-rrt" in fresh.planners
+    answer = fresh.wait(fresh.set_constraint("none"))
+    assert answer.verdict == "certified" and answer.problem.constraint == ()
+    fresh.set_constraint("own")
+    answer = fresh.wait(fresh.set_planner("opt-cvq-mpt"))
+    assert answer.verdict == "certified" and answer.planner == "opt-cvq-mpt"
+    layers = [layer for layer, points, _ in hands_drawn(answer) if points.shape[1] == 3]
+    assert layers[-3:] == ["cloud", "Gaussians", "Gaussians"]  # before and after Algorithm 2
+
+
+def test_files_hold_the_path_that_is_shown(fresh, tmp_path):
+    answer = fresh.wait(fresh.move_goal(lifted(hand(fresh.state, -1), 0.02)))
+    for kind in ("problem", "page", "picture", "trajectory"):
+        name, content = fresh.saved(kind)
+        (tmp_path / name).write_bytes(content)
+    again = PlanningProblem.load(tmp_path / "problem.json")
+    assert certify(again, answer.path).valid
+    assert b"certified path of roadmap" in (tmp_path / "plan.html").read_bytes()
+    assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
+    motion = read_motion(tmp_path / "motion.json")
+    assert motion.positions[[0, -1]] == pytest.approx(answer.path.states[[0, -1]])
+    refused("unknown file 'film'; valid choices: problem", fresh.saved, "film")
+
+
+@pytest.fixture(scope="module")
+def page(problem):
+    """A page, at any port."""
+    pytest.importorskip("viser")
+    made = studio(problem, 0)
+    made.live.wait()
+    yield made
+    made.stop()
+
+
+def tab(page):
+    """What a browser's tab opens: the connection of the page."""
+    import viser
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    version = Subprotocol(f"viser-v{viser.__version__}")
+    address = page.address.replace("http", "ws")
+    return connect(address, subprotocols=[version], max_size=None, compression=None)
+
+
+def received(connection, seconds=1.0):
+    """All bytes that a tab gets within so many seconds."""
+    found, end = b"", time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            found += connection.recv(timeout=max(end - time.monotonic(), 0.0))
+        except TimeoutError:
+            break
+    return found
+
+
+def test_two_tabs_drag_one_goal_and_may_go(page):
+    import msgspec
+
+    first, second = tab(page), tab(page)
+    assert len(received(first)) > 1e5 and len(received(second)) > 1e5  # meshes, packed
+    gizmo, number = page._gizmos["goal"], page.live.request.number
+    moved = {"type": "TransformControlsUpdateMessage", "name": gizmo.name, "owner": ""}
+    x, y, z = gizmo.position.tolist()
+    for k in range(1, 11):
+        pose_now = {"wxyz": gizmo.wxyz.tolist(), "position": (x, y, z + 0.002 * k)}
+        first.send(msgspec.msgpack.encode({**moved, **pose_now}))
+    deadline = time.monotonic() + 30.0
+    while page.live.request.number < number + 10 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    answer = page.live.wait()
+    assert answer.verdict == "certified"
+    assert hand(answer, -1)[:3, 3] == pytest.approx([x, y, z + 0.02], abs=1e-5)
+    assert len(received(second)) > 1e3  # it sees the path that the other asked for
+    first.close()
+    second.close()
+    assert page.live.wait(page.live.ask()).verdict == "certified"
+
+
+def shown(page):
+    """Wait until the page has drawn an answer: it is drawn before the next one is planned."""
+    page.live.wait(page.live.ask())
+    page.live.wait(page.live.ask())
+
+
+def test_the_page_shows_layers_and_plays_along_the_path(page):
+    for box in page._layers.values():
+        box.value = True
+    page.live.set_planner("birrt")
+    shown(page)
+    assert {node.name.split("/")[1] for node in page._points} == {"search"}
+    layers = {name.split("/")[1] for name in page._nodes}
+    assert {"scene", "robot", "start", "goals", "path", "constraint"} <= layers
+    page._layers["start"].value = False
+    shown(page)
+    assert not any(name.startswith("/start/") for name in page._nodes)
+    page._slider.value = 1.0
+    node, poses = page._moving[-1]
+    assert node.position == pytest.approx(poses[-1][:3, 3])
+
+
+def test_an_address_is_shown_and_a_port_in_use_is_refused(page, problem):
+    assert page.address in repr(page) and page.address in page._repr_html_()
+    assert page.address.startswith("http://127.0.0.1:")
+    port = page.server.get_port()
+    refused(f"port {port} is in use or no port; give another one, or 0", studio, problem, port)
+    refused("port -1 is in use or no port", studio, problem, -1)
+
+
+def test_without_viser_the_extra_is_named(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['viser'] = None")
+    paths = f"{tmp_path}{os.pathsep}{ROOT}"
+    line = run(["studio", "place-task"], code=2, PYTHONPATH=paths)
+    assert line.count("\n") == 1 and "pip install 'cvqmpt-lab[studio]'" in line
+
+
+def test_the_command_serves_until_it_is_interrupted(tmp_path, problem):
+    pytest.importorskip("viser")
+    (tmp_path / "mine.json").write_text(json.dumps(problem.to_dict()))
+    process = start(["studio", tmp_path / "mine.json", "--port", "0"])
+    for line in process.stdout:
+        if "Ctrl-C" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert "studio of '0' at http://127.0.0.1:" in line and process.returncode == 0, err
