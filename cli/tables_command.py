@@ -3,8 +3,9 @@
 import argparse
 import time
 from pathlib import Path
+from typing import Any
 
-from cli.options import FLAG, Options, ProgressBar, option, writable_file
+from cli.options import FLAG, REPEATED, Options, ProgressBar, option, writable_file
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from experiments import regression
@@ -64,7 +65,17 @@ def compare(args: argparse.Namespace) -> int:
     )
     print("\n".join(text_lines(comparison_lines(found))))
     print("\n".join(clear(found) or ["no clear change"]))
-    return 0
+    broken = [line for rule in args.fail_if for line in rule.broken(found)]
+    for line in broken:
+        print(f"fails: {line}")
+    return 1 if broken else 0
+
+
+def _rule(text: str) -> Any:
+    """The type of --fail-if."""
+    from paper_tables.compare_runs import Rule
+
+    return Rule.read(text)
 
 
 def claims(args: argparse.Namespace) -> int:
@@ -162,6 +173,14 @@ COMPARE: Options = {
     "before": option("a results directory", type=Path, metavar="A"),
     "after": option(
         "another, of the same suite; the runs that both have are compared", type=Path, metavar="B"
+    ),
+    "--fail-if": option(
+        "exit with 1 if a planner's number is so: COLUMN OP NUMBER, where COLUMN is the ratio B/A "
+        "of time, work, checks, projections or length, or solved, B - A in points; OP is <, <=, "
+        "> or >=; repeatable",
+        type=_rule,
+        metavar="RULE",
+        **REPEATED,
     ),
 }
 CLAIMS: Options = {
