@@ -144,6 +144,8 @@ def _check_folder(args: argparse.Namespace) -> int:
     from experiments.guard import Guarded, guarded_by
     from experiments.run import default_jobs
 
+    if args.all or args.results != RESULTS:
+        raise InvalidInputError("--all and --results go without a folder of problem files")
     path, planners = args.expected or args.folder / "expected.json", args.planners or ()
     if args.update:
         writable_file(path)
@@ -155,7 +157,8 @@ def _check_folder(args: argparse.Namespace) -> int:
             f"--seeds and --iterations go with --update; otherwise they are those of {path}"
         )
     else:
-        guarded, expected = guarded_by(regression.Expectations.load(path), planners)
+        command = f"cvqmpt check-tables {args.folder} --planners A,B --update"
+        guarded, expected = guarded_by(regression.Expectations.load(path, command), planners)
     compile_kernels(log)
     jobs = args.jobs or default_jobs()
     outcomes = guarded.measure(args.folder, jobs, ProgressBar("check-tables"))

@@ -39,7 +39,8 @@ class Guarded(NamedTuple):
         with tempfile.TemporaryDirectory() as out, executor_for(experiment, jobs) as executor:
             rows = run_experiment(experiment, Path(out), executor, (), on_progress)
         return {
-            Case(row.planner, row.problem, row.seed, self.iterations, row.suite): {
+            # a folder may be called otherwise on another machine
+            Case(row.planner, row.problem, row.seed, self.iterations, "the folder"): {
                 column: getattr(row, column) for column in COLUMNS
             }
             for row in rows

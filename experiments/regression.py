@@ -8,13 +8,14 @@ import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, require_kind, whole_number
 from cvqmpt_lab.files import read_json_object, write_text
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import planner_named
@@ -106,7 +107,7 @@ class Expectations(NamedTuple):
         write_text(path, json.dumps(record, indent=1) + "\n")
 
     @staticmethod
-    def load(path: Path) -> "Expectations":
+    def load(path: Path, command: str = "cvqmpt check-tables --update") -> "Expectations":
         """Read a file of `save`; InvalidInputError names it and the command that writes it."""
         try:
             record = read_json_object(path, "expectations")
@@ -115,11 +116,19 @@ class Expectations(NamedTuple):
             outcomes = {}
             for row in record["runs"]:
                 values = row.pop("expected")
-                outcomes[Case(**row)] = {column: values[column] for column in COLUMNS}
+                case = Case(**row)
+                whole_number("seed", case.seed)
+                whole_number("iterations", case.iterations, 1)
+                require_kind("planner", case.planner, str)
+                outcomes[case] = {column: values[column] for column in COLUMNS}
+                for column in (*COUNTS, "path_length_rad"):
+                    require_kind(column, values[column] or 0.0, Real)
+            if not outcomes:
+                raise ValueError("no runs")
             return Expectations(dict(record["made_with"]), outcomes)
         except (CvqmptError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InvalidInputError(
-                f"cannot use {path} ({error}); write it with: cvqmpt check-tables --update"
+                f"cannot use {path} ({error}); write it with: {command}"
             ) from error
 
 
@@ -187,8 +196,8 @@ def compare(
     changed = ", ".join(f"{name} {expected.made_with.get(name)} -> {here[name]}" for name in other)
     mode = (
         f"within bounds, not bit for bit, since {changed}: reasons of failure equal; each count "
-        f"and the path length, summed over a planner's runs, within {within:.3g} of the expected sum "
-        f"(not of {', '.join(FORKING)})"
+        f"and the path length, summed over a planner's runs, within {within:.3g} of the expected "
+        f"sum (not of {', '.join(FORKING)})"
     )
     return mode, differences + _unequal(pairs, ("fail_reason",)) + _out_of_bounds(pairs, within)
 
