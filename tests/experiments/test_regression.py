@@ -251,6 +251,7 @@ def test_every_way_to_fail_has_its_reason():
         FaultKind.ACCELERATION,
         FaultKind.JERK,
         FaultKind.CURRENT,
+        FaultKind.TORQUE_RATE,
     }
     faults = {FailReason(f"uncertified_{kind}") for kind in set(FaultKind) - of_trajectories}
     phases = {FailReason.NO_START, FailReason.NOT_TIMED, FailReason.NOT_REACHED}
