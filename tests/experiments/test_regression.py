@@ -250,6 +250,7 @@ def test_every_way_to_fail_has_its_reason():
         FaultKind.VELOCITY,
         FaultKind.ACCELERATION,
         FaultKind.JERK,
+        FaultKind.EFFORT,
         FaultKind.CURRENT,
         FaultKind.TORQUE_RATE,
     }
