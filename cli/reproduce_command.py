@@ -1,6 +1,8 @@
 """`cvqmpt reproduce`: run suites or folders of problems; rows, tables, verdicts and a report."""
 
 import argparse
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 from cli.options import (
@@ -70,6 +72,31 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+class Whole:
+    """Bars of experiments that follow each other, with the time left of all in their notes.
+
+    It takes every run to last as long as the mean of those made so far.
+    """
+
+    def __init__(self, runs: int) -> None:
+        self._left, self._made, self._began = runs, 0, time.perf_counter()
+
+    def bar(self, name: str) -> Callable[[int, int, str], None]:
+        """The progress of the next experiment; runs kept from an earlier session take no time."""
+        bar, shown = ProgressBar(name), -1
+
+        def show(done: int, total: int, note: str) -> None:
+            nonlocal shown
+            self._left -= done - max(shown, 0)
+            self._made += done - shown if shown >= 0 else 0
+            shown = done
+            elapsed = time.perf_counter() - self._began
+            left = f"{elapsed / self._made * self._left:.0f} s left" if self._made else "estimating"
+            bar(done, total, f"(all: {left}) {note}")
+
+        return show
+
+
 def _reproduce_all(args: argparse.Namespace) -> int:
     """Run what is missing, render everything and print the verdicts."""
     given = [f"--{name.replace('_', '-')}" for name in FIXED if getattr(args, name) is not None]
@@ -81,11 +108,12 @@ def _reproduce_all(args: argparse.Namespace) -> int:
     parts, out = parts_of(args.profile), args.out or Path("runs/all")
     jobs = args.jobs or default_jobs()
     compile_kernels(log)
+    whole = Whole(sum(len(part.experiment.runs) for part in parts))
     for name, experiment, command in parts:
         folder = out / name
         command += ["--profile", args.profile, "--jobs", str(jobs), "--out", str(folder)]
         with executor_for(experiment, jobs) as executor:
-            run_experiment(experiment, folder, executor, command, ProgressBar(name))
+            run_experiment(experiment, folder, executor, command, whole.bar(name))
         render_directory(folder)
     figure, count = "histogram", 30
     folder = out / figure

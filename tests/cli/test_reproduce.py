@@ -6,6 +6,7 @@ import os
 import pytest
 from command_line import refused
 
+from cli.reproduce_command import Whole
 from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import CONTROLS, PLANNERS
@@ -68,3 +69,21 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     rows = (tmp_path / "place-task" / RUNS_FILE).read_bytes()
     cvqmpt(words)
     assert (tmp_path / "place-task" / RUNS_FILE).read_bytes() == rows
+
+
+def test_the_time_left_of_all_suites_counts_what_is_still_to_be_made(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+    whole = Whole(22)
+    first = whole.bar("one")
+    first(10, 12, "")  # ten were kept
+    for made in (11, 12):
+        now[0] += 10.0
+        first(made, 12, "solved")
+    second = whole.bar("two")
+    second(8, 10, "")
+    now[0] += 10.0
+    second(9, 10, "")
+    told = [line.partition("(")[2] for line in capsys.readouterr().err.splitlines()]
+    lefts = [line.removeprefix("all: ").partition(")")[0] for line in told]
+    assert lefts == ["estimating", "110 s left", "100 s left", "20 s left", "10 s left"]
