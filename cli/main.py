@@ -31,7 +31,7 @@ COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
         "robot",
         "show what is understood of a robot's description, or list the arms that have a name",
     ),
-    "check-tables": ("tables", "re-run a tiny profile and compare with the committed expectations"),
+    "check-tables": ("tables", "run a little again and compare with what is expected"),
     "data": ("data", "make training paths"),
     "train": ("train", "train the dictionary, the sequence model or MPNet"),
     "model": ("model", "show weights, convert published ones"),

@@ -2,9 +2,22 @@
 
 import argparse
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from cli.options import FLAG, Options, ProgressBar, option, writable_file
+from cli.options import (
+    FLAG,
+    REPEATED,
+    Options,
+    ProgressBar,
+    log,
+    not_negative,
+    option,
+    positive_int,
+    writable_file,
+)
+from cli.problem_options import planner_list
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import write_text
 from experiments import regression
@@ -64,7 +77,17 @@ def compare(args: argparse.Namespace) -> int:
     )
     print("\n".join(text_lines(comparison_lines(found))))
     print("\n".join(clear(found) or ["no clear change"]))
-    return 0
+    broken = [line for rule in args.fail_if for line in rule.broken(found)]
+    for line in broken:
+        print(f"fails: {line}")
+    return 1 if broken else 0
+
+
+def _rule(text: str) -> Any:
+    """The type of --fail-if."""
+    from paper_tables.compare_runs import Rule
+
+    return Rule.read(text)
 
 
 def claims(args: argparse.Namespace) -> int:
@@ -111,9 +134,61 @@ def _found(results: Path) -> dict[str, Evidence]:
 
 
 def check_tables(args: argparse.Namespace) -> int:
-    """Re-run a tiny profile; compare it and all tables with those committed; 1 if they differ."""
+    """Run a little again and compare it with what is expected; 1 if it differs."""
+    return _check_ours(args) if args.folder is None else _check_folder(args)
+
+
+def _check_folder(args: argparse.Namespace) -> int:
+    """Run planners on a folder of problem files; compare with the expectations, or write them."""
+    from cvqmpt_lab.warm_up import compile_kernels
+    from experiments.guard import Guarded, guarded_by
+    from experiments.run import default_jobs
+
+    if args.all or args.results != RESULTS:
+        raise InvalidInputError("--all and --results go without a folder of problem files")
+    path, planners = args.expected or args.folder / "expected.json", args.planners or ()
+    if args.update:
+        writable_file(path)
+        if not planners:
+            raise InvalidInputError("--update needs --planners A,B: those to be guarded")
+        guarded = Guarded(planners, range(args.seeds or 1), args.iterations or 20_000)
+    elif args.seeds or args.iterations:
+        raise InvalidInputError(
+            f"--seeds and --iterations go with --update; otherwise they are those of {path}"
+        )
+    else:
+        command = f"cvqmpt check-tables {args.folder} --planners A,B --update"
+        guarded, expected = guarded_by(regression.Expectations.load(path, command), planners)
+    compile_kernels(log)
+    jobs = args.jobs or default_jobs()
+    outcomes = guarded.measure(args.folder, jobs, ProgressBar("check-tables"))
+    made_with = regression.made_with()
+    if args.update:
+        regression.Expectations(made_with, outcomes).save(path)
+        solved = sum(values["fail_reason"] is None for values in outcomes.values())
+        print(f"{len(outcomes)} runs, {solved} solved; expectations written to {path}")
+        return 0
+    mode, lines = regression.compare(expected, outcomes, made_with, args.within / 100)
+    return _told({f"{len(outcomes)} runs compared {mode}": lines})
+
+
+def _told(found: Mapping[str, Sequence[str]]) -> int:
+    """Print what was compared and every difference; 1 if there is one."""
+    for what, lines in found.items():
+        print(f"{what}: {f'{len(lines)} differences' if lines else 'no difference'}")
+    for line in (line for lines in found.values() for line in lines):
+        print(f"  differs: {line}")
+    return 1 if any(found.values()) else 0
+
+
+def _check_ours(args: argparse.Namespace) -> int:
+    """Re-run a tiny profile; compare it and all tables with those committed."""
     from experiments.experiment import models_of
 
+    for name in ("planners", "seeds", "iterations", "jobs"):
+        if getattr(args, name) is not None:
+            raise InvalidInputError(f"--{name} goes with a folder of problem files; name it")
+    args.expected = args.expected or EXPECTED
     if args.expected == EXPECTED or args.results == RESULTS:
         require_checkout("cvqmpt check-tables", "--expected F.json and --results DIR")
     expected = None
@@ -121,15 +196,20 @@ def check_tables(args: argparse.Namespace) -> int:
         writable_file(args.expected)
     else:
         expected = regression.Expectations.load(args.expected)
+    cases = regression.CASES if args.update or args.all else regression.sample()
     began = time.perf_counter()
-    outcomes = regression.measure(regression.CASES, ProgressBar("check-tables"))
-    print(f"{len(outcomes)} runs in {time.perf_counter() - began:.0f} s")
+    outcomes = regression.measure(cases, ProgressBar("check-tables"))
+    seconds = time.perf_counter() - began
+    print(f"{len(outcomes)} runs of {len(regression.CASES)} in {seconds:.0f} s")
     made_with = regression.made_with()
     if expected is None:
         regression.Expectations(made_with, outcomes).save(args.expected)
         print(f"expectations written to {args.expected}")
         return 0
-    mode, runs = regression.compare(expected, outcomes, made_with)
+    known = expected.outcomes.items()
+    left_out = {*regression.CASES} - {*cases}
+    expected = expected._replace(outcomes={case: x for case, x in known if case not in left_out})
+    mode, runs = regression.compare(expected, outcomes, made_with, args.within / 100)
     directories = committed_directories(args.results)
     stale = pages.stale_pages(pages.committed_pages()) if args.results == RESULTS else []
     found = {
@@ -142,11 +222,7 @@ def check_tables(args: argparse.Namespace) -> int:
         ],
         "the page of claims and the README's verdicts": stale,
     }
-    for what, lines in found.items():
-        print(f"{what}: {f'{len(lines)} differences' if lines else 'no difference'}")
-    for line in (line for lines in found.values() for line in lines):
-        print(f"  differs: {line}")
-    return 1 if any(found.values()) else 0
+    return _told(found)
 
 
 TABLE: Options = {
@@ -163,6 +239,14 @@ COMPARE: Options = {
     "after": option(
         "another, of the same suite; the runs that both have are compared", type=Path, metavar="B"
     ),
+    "--fail-if": option(
+        "exit with 1 if a planner's number is so: COLUMN OP NUMBER, where COLUMN is the ratio B/A "
+        "of time, work, checks, projections or length, or solved, B - A in points; OP is <, <=, "
+        "> or >=; repeatable",
+        type=_rule,
+        metavar="RULE",
+        **REPEATED,
+    ),
 }
 CLAIMS: Options = {
     "results": option(
@@ -175,11 +259,42 @@ CLAIMS: Options = {
     "--write": option("write the page; without, verdicts are printed", **FLAG),
 }
 CHECK_TABLES: Options = {
+    "folder": option(
+        "a folder of problem files, whose expectations are compared in place of the committed "
+        "ones: all values but times must be equal with the same processor and versions; with "
+        "others reasons of failure must be, and sums may differ by --within",
+        type=Path,
+        nargs="?",
+        metavar="FOLDER",
+    ),
     "--update": option("write the expectations instead of comparing", **FLAG),
+    "--all": option(
+        "all committed runs (the first of every planner in every suite, and a failure)", **FLAG
+    ),
+    "--within": option(
+        "with another processor or other versions, each count and the path length, summed over a "
+        f"planner's runs, may differ by P percent ({100 * regression.WITHIN:g})",
+        type=not_negative,
+        default=100 * regression.WITHIN,
+        metavar="P",
+    ),
     "--expected": option(
-        "expectations (the committed ones)", type=Path, default=EXPECTED, metavar="F.json"
+        "expectations (FOLDER/expected.json, or the committed ones)", type=Path, metavar="F.json"
     ),
     "--results": option("folder of results directories", type=Path, default=RESULTS, metavar="DIR"),
+    "of a FOLDER": {
+        "--planners": option(
+            "planners to guard: ours, an entry point, package.module:planner (all that are "
+            "expected)",
+            type=planner_list,
+            metavar="A,B",
+        ),
+        "--seeds": option("with --update: seeds 0 to K-1 (1)", type=positive_int, metavar="K"),
+        "--iterations": option(
+            "with --update: budget of a run (20000)", type=positive_int, metavar="N"
+        ),
+        "--jobs": option("processes (one per core)", type=positive_int, metavar="J"),
+    },
 }
 COMMANDS = {
     "table": (table, TABLE),

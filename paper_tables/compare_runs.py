@@ -1,16 +1,31 @@
 """Two runs of the same problems, before and after a change, paired by problem and seed."""
 
-from collections.abc import Collection, Mapping, Sequence
+import math
+import operator
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.results.statistics import Interval
 from paper_tables.judging import less
 from paper_tables.measures import VALUES, Rows, fraction, mean_ratio, paired, solved
 from paper_tables.table_engine import by_planner
 from paper_tables.writers import Lines, change, number
 
-COMPARED = {"time": VALUES["time"], "work": VALUES["work"], "length": VALUES["path_length"]}
+COMPARED = {
+    "time": VALUES["time"],
+    "work": VALUES["work"],
+    "checks": VALUES["state_checks"],
+    "projections": VALUES["projections"],
+    "length": VALUES["path_length"],
+}
+OPERATORS: Mapping[str, Callable[[float, float], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
 Pair = tuple[str, int]  # problem and seed
 
 
@@ -103,3 +118,52 @@ def clear(found: Sequence[Compared]) -> list[str]:
             if pairs:
                 lines.append(f"{item.planner}: {word} {len(pairs)}: {named(pairs)}")
     return lines
+
+
+class Rule(NamedTuple):
+    """What must not be: a number of `Compared` that is above or below a bound."""
+
+    column: str  # of COMPARED: the ratio B / A; or "solved": B - A [percentage points]
+    operator: str  # of OPERATORS
+    bound: float
+
+    def __str__(self) -> str:
+        return f"{self.column} {self.operator} {self.bound:g}"
+
+    @staticmethod
+    def read(text: str) -> "Rule":
+        """The rule that a text says, COLUMN OP NUMBER; errors list columns and operators."""
+        column, sign, number = (part.strip() for part in re.split("([<>=!]+|$)", text, maxsplit=1))
+        if column not in (*COMPARED, "solved"):
+            raise UnknownChoiceError(f"column in {text!r}:", column, (*COMPARED, "solved"))
+        if sign not in OPERATORS:
+            raise UnknownChoiceError(f"operator in {text!r}:", sign, OPERATORS)
+        try:
+            bound = float(number)
+        except ValueError:
+            bound = math.nan
+        if not math.isfinite(bound):
+            raise InvalidInputError(
+                f"{text!r}: {number!r} is no finite number; write COLUMN OP NUMBER, such "
+                "as 'work > 1.1' or 'solved < -2'"
+            )
+        return Rule(column, sign, bound)
+
+    def broken(self, found: Sequence[Compared]) -> list[str]:
+        """A line for each planner that it holds for, and where there is nothing to judge."""
+        lines = []
+        for item in found:
+            value = self._value(item)
+            if value is None:
+                lines.append(f"{item.planner}: {self} cannot be judged, no run of both has it")
+            elif OPERATORS[self.operator](value, self.bound):
+                unit = " points" if self.column == "solved" else " times A's"
+                lines.append(f"{item.planner}: {self}, it is {value:.4g}{unit}")
+        return lines
+
+    def _value(self, item: Compared) -> float | None:
+        if self.column == "solved":
+            before, after = (part.estimate for part in item.solved)
+            return None if before is None or after is None else after - before
+        less = item.changes[self.column].estimate
+        return None if less is None else 1.0 - less

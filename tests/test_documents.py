@@ -30,7 +30,8 @@ def commands_of(text):
     """Words of every `cvqmpt` command in the fenced blocks of a page; of a|b the first."""
     for block in re.findall(r"```\w*\n(.*?)```", text, re.DOTALL):
         for line in block.replace("\\\n", " ").splitlines():
-            if found := re.match(r"(?:.*&& )?(?:\.venv/bin/)?cvqmpt (.*)", line.partition("#")[0]):
+            begins = r"(?:.*&& |      - run: )?(?:\.venv/bin/)?cvqmpt (.*)"
+            if found := re.match(begins, line.partition("#")[0]):
                 words = shlex.split(re.split(r" [&>]", found[1])[0])
                 yield [word.partition("|")[0] for word in words if word != "..."]
 

@@ -25,16 +25,16 @@ class FiledProblem(NamedTuple):
 def read_folder(folder: Path) -> dict[str, FiledProblem]:
     """All problems of a folder by their names in rows.
 
-    Left out are hidden files, json schemas for editors, and scenes that a problem of the folder
-    names. InvalidInputError names the file that is no problem, and what is wrong in it; two of one
-    name; an empty folder.
+    Left out are hidden files, json schemas for editors, expectations of `cvqmpt check-tables`, and
+    scenes that a problem of the folder names. InvalidInputError names the file that is no problem,
+    and what is wrong in it; two of one name; an empty folder.
     """
     contents = _contents(folder)
     named = [data["scene"] for data in contents.values() if isinstance(data.get("scene"), str)]
     scenes = {(folder / scene).resolve() for scene in named}
     found: dict[str, FiledProblem] = {}
     for path, data in contents.items():
-        if path.resolve() in scenes:
+        if path.resolve() in scenes or str(data.get("schema")).startswith("cvqmpt-expectations/"):
             continue
         problem = PlanningProblem.load(path)
         # a slash, after which rows name the phase of a task, becomes a hyphen

@@ -6,12 +6,14 @@ import os
 import pytest
 from command_line import refused
 
+from cli.reproduce_command import Whole
 from cvqmpt_lab.benchmarks.suite import SUITES
 from cvqmpt_lab.errors import UnknownChoiceError
 from cvqmpt_lab.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
+from cvqmpt_lab.search.result import Budget
 from experiments import experiment
-from experiments.experiment import parts_of
+from experiments.experiment import Experiment, parts_of
 from paper_tables.suites import ALL, Amount, Suite
 from paper_tables.suites import SUITES as reported
 
@@ -68,3 +70,24 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     rows = (tmp_path / "place-task" / RUNS_FILE).read_bytes()
     cvqmpt(words)
     assert (tmp_path / "place-task" / RUNS_FILE).read_bytes() == rows
+
+
+def test_the_time_left_of_all_suites_counts_what_is_still_to_be_made(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+    budget = Budget(iterations=1)
+    one = Experiment("place-task", tuple(range(12)), ("birrt",), (0,), budget)
+    two = Experiment("multi-sequence", (0, 1, 2), ("birrt",), (0,), budget)
+    whole = Whole((one, two))
+    first = whole.bar("one", one)
+    first(10, 12, "")  # ten were kept
+    for made in (11, 12):
+        now[0] += 10.0
+        first(made, 12, "solved")
+    second = whole.bar("two", two)
+    second(1, 3, "")
+    now[0] += 200.0
+    second(2, 3, "")
+    told = [line.partition("(")[2] for line in capsys.readouterr().err.splitlines()]
+    lefts = [line.removeprefix("all: ").partition(")")[0] for line in told]
+    assert lefts == ["estimating", "610 s left", "600 s left", "400 s left", "200 s left"]

@@ -26,7 +26,7 @@ from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.vqmpt import scene_predictor
 from experiments import regression
 from experiments.experiment import Experiment
-from experiments.regression import CASES, EXPECTED, Case, Expectations, compare
+from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, sample
 from experiments.rows import failed_rows, outcome_of, result_row
 from paper_tables.committed import committed_directories, differing_cells, untraceable
 from paper_tables.suites import SUITES, render_directory
@@ -52,12 +52,11 @@ def outcome(seed=0, planner="birrt", **values):
 CHANGES = (  # in both runs or in one; what differs where values must be equal, and elsewhere
     (True, {}, "", ""),
     (False, {"path_sha256": "b"}, "path_sha256 was a, is b", ""),
-    (False, {"n_projections": 450}, "n_projections was 100, is 450", ""),
-    (True, {"n_projections": 2000}, "n_projections was 100", "n_projections: 20 times"),
-    (True, {"n_state_checks": 10}, "n_state_checks was 100", "n_state_checks: 0.11 times"),
-    (True, {"path_length_rad": 11.0}, "path_length_rad was 8.0", ""),
-    (True, {"path_length_rad": 13.0}, "path_length_rad was 8.0", "mean path_length_rad: 1.62"),
-    (True, {"path_length_rad": 3.9}, "path_length_rad was 8.0", "mean path_length_rad: 0.49"),
+    (False, {"n_projections": 103}, "n_projections was 100, is 103", ""),
+    (True, {"n_projections": 103}, "n_projections was 100", "n_projections of 2 runs: was 200, is"),
+    (False, {"n_state_checks": 95}, "n_state_checks was 100", "n_state_checks of 2 runs: was 200"),
+    (True, {"path_length_rad": 8.1}, "path_length_rad was 8.0", ""),
+    (True, {"path_length_rad": 7.8}, "path_length_rad was 8.0", "path_length_rad of 2 runs: was 1"),
     (False, {"fail_reason": "timeout"}, "fail_reason was None", "fail_reason was None, is"),
 )
 
@@ -72,6 +71,17 @@ def test_equality_here_and_stated_bounds_elsewhere():
             _, found = compare(expected, outcomes, here)
             assert len(found) == len(wanted)
             assert all(words in line for words, line in zip(wanted, found, strict=True)), found
+    more = outcome(0, n_projections=200) | outcome(1)
+    assert compare(expected, more, ELSEWHERE, within=0.5)[1] == []
+    charts = [outcome(planner="tb-rrt", n_projections=n) for n in (100, 300)]
+    assert compare(Expectations(HERE, charts[0]), charts[1], ELSEWHERE)[1] == []
+    assert len(compare(Expectations(HERE, charts[0]), charts[1], HERE)[1]) == 1
+
+
+def test_the_sample_has_every_planner_of_every_suite_and_a_failure():
+    kinds = {(case.planner, case.suite) for case in CASES}
+    assert {(case.planner, case.suite) for case in sample()} == kinds
+    assert len(sample()) == len(kinds) + 1 and CASES[0] in sample()
 
 
 def test_expectations_without_run_or_of_no_use_are_named(tmp_path):
@@ -79,6 +89,11 @@ def test_expectations_without_run_or_of_no_use_are_named(tmp_path):
     assert [line.split(", ")[2] for line in found] == ["seed 0", "seed 2"]
     path, told = tmp_path / "e.json", r"e\.json .*check-tables --update"
     refused(told, Expectations.load, path)
+    Expectations(HERE, {}).save(path)
+    refused("no runs", Expectations.load, path)
+    for wrong in ({"seed": "0"}, {"planner": 5}, {"n_projections": "many"}):
+        Expectations(HERE, outcome(**wrong)).save(path)
+        refused(told, Expectations.load, path)
     for text in ("", "[]", "{}", '{"schema": "other/1"}', '{"schema": 5, "runs": 5}', "[" * 9999):
         path.write_text(text)
         refused(told, Expectations.load, path)
@@ -235,7 +250,9 @@ def test_every_way_to_fail_has_its_reason():
         FaultKind.VELOCITY,
         FaultKind.ACCELERATION,
         FaultKind.JERK,
+        FaultKind.EFFORT,
         FaultKind.CURRENT,
+        FaultKind.TORQUE_RATE,
     }
     faults = {FailReason(f"uncertified_{kind}") for kind in set(FaultKind) - of_trajectories}
     phases = {FailReason.NO_START, FailReason.NOT_TIMED, FailReason.NOT_REACHED}

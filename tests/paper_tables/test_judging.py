@@ -10,7 +10,7 @@ from refusals import refused
 from cli.main import main
 from cvqmpt_lab.results.statistics import Interval, ratio_of_means_interval
 from paper_tables import judging
-from paper_tables.compare_runs import clear, compared
+from paper_tables.compare_runs import Rule, clear, compared
 from paper_tables.judging import Ruling, overall, percent, reduction, ruled, verdicts_of
 from paper_tables.measures import Pair, censored, mean_ratio, paired, split_by_work, work
 from paper_tables.statements import CLAIMS, Claim, PublishedValue
@@ -256,3 +256,24 @@ def test_the_command_compares_two_directories(capsys, tmp_path):
     out = capsys.readouterr().out
     assert "birrt: less time, −50.0" in out and "birrt: less work" in out
     assert main(["compare", str(tmp_path), folders[1]]) == 2
+    rules = ["--fail-if", "time > 1.1", "--fail-if", "solved<-2"]
+    assert main(["compare", *folders, *rules]) == 0
+    assert "fails" not in capsys.readouterr().out
+    assert main(["compare", *reversed(folders), *rules]) == 1
+    *_, last = capsys.readouterr().out.splitlines()
+    assert last == "fails: birrt: time > 1.1, it is 2 times A's"
+
+
+def test_a_rule_holds_for_ratios_and_for_what_fewer_solve_and_must_be_judged():
+    fewer = compared(twenty(1.0), twenty(0.5, range(19)))
+    for text, told in (
+        ("time<0.6", ["birrt: time < 0.6, it is 0.5 times A's"]),
+        ("time <= 0.4", []),
+        ("length > 1", []),
+        ("length >= 1", ["birrt: length >= 1, it is 1 times A's"]),
+        ("solved < -2", ["birrt: solved < -2, it is -5 points"]),
+        ("solved < -6", []),
+    ):
+        assert Rule.read(text).broken(fewer) == told
+    (told,) = Rule.read("time > 9").broken(compared(twenty(1.0), twenty(1.0, ())))
+    assert told == "birrt: time > 9 cannot be judged, no run of both has it"
