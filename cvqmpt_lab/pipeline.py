@@ -161,7 +161,9 @@ def solve(
     plan = replace(plan, status=best.plan.status, path=best.plan.path)
 
     if space.doubtful:
-        exact = f"exact checks near {', '.join(space.doubtful)}"
+        several = len(space.doubtful) > 3
+        ends = f"{len(space.doubtful)} ends" if several else ", ".join(space.doubtful)
+        exact = f"exact checks near {ends}"
         plan = replace(plan, detail="; ".join(filter(None, (plan.detail, exact))))
     sampled = isinstance(tree_search, BiRRT) and proposal.path is None and not proposal.as_is
     wall = time.perf_counter() - called - goal_seconds - observe_seconds

@@ -27,13 +27,12 @@ from cvqmpt_lab.pipeline import LOAD, Solution
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named, require_fit
 from cvqmpt_lab.poses import Placement, Pose
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.search.roadmap import RoadmapPath
-from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.show.bodies import GHOST, GOAL, TRACE, seen_of_problem
+from cvqmpt_lab.show.bodies import robot_bodies, scene_bodies, seen_of_problem, whole
+from cvqmpt_lab.show.drawn_hands import sampled_hands
 from cvqmpt_lab.show.meshes import Colour
 from cvqmpt_lab.show.picture import png_of
+from cvqmpt_lab.show.raster import clear_viewpoint
 from cvqmpt_lab.show.web_page import path_html
 from cvqmpt_lab.solution_report import solution_lines
 from cvqmpt_lab.trajectory.trajectory import as_ros_json
@@ -67,8 +66,13 @@ class Answer:
     @property
     def path(self) -> JointPath | None:
         """The last certified path; it is of this request if there is no message."""
-        found = self.solution and self.solution.simplified
-        return found.path if found else None
+        return self.solution.path if self.solution else None
+
+    @property
+    def drawn(self) -> Iterator[tuple[str, np.ndarray, Colour]]:
+        """What `sampled_hands` draws of the planner asked for."""
+        trees = self.solution.plan.trees if self.solution else ()
+        return sampled_hands(self.problem, self.request.planner, trees)
 
 
 class Studio:
@@ -223,27 +227,6 @@ def _reached(problem: PlanningProblem, what: str, T: np.ndarray, near: np.ndarra
     return found
 
 
-def hands_drawn(answer: Answer) -> Iterator[tuple[str, np.ndarray, Colour]]:
-    """Layer, points (k, 3) [m], colour: nodes, cloud, draws before and after Algorithm 2."""
-    problem, method = answer.problem, planner_named(answer.request.planner)
-    robot, stages, rng = problem.robot, method.stages(problem), np.random.default_rng(0)
-    if isinstance(stages.predict, RoadmapPath):
-        yield "search", robot.poses(stages.predict.roadmap.nodes)[:, :3, 3], GHOST
-    for tree in answer.solution.plan.trees if answer.solution else ():
-        yield "search", robot.poses(tree.nodes)[:, :3, 3], GOAL
-    cloud = None if stages.observe is None else stages.observe(problem.scene)
-    if cloud is not None:
-        yield "cloud", cloud, GHOST
-    if method.sampler is not None and len(problem.goals):
-        query = Query.of(ConstrainedSpace(problem), Budget(seconds=1.0), rng).one_by_one()[0]
-        found = stages.predict(query, Observation(cloud))
-        updated = found if stages.update is None else stages.update(query, found)
-        for part, colour in ((found, GHOST), (updated, TRACE)):
-            if isinstance(part.distribution, GaussianMixture):
-                draws = replace(part.distribution, uniform_share=0.0).sample(rng, 400)
-                yield "Gaussians", robot.poses(draws)[:, :3, 3], colour
-
-
 def studio(problem: PlanningProblem, port: int = 8090) -> "StudioPage":
     """Serve a page at a local address until its `stop()`; port 0: any that is free."""
     try:
@@ -268,7 +251,7 @@ class StudioPage:
         self.address = f"http://127.0.0.1:{server.get_port()}"
         self._nodes: dict[str, tuple[Any, Any]] = {}  # mesh and node of the scene by name
         self._moving: list[tuple[Any, np.ndarray]] = []  # nodes, and their poses along the path
-        self._points: list[Any] = []  # nodes of `hands_drawn`
+        self._points: list[Any] = []  # nodes of `sampled_hands`
         self._dragged, self._layers, self._gizmos = set[str](), dict[str, Any](), dict[str, Any]()
         gui, scene, problem = server.gui, server.scene, live.problem
         # the share button would send the page through a public server
@@ -294,6 +277,11 @@ class StudioPage:
             gizmo.visible = name != "obstacle"
             gizmo.on_update(partial(self._drag, name))
             self._gizmos[name] = gizmo
+        robot = whole(robot_bodies(problem, problem.start[None]))
+        view = clear_viewpoint([robot], whole(scene_bodies(problem.scene)), (1400, 1000))
+        # from further away: the goal and what is dragged are in the picture, too
+        server.initial_camera.position = 2.2 * np.subtract(view.eye, view.target) + view.target
+        server.initial_camera.look_at, server.initial_camera.fov = view.target, view.height_angle
         live.on_answer = self._show
         live.ask()  # the first answer may have come before the page
 
@@ -345,7 +333,7 @@ class StudioPage:
         # a slash would make one object move another
         named = {f"/{it.layer}/{it.name.replace('/', '|')}": it for it in seen.bodies(*shown)}
         states = answer.path.states if answer.path else np.array([problem.start, *problem.goals])
-        points = hands_drawn(answer) if shown & {"search", "cloud", "Gaussians"} else ()
+        points = answer.drawn if shown & {"search", "cloud", "Gaussians"} else ()
         drawn = [it for it in points if it[0] in shown]
         with self.server.atomic():
             self._text.content = text_of(answer)
@@ -390,7 +378,8 @@ def text_of(answer: Answer) -> str:
     if answer.message:
         lines += [answer.message, "The path is that of an earlier request:"]
     for line in solution_lines(answer.solution, answer.planner) if answer.solution else ():
-        lines.append(f"*{line[:12].strip()}* {line[12:]}")
+        if (head := line[:12].strip()) in ("planner", "constraint", "length", "certificate"):
+            lines.append(f"*{head}* {line[12:]}")
     return "\n\n".join(lines)
 
 

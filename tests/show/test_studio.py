@@ -13,7 +13,7 @@ from refusals import refused
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.show.studio import Studio, hands_drawn, studio, text_of
+from cvqmpt_lab.show.studio import Studio, studio, text_of
 from cvqmpt_lab.trajectory.trajectory import read_motion
 
 FAR = pose((9.0, 0.0, 0.5))
@@ -125,7 +125,7 @@ def test_constraint_and_planner_are_chosen(fresh):
     fresh.set_constraint("own")
     answer = fresh.wait(fresh.set_planner("opt-cvq-mpt"))
     assert answer.verdict == "certified" and answer.planner == "opt-cvq-mpt"
-    layers = [layer for layer, points, _ in hands_drawn(answer) if points.shape[1] == 3]
+    layers = [layer for layer, points, _ in answer.drawn if points.shape[1] == 3]
     assert layers[-3:] == ["cloud", "Gaussians", "Gaussians"]  # before and after Algorithm 2
 
 

@@ -1,0 +1,44 @@
+"""Where the hand is at what a planner draws: nodes of its search, its cloud, its Gaussians."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query
+from cvqmpt_lab.search.result import Budget, Tree
+from cvqmpt_lab.search.roadmap import RoadmapPath
+from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.show.bodies import GHOST, GOAL, TRACE
+from cvqmpt_lab.show.meshes import Colour
+
+
+def sampled_hands(
+    problem: PlanningProblem, planner: str, trees: Sequence[Tree]
+) -> Iterator[tuple[str, np.ndarray, Colour]]:
+    """Layer, points (k, 3) [m], colour: nodes, cloud, draws before and after Algorithm 2.
+
+    Args:
+        problem: with its goals.
+        planner: by name.
+        trees: of its search.
+    """
+    robot, rng, method = problem.robot, np.random.default_rng(0), planner_named(planner)
+    stages = method.stages(problem)
+    if isinstance(stages.predict, RoadmapPath):
+        yield "search", robot.poses(stages.predict.roadmap.nodes)[:, :3, 3], GHOST
+    for tree in trees:
+        yield "search", robot.poses(tree.nodes)[:, :3, 3], GOAL
+    cloud = None if stages.observe is None else stages.observe(problem.scene)
+    if cloud is not None:
+        yield "cloud", cloud, GHOST
+    if method.sampler is not None and len(problem.goals):
+        query = Query.of(ConstrainedSpace(problem), Budget(seconds=1.0), rng).one_by_one()[0]
+        found = stages.predict(query, Observation(cloud))
+        updated = found if stages.update is None else stages.update(query, found)
+        for part, colour in ((found, GHOST), (updated, TRACE)):
+            if isinstance(part.distribution, GaussianMixture):
+                draws = replace(part.distribution, uniform_share=0.0).sample(rng, 400)
+                yield "Gaussians", robot.poses(draws)[:, :3, 3], colour
