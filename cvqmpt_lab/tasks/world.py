@@ -59,9 +59,11 @@ class World:
             case Slide():
                 T_world_hand = robot.pose(self.q)
                 Bw = np.zeros((6, 2))
-                Bw[2] = min(0.0, phase.distance), max(0.0, phase.distance)
+                k = "xyz".index(phase.axis[-1])
+                way = -phase.distance if phase.axis[0] == "-" else phase.distance
+                Bw[k] = min(0.0, way), max(0.0, way)
                 constraint = (TaskSpaceRegion(T_world_hand, np.eye(4), Bw),)
-                there = T_world_hand @ pose((0.0, 0.0, phase.distance))
+                there = T_world_hand @ pose(way * np.eye(3)[k])
                 goal = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)))
             case Turn():
                 assert isinstance(self.held, Hold)
