@@ -80,7 +80,7 @@ def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict
         solution = solve_task(
             Task.from_dict(made),
             "birrt",
-            Budget(seconds=10.0),
+            Budget(seconds=3.0),
             seed=0,
             timing=TimingSettings(speed=SLOW),
             margin=Margin(),
@@ -102,7 +102,7 @@ def _places(hold: Hold, what: Furniture) -> Iterator[Place]:
     if not hold.bar:
         rolls = [0.0, quarter, np.pi, -quarter]
     for yaw in (0.0, quarter, -quarter, 0.5 * quarter, -0.5 * quarter, np.pi):
-        for ahead, up in ((0.6, 0.14), (0.7, 0.0), (0.65, 0.35), (0.5, 0.2), (0.6, -0.2)):
+        for ahead, up in ((0.6, 0.14), (0.7, 0.0), (0.65, 0.35), (0.8, 0.15), (0.6, -0.2)):
             for roll in rolls:
                 for side in (1.0, -1.0):
                     yield Place(yaw, ahead, up, roll, side)
@@ -115,7 +115,7 @@ def _task(
 
     The frame of the room stands at the handle, x into the furniture, z up.
     """
-    size = round(reach / 0.86, 2)  # of the furniture: 1 for the panda
+    size = min(round(reach / 0.86, 2), 1.2)  # of the furniture: 1 for the panda
     pull = 0.2 * size if what == "drawer" else -0.6 * place.side
     approach = round(max(0.08 * size, hold.beyond + 0.03), 3)
     x, y, z = hold.robot.kinematics.translation[0]
@@ -150,7 +150,9 @@ def _task(
     }
     if hold.bar:
         region["Bw"][4 if what == "drawer" else 5] = [-0.3, 0.3]
-    away = (-0.3 * reach, place.side * 0.25 * reach, 0.1 * reach)
+    # a hand that less than six joints move cannot go sideways and stay turned as it is
+    aside = place.side * 0.25 * reach if hold.robot.dof > 5 else 0.0
+    away = (-0.3 * reach, aside, 0.1 * reach)
     return {
         "$schema": "task.schema.json",
         "schema": Task.SCHEMA,
@@ -222,7 +224,7 @@ def _furniture(
     top = min(2.0 * up, up + 0.4 * size)
     objects: dict[str, tuple[Any, Any]] = {
         "cabinet": (
-            (0.4 * size, 0.8 * size, top),
+            (0.4 * size, wide + 0.1 * size, top),
             (far + front + 0.01 + 0.2 * size, beside, 0.5 * top - up),
         ),
         f"{what}/front": ((front, wide, high), (far + 0.5 * front, beside, 0.0)),
@@ -247,11 +249,17 @@ def _start(task: Task, hold: Hold) -> np.ndarray | None:
     """A configuration (n,) at the end of the task; None if the hand does not get to all poses."""
     robot, rng = hold.robot, np.random.default_rng(0)
     checker = CollisionChecker(robot, task.scene, margin=SAMPLE_MARGIN)
-    reach, *_, turn, _, _, away = task.phases
+    reach, _, _, turn, _, back, away = task.phases
     opened = task.scene.with_joint(task.name, turn.value)
     last = turn.goal.at(opened[turn.goal.base].T_world_object)
     there = CollisionChecker(robot, opened, margin=SAMPLE_MARGIN)
-    for region, check in ((reach.goal, checker), (last, there), (away.through[0], there)):
+    back = TaskSpaceRegion(last.T0_w, last.Tw_e @ pose(back.way), np.zeros((6, 2)))
+    for region, check in (
+        (reach.goal, checker),
+        (last, there),
+        (back, there),
+        (away.through[0], there),
+    ):
         if not len(sample_region(robot, region, check, rng, 1, max_poses=3).configurations):
             return None
     exact = TaskSpaceRegion(away.goal.T0_w, away.goal.Tw_e, np.zeros((6, 2)))
@@ -260,7 +268,8 @@ def _start(task: Task, hold: Hold) -> np.ndarray | None:
         return None
     middle = 0.5 * (robot.lower + robot.upper)
     middle = np.where(robot.turning, np.clip(0.0, robot.lower, robot.upper), middle)
-    return min(found.round(4), key=lambda q: float(np.linalg.norm(q - middle)))
+    inside = found.round(4).clip(robot.lower, robot.upper)
+    return min(inside, key=lambda q: float(np.linalg.norm(q - middle)))
 
 
 def _written(T: np.ndarray) -> dict[str, Any]:

@@ -63,6 +63,12 @@ class Slide(Checked):
     distance: float  # Along the axis; backwards if negative [m]
     axis: Axis = "z"  # Axis of the end-effector frame
 
+    @property
+    def way(self) -> np.ndarray:
+        """The slide as a translation (3,) in the end-effector frame [m]."""
+        sign = -1.0 if self.axis[0] == "-" else 1.0
+        return sign * self.distance * np.eye(3)["xyz".index(self.axis[-1])]
+
 
 @dataclass(frozen=True, eq=False)
 class Turn(Checked):

@@ -59,11 +59,9 @@ class World:
             case Slide():
                 T_world_hand = robot.pose(self.q)
                 Bw = np.zeros((6, 2))
-                k = "xyz".index(phase.axis[-1])
-                way = -phase.distance if phase.axis[0] == "-" else phase.distance
-                Bw[k] = min(0.0, way), max(0.0, way)
+                Bw[:3] = np.sort([(0.0, along) for along in phase.way])
                 constraint = (TaskSpaceRegion(T_world_hand, np.eye(4), Bw),)
-                there = T_world_hand @ pose(way * np.eye(3)[k])
+                there = T_world_hand @ pose(phase.way)
                 goal = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)))
             case Turn():
                 assert isinstance(self.held, Hold)
