@@ -8,7 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.benchmarks.hold_handle import BAR, Hold, hold_of
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, hand_reach, sample_region
+from cvqmpt_lab.constraints.inverse_kinematics import (
+    SAMPLE_MARGIN,
+    first_guesses,
+    hand_reach,
+    sample_region,
+    solve_poses,
+)
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.margins import Margin
@@ -68,7 +74,7 @@ def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict
     """
     hold = hold_of(source)
     reach = hand_reach(hold.robot)
-    tried = reached = 0
+    tried, reached, failure = 0, 0, ""
     for place in _places(hold, what):
         tried += 1
         made = _task(source, hold, what, place, reach)
@@ -87,10 +93,11 @@ def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict
         )
         if solution.solved:
             return made
+        failure = f"; at the last one {solution.failure}"
     raise InvalidInputError(
-        f"no {what} was found that robot {hold.robot.name} opens with {hold.robot.end_effector}, "
-        f"whose {hold.axis} points out of the hand ({hold.robot.dof} joints; of {tried} places its "
-        f"hand gets to {reached}); name another --end-effector, or change the task of another arm"
+        f"no {what} was found that robot {hold.robot.name} opens: its {hold.robot.dof} joints bring"
+        f" {hold.robot.end_effector}, {hold.axis} ahead, to {reached} of {tried} places{failure}; "
+        "name another --end-effector, or change the task of another arm"
     )
 
 
@@ -101,11 +108,11 @@ def _places(hold: Hold, what: Furniture) -> Iterator[Place]:
     rolls = [(what == "door") * quarter, (what == "door") * quarter + np.pi]
     if not hold.bar:
         rolls = [0.0, quarter, np.pi, -quarter]
-    for yaw in (0.0, quarter, -quarter, 0.5 * quarter, -0.5 * quarter, np.pi):
+    for turn in (0.0, 1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 2.0):
         for ahead, up in ((0.6, 0.14), (0.7, 0.0), (0.65, 0.35), (0.8, 0.15), (0.6, -0.2)):
             for roll in rolls:
                 for side in (1.0, -1.0):
-                    yield Place(yaw, ahead, up, roll, side)
+                    yield Place(turn * quarter, ahead, up, roll, side)
 
 
 def _task(
@@ -126,6 +133,8 @@ def _task(
     up = max(z + place.up * reach, 0.15 * size)
     at = (x + forward * np.cos(place.yaw), y + forward * np.sin(place.yaw), up)
     T_world_room = pose(np.round(at, 3), place.yaw)
+    if hold.robot.dof < 6:
+        T_world_room = T_world_room @ pose((0.0, _aside(hold, T_world_room, T_room_hand), 0.0))
     grasp = T_world_room @ T_room_hand
 
     def hand(dx: float, dy: float = 0.0, dz: float = 0.0) -> dict[str, Any]:
@@ -205,6 +214,19 @@ def _task(
             },
         ],
     }
+
+
+def _aside(hold: Hold, T_world_room: np.ndarray, T_room_hand: np.ndarray) -> float:
+    """How far to the side a hand gets to that less than six joints move [m]; 0: it does not."""
+    bounds = np.zeros((6, 2))
+    bounds[1] = -0.1, 0.1
+    region, robot = TaskSpaceRegion(T_world_room, T_room_hand, bounds), hold.robot
+    guesses = first_guesses(robot, np.random.default_rng(0), 4)
+    poses = np.broadcast_to(np.eye(4), (4, 4, 4))
+    found = np.concatenate(solve_poses(robot, poses, guesses, anywhere=region))
+    if not len(found):
+        return 0.0
+    return float((np.linalg.inv(T_world_room) @ robot.pose(found[0]))[1, 3] - T_room_hand[1, 3])
 
 
 def _slide(name: str, distance: float, hold: Hold) -> dict[str, Any]:
