@@ -102,9 +102,11 @@ def _outward(robot: Robot) -> Axis:
     _, T = robot.end_effector_link
     away = T[:3, :3].T @ T[:3, 3]
     if np.linalg.norm(away) < 0.01:
+        # the frame of the last link: long fingers say where it points, else the joint's axis
         corners = np.concatenate(list(_pieces(robot).values()))
-        along = T[2, :3]
-        away = along * (-1.0 if corners.mean(axis=0) @ along > 0.0 else 1.0)
+        away = T[2, :3] * (-1.0 if corners.mean(axis=0) @ T[2, :3] > 0.0 else 1.0)
+        if np.abs(corners).max() > 0.08:
+            away = corners.flat[np.abs(corners).argmax()] * np.eye(3)[np.abs(corners).argmax() % 3]
     k = int(np.argmax(np.abs(away)))
     return get_args(Axis)[2 * k + (away[k] < 0.0)]
 
@@ -166,23 +168,22 @@ def _knob(robot: Robot, half: float = 0.015) -> Hold:
     return Hold(robot, axis, np.linalg.inv(T), max(tip - at, 0.0), 0.0, near)
 
 
-def _closed(
-    source: Mapping[str, Any], hold: Hold, fingers: Sequence[Joint], opened: float
-) -> Hold:
+def _closed(source: Mapping[str, Any], hold: Hold, fingers: Sequence[Joint], opened: float) -> Hold:
     """The same with the fingers closed until they touch the bar, from a share of their range."""
     box, T = Box((BAR, hold.bar, BAR)), np.linalg.inv(hold.T_handle_hand)
-    closed, beyond = opened, 1.0 - opened
-    gaps, fields = _gaps(_pieces(hold.robot), box, T), hold.opened
-    for _ in range(10 if fingers else 0):
-        if min(gaps.values()) < 2e-4:
-            break
-        share = 0.5 * (closed + beyond)
+    fields, gaps = hold.opened, _gaps(_pieces(hold.robot), box, T)
+    share, step = 1.0 - opened, 2.0 * opened - 1.0  # first all the way, then halves of the rest
+    for _ in range(11 if fingers else 0):
         tried = _set(source, fingers, share)
         found = _gaps(_pieces(robot_from_source({**source, **tried})), box, T)
+        step *= 0.5
         if min(found.values()) < 0.0:
-            beyond = share
-        else:
-            closed, gaps, fields = share, found, tried
+            share += step
+            continue
+        fields, gaps = tried, found
+        if min(gaps.values()) < 2e-4 or share == 1.0 - opened:
+            break
+        share -= step
     near = {_link(name) for name, gap in gaps.items() if gap < 2.0 * PLAY}
     touching = tuple(name for name in gaps if _link(name) in near)
     return replace(hold, touching=touching, closed=fields)

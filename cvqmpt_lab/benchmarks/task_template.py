@@ -22,7 +22,7 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import solve_task
-from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.tasks.task import Move, Slide, Task, Turn
 from cvqmpt_lab.trajectory.timing import TimingSettings
 
 Furniture = Literal["drawer", "door"]
@@ -271,11 +271,13 @@ def _start(task: Task, hold: Hold) -> np.ndarray | None:
     """A configuration (n,) at the end of the task; None if the hand does not get to all poses."""
     robot, rng = hold.robot, np.random.default_rng(0)
     checker = CollisionChecker(robot, task.scene, margin=SAMPLE_MARGIN)
-    reach, _, _, turn, _, back, away = task.phases
+    reach, away = (phase for phase in task.phases if isinstance(phase, Move))
+    turn = next(phase for phase in task.phases if isinstance(phase, Turn))
+    *_, slide = (phase for phase in task.phases if isinstance(phase, Slide))
     opened = task.scene.with_joint(task.name, turn.value)
     last = turn.goal.at(opened[turn.goal.base].T_world_object)
     there = CollisionChecker(robot, opened, margin=SAMPLE_MARGIN)
-    back = TaskSpaceRegion(last.T0_w, last.Tw_e @ pose(back.way), np.zeros((6, 2)))
+    back = TaskSpaceRegion(last.T0_w, last.Tw_e @ pose(slide.way), np.zeros((6, 2)))
     for region, check in (
         (reach.goal, checker),
         (last, there),
