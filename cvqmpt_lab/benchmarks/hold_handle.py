@@ -19,12 +19,10 @@ from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.values import TURN
 
 BAR = 0.014  # [m] thickness of a bar
-PLAY = 0.003  # [m] between open fingers and a bar, at least
-TOUCH = 0.002  # [m] between a flange and its knob: planners keep a little from all they touch not
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
+class Grip:
     """Where a hand holds a handle, and what its fingers do.
 
     The frame of the handle: x away from the hand, y along the bar.
@@ -40,7 +38,7 @@ class Hold:
     closed: Mapping[str, Any] = field(default_factory=dict)  # fields of the robot that close it
 
 
-def hold_of(source: Mapping[str, Any]) -> Hold:
+def hold_of(source: Mapping[str, Any]) -> Grip:
     """How an arm holds a handle; InvalidInputError for a hand without collision bodies.
 
     Fingers are the joints behind the arm's last one. They are opened to the limit at which a bar
@@ -128,8 +126,11 @@ def _gaps(pieces: Mapping[str, np.ndarray], box: Box, T_hand_box: np.ndarray) ->
     }
 
 
-def _bars(source: Mapping[str, Any], opened: Mapping[str, Any]) -> list[Hold]:
-    """Bars across both ways between the fingers, where they get in deep enough."""
+def _bars(source: Mapping[str, Any], opened: Mapping[str, Any], play: float = 0.003) -> list[Grip]:
+    """Bars across both ways between the fingers, where they get in deep enough.
+
+    play: between open fingers and a bar, at least [m].
+    """
     robot, found = robot_from_source({**source, **opened}), []
     pieces, axis = _pieces(robot), _outward(robot)
     for turned in (False, True):
@@ -140,17 +141,20 @@ def _bars(source: Mapping[str, Any], opened: Mapping[str, Any]) -> list[Hold]:
         at = tip + BAR
         while tip - at < 0.013:
             T[:3, 3] = (at - 0.001) * R[:, 0]
-            if min(_gaps(pieces, Box((BAR, length, BAR)), T).values()) < PLAY:
+            if min(_gaps(pieces, Box((BAR, length, BAR)), T).values()) < play:
                 break
             at -= 0.001
         T[:3, 3] = at * R[:, 0]
         if tip - at > 0.008:
-            found.append(Hold(robot, axis, np.linalg.inv(T), tip - at, length, (), opened))
+            found.append(Grip(robot, axis, np.linalg.inv(T), tip - at, length, (), opened))
     return found
 
 
-def _knob(robot: Robot, half: float = 0.015) -> Hold:
-    """A knob that the hand touches: its end is a square of edge 2 half [m]."""
+def _knob(robot: Robot, half: float = 0.015, gap: float = 0.002) -> Grip:
+    """A knob that the hand touches: its end is a square of edge 2 half [m].
+
+    gap: between them [m]; what does touch cannot be planned away from.
+    """
     pieces, axis = _pieces(robot), _outward(robot)
     R = _frame(axis, False)
     corners = np.concatenate(list(pieces.values())) @ R
@@ -158,17 +162,17 @@ def _knob(robot: Robot, half: float = 0.015) -> Hold:
     T = np.eye(4)
     T[:3, :3] = R
     box, at = Box((0.1, 2 * half, 2 * half)), tip
-    for at in np.arange(tip + TOUCH, tip - 0.1, -0.0005):
+    for at in np.arange(tip + gap, tip - 0.1, -0.0005):
         T[:3, 3] = (at - 0.0005 + 0.05) * R[:, 0]
         gaps = _gaps(pieces, box, T)
-        if min(gaps.values()) < TOUCH:
+        if min(gaps.values()) < gap:
             break
     T[:3, 3] = at * R[:, 0]
-    near = tuple(name for name, gap in gaps.items() if gap < 2 * TOUCH)
-    return Hold(robot, axis, np.linalg.inv(T), max(tip - at, 0.0), 0.0, near)
+    near = tuple(name for name, off in gaps.items() if off < 2 * gap)
+    return Grip(robot, axis, np.linalg.inv(T), max(tip - at, 0.0), 0.0, near)
 
 
-def _closed(source: Mapping[str, Any], hold: Hold, fingers: Sequence[Joint], opened: float) -> Hold:
+def _closed(source: Mapping[str, Any], hold: Grip, fingers: Sequence[Joint], opened: float) -> Grip:
     """The same with the fingers closed until they touch the bar, from a share of their range."""
     box, T = Box((BAR, hold.bar, BAR)), np.linalg.inv(hold.T_handle_hand)
     fields, gaps = hold.opened, _gaps(_pieces(hold.robot), box, T)
@@ -184,7 +188,7 @@ def _closed(source: Mapping[str, Any], hold: Hold, fingers: Sequence[Joint], ope
         if min(gaps.values()) < 2e-4 or share == 1.0 - opened:
             break
         share -= step
-    near = {_link(name) for name, gap in gaps.items() if gap < 2.0 * PLAY}
+    near = {_link(name) for name, gap in gaps.items() if gap < 0.006}
     touching = tuple(name for name in gaps if _link(name) in near)
     return replace(hold, touching=touching, closed=fields)
 

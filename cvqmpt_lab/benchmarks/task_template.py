@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.benchmarks.hold_handle import BAR, Hold, hold_of
+from cvqmpt_lab.benchmarks.hold_handle import BAR, Grip, hold_of
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import (
     SAMPLE_MARGIN,
@@ -101,7 +101,7 @@ def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict
     )
 
 
-def _places(hold: Hold, what: Furniture) -> Iterator[Place]:
+def _places(hold: Grip, what: Furniture) -> Iterator[Place]:
     """Places of the handle that are tried, likely ones first."""
     quarter = np.pi / 2
     # a bar lies across a drawer, and stands on a door
@@ -116,7 +116,7 @@ def _places(hold: Hold, what: Furniture) -> Iterator[Place]:
 
 
 def _task(
-    source: Mapping[str, Any], hold: Hold, what: Furniture, place: Place, reach: float
+    source: Mapping[str, Any], hold: Grip, what: Furniture, place: Place, reach: float
 ) -> dict[str, Any]:
     """The task of one place, without a start.
 
@@ -216,7 +216,7 @@ def _task(
     }
 
 
-def _aside(hold: Hold, T_world_room: np.ndarray, T_room_hand: np.ndarray) -> float:
+def _aside(hold: Grip, T_world_room: np.ndarray, T_room_hand: np.ndarray) -> float:
     """How far to the side a hand gets to that less than six joints move [m]; 0: it does not."""
     bounds = np.zeros((6, 2))
     bounds[1] = -0.1, 0.1
@@ -229,14 +229,14 @@ def _aside(hold: Hold, T_world_room: np.ndarray, T_room_hand: np.ndarray) -> flo
     return float((np.linalg.inv(T_world_room) @ robot.pose(found[0]))[1, 3] - T_room_hand[1, 3])
 
 
-def _slide(name: str, distance: float, hold: Hold) -> dict[str, Any]:
+def _slide(name: str, distance: float, hold: Grip) -> dict[str, Any]:
     """A slide along the hand's axis."""
     axis = {} if hold.axis == "z" else {"axis": hold.axis}
     return {"kind": "slide", "name": name, "distance": distance, **axis}
 
 
 def _furniture(
-    hold: Hold, what: Furniture, side: float, size: float, up: float
+    hold: Grip, what: Furniture, side: float, size: float, up: float
 ) -> tuple[dict[str, tuple[Any, Any]], np.ndarray]:
     """Boxes by name, (edges, middle) in the room [m], and T_room_joint (4, 4) of the furniture."""
     far = round(max(0.04, hold.beyond + 0.025), 3)  # from the handle's origin to the front
@@ -267,7 +267,7 @@ def _furniture(
     return objects, pose((far + 0.5 * front, beside + side * 0.5 * wide, 0.0))
 
 
-def _start(task: Task, hold: Hold) -> np.ndarray | None:
+def _start(task: Task, hold: Grip) -> np.ndarray | None:
     """A configuration (n,) at the end of the task; None if the hand does not get to all poses."""
     robot, rng = hold.robot, np.random.default_rng(0)
     checker = CollisionChecker(robot, task.scene, margin=SAMPLE_MARGIN)

@@ -153,12 +153,9 @@ def _of_arm(given: RobotSource) -> RobotSource:
 FINGER_OPENING = 0.04  # [m] largest opening of each finger of the Panda's hand
 
 UR, XARM = "ur_description", "xarm_description"
-G1 = "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf"
-ROMEO = "romeo_description/urdf/romeo.urdf"
 TALOS = "talos_data/robots/talos_reduced.urdf"
 BAXTER_SRDF = "baxter_description/srdf/baxter_manipulation.srdf"
 STANDING = {"torso_1_joint": 0.0, "torso_2_joint": 0.0}
-WAIST = {"waist_yaw_joint": 0.0, "waist_roll_joint": 0.0, "waist_pitch_joint": 0.0}
 
 # Arms with a fixed base, legs held; paths of files are relative to the folder of `example_robots`.
 # Velocity and effort limits are those of the URDF. Makers publish limits of acceleration and jerk
@@ -216,10 +213,20 @@ ARMS: Mapping[str, RobotSource] = {
     ),
     "pr2-left": RobotSource("pr2_description/urdf/pr2.urdf", "l_gripper_tool_frame"),
     "pr2-right": RobotSource("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame"),
-    "g1-left": RobotSource(G1, "left_hand_palm_link", locked=WAIST),
-    "g1-right": RobotSource(G1, "right_hand_palm_link", locked=WAIST),
-    "romeo-left": RobotSource(ROMEO, "l_wrist", locked={"TrunkYaw": 0.0}),
-    "romeo-right": RobotSource(ROMEO, "r_wrist", locked={"TrunkYaw": 0.0}),
+    **{
+        f"g1-{side}": RobotSource(
+            "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
+            f"{side}_hand_palm_link",
+            locked={f"waist_{axis}_joint": 0.0 for axis in ("yaw", "roll", "pitch")},
+        )
+        for side in ("left", "right")
+    },
+    **{
+        f"romeo-{side}": RobotSource(
+            "romeo_description/urdf/romeo.urdf", f"{side[0]}_wrist", locked={"TrunkYaw": 0.0}
+        )
+        for side in ("left", "right")
+    },
     "anymal-kinova": RobotSource(
         "anymal_b_simple_description/robots/anymal-kinova.urdf", "j2s6s200_end_effector"
     ),

@@ -49,7 +49,6 @@ def check_solved(made):
         ("xarm7", "drawer"),
         ("ur5", "door"),
         ("ur5-gripper", "drawer"),
-        ("ur10-limited", "drawer"),
     ],
 )
 def test_an_arm_opens_what_stands_in_its_reach(name, what):
@@ -57,14 +56,13 @@ def test_an_arm_opens_what_stands_in_its_reach(name, what):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ["drawer", "door"])
-@pytest.mark.parametrize("name", ARMS)
-def test_every_arm_opens_one_or_says_what_is_missing(name, what):
-    # a hand of five joints cannot turn with a door
-    if name in REFUSED or (name, what) == ("so-arm101", "door"):
-        refused(REFUSED.get(name, "its 5 joints bring"), template, name, what)
-    else:
-        check_solved(template(name, what))
+def test_every_arm_opens_one_or_says_what_is_missing(part):
+    for name, what in part([(name, what) for name in ARMS for what in ("drawer", "door")], 3):
+        # a hand of five joints cannot turn with a door
+        if name in REFUSED or (name, what) == ("so-arm101", "door"):
+            refused(REFUSED.get(name, "its 5 joints bring"), template, name, what)
+        else:
+            check_solved(template(name, what))
 
 
 def test_an_arm_on_a_base_elsewhere_gets_a_drawer_there():
@@ -73,11 +71,6 @@ def test_an_arm_on_a_base_elsewhere_gets_a_drawer_there():
     at = made["scene"]["objects"][1]["T_world_object"]["xyz"]
     assert 0.2 < np.linalg.norm(np.subtract(at, (2.0, -1.0, 0.5))) < 1.2
     check_solved(made)
-
-
-@pytest.mark.parametrize("name", ["two-dof", "finger"])
-def test_an_arm_that_opens_nothing_is_refused_with_what_is_missing(name):
-    refused(REFUSED[name], template, name)
 
 
 def test_fingers_close_on_a_bar_and_a_flange_touches_a_knob():
