@@ -153,7 +153,7 @@ def _bars(source: Mapping[str, Any], opened: Mapping[str, Any], play: float = 0.
 def _knob(robot: Robot, half: float = 0.015, gap: float = 0.002) -> Grip:
     """A knob that the hand touches: its end is a square of edge 2 half [m].
 
-    gap: between them [m]; what does touch cannot be planned away from.
+    gap: between them [m]; contact would count as a collision before the hand holds it.
     """
     pieces, axis = _pieces(robot), _outward(robot)
     R = _frame(axis, False)
