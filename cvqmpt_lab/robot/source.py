@@ -158,8 +158,8 @@ BAXTER_SRDF = "baxter_description/srdf/baxter_manipulation.srdf"
 STANDING = {"torso_1_joint": 0.0, "torso_2_joint": 0.0}
 
 # Arms with a fixed base, legs held; paths of files are relative to the folder of `example_robots`.
-# Velocity and effort limits are those of the URDF. Makers publish limits of acceleration and jerk
-# of the Panda alone. Left out: alex (no commercial use), icub (velocity limits of 100 rad/s),
+# Velocity and effort limits are those of the URDF. Limits of acceleration and jerk are stated for
+# the Panda alone. Left out: alex (no commercial use), icub (velocity limits of 100 rad/s),
 # centauro (a mesh without hull), arms of humanoids without collision bodies at the hand.
 ARMS: Mapping[str, RobotSource] = {
     "panda": RobotSource(
