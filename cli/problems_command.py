@@ -31,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
         "goals": "export",
         "robot": "new",
         "task": "new",
+        "door": "new",
         "urdf": "new",
     }
     for name, action in goes_with.items():
@@ -43,17 +44,23 @@ def _new(args: argparse.Namespace) -> int:
     path = Path(args.what)
     if path.exists():
         raise InvalidInputError(f"{path} is there already; name another file")
-    from cvqmpt_lab.benchmarks.templates import problem_template, task_template
+    from cvqmpt_lab.benchmarks.task_template import task_template
+    from cvqmpt_lab.benchmarks.templates import problem_template, with_limits
 
     if args.urdf is not None and args.end_effector is None:
         args.end_effector = read_urdf(args.urdf).likely_end_effectors()[0]
         print(f"end effector {args.end_effector}, a guess; --end-effector names another")
-    kind, made_for = ("task", task_template) if args.task else ("problem", problem_template)
-    made = made_for(robot_source(args) or {"name": "panda"})
+    robot, notes = with_limits(robot_source(args) or {"name": "panda"})
+    if args.task or args.door:
+        kind, made = "task", task_template(robot, "door" if args.door else "drawer")
+    else:
+        kind, made = "problem", problem_template(robot)
     schema = made["$schema"]
     write_text(writable_file(path), json_text({**made, "name": path.stem}) + "\n")
     schemas = Path(cvqmpt_lab.__file__).parent / "schemas"
     write_text(path.parent / schema, read_text(schemas / schema))
+    for note in notes:
+        print(note)
     print(
         f"{path} written, and {schema} for editors; plan it with: cvqmpt plan --{kind}-file {path}"
     )
@@ -141,6 +148,7 @@ OPTIONS: Options = {
     ),
     "--goals": option("write sampled goals beside the goal region (with export)", **FLAG),
     "--task": option("a task of several phases, a drawer to open (with new)", **FLAG),
+    "--door": option("the same with a door (with new)", **FLAG),
     "robot of the new problem (the panda)": ROBOT,
 }
 COMMANDS = {"problems": (run, OPTIONS)}

@@ -1,11 +1,9 @@
-"""A problem and a task to start from, with comments.
+"""A problem to start from, with comments, for any arm: a table, an obstacle, a constraint, a goal.
 
-The problem: a table, an obstacle in the way, a constraint, start and goal, for any arm. The task:
-the Panda opens a drawer.
+Its limits, too, of which a URDF states but some. A task to start from: `task_template`.
 """
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +22,6 @@ from cvqmpt_lab.constraints.task_space_region import (
     upright,
 )
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
@@ -110,14 +107,41 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
     )
 
 
-def task_template(source: Mapping[str, Any]) -> dict[str, Any]:
-    """Json of a task that can be planned; InvalidInputError for another robot than the Panda."""
-    if source.get("name") != "panda":
-        raise InvalidInputError(
-            "the template of a task is for the panda, whose fingers it names; write it without "
-            "--robot and --urdf, then replace 'robot', 'start', 'gripper' and 'may_touch'"
+def with_limits(source: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """A robot's json with its limits in full, and lines that say which of them are guesses.
+
+    Known limits are written as they are. Where none is known, a joint reaches its velocity limit in
+    0.5 s, and that acceleration in 0.1 s. Efforts are not guessed.
+    """
+    robot, limits, notes = robot_from_source(source), dict[str, Any](), list[str]()
+    below = np.array(robot.model.upperVelocityLimit)
+    for kind, seconds in (("acceleration", 0.5), ("jerk", 0.1)):
+        known = robot.limits.get(kind)
+        if known is None and not (np.isfinite(below) & (below > 0.0)).all():
+            joint = robot.joint_names[int(np.argmin(np.isfinite(below) & (below > 0.0)))]
+            notes.append(
+                f"{kind}_limits are not written: the URDF states no velocity limit of {joint}"
+            )
+            continue
+        values = (below / seconds).round(3) if known is None else known
+        limits[f"{kind}_limits"] = values.tolist()
+        if known is None:
+            less = "velocity" if kind == "acceleration" else "acceleration"
+            notes.append(
+                f"{kind}_limits are a guess, the limit of {less} in {seconds:g} s; replace them by "
+                "those of the arm's maker"
+            )
+        below = values
+    effort = robot.limits["effort"]
+    if np.isfinite(effort).all():
+        limits["effort_limits"] = effort.tolist()
+    else:
+        missing = np.array(robot.joint_names)[np.isinf(effort)]
+        notes.append(
+            f"effort_limits are not written: the URDF states none of {', '.join(missing)}; its "
+            "others are kept"
         )
-    return read_json_object(Path(__file__).with_name("drawer_task.json"), "task template")
+    return {**source, **limits}, notes
 
 
 def _solved(problem: PlanningProblem, matters: bool) -> bool:

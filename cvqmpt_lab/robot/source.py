@@ -114,10 +114,11 @@ def read_source(source: Mapping[str, Any]) -> RobotSource:
 
 def _of_arm(given: RobotSource) -> RobotSource:
     """The source of a named arm; given options replace those of `ARMS`."""
-    if given.name in ELSEWHERE:
+    elsewhere = ELSEWHERE.get(given.name.lower().replace("-", "").replace("_", ""))
+    if elsewhere is not None:
         raise InvalidInputError(
-            f"robot {given.name!r} is not in the package {EXAMPLES}: {ELSEWHERE[given.name]}; "
-            "give its file as --urdf, or 'urdf' and 'end_effector' in a problem file"
+            f"robot {given.name!r} is not in the package {EXAMPLES}: its URDF comes with ROS's "
+            f"{elsewhere}; give its file as --urdf, or 'urdf' and 'end_effector' in a problem file"
         )
     name = ALIASES.get(given.name, given.name)
     if name not in ARMS:
@@ -156,7 +157,10 @@ TALOS = "talos_data/robots/talos_reduced.urdf"
 BAXTER_SRDF = "baxter_description/srdf/baxter_manipulation.srdf"
 STANDING = {"torso_1_joint": 0.0, "torso_2_joint": 0.0}
 
-# arms with a fixed base; paths of files are relative to the folder of `example_robots`
+# Arms with a fixed base, legs held; paths of files are relative to the folder of `example_robots`.
+# Velocity and effort limits are those of the URDF. Limits of acceleration and jerk are stated for
+# the Panda alone. Left out: alex (no commercial use), icub (velocity limits of 100 rad/s),
+# centauro (a mesh without hull), arms of humanoids without collision bodies at the hand.
 ARMS: Mapping[str, RobotSource] = {
     "panda": RobotSource(
         "panda_description/urdf/panda.urdf",
@@ -173,6 +177,13 @@ ARMS: Mapping[str, RobotSource] = {
     "ur3-limited": RobotSource(f"{UR}/urdf/ur3_joint_limited_robot.urdf", "tool0"),
     "ur5-limited": RobotSource(f"{UR}/urdf/ur5_joint_limited_robot.urdf", "tool0"),
     "ur10-limited": RobotSource(f"{UR}/urdf/ur10_joint_limited_robot.urdf", "tool0"),
+    # two fixed fingers
+    "ur3-gripper": RobotSource(
+        f"{UR}/urdf/ur3_gripper.urdf", "tool0", f"{UR}/srdf/ur3_gripper.srdf"
+    ),
+    "ur5-gripper": RobotSource(
+        f"{UR}/urdf/ur5_gripper.urdf", "tool0", f"{UR}/srdf/ur5_gripper.srdf"
+    ),
     "kinova": RobotSource("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
     "xarm7": RobotSource(f"{XARM}/urdf/xarm7.urdf", "link_eef", f"{XARM}/srdf/xarm7.srdf"),
     "z1": RobotSource("z1_description/urdf/z1.urdf", "gripperStator"),
@@ -202,18 +213,47 @@ ARMS: Mapping[str, RobotSource] = {
     ),
     "pr2-left": RobotSource("pr2_description/urdf/pr2.urdf", "l_gripper_tool_frame"),
     "pr2-right": RobotSource("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame"),
+    **{
+        f"g1-{side}": RobotSource(
+            "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
+            f"{side}_hand_palm_link",
+            locked={f"waist_{axis}_joint": 0.0 for axis in ("yaw", "roll", "pitch")},
+        )
+        for side in ("left", "right")
+    },
+    **{
+        f"romeo-{side}": RobotSource(
+            "romeo_description/urdf/romeo.urdf", f"{side[0]}_wrist", locked={"TrunkYaw": 0.0}
+        )
+        for side in ("left", "right")
+    },
+    "anymal-kinova": RobotSource(
+        "anymal_b_simple_description/robots/anymal-kinova.urdf", "j2s6s200_end_effector"
+    ),
+    "b1-z1": RobotSource("b1_description/urdf/b1-z1.urdf", "gripperStator"),
     "two-dof": RobotSource("asr_twodof_description/urdf/TwoDofs.urdf", "Tip"),
     "finger": RobotSource("finger_edu_description/robots/finger_edu.urdf", "finger_tip_link"),
 }
 
 ALIASES = {"so100": "so-arm", "so101": "so-arm101", "j2s6s200": "kinova", "franka": "panda"}
-# arms that `EXAMPLES` lacks, and where their URDF is found
+# arms that `EXAMPLES` lacks, without - and _: the ROS package that has their URDF, and where it is
 ELSEWHERE = {
-    "gen3": "its URDF comes with ROS's kortex_description (github.com/Kinovarobotics/ros2_kortex)",
-    **dict.fromkeys(
-        ("iiwa", "iiwa7", "iiwa14"),
-        "its URDF comes with ROS's lbr_description (github.com/lbr-stack/lbr_fri_ros2_stack)",
-    ),
+    arm: package
+    for package, arms in {
+        "kortex_description (github.com/Kinovarobotics/ros2_kortex)": "gen3 gen3lite",
+        "lbr_description (github.com/lbr-stack/lbr_fri_ros2_stack)": (
+            "kuka iiwa iiwa7 iiwa14 lbriiwa lbriiwa7 lbriiwa14 kukaiiwa kukaiiwa7 kukaiiwa14 med7 "
+            "med14"
+        ),
+        "ur_description (github.com/UniversalRobots/Universal_Robots_ROS2_Description)": (
+            "ur3e ur5e ur7e ur8long ur10e ur12e ur15 ur16e ur18 ur20 ur30"
+        ),
+        "xarm_description (github.com/xArm-Developer/xarm_ros2)": (
+            "xarm5 xarm6 lite6 uf850 xarm7gripper"
+        ),
+        "franka_description (github.com/frankarobotics/franka_description)": "fr3 fer fp3",
+    }.items()
+    for arm in arms.split()
 }
 
 

@@ -5,7 +5,7 @@
 
     "phases": [
       {"kind": "move", "name", "goal": region, "constraint": [regions], "through": [regions]},
-      {"kind": "slide", "name", "distance": 0.08},
+      {"kind": "slide", "name", "distance": 0.08, "axis": "z"},
       {"kind": "turn", "name", "value": -1.4, "constraint": chain, "goal": chain},
       {"kind": "hold", "name", "articulation", "gripper": {...}, "may_touch": [[piece, part]]},
       {"kind": "grasp", "name", "object", "gripper": {...}},
@@ -25,7 +25,7 @@ import numpy as np
 
 from cvqmpt_lab.codec import Checked, Document, OneOrMore, Tagged
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
+from cvqmpt_lab.constraints.task_space_region import Axis, TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, mapping, shown, unique
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.scene.scene import Articulation, Attachment, NamedScene, Scene, SceneObject
@@ -57,10 +57,17 @@ class Move(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Slide(Checked):
-    """The hand moves straight along its own z axis."""
+    """The hand moves straight along an axis of its own."""
 
     name: Name  # Unique in its task
-    distance: float  # Forwards if positive [m]
+    distance: float  # Along the axis; backwards if negative [m]
+    axis: Axis = "z"  # Axis of the end-effector frame
+
+    @property
+    def way(self) -> np.ndarray:
+        """The slide as a translation (3,) in the end-effector frame [m]."""
+        sign = -1.0 if self.axis[0] == "-" else 1.0
+        return sign * self.distance * np.eye(3)["xyz".index(self.axis[-1])]
 
 
 @dataclass(frozen=True, eq=False)

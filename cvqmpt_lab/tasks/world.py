@@ -59,9 +59,9 @@ class World:
             case Slide():
                 T_world_hand = robot.pose(self.q)
                 Bw = np.zeros((6, 2))
-                Bw[2] = min(0.0, phase.distance), max(0.0, phase.distance)
+                Bw[:3] = np.sort([(0.0, along) for along in phase.way])
                 constraint = (TaskSpaceRegion(T_world_hand, np.eye(4), Bw),)
-                there = T_world_hand @ pose((0.0, 0.0, phase.distance))
+                there = T_world_hand @ pose(phase.way)
                 goal = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)))
             case Turn():
                 assert isinstance(self.held, Hold)

@@ -79,7 +79,7 @@ def test_a_new_task_is_planned_into_a_file_a_phase_and_the_events_between(tmp_pa
     assert told["solved"] and [phase["phase"] for phase in told["phases"]] == names
     assert [step["phase"] for step in index] == names
     assert {step["phase"]: step["gripper"] for step in index if "file" not in step} == {
-        "close": {"finger_opening": 0.007},
+        "close": {"finger_opening": 0.0072},
         "let-go": {"finger_opening": 0.04},
     }
     written = {"task.json", *(step["file"] for step in index if "file" in step)}

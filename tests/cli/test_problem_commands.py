@@ -12,6 +12,7 @@ from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
+from cvqmpt_lab.tasks.task import Task
 
 IK = "ik --pose '-0.3, 0.5, 0.3, 3.14, 0, 0' --problem-file"
 
@@ -27,6 +28,22 @@ def mine(tmp_path, cvqmpt):
 @pytest.mark.parametrize("robot", ["ur10-limited", "two-dof"])
 def test_a_new_problem_suits_arms_with_narrow_limits_and_few_joints(robot):
     check_problem(PlanningProblem.from_dict(problem_template({"name": robot})))
+
+
+def test_motions_of_a_new_problem_and_task_need_no_limits_on_the_command_line(tmp_path, cvqmpt):
+    """The lines of docs/ros2.md; a UR5 has no limits of acceleration of its own."""
+    path, motion, task = (tmp_path / name for name in ("mine.json", "motion.json", "door.json"))
+    told = cvqmpt("problems new --robot ur5", path)
+    assert "acceleration_limits are a guess, the limit of velocity in 0.5 s" in told
+    cvqmpt(f"plan --problem-file {path} --trajectory {motion} --speed 0.1")
+    assert "certified   yes" in cvqmpt(f"certify {motion} --problem-file {path}")
+    start = json.loads(motion.read_text())["points"][0]["positions"]
+    current = ["--current", " ".join(map(str, start))]
+    assert "certified   yes" in cvqmpt(f"certify {motion} --problem-file {path}", *current)
+    assert "a guess" in cvqmpt("problems new --door --robot ur5", task)
+    assert Task.load(task).scene.articulations[0].kind == "hinge"
+    told = cvqmpt(f"plan --task-file {task} --trajectory {tmp_path / 'motions'}")
+    assert "6 files and 2 gripper events" in told
 
 
 def test_a_new_problem_leads_round_an_obstacle_from_a_calm_start_for_any_urdf(tmp_path, cvqmpt):

@@ -1,0 +1,198 @@
+"""How the hand of any arm holds a handle: a bar between its fingers, or a knob that it touches."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from cvqmpt_lab.constraints.task_space_region import Axis
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.robot.hulls import convex_hull
+from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.robot.source import FINGER_OPENING, read_source
+from cvqmpt_lab.robot.urdf import Joint, read_urdf
+from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
+from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.values import TURN
+
+BAR = 0.014  # [m] thickness of a bar
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """Where a hand holds a handle, and what its fingers do.
+
+    The frame of the handle: x away from the hand, y along the bar.
+    """
+
+    robot: Robot  # with its fingers open
+    axis: Axis  # of the end effector, along which it comes to the handle
+    T_handle_hand: np.ndarray  # (4, 4)
+    beyond: float  # how far the hand reaches past the handle's origin [m]
+    bar: float  # length of a bar [m]; 0: a knob, whose face is the handle's origin
+    touching: tuple[str, ...]  # pieces of the robot that touch the handle
+    opened: Mapping[str, Any] = field(default_factory=dict)  # fields of the robot that open it
+    closed: Mapping[str, Any] = field(default_factory=dict)  # fields of the robot that close it
+
+
+def hold_of(source: Mapping[str, Any]) -> Grip:
+    """How an arm holds a handle; InvalidInputError for a hand without collision bodies.
+
+    Fingers are the joints behind the arm's last one. They are opened to the limit at which a bar
+    gets in deepest, and closed until they touch it. Where no bar gets in, the hand touches a knob.
+    """
+    fingers = _fingers(source)
+    ways = [
+        (hold, share)
+        for share in ((1.0, 0.0) if fingers else (0.0,))
+        for hold in _bars(source, _set(source, fingers, share))
+    ]
+    for hold, share in sorted(ways, key=lambda way: -way[0].beyond):
+        closed = _closed(source, hold, fingers, share)
+        if closed.touching:
+            return closed
+    return _knob(robot_from_source(source))
+
+
+def _fingers(source: Mapping[str, Any]) -> list[Joint]:
+    """The joints of the URDF that move behind the arm's last joint."""
+    robot, urdf = robot_from_source(source), read_urdf(Path(read_source(source).urdf))
+    last = robot.joint_names[-1]
+    behind = [
+        joint
+        for joint in urdf.joints.values()
+        if joint.name != last and last in [above.name for above in urdf.chain(joint.child)]
+    ]
+    free = [joint for joint in behind if joint.immovable_reason is None]
+    # the hand of TIAGo has tendons that turn by more than a joint can be held at
+    return free if all(max(-f.lower, f.upper) <= TURN for f in free) else []
+
+
+def _set(source: Mapping[str, Any], fingers: Sequence[Joint], share: float) -> dict[str, Any]:
+    """Fields of the robot with fingers at a share of their range; {} without fingers."""
+    if source.get("name") == "panda":
+        return {"finger_opening": round(share * FINGER_OPENING, 4)}
+    at = {f.name: round(f.lower + share * (f.upper - f.lower), 4) for f in fingers}
+    return {"locked": {**source.get("locked", {}), **at}} if fingers else {}
+
+
+def _pieces(robot: Robot) -> dict[str, np.ndarray]:
+    """Corners (k, 3) of the pieces of the hand, in the frame of the end effector."""
+    row, T = robot.end_effector_link
+    found = {
+        piece.name: (piece.vertices_in_link - T[:3, 3]) @ T[:3, :3]
+        for piece in robot.links
+        if piece.link == row
+    }
+    if not found:
+        raise InvalidInputError(
+            f"robot {robot.name} has no collision bodies at {robot.end_effector}, so nothing says "
+            "where a handle touches it; name another --end-effector, or a URDF with such bodies"
+        )
+    return found
+
+
+def _outward(robot: Robot) -> Axis:
+    """The axis of the end effector that points away from the last joint."""
+    _, T = robot.end_effector_link
+    away = T[:3, :3].T @ T[:3, 3]
+    if np.linalg.norm(away) < 0.01:
+        # the frame of the last link: long fingers say where it points, else the joint's axis
+        corners = np.concatenate(list(_pieces(robot).values()))
+        away = T[2, :3] * (-1.0 if corners.mean(axis=0) @ T[2, :3] > 0.0 else 1.0)
+        if np.abs(corners).max() > 0.08:
+            away = corners.flat[np.abs(corners).argmax()] * np.eye(3)[np.abs(corners).argmax() % 3]
+    k = int(np.argmax(np.abs(away)))
+    return get_args(Axis)[2 * k + (away[k] < 0.0)]
+
+
+def _frame(axis: Axis, turned: bool) -> np.ndarray:
+    """R_hand_handle (3, 3): x is the axis, y one of the two across it."""
+    k = "xyz".index(axis[-1])
+    x = np.eye(3)[k] * (-1.0 if axis[0] == "-" else 1.0)
+    y = np.eye(3)[(k + 1 + turned) % 3]
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def _gaps(pieces: Mapping[str, np.ndarray], box: Box, T_hand_box: np.ndarray) -> dict[str, float]:
+    """Distance of each piece of the hand to a box [m]."""
+    shape = coal_shape(box)
+    return {
+        name: shape_distance(convex_hull(corners), np.eye(4), shape, T_hand_box)
+        for name, corners in pieces.items()
+    }
+
+
+def _bars(source: Mapping[str, Any], opened: Mapping[str, Any], play: float = 0.003) -> list[Grip]:
+    """Bars across both ways between the fingers, where they get in deep enough.
+
+    play: between open fingers and a bar, at least [m].
+    """
+    robot, found = robot_from_source({**source, **opened}), []
+    pieces, axis = _pieces(robot), _outward(robot)
+    for turned in (False, True):
+        T = np.eye(4)
+        T[:3, :3] = R = _frame(axis, turned)
+        corners = np.concatenate(list(pieces.values())) @ R
+        tip, length = corners[:, 0].max(), round(2.0 * np.abs(corners[:, 1]).max() + 0.06, 2)
+        at = tip + BAR
+        while tip - at < 0.013:
+            T[:3, 3] = (at - 0.001) * R[:, 0]
+            if min(_gaps(pieces, Box((BAR, length, BAR)), T).values()) < play:
+                break
+            at -= 0.001
+        T[:3, 3] = at * R[:, 0]
+        if tip - at > 0.008:
+            found.append(Grip(robot, axis, np.linalg.inv(T), tip - at, length, (), opened))
+    return found
+
+
+def _knob(robot: Robot, half: float = 0.015, gap: float = 0.002) -> Grip:
+    """A knob that the hand touches: its end is a square of edge 2 half [m].
+
+    gap: between them [m]; contact would count as a collision before the hand holds it.
+    """
+    pieces, axis = _pieces(robot), _outward(robot)
+    R = _frame(axis, False)
+    corners = np.concatenate(list(pieces.values())) @ R
+    tip = corners[:, 0].max()
+    T = np.eye(4)
+    T[:3, :3] = R
+    box, at = Box((0.1, 2 * half, 2 * half)), tip
+    for at in np.arange(tip + gap, tip - 0.1, -0.0005):
+        T[:3, 3] = (at - 0.0005 + 0.05) * R[:, 0]
+        gaps = _gaps(pieces, box, T)
+        if min(gaps.values()) < gap:
+            break
+    T[:3, 3] = at * R[:, 0]
+    near = tuple(name for name, off in gaps.items() if off < 2 * gap)
+    return Grip(robot, axis, np.linalg.inv(T), max(tip - at, 0.0), 0.0, near)
+
+
+def _closed(source: Mapping[str, Any], hold: Grip, fingers: Sequence[Joint], opened: float) -> Grip:
+    """The same with the fingers closed until they touch the bar, from a share of their range."""
+    box, T = Box((BAR, hold.bar, BAR)), np.linalg.inv(hold.T_handle_hand)
+    fields, gaps = hold.opened, _gaps(_pieces(hold.robot), box, T)
+    share, step = 1.0 - opened, 2.0 * opened - 1.0  # first all the way, then halves of the rest
+    for _ in range(11 if fingers else 0):
+        tried = _set(source, fingers, share)
+        found = _gaps(_pieces(robot_from_source({**source, **tried})), box, T)
+        step *= 0.5
+        if min(found.values()) < 0.0:
+            share += step
+            continue
+        fields, gaps = tried, found
+        if min(gaps.values()) < 2e-4 or share == 1.0 - opened:
+            break
+        share -= step
+    near = {_link(name) for name, gap in gaps.items() if gap < 0.006}
+    touching = tuple(name for name in gaps if _link(name) in near)
+    return replace(hold, touching=touching, closed=fields)
+
+
+def _link(piece: str) -> str:
+    """The link of a piece, whose name ends with a number."""
+    return piece.rpartition("_")[0]

@@ -1,0 +1,305 @@
+"""A task to start from, with comments: an arm opens a drawer or a door that stands in its reach."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cvqmpt_lab.benchmarks.hold_handle import BAR, Grip, hold_of
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.inverse_kinematics import (
+    SAMPLE_MARGIN,
+    first_guesses,
+    hand_reach,
+    sample_region,
+    solve_poses,
+)
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.margins import Margin
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.robot.robot import SLOW
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.tasks.solve import solve_task
+from cvqmpt_lab.tasks.task import Move, Slide, Task, Turn
+from cvqmpt_lab.trajectory.timing import TimingSettings
+
+Furniture = Literal["drawer", "door"]
+# what fields of a task file may hold, as comments of the template
+COMMENTS = {
+    "task": [
+        "A task for `cvqmpt plan --task-file`. Lengths in m, angles in rad; a field _comment may "
+        "stand anywhere.",
+        "Planned phases: move (the hand into a region), slide (along an axis of the hand), turn "
+        "(a held door or drawer).",
+        "Between them: hold (a door or drawer), grasp (an object), release; `gripper` has fields "
+        "of the robot that change.",
+    ],
+    "articulation": (
+        "A drawer or door: the objects it moves, and its axis, the z of T_world_joint; a hinge "
+        "turns about it."
+    ),
+    "hold": (
+        "May touch: pieces of the robot (`cvqmpt robot NAME --json`) and parts of the furniture, "
+        "from then on."
+    ),
+    "turn": [
+        "How the hand holds the part: a region as in a problem file, whose frame w hangs on the "
+        "moving object `base`.",
+        "Bw: what it may do meanwhile; here all is fixed but the turn about a bar.",
+    ],
+    "away": "Regions in which the hand stops first, in this order.",
+}
+
+
+class Place(NamedTuple):
+    """Where a handle is, from the arm's first joint."""
+
+    yaw: float  # of the direction from the joint to it [rad]
+    ahead: float  # share of the hand's reach at which the hand holds it, closed
+    up: float  # height in shares of that reach
+    roll: float  # of the hand about the line to the handle [rad]
+    side: float  # -1 or 1: which way the hand comes from, and on which side a hinge is
+
+
+def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict[str, Any]:
+    """Json of a task that `solve_task` solves with birrt, for a robot's json.
+
+    Raises InvalidInputError, which says what is missing, if no such task is found.
+
+    Args:
+        source: of the robot; acceleration limits must be known.
+        what: the arm opens.
+    """
+    hold = hold_of(source)
+    reach = hand_reach(hold.robot)
+    tried, reached, failure = 0, 0, ""
+    for place in _places(hold, what):
+        tried += 1
+        made = _task(source, hold, what, place, reach)
+        start = _start(Task.from_dict(made), hold)
+        if start is None:
+            continue
+        reached += 1
+        made["start"] = dict(zip(hold.robot.joint_names, start.tolist(), strict=True))
+        solution = solve_task(
+            Task.from_dict(made),
+            "birrt",
+            Budget(seconds=3.0),
+            seed=0,
+            timing=TimingSettings(speed=SLOW),
+            margin=Margin(),
+        )
+        if solution.solved:
+            return made
+        failure = f"; at the last one {solution.failure}"
+    raise InvalidInputError(
+        f"no {what} was found that robot {hold.robot.name} opens: its {hold.robot.dof} joints bring"
+        f" {hold.robot.end_effector}, {hold.axis} ahead, to {reached} of {tried} places{failure}; "
+        "name another --end-effector, or change the task of another arm"
+    )
+
+
+def _places(hold: Grip, what: Furniture) -> Iterator[Place]:
+    """Places of the handle that are tried, likely ones first."""
+    quarter = np.pi / 2
+    # a bar lies across a drawer, and stands on a door
+    rolls = [(what == "door") * quarter, (what == "door") * quarter + np.pi]
+    if not hold.bar:
+        rolls = [0.0, quarter, np.pi, -quarter]
+    for turn in (0.0, 1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 2.0):
+        for ahead, up in ((0.6, 0.14), (0.7, 0.0), (0.65, 0.35), (0.8, 0.15), (0.6, -0.2)):
+            for roll in rolls:
+                for side in (1.0, -1.0):
+                    yield Place(turn * quarter, ahead, up, roll, side)
+
+
+def _task(
+    source: Mapping[str, Any], hold: Grip, what: Furniture, place: Place, reach: float
+) -> dict[str, Any]:
+    """The task of one place, without a start.
+
+    The frame of the room stands at the handle, x into the furniture, z up.
+    """
+    size = min(round(reach / 0.86, 2), 1.2)  # of the furniture: 1 for the panda
+    pull = 0.2 * size if what == "drawer" else -0.6 * place.side
+    approach = round(max(0.08 * size, hold.beyond + 0.03), 3)
+    x, y, z = hold.robot.kinematics.translation[0]
+    T_room_hand = np.eye(4)
+    T_room_hand[:3, :3] = Rotation.from_euler("x", place.roll).as_matrix()
+    T_room_hand = T_room_hand @ hold.T_handle_hand
+    forward = place.ahead * reach - T_room_hand[0, 3]
+    up = max(z + place.up * reach, 0.15 * size)
+    at = (x + forward * np.cos(place.yaw), y + forward * np.sin(place.yaw), up)
+    T_world_room = pose(np.round(at, 3), place.yaw)
+    if hold.robot.dof < 6:
+        T_world_room = T_world_room @ pose((0.0, _aside(hold, T_world_room, T_room_hand), 0.0))
+    grasp = T_world_room @ T_room_hand
+
+    def hand(dx: float, dy: float = 0.0, dz: float = 0.0) -> dict[str, Any]:
+        return _written(T_world_room @ pose((dx, dy, dz)) @ T_room_hand)
+
+    handle = f"{what}/bar" if hold.bar else f"{what}/knob"
+    objects, hinge = _furniture(hold, what, place.side, size, up)
+    scene_objects = [
+        {
+            "name": name,
+            "shape": {"type": "box", "size": np.round(edges, 3).tolist()},
+            "T_world_object": _written(T_world_room @ pose(np.round(middle, 3))),
+        }
+        for name, (edges, middle) in objects.items()
+    ]
+    knob = np.linalg.inv(T_world_room @ pose(np.round(objects[handle][1], 3))) @ grasp
+    region: dict[str, Any] = {
+        "base": handle,
+        "T0_w": {},
+        "Tw_e": _written(knob),
+        "Bw": [[0, 0] for _ in range(6)],
+    }
+    if hold.bar:
+        region["Bw"][4 if what == "drawer" else 5] = [-0.3, 0.3]
+    # a hand that less than six joints move cannot go sideways and stay turned as it is
+    aside = place.side * 0.25 * reach if hold.robot.dof > 5 else 0.0
+    away = (-0.3 * reach, aside, 0.1 * reach)
+    return {
+        "$schema": "task.schema.json",
+        "schema": Task.SCHEMA,
+        "_comment": COMMENTS["task"],
+        "name": what,
+        "robot": {**source, **hold.opened},
+        "scene": {
+            "name": "cabinet",
+            "objects": scene_objects,
+            "articulations": [
+                {
+                    "_comment": COMMENTS["articulation"],
+                    "name": what,
+                    "kind": "slider" if what == "drawer" else "hinge",
+                    "T_world_joint": _written(T_world_room @ hinge),
+                    "lower": min(0.0, round(1.5 * pull, 3)),
+                    "upper": max(0.0, round(1.5 * pull, 3)),
+                    "value": 0.0,
+                    "moves": [name for name in objects if name.startswith(f"{what}/")],
+                }
+            ],
+        },
+        "start": [0.0] * hold.robot.dof,
+        "phases": [
+            {"kind": "move", "name": "reach", "goal": {"pose": {"at": hand(-approach)}}},
+            _slide("approach", approach, hold),
+            {
+                "_comment": COMMENTS["hold"],
+                "kind": "hold",
+                "name": "close",
+                "articulation": what,
+                "gripper": dict(hold.closed),
+                "may_touch": [[piece, handle] for piece in hold.touching],
+            },
+            {
+                "kind": "turn",
+                "name": "pull",
+                "value": round(pull, 3),
+                "constraint": {"_comment": COMMENTS["turn"], **region},
+                "goal": region,
+            },
+            {"kind": "release", "name": "let-go", "gripper": dict(hold.opened)},
+            _slide("back", -approach, hold),
+            {
+                "_comment": COMMENTS["away"],
+                "kind": "move",
+                "name": "away",
+                "through": [{"pose": {"at": hand(away[0], 0.0, away[2]), "position": 0.02}}],
+                "goal": {"pose": {"at": hand(*away), "position": 0.02}},
+            },
+        ],
+    }
+
+
+def _aside(hold: Grip, T_world_room: np.ndarray, T_room_hand: np.ndarray) -> float:
+    """How far to the side a hand gets to that less than six joints move [m]; 0: it does not."""
+    bounds = np.zeros((6, 2))
+    bounds[1] = -0.1, 0.1
+    region, robot = TaskSpaceRegion(T_world_room, T_room_hand, bounds), hold.robot
+    guesses = first_guesses(robot, np.random.default_rng(0), 4)
+    poses = np.broadcast_to(np.eye(4), (4, 4, 4))
+    found = np.concatenate(solve_poses(robot, poses, guesses, anywhere=region))
+    if not len(found):
+        return 0.0
+    return float((np.linalg.inv(T_world_room) @ robot.pose(found[0]))[1, 3] - T_room_hand[1, 3])
+
+
+def _slide(name: str, distance: float, hold: Grip) -> dict[str, Any]:
+    """A slide along the hand's axis."""
+    axis = {} if hold.axis == "z" else {"axis": hold.axis}
+    return {"kind": "slide", "name": name, "distance": distance, **axis}
+
+
+def _furniture(
+    hold: Grip, what: Furniture, side: float, size: float, up: float
+) -> tuple[dict[str, tuple[Any, Any]], np.ndarray]:
+    """Boxes by name, (edges, middle) in the room [m], and T_room_joint (4, 4) of the furniture."""
+    far = round(max(0.04, hold.beyond + 0.025), 3)  # from the handle's origin to the front
+    wide, high = (0.5 * size, 0.2 * size) if what == "drawer" else (0.45 * size, 0.5 * size)
+    beside = 0.0 if what == "drawer" else side * (0.5 * wide - 0.05 * size)
+    front = 0.02
+    top = min(2.0 * up, up + 0.4 * size)
+    objects: dict[str, tuple[Any, Any]] = {
+        "cabinet": (
+            (0.4 * size, wide + 0.1 * size, top),
+            (far + front + 0.01 + 0.2 * size, beside, 0.5 * top - up),
+        ),
+        f"{what}/front": ((front, wide, high), (far + 0.5 * front, beside, 0.0)),
+    }
+    if hold.bar:
+        long = np.array((0.0, 1.0, 0.0) if what == "drawer" else (0.0, 0.0, 1.0))
+        objects[f"{what}/bar"] = (BAR + (hold.bar - BAR) * long, (0.0, 0.0, 0.0))
+        deep = far - 0.5 * BAR
+        for name, way in (("left_post", 1.0), ("right_post", -1.0)):
+            middle = 0.5 * (BAR + deep) * np.eye(3)[0] + way * 0.5 * (hold.bar - BAR) * long
+            objects[f"{what}/{name}"] = ((deep, BAR, BAR), middle)
+    else:
+        objects[f"{what}/knob"] = ((far, 0.03, 0.03), (0.5 * far, 0.0, 0.0))
+    if what == "drawer":
+        hinge = np.eye(4)
+        hinge[:3, :3] = Rotation.from_euler("y", -np.pi / 2).as_matrix()
+        return objects, hinge
+    return objects, pose((far + 0.5 * front, beside + side * 0.5 * wide, 0.0))
+
+
+def _start(task: Task, hold: Grip) -> np.ndarray | None:
+    """A configuration (n,) at the end of the task; None if the hand does not get to all poses."""
+    robot, rng = hold.robot, np.random.default_rng(0)
+    checker = CollisionChecker(robot, task.scene, margin=SAMPLE_MARGIN)
+    reach, away = (phase for phase in task.phases if isinstance(phase, Move))
+    turn = next(phase for phase in task.phases if isinstance(phase, Turn))
+    *_, slide = (phase for phase in task.phases if isinstance(phase, Slide))
+    opened = task.scene.with_joint(task.name, turn.value)
+    last = turn.goal.at(opened[turn.goal.base].T_world_object)
+    there = CollisionChecker(robot, opened, margin=SAMPLE_MARGIN)
+    back = TaskSpaceRegion(last.T0_w, last.Tw_e @ pose(slide.way), np.zeros((6, 2)))
+    for region, check in (
+        (reach.goal, checker),
+        (last, there),
+        (back, there),
+        (away.through[0], there),
+    ):
+        if not len(sample_region(robot, region, check, rng, 1, max_poses=3).configurations):
+            return None
+    exact = TaskSpaceRegion(away.goal.T0_w, away.goal.Tw_e, np.zeros((6, 2)))
+    found = sample_region(robot, exact, checker, rng, 8, max_poses=8).configurations
+    if not len(found):
+        return None
+    middle = 0.5 * (robot.lower + robot.upper)
+    middle = np.where(robot.turning, np.clip(0.0, robot.lower, robot.upper), middle)
+    inside = found.round(4).clip(robot.lower, robot.upper)
+    return min(inside, key=lambda q: float(np.linalg.norm(q - middle)))
+
+
+def _written(T: np.ndarray) -> dict[str, Any]:
+    """A pose (4, 4) as a task file has it; a turn of 0 is left out."""
+    xyz = (np.round(T[:3, 3], 6) + 0.0).tolist()
+    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()
+    if abs(quaternion[3]) > 1.0 - 1e-12:
+        return {"xyz": xyz}
+    return {"xyz": xyz, "quaternion": (np.round(quaternion, 7) + 0.0).tolist()}
