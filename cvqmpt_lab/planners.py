@@ -261,8 +261,7 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
         planner = external_planner(name)
         found = Method(name, planner.stages, external=planner.made_by, grows=False)
     if found is None:
-        others = [*entry_point_names(), "package.module:planner"]
-        known = [*ours, f"{PREFIX}random+wide, ...", *others]
+        known = ["package.module:planner", *ours, f"{PREFIX}random+wide", *entry_point_names()]
         raise UnknownChoiceError("planner", name, known)
     found = found if model is None else found.with_model(model)
     return found if reach is None else found.with_reach(reach)
