@@ -141,6 +141,7 @@ def _plot(
     """A plot as json data; bounds are red, and numbers that are not finite become null."""
     low, high = plot.extremes
     margin = 0.08 * max(high - low, 1e-3)
+    bottom = low if plot.from_zero and low == 0.0 else low - margin
     curves = []
     for k, (name, values) in enumerate(plot.lines.items()):
         bound = name in plot.bounds
@@ -153,4 +154,4 @@ def _plot(
                 "bound": bound,
             }
         )
-    return {"title": plot.title, "curves": curves, "low": low - margin, "high": high + margin}
+    return {"title": plot.title, "curves": curves, "low": bottom, "high": high + margin}
