@@ -185,13 +185,6 @@ def still_image(
     return stage.image(whole(robot_bodies(problem, q[None])))
 
 
-def draw_world(problem: PlanningProblem, path: Path, size: tuple[int, int] = (1200, 800)) -> None:
-    """Write a PNG of the whole scene and the robot at the start."""
-    bodies = [*robot_bodies(problem, problem.start[None]), *scene_bodies(problem.scene, ())]
-    viewpoint = framed(whole(bodies).corners.reshape(-1, 3), size)
-    write_png(Path(path), still_image(problem, problem.start, size, viewpoint, hidden=()))
-
-
 def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 450)) -> list[str]:
     """Write `task_image` as a PNG; return the names in it."""
     image, names = task_image(solution, size)

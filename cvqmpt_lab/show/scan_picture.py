@@ -1,4 +1,4 @@
-"""A picture of a scan: its raw points, what filters removed, the cameras, and the obstacles made."""
+"""A picture of a scan: raw points, those that filters removed, cameras, obstacles made of it."""
 
 from pathlib import Path
 
