@@ -24,7 +24,6 @@ from paper_tables.judging import Ruling
 from paper_tables.layouts import place_table
 from paper_tables.plots import COLOURS, OURS, line_style
 from paper_tables.statements import read_published
-from paper_tables.plots import line_style
 from paper_tables.suites import render_directory
 from paper_tables.writers import latex_table
 
