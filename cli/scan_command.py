@@ -21,7 +21,6 @@ from cli.problem_options import ROBOT, chosen_robot, configuration
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.files import json_text, write_text
-from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
 from cvqmpt_lab.scene.scene import Scene
@@ -223,10 +222,13 @@ def run(args: argparse.Namespace) -> int:
             write_cloud(path, made.points)
         print(f"written to {path}")
     if args.picture:
-        q = 0.5 * (robot.lower + robot.upper) if arm is None else arm.q
-        from cvqmpt_lab.show.picture import draw_world  # Pillow and drawing take 0.2 s to import
+        shown = None
+        if args.robot is not None or args.urdf is not None:
+            shown = arm or Arm(robot, 0.5 * (robot.lower + robot.upper))
+        # Pillow and drawing take 0.2 s to import
+        from cvqmpt_lab.show.scan_picture import draw_scan
 
-        draw_world(PlanningProblem("scan", robot, scene, start=q, goals=q[None]), args.picture)
+        draw_scan(made, scene, args.voxel, args.picture, shown)
         print(f"picture written to {args.picture}")
     return 0
 
@@ -244,7 +246,11 @@ OPTIONS: Options = {
         metavar="OUT.pcd|ply|npy|json",
         **REPEATED,
     ),
-    "--picture": option("what is left, and the robot", type=writable_file, metavar="P.png"),
+    "--picture": option(
+        "raw and removed points, cameras, axes, obstacles; a robot if --robot or --urdf names it",
+        type=writable_file,
+        metavar="P.png",
+    ),
     **SCAN,
     "the robot whose points go (panda)": ROBOT,
 }

@@ -286,6 +286,7 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
         "blocks": [block for block in table_of(rows).sections.items() if block[1]] if rows else [],
         "planners": list(groups),
         "plots": _plots(groups) if rows else {},
+        "colours": _colours(groups) if rows else {},
         "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},
         # the command that repeats a row
         "again": f"cvqmpt plan {problem} --planner PLANNER --seed SEED --picture plan.png",
@@ -294,17 +295,37 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _plots(groups: Mapping[str, Rows]) -> dict[str, str]:
-    """Plots of rows as svg, by title."""
+def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
+    """Plots of rows, by title: as svg, and what is seen in words."""
     from paper_tables import plots  # matplotlib takes a second to import
 
     length = VALUES["path_length"]
+    boxes = "A box holds the middle half of the runs, its line is the median, whiskers hold 90 %."
     return {
-        "Solved against time": plots.solved_curve(groups),
-        "Path length, solved runs": plots.distribution(groups, length, "length [rad]", log=False),
-        "Work, solved runs": plots.distribution(groups, work, "projections and state checks"),
-        "Where time goes": plots.stage_times(groups),
+        "Solved against time": {
+            "svg": plots.solved_curve(groups),
+            "words": "A line a planner; higher and further left is better.",
+        },
+        "Work, solved runs": {
+            "svg": plots.distribution(groups, work, "projections and state checks"),
+            "words": f"{boxes} Further left is less work.",
+        },
+        "Path length, solved runs": {
+            "svg": plots.distribution(groups, length, "length [rad]", log=False),
+            "words": f"{boxes} Further left is shorter.",
+        },
+        "Where time goes": {
+            "svg": plots.stage_times(groups),
+            "words": "A bar a planner; a colour a stage of planning.",
+        },
     }
+
+
+def _colours(groups: Mapping[str, Rows]) -> dict[str, str]:
+    """The colour of each planner in the plots, as html writes it."""
+    from paper_tables import plots
+
+    return {name: plots.line_style(name)["color"] for name in groups}
 
 
 def _row(row: ResultRow) -> list[object]:

@@ -4,6 +4,7 @@ Pictures, films, web pages and recordings draw only these, so they need not know
 constraint is.
 """
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,7 +20,7 @@ from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.show.curves import Plot, plots_along
+from cvqmpt_lab.show.curves import Plot, plots_along, plots_over
 from cvqmpt_lab.show.marks import axes_marks, constraint_marks
 from cvqmpt_lab.show.meshes import (
     Colour,
@@ -249,7 +250,7 @@ def seen_of_solution(
 ) -> Seen:
     """What is shown of a solution, or of a task; see `seen_of_problem`."""
     if isinstance(solution, TaskSolution):
-        return seen_of_moments(moments_of(solution), hidden=hidden)
+        return seen_of_moments(moments_of(solution, plots), hidden=hidden, plots=plots)
     return seen_of_problem(
         solution.problem,
         solution.path if solution.simplified else None,
@@ -264,11 +265,12 @@ def seen_of_solution(
 
 
 class Frame(NamedTuple):
-    """A moment of a task: time [s], name of the phase, state of the world."""
+    """A moment of a task: time [s], name of the phase, state of the world, clearance."""
 
     time: float
     phase: str
     world: World
+    clearance: float = math.nan  # [m], nan where nothing is planned
 
 
 class Moments(NamedTuple):
@@ -280,9 +282,9 @@ class Moments(NamedTuple):
     lines: Sequence[str] = ()  # of text, below the drawing of a web page
 
 
-def moments_of(solution: TaskSolution) -> Moments:
+def moments_of(solution: TaskSolution, clearance: bool = False) -> Moments:
     """Moments of a task up to the phase that failed; InvalidInputError where there are none."""
-    name, found = solution.task.name, frames(solution)
+    name, found = solution.task.name, frames(solution, clearance=clearance)
     if not found:
         raise InvalidInputError(f"nothing to show of task {name}: {solution.failure}")
     verdict = "solved and certified" if solution.solved else solution.failure
@@ -290,13 +292,16 @@ def moments_of(solution: TaskSolution) -> Moments:
     return Moments(title, solution.task.scene, found, repr(solution).splitlines())
 
 
-def frames(solution: TaskSolution, period: float = 0.1, pause: float = 0.5) -> list[Frame]:
+def frames(
+    solution: TaskSolution, period: float = 0.1, pause: float = 0.5, clearance: bool = False
+) -> list[Frame]:
     """Moments of a task in order, up to its end or the phase that failed.
 
     Args:
         solution: of the task.
         period: time between two moments of a motion [s].
         pause: time for opening or closing the fingers [s].
+        clearance: whether that of moments in motion is computed.
     """
     outcomes = {outcome.phase.name: outcome for outcome in solution.outcomes if outcome.solved}
     world, time, found = World.before(solution.task), 0.0, []
@@ -311,8 +316,10 @@ def frames(solution: TaskSolution, period: float = 0.1, pause: float = 0.5) -> l
         outcome = outcomes[phase.name]
         assert outcome.trajectory is not None and outcome.solution.path is not None
         motion = outcome.trajectory.sampled(period)
+        checker = outcome.solution.problem.collision_checker()
         for t, q in zip(motion.times, motion.positions, strict=True):
-            found.append(Frame(time + float(t), phase.name, world.moved(q)))
+            free = checker.clearance(q) if clearance else math.nan
+            found.append(Frame(time + float(t), phase.name, world.moved(q), free))
         world = world.moved(outcome.solution.path.states[-1])
         time += motion.duration
     return found
@@ -327,9 +334,9 @@ def shown(world: World) -> PlanningProblem:
 
 
 def seen_of_moments(
-    shows: Moments, most: int | None = None, hidden: Sequence[str] = HIDDEN
+    shows: Moments, most: int | None = None, hidden: Sequence[str] = HIDDEN, plots: bool = False
 ) -> Seen:
-    """What is shown of moments, of at most `most` of them."""
+    """What is shown of moments, of at most `most` of them, without `hidden` objects."""
     moments, scene = shows.frames, shows.scene
     if most is not None and most < len(moments):
         moments = [moments[k] for k in np.linspace(0, len(moments) - 1, most).astype(int)]
@@ -354,14 +361,18 @@ def seen_of_moments(
     for name, Ts in moved.items():
         mesh = shape_mesh(scene[name].shape)
         moving.append(Body("moved", "moving", name, mesh, colour_of(name), Ts))
+    motion = [(moment.world.arm, moment.world.q, moment.clearance) for moment in moments]
+    hand = beads(np.array([arm.pose(q)[:3, 3] for arm, q, _ in motion]))
+    trace = Body("path of the hand", "path", "hand", hand, TRACE, behind=0.45)
     return Seen(
         shows.title,
         scene_bodies(scene.without(*moved), hidden),
         ground_height(scene),
         moving,
-        (),
+        (trace,) if plots else (),
         [moment.phase for moment in moments],
         np.array([moment.time for moment in moments]),
+        plots_over(motion) if plots else (),
         lines=shows.lines,
     )
 

@@ -39,7 +39,7 @@ from cvqmpt_lab.show.bodies import (
     shown,
     whole,
 )
-from cvqmpt_lab.show.meshes import Colour, Mesh, joined
+from cvqmpt_lab.show.meshes import Colour, Mesh, joined, shape_mesh
 from cvqmpt_lab.show.raster import Layer, Stage, Viewpoint, clear_viewpoint, framed
 from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import PlannedPhase, Task
@@ -152,7 +152,7 @@ def problem_image(
     size = (size[0], size[1] - len(legend))
     moving = list(seen.layers("goals", "way", "path").values())
     parts = [whole(bodies) for bodies in (start, *moving[:1], *moving[-1:])]
-    stage = clear_stage(seen, parts, size)
+    stage = clear_stage(seen, parts, size, map(whole, over))
     return np.concatenate([stage.image(parts[0], layers_on(stage, over)), legend])
 
 
@@ -161,10 +161,12 @@ def layers_on(stage: Stage, layers: Sequence[Sequence[Body]]) -> list[Layer]:
     return [stage.layer(whole(bodies), bodies[0].opacity, bodies[0].behind) for bodies in layers]
 
 
-def clear_stage(seen: Seen, parts: Sequence[Mesh], size: tuple[int, int]) -> Stage:
-    """The scene, from a viewpoint that shows most of the parts of a motion."""
+def clear_stage(
+    seen: Seen, parts: Sequence[Mesh], size: tuple[int, int], inside: Iterable[Mesh] = ()
+) -> Stage:
+    """The scene, from a viewpoint that shows most of a motion's parts; see `clear_viewpoint`."""
     still = whole(seen.scene)
-    return Stage(still, seen.ground, clear_viewpoint(parts, still, size), size)
+    return Stage(still, seen.ground, clear_viewpoint(parts, still, size, [*inside]), size)
 
 
 def still_image(
@@ -181,13 +183,6 @@ def still_image(
     scene = whole(scene_bodies(problem.scene, hidden))
     stage = Stage(scene, ground_height(problem.scene), viewpoint, size)
     return stage.image(whole(robot_bodies(problem, q[None])))
-
-
-def draw_world(problem: PlanningProblem, path: Path, size: tuple[int, int] = (1200, 800)) -> None:
-    """Write a PNG of the whole scene and the robot at the start."""
-    bodies = [*robot_bodies(problem, problem.start[None]), *scene_bodies(problem.scene, ())]
-    viewpoint = framed(whole(bodies).corners.reshape(-1, 3), size)
-    write_png(Path(path), still_image(problem, problem.start, size, viewpoint, hidden=()))
 
 
 def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 450)) -> list[str]:
@@ -216,7 +211,14 @@ def task_image(
     chosen = {name: shown(world) for name, world in worlds.items() if name in planned}
     arms = [whole(robot_bodies(problem, problem.start[None])) for problem in chosen.values()]
     scene = whole(scene_bodies(list(chosen.values())[-1].scene))
-    viewpoint = clear_viewpoint([joined(arms)], scene, size)
+    before = {item.name: item.T_world_object for item in solution.task.scene}
+    moved = [
+        shape_mesh(item.shape).placed(item.T_world_object)
+        for problem in chosen.values()
+        for item in problem.scene
+        if not np.array_equal(item.T_world_object, before[item.name])
+    ]
+    viewpoint = clear_viewpoint([joined(arms)], scene, size, moved)
     panels = []
     for k, (name, problem) in enumerate(chosen.items(), start=1):
         image = still_image(problem, problem.start, size, viewpoint)
@@ -306,9 +308,11 @@ def film_solution(
         captions = dict.fromkeys(seen.labels, strip(legend_of(bodies), size[0], 42))
     count = len(seen.labels)
     # the viewpoint is chosen for some eight of its states
-    views = [whole(arm, k) for k in range(0, count, max(1, count // 8))]
-    stage = clear_stage(seen, [joined(views)], size)
-    layers = layers_on(stage, list(seen.layers("goals", "path").values()))
+    some = range(0, count, max(1, count // 8))
+    views, over = [whole(arm, k) for k in some], list(seen.layers("goals", "path").values())
+    inside = [*(whole(seen.moving, k) for k in some), *map(whole, over)]
+    stage = clear_stage(seen, [joined(views)], size, inside)
+    layers = layers_on(stage, over)
     images = []
     for k, label in enumerate(seen.labels):
         image = stage.image(whole(seen.moving, k), layers)

@@ -299,6 +299,7 @@ def clear_viewpoint(
     parts: Sequence[Mesh],
     scene: Mesh,
     size: tuple[int, int],
+    inside: Sequence[Mesh] = (),
     azimuths: Sequence[float] = (-132, -165, -95, 160, 125, -60, 90, -25, 55, 15),
     enough: float = 0.8,
     gain: float = 0.05,
@@ -310,13 +311,14 @@ def clear_viewpoint(
         parts: of the motion.
         scene: what may be in front of them.
         size: width and height of the picture [pixels].
+        inside: what the picture holds too, even where the scene hides it.
         azimuths: from the motion to the eye, in the order in which they are tried [deg].
         enough: share of the motion in sight at which no other direction is tried.
         gain: share that another direction must show more to be taken instead.
         rows: of the small pictures in which directions are compared [pixels].
     """
     shape = (rows, round(rows * size[0] / size[1]))
-    points = np.concatenate([part.corners.reshape(-1, 3) for part in parts])
+    points = np.concatenate([part.corners.reshape(-1, 3) for part in (*parts, *inside)])
     best, best_share = framed(points, size), -1.0
     for azimuth in azimuths:
         viewpoint = framed(points, size, azimuth)

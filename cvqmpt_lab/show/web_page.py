@@ -82,7 +82,11 @@ def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> str:
     # the first view shows the robot at the start of a task, or at both ends of a path
     ends = (0,) if seen.times is not None else (0, len(seen.labels) - 1)
     robot = [body for body in seen.moving if body.layer == "robot"]
-    viewpoint = clear_viewpoint([whole(robot, k) for k in ends], whole(seen.scene), size)
+    views = [whole(robot, k) for k in ends]
+    # and holds the whole motion, at some ten states
+    count = len(seen.labels)
+    inside = [whole(seen.moving, k) for k in range(0, count, max(1, count // 10))]
+    viewpoint = clear_viewpoint(views, whole(seen.scene), size, inside)
     bodies = seen.bodies("goals", "path", "constraint", "hand")
     offset = np.subtract(viewpoint.eye, viewpoint.target)
     distance = float(np.linalg.norm(offset))
@@ -137,6 +141,7 @@ def _plot(
     """A plot as json data; bounds are red, and numbers that are not finite become null."""
     low, high = plot.extremes
     margin = 0.08 * max(high - low, 1e-3)
+    bottom = low if plot.from_zero and low == 0.0 else low - margin
     curves = []
     for k, (name, values) in enumerate(plot.lines.items()):
         bound = name in plot.bounds
@@ -149,4 +154,4 @@ def _plot(
                 "bound": bound,
             }
         )
-    return {"title": plot.title, "curves": curves, "low": low - margin, "high": high + margin}
+    return {"title": plot.title, "curves": curves, "low": bottom, "high": high + margin}

@@ -1,15 +1,19 @@
 """`cvqmpt scan` and `cvqmpt plan --cloud`: a file gives a cloud, scene, path, or one error."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_line import SCAN_START, refused, run_here
+from PIL import Image
 from scipy.spatial import cKDTree
 
 from cvqmpt_lab.scene.cloud_files import read_cloud, write_cloud
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.sensing.filters import near_robot
+from cvqmpt_lab.sensing.scan import ScanSettings, scan
+from cvqmpt_lab.show.scan_picture import scan_bodies
 
 START, GOAL = SCAN_START, SCAN_START[1:]
 
@@ -36,6 +40,31 @@ def test_a_depth_image_becomes_a_clean_cloud_and_a_scene(
     assert set(scene.names) == {"scan", "table"} and scene["scan"].shape.resolution == 0.02
     off, _ = cKDTree(scene["scan"].shape.centres).query(points, p=np.inf)
     assert off.max() < 0.01 + 1e-6, "every point lies in a cell"
+
+
+def test_a_picture_shows_raw_and_removed_points_and_a_robot_that_is_named(
+    scan_folder, camera, tmp_path, cvqmpt
+):
+    """The white of the robot is in the picture only with --robot; red points are the arm's."""
+    words = [scan_folder / "depth.png", *camera, "--arm-at", START]
+    light, red = [], []
+    for k, more in enumerate(([], ["--robot", "panda"])):
+        cvqmpt("scan", *words, *more, "--picture", tmp_path / f"{k}.png")
+        image = np.array(Image.open(tmp_path / f"{k}.png").convert("RGB"), dtype=int)[:700]
+        light.append(((np.ptp(image, axis=2) < 12) & (image.max(axis=2) < 240)).sum())
+        red.append((image[..., 0] - image[..., 1] > 80).sum())
+    assert light[1] > light[0] + 3000 and red[0] > 1000
+
+
+def test_the_bodies_of_a_scan_are_its_points_its_camera_and_axes(scan_folder):
+    cloud = read_cloud(scan_folder / "cloud.ply")
+    T = np.eye(4)
+    T[2, 3] = 1.0
+    made = scan([replace(cloud, T_world_camera=T)], ScanSettings(), np.random.default_rng(0))
+    groups = {body.group: body for body in scan_bodies(made, ScanSettings().voxel)}
+    axes = {f"{name} of the base frame" for name in "xyz"}
+    assert groups.keys() - {"raw points, removed"} == {"raw points, kept", "camera", *axes}
+    assert groups["camera"].poses[0] == pytest.approx(T)
 
 
 @pytest.mark.parametrize(

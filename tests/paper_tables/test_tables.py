@@ -199,6 +199,9 @@ def test_a_report_holds_all_its_parts_needs_no_network_and_names_are_text(page):
     texts = "Does the paper hold?", "not comparable", "Solved against time", "Where time goes"
     assert all(text in page for text in (*texts, "Provenance"))
     assert page.count("<svg") == 4 and "cvqmpt plan place-task --problem PROBLEM" in page
+    colours, plot, table = map(page.index, ("What the colours mean", "<svg", '<div class="wide">'))
+    assert colours < plot < table, "plots lead"
+    assert f'background: {line_style("opt-cvq-mpt")["color"]}"></i> opt-cvq-mpt' in page
     assert 'href="#rows/0/opt-cvq-mpt"' in page, "a number leads to its rows"
     fetched = re.findall(r'(?:src|href)="([^"]*)"', page) + re.findall(r"url\(([^)]*)\)", page)
     assert all(target.startswith(("#", "data:")) for target in fetched) and "@import" not in page

@@ -13,6 +13,11 @@ from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import upright, upright_box
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.search.result import JointPath
+from cvqmpt_lab.show import picture
 from cvqmpt_lab.show.bodies import (
     frames,
     ground_height,
@@ -20,6 +25,7 @@ from cvqmpt_lab.show.bodies import (
     robot_bodies,
     scene_bodies,
     seen_of_moments,
+    seen_of_problem,
     whole,
 )
 from cvqmpt_lab.show.marks import constraint_marks
@@ -84,6 +90,21 @@ def test_the_cone_of_a_tilt_is_as_wide_as_its_bound(problem, region):
     rays = rays[np.linalg.norm(rays, axis=1) > 1e-6]
     angles = np.arccos(rays[:, 2] / np.linalg.norm(rays, axis=1))
     assert angles == pytest.approx(region.bounds[region.bounded_rows[-1], 1], abs=1e-6)
+
+
+def test_all_of_a_motion_is_inside_of_the_picture(problem, monkeypatch):
+    """Between two ends that are one, the arm swings a long stick far round."""
+    stick = Attachment("stick", Box((0.05, 0.05, 2.0)), pose((0.0, 0.0, 1.0)))
+    carrying, away = replace(problem, attachments=(stick,)), problem.start.copy()
+    away[0] += 2.5
+    path = JointPath(np.linspace(problem.start, away, 9)[[*range(9), *range(8, -1, -1)]])
+    stages = []
+    monkeypatch.setattr(picture, "Stage", lambda *words: stages.append(words) or Stage(*words))
+    picture.problem_image(carrying, path, (120, 80))
+    _, _, viewpoint, (width, height) = stages[0]
+    corners = whole(seen_of_problem(carrying, path).over).corners
+    columns, rows, _ = np.moveaxis(viewpoint.screen(corners, (height, width)), -1, 0)
+    assert columns.min() > 0 and columns.max() < width and rows.min() > 0 and rows.max() < height
 
 
 def test_what_cannot_be_written_is_refused(unsolved, tmp_path):

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 from base64 import b64decode
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from PIL import Image
 
 from cvqmpt_lab.show import web_page
 from cvqmpt_lab.show.web_page import save_page
+from cvqmpt_lab.tasks.world import World
 
 BROWSERS = map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
 BROWSER = next(filter(None, BROWSERS), None)
+NODE = shutil.which("node")
 
 
 def data_of(path):
@@ -48,8 +51,39 @@ def test_a_page_holds_the_motion_and_its_plots(solution, tmp_path):
     bounds = plots["rotation about y against its bounds [rad]"]["curves"]
     assert [curve["bound"] for curve in bounds] == [False, True, True]
     assert bounds[2]["values"][0] == 0.1
+    limit = np.degrees(2.0 * np.arcsin(0.5 * np.hypot(0.1, 0.1)))
+    assert plots["tilt of the hand [deg]"]["curves"][1]["values"][0] == pytest.approx(limit, 1e-4)
+    assert plots["tilt of the hand [deg]"]["low"] == plots["clearance [mm]"]["low"] == 0.0
     assert min(plots["clearance [mm]"]["curves"][0]["values"]) > 0.0
     assert max(plots["tilt of the hand [deg]"]["curves"][0]["values"]) < np.degrees(0.1415)
+
+
+def test_a_page_of_a_task_has_the_hands_way_clearance_and_joints(task_solution, tmp_path):
+    save_page(task_solution, tmp_path / "task.html")
+    data = data_of(tmp_path / "task.html")
+    assert "path of the hand" in {body["group"] for body in data["bodies"]}
+    path, clearance, joints = data["plots"]
+    assert [curve["name"] for curve in path["curves"]] == ["x", "y", "z"]
+    assert [curve["name"] for curve in joints["curves"]] == list(
+        World.before(task_solution.task).arm.joint_names
+    )
+    known = [value for value in clearance["curves"][0]["values"] if value is not None]
+    assert len(clearance["curves"][0]["values"]) == data["states"] > len(known) > 10
+    assert min(known) > 0.0
+
+
+@pytest.mark.skipif(NODE is None, reason="no Node.js is installed")
+def test_legends_name_every_curve_with_its_value(solution, tmp_path):
+    save_page(solution, tmp_path / "plan.html")
+    script = Path(__file__).with_name("run_page.js")
+    command = [NODE, script, tmp_path / "plan.html", "0"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    tilt, *_, joints = done.stdout.splitlines()
+    assert tilt.startswith("tilt of the hand [deg]: tilt ") and "bounds 8.11" in tilt
+    for name, value in zip(
+        solution.problem.robot.joint_names, solution.path.states[0], strict=True
+    ):
+        assert f"{name} {float(f'{value:.3g}'):g}" in joints
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
