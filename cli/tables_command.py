@@ -18,7 +18,7 @@ from cli.options import (
     writable_file,
 )
 from cli.problem_options import planner_list
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, in_checkout
 from cvqmpt_lab.files import write_text
 from experiments import regression
 from experiments.regression import EXPECTED
@@ -92,12 +92,13 @@ def _rule(text: str) -> Any:
 
 def claims(args: argparse.Namespace) -> int:
     """Judge every claim of the paper, print the verdicts, and write the page if asked to."""
-    if args.results is None:
-        require_checkout("cvqmpt claims", "a folder of results directories")
+    if args.results is None and args.write:
+        require_checkout("cvqmpt claims --write", "name a folder of results directories")
     print("\n".join(verdict_lines(args.results or RESULTS)))
     page = pages.PAGE if args.results is None else args.results / "claims.md"
     if not args.write:
-        print(f"nothing written; --write writes {page}")
+        if args.results or in_checkout():
+            print(f"nothing written; --write writes {page}")
         return 0
     texts = pages.committed_pages() if args.results is None else {page: page_of(args.results)}
     for path, text in texts.items():
@@ -189,10 +190,10 @@ def _check_ours(args: argparse.Namespace) -> int:
         if getattr(args, name) is not None:
             raise InvalidInputError(f"--{name} goes with a folder of problem files; name it")
     args.expected = args.expected or EXPECTED
-    if args.expected == EXPECTED or args.results == RESULTS:
-        require_checkout("cvqmpt check-tables", "--expected F.json and --results DIR")
     expected = None
     if args.update:
+        if args.expected == EXPECTED:
+            require_checkout("cvqmpt check-tables --update", "name a file: --expected F.json")
         writable_file(args.expected)
     else:
         expected = regression.Expectations.load(args.expected)

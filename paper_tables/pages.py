@@ -14,7 +14,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, in_checkout
 from cvqmpt_lab.files import read_text
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
@@ -211,7 +211,7 @@ def committed_pages() -> dict[Path, str]:
     found = evidence_below(RESULTS)
     claims = judged_claims(found)
     pages = {PAGE: page_text(found, claims, PAGE.parent)}
-    if README.is_file():
+    if in_checkout():
         pages[README] = with_part(read_text(README), "verdicts", headline_text(claims))
     return pages
 
