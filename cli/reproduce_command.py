@@ -130,7 +130,7 @@ def _reproduce_all(args: argparse.Namespace) -> int:
         reproduce_figure(figure, folder, command, range(count))
     page = out / "claims.md"
     write_text(page, page_of(out))
-    print("\n".join(verdict_lines(out)))
+    print("\n".join(verdict_lines(out, beside=True)))
     print(f"every claim, its numbers and commands: {page}")
     print(f"report, for a browser: {write_report(out)}")
     return 0

@@ -89,6 +89,15 @@ def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
     return lines
 
 
+def beside_lines(own: Sequence[JudgedClaim], committed: Sequence[JudgedClaim]) -> Lines:
+    """A line a claim: numbers and verdict of own rows, and the verdict of the committed ones."""
+    lines = [["claim", "against", "paired [%]", "own verdict", "committed verdict"]]
+    for line, known in zip(summary_lines(own)[1:], committed, strict=True):
+        claim, against, paired_change, _, ruling = line
+        lines.append([claim, against, paired_change, ruling, str(known.ruling)])
+    return lines
+
+
 def headline_lines(claims: Iterable[JudgedClaim]) -> Lines:
     """The claims that the README shows: in the paper's words, measured, and why."""
     lines = [["claim", "paper", "measured [%]", "verdict", "why"]]
