@@ -67,17 +67,23 @@ def write_report(directory: Path, out: Path | None = None) -> Path:
 
 def compare(args: argparse.Namespace) -> int:
     """Pair two runs of the same problems and print what changed."""
-    from paper_tables.compare_runs import clear, compared, comparison_lines
+    from paper_tables.compare_runs import clear, compared, comparison_lines, planners_of_one
     from paper_tables.suites import directory_rows
 
-    found = compared(directory_rows(args.before), directory_rows(args.after))
+    before, after = directory_rows(args.before), directory_rows(args.after)
+    found, alone = compared(before, after), planners_of_one(before, after)
     print(
         f"from A, {args.before}, to B, {args.after}; runs of both; changes over those that both "
         "solved, 95 % intervals"
     )
     print("\n".join(text_lines(comparison_lines(found))))
     print("\n".join(clear(found) or ["no clear change"]))
+    for run, planners in zip("AB", alone, strict=True):
+        if planners:
+            print(f"in {run} alone, not compared: {', '.join(planners)}")
     broken = [line for rule in args.fail_if for line in rule.broken(found)]
+    if args.fail_if:  # a planner that vanished must not pass
+        broken += [f"{name}: B has no runs of it" for name in alone[0]]
     for line in broken:
         print(f"fails: {line}")
     return 1 if broken else 0
@@ -251,7 +257,7 @@ COMPARE: Options = {
     "--fail-if": option(
         "exit with 1 if a planner's number is so: COLUMN OP NUMBER, where COLUMN is the ratio B/A "
         "of time, work, checks, projections or length, or solved, B - A in points; OP is <, <=, "
-        "> or >=; repeatable",
+        "> or >=; or if B lacks a planner of A; repeatable",
         type=_rule,
         metavar="RULE",
         **REPEATED,
