@@ -145,7 +145,7 @@ OPTIONS: Options = {
         metavar="DIR",
     ),
     "--profile": option(
-        f"of {ALL}: {', '.join(PROFILES)}; on two cores two hours, three minutes (full)",
+        f"of {ALL}: {', '.join(PROFILES)}; on two cores two hours, 1 to 3 minutes (full)",
         default="full",
     ),
     "--problems": option(

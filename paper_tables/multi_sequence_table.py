@@ -168,9 +168,9 @@ def _absent(runs: SuiteRuns) -> list[str]:
     if CBIRRT in runs.groups:
         return []
     return [
-        f"{CBIRRT} has no rows here. Cut off after 2 s, as with --profile small, it solves no task "
-        "and takes back one attempt after the other, for a minute and a half a task; that profile "
-        "leaves it out."
+        f"{CBIRRT} has no rows here. Cut off after 2 s, as with --profile small, it solved neither "
+        "of the first two tasks, in ten attempts at the way to the can and half a minute each; "
+        "that profile leaves it out."
     ]
 
 

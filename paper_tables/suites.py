@@ -185,7 +185,7 @@ SUITES: Mapping[str, Suite] = {
         amounts=(
             Amount(seeds=5, planners=QUICK),
             Amount(late=True),
-            # without ompl-projected, which needs a minute and a half a task (see the table's note)
+            # without ompl-projected, which took half of the profile's time (see the table's note)
             Amount(profile="small", problems=2, cutoff=2.0, planners=(SOME[0], *SOME[2:])),
         ),
         table=task_table,
