@@ -1,4 +1,4 @@
-# make venv | reproduce | test | docs | notebooks | trust | lint | bench | clean. All but the first make the environment they need.
+# make venv | reproduce | test | docs | notebooks | trust | lint | wheel | bench | clean. All but the first make the environment they need.
 PYTHON ?= python3
 BIN := .venv/bin
 ALL := '.[dev,docs,train]'
@@ -10,7 +10,7 @@ install = { command -v uv >/dev/null && uv pip install --quiet --python $(BIN)/p
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help venv venv-dev locked inventory audit reproduce test lint warmup check-tables docs notebooks pytest trust bench clean
+.PHONY: help venv venv-dev locked inventory audit reproduce test lint warmup check-tables docs notebooks pytest trust wheel bench clean
 
 help:
 	@echo "make venv        .venv to plan and reproduce with, pinned in constraints.txt (PYTHON=python3.11 picks another)"
@@ -22,6 +22,7 @@ help:
 	@echo "make docs        the site in build/site: README, docs, notebooks with their outputs, results, the API"
 	@echo "make trust       attack what docs/guarantees.md promises, for two hours, and write the figures there"
 	@echo "make lint        ruff, mypy, import-linter"
+	@echo "make wheel       the wheel in dist/, which pip installs elsewhere with -c constraints.txt"
 	@echo "make bench       what the stages of planning cost here"
 	@echo "make clean       remove caches and builds; .venv and runs/ stay"
 
@@ -96,9 +97,15 @@ test: lint warmup check-tables docs pytest
 trust: venv-dev warmup
 	nice $(BIN)/pytest -n 2 --long --record docs/guarantees.md tests/fuzz tests/properties
 
+# From nothing: setuptools would pack modules which an earlier build left in build/lib.
+wheel: venv
+	rm -rf build/lib build/bdist.* dist
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	@echo "pip install $$(echo dist/*.whl) -c constraints.txt"
+
 bench: warmup
 	$(BIN)/cvqmpt bench stages
 
 clean:
-	rm -rf build ./*.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf build dist ./*.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 	find . -name __pycache__ -type d -not -path './.venv/*' -prune -exec rm -rf {} +

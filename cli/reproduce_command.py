@@ -130,7 +130,7 @@ def _reproduce_all(args: argparse.Namespace) -> int:
         reproduce_figure(figure, folder, command, range(count))
     page = out / "claims.md"
     write_text(page, page_of(out))
-    print("\n".join(verdict_lines(out)))
+    print("\n".join(verdict_lines(out, beside=True)))
     print(f"every claim, its numbers and commands: {page}")
     print(f"report, for a browser: {write_report(out)}")
     return 0
@@ -145,7 +145,7 @@ OPTIONS: Options = {
         metavar="DIR",
     ),
     "--profile": option(
-        f"of {ALL}: {', '.join(PROFILES)}; on two cores two hours, three minutes (full)",
+        f"of {ALL}: {', '.join(PROFILES)}; on two cores two hours, 1 to 3 minutes (full)",
         default="full",
     ),
     "--problems": option(

@@ -18,7 +18,7 @@ from cli.options import (
     writable_file,
 )
 from cli.problem_options import planner_list
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, in_checkout
 from cvqmpt_lab.files import write_text
 from experiments import regression
 from experiments.regression import EXPECTED
@@ -67,17 +67,23 @@ def write_report(directory: Path, out: Path | None = None) -> Path:
 
 def compare(args: argparse.Namespace) -> int:
     """Pair two runs of the same problems and print what changed."""
-    from paper_tables.compare_runs import clear, compared, comparison_lines
+    from paper_tables.compare_runs import clear, compared, comparison_lines, planners_of_one
     from paper_tables.suites import directory_rows
 
-    found = compared(directory_rows(args.before), directory_rows(args.after))
+    before, after = directory_rows(args.before), directory_rows(args.after)
+    found, alone = compared(before, after), planners_of_one(before, after)
     print(
         f"from A, {args.before}, to B, {args.after}; runs of both; changes over those that both "
         "solved, 95 % intervals"
     )
     print("\n".join(text_lines(comparison_lines(found))))
     print("\n".join(clear(found) or ["no clear change"]))
+    for run, planners in zip("AB", alone, strict=True):
+        if planners:
+            print(f"in {run} alone, not compared: {', '.join(planners)}")
     broken = [line for rule in args.fail_if for line in rule.broken(found)]
+    if args.fail_if:  # a planner that vanished must not pass
+        broken += [f"{name}: B has no runs of it" for name in alone[0]]
     for line in broken:
         print(f"fails: {line}")
     return 1 if broken else 0
@@ -92,12 +98,13 @@ def _rule(text: str) -> Any:
 
 def claims(args: argparse.Namespace) -> int:
     """Judge every claim of the paper, print the verdicts, and write the page if asked to."""
-    if args.results is None:
-        require_checkout("cvqmpt claims", "a folder of results directories")
+    if args.results is None and args.write:
+        require_checkout("cvqmpt claims --write", "name a folder of results directories")
     print("\n".join(verdict_lines(args.results or RESULTS)))
     page = pages.PAGE if args.results is None else args.results / "claims.md"
     if not args.write:
-        print(f"nothing written; --write writes {page}")
+        if args.results or in_checkout():
+            print(f"nothing written; --write writes {page}")
         return 0
     texts = pages.committed_pages() if args.results is None else {page: page_of(args.results)}
     for path, text in texts.items():
@@ -112,13 +119,21 @@ def page_of(results: Path) -> str:
     return pages.page_text(found, judged_claims(found), results)
 
 
-def verdict_lines(results: Path) -> list[str]:
-    """A line for each claim that rows judge, and the effect of each step."""
+def verdict_lines(results: Path, beside: bool = False) -> list[str]:
+    """A line for each claim that rows judge, and the effect of each step.
+
+    beside: a line for every claim, with the verdict of the committed rows.
+    """
     found = _found(results)
     every = judged_claims(found)
     judged = [item for item in every if item.verdicts]
-    lines = [banner(found), *(text_lines(pages.summary_lines(judged)) if judged else [])]
-    if len(judged) < len(every):
+    lines = [banner(found)]
+    if beside:
+        committed = judged_claims(evidence_below(RESULTS))
+        lines += text_lines(pages.beside_lines(every, committed))
+    elif judged:
+        lines += text_lines(pages.summary_lines(judged))
+    if len(judged) < len(every) and not beside:
         lines.append(f"no rows yet for {len(every) - len(judged)} of {len(every)} claims")
     steps = pages.decomposition_lines(found["place-task"]) if "place-task" in found else []
     lines += ["", *text_lines(steps)] if len(steps) > 1 else []
@@ -189,10 +204,10 @@ def _check_ours(args: argparse.Namespace) -> int:
         if getattr(args, name) is not None:
             raise InvalidInputError(f"--{name} goes with a folder of problem files; name it")
     args.expected = args.expected or EXPECTED
-    if args.expected == EXPECTED or args.results == RESULTS:
-        require_checkout("cvqmpt check-tables", "--expected F.json and --results DIR")
     expected = None
     if args.update:
+        if args.expected == EXPECTED:
+            require_checkout("cvqmpt check-tables --update", "name a file: --expected F.json")
         writable_file(args.expected)
     else:
         expected = regression.Expectations.load(args.expected)
@@ -242,7 +257,7 @@ COMPARE: Options = {
     "--fail-if": option(
         "exit with 1 if a planner's number is so: COLUMN OP NUMBER, where COLUMN is the ratio B/A "
         "of time, work, checks, projections or length, or solved, B - A in points; OP is <, <=, "
-        "> or >=; repeatable",
+        "> or >=; or if B lacks a planner of A; repeatable",
         type=_rule,
         metavar="RULE",
         **REPEATED,

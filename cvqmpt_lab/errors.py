@@ -130,11 +130,20 @@ def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
     return value
 
 
+def in_checkout() -> bool:
+    """Whether this runs in a checkout of the project, not as an installed wheel."""
+    return (Path(__file__).parents[1] / "constraints.txt").is_file()
+
+
 def install_command(extra: str) -> str:
-    """Command that installs an extra; in a checkout from there, since no package index has it."""
-    if (Path(__file__).parents[1] / "constraints.txt").is_file():
+    """Command that installs an extra; outside a checkout by its packages, as no index has ours."""
+    if in_checkout():
         return f".venv/bin/pip install -c constraints.txt -e '.[{extra}]'"
-    return f"pip install 'cvqmpt-lab[{extra}]'"
+    from importlib.metadata import requires  # for this message alone
+
+    declared = [text.partition(";") for text in requires("cvqmpt-lab") or ()]
+    asked = [repr(name.strip()) for name, _, marker in declared if f'"{extra}"' in marker]
+    return f"pip install {' '.join(asked)}"
 
 
 def require_torch(what: str) -> None:

@@ -7,7 +7,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, in_checkout
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from paper_tables.statements import PUBLISHED
@@ -17,11 +17,11 @@ RESULTS = PUBLISHED.parent / "results"
 
 
 def require_checkout(command: str, instead: str) -> None:
-    """Refuse a command outside a checkout; instead: what can be given to it."""
-    if not RESULTS.is_dir():
+    """Refuse, outside a checkout, a command that writes files there; instead: what can be given."""
+    if not in_checkout():
         raise InvalidInputError(
-            f"{command} needs a checkout of the project: the committed results and expectations "
-            f"are not part of the installed package; run it there, or give {instead}"
+            f"{command} writes committed files, so it needs a checkout of the project, not the "
+            f"installed package: run it in a clone or an unpacked copy of its sources, or {instead}"
         )
 
 

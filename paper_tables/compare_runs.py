@@ -64,6 +64,12 @@ def compared(a: Rows, b: Rows) -> list[Compared]:
     return [_compared(name, groups[0][name], groups[1][name]) for name in common]
 
 
+def planners_of_one(a: Rows, b: Rows) -> tuple[list[str], list[str]]:
+    """Planners that A alone has, and those that B alone has."""
+    of_a, of_b = by_planner(a, ()), by_planner(b, ())
+    return [name for name in of_a if name not in of_b], [name for name in of_b if name not in of_a]
+
+
 def _compared(planner: str, a: Rows, b: Rows) -> Compared:
     rows = [{(row.problem, row.seed): row for row in run} for run in (a, b)]
     pairs = [(pair, row, rows[1][pair]) for pair, row in rows[0].items() if pair in rows[1]]

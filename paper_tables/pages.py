@@ -14,7 +14,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, in_checkout
 from cvqmpt_lab.files import read_text
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
@@ -86,6 +86,15 @@ def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
             numbers = [percent(shown, interval) for interval in (shown.paired, shown.means)]
             cells = [shown.baseline, *numbers]
         lines.append([item.claim.title, *cells, str(item.ruling)])
+    return lines
+
+
+def beside_lines(own: Sequence[JudgedClaim], committed: Sequence[JudgedClaim]) -> Lines:
+    """A line a claim: numbers and verdict of own rows, and the verdict of the committed ones."""
+    lines = [["claim", "against", "paired [%]", "own verdict", "committed verdict"]]
+    for line, known in zip(summary_lines(own)[1:], committed, strict=True):
+        claim, against, paired_change, _, ruling = line
+        lines.append([claim, against, paired_change, ruling, str(known.ruling)])
     return lines
 
 
@@ -211,7 +220,7 @@ def committed_pages() -> dict[Path, str]:
     found = evidence_below(RESULTS)
     claims = judged_claims(found)
     pages = {PAGE: page_text(found, claims, PAGE.parent)}
-    if README.is_file():
+    if in_checkout():
         pages[README] = with_part(read_text(README), "verdicts", headline_text(claims))
     return pages
 

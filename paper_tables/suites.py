@@ -185,7 +185,8 @@ SUITES: Mapping[str, Suite] = {
         amounts=(
             Amount(seeds=5, planners=QUICK),
             Amount(late=True),
-            Amount(profile="small", problems=2, cutoff=2.0, planners=SOME),
+            # without ompl-projected, which took half of the profile's time (see the table's note)
+            Amount(profile="small", problems=2, cutoff=2.0, planners=(SOME[0], *SOME[2:])),
         ),
         table=task_table,
         paper=("multi_sequence.csv", "Multi-sequence task"),

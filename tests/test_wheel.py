@@ -11,14 +11,17 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("cvqmpt_lab", "cli", "experiments", "paper_tables")
-DATA = ("*.py", "weights/*/*", "schemas/*.json", "show/*.html", "published/*.csv")
+DATA = (
+    *("*.py", "weights/*/*", "schemas/*.json", "show/*.html"),
+    *("published/*", "expected/*", "results/*/*", "templates/*", "README.md"),
+)
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """A folder with the installed wheel, which was built from a copy of the tree."""
     folder = tmp_path_factory.mktemp("wheel")
-    skip = shutil.ignore_patterns("__pycache__", "results")
+    skip = shutil.ignore_patterns("__pycache__")
     for name in PACKAGES:
         shutil.copytree(ROOT / name, folder / "tree" / name, ignore=skip)
     for name in ("pyproject.toml", "README.md", "LICENSE", "LICENSES.md"):
@@ -41,7 +44,7 @@ def run(site, folder, words):
 def test_it_holds_every_module_and_all_data(site):
     for name in PACKAGES:
         found = (path for pattern in DATA for path in (ROOT / name).rglob(pattern))
-        wanted = [p.relative_to(ROOT) for p in found if "results" not in p.parts[-3:-1]]
+        wanted = [path.relative_to(ROOT) for path in found if path.suffix != ".pyc"]
         assert wanted and [path for path in wanted if not (site / path).is_file()] == []
         assert all(filecmp.cmp(ROOT / path, site / path, shallow=False) for path in wanted)
 
@@ -56,8 +59,22 @@ def test_it_plans_from_an_empty_folder(site, tmp_path):
     assert Path(found.stdout.strip()) == site / "cvqmpt_lab" / "__init__.py"
 
 
-@pytest.mark.parametrize("command", ["check-tables", "check-tables --update", "claims"])
-def test_comparing_with_committed_results_needs_a_checkout(site, tmp_path, command):
+def test_it_judges_the_claims_by_the_committed_rows(site, tmp_path):
+    done = run(site, tmp_path, [site / "bin" / "cvqmpt", "claims"])
+    assert done.returncode == 0, done.stderr
+    assert "twice as fast" in done.stdout and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["check-tables --update", "claims --write"])
+def test_what_writes_committed_files_needs_a_checkout(site, tmp_path, command):
     done = run(site, tmp_path, [site / "bin" / "cvqmpt", *command.split()])
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
-    assert "needs a checkout" in done.stderr and not list((site / "paper_tables").glob("*.md"))
+    assert "needs a checkout" in done.stderr
+
+
+def test_an_extra_is_named_by_its_packages_as_no_index_has_ours(site, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['viser'] = None")
+    site_first = f"{tmp_path}{os.pathsep}{site}"
+    done = run(site_first, tmp_path, [site / "bin" / "cvqmpt", "studio"])
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+    assert "pip install 'viser" in done.stderr

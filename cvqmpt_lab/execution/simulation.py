@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.errors import InvalidInputError, install_command
 from cvqmpt_lab.execution.controllers import PERIOD, Controller
 from cvqmpt_lab.execution.mjcf import HAND, LOAD, Physics, mjcf_of
 from cvqmpt_lab.robot.load import with_gripper
@@ -47,7 +47,7 @@ def mujoco_module() -> Any:
         import mujoco
     except ImportError as error:
         raise InvalidInputError(
-            "executing needs MuJoCo, which is not installed: pip install 'cvqmpt-lab[physics]'"
+            f"executing needs MuJoCo, which is not installed: {install_command('physics')}"
         ) from error
     return mujoco
 

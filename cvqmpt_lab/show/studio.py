@@ -19,7 +19,13 @@ from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region, why_none
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, require_kind
+from cvqmpt_lab.errors import (
+    CvqmptError,
+    InvalidInputError,
+    UnknownChoiceError,
+    install_command,
+    require_kind,
+)
 from cvqmpt_lab.files import json_text
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.motion_check import certified_motion
@@ -232,7 +238,7 @@ def studio(problem: PlanningProblem, port: int = 8090) -> "StudioPage":
     try:
         import viser
     except ImportError as error:
-        why = "studio needs viser, which is not installed: pip install 'cvqmpt-lab[studio]'"
+        why = f"studio needs viser, which is not installed: {install_command('studio')}"
         raise InvalidInputError(why) from error
     try:  # viser would take the next port, at which the user would not look
         socket.create_server(("127.0.0.1", port)).close()

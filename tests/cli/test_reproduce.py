@@ -14,6 +14,7 @@ from cvqmpt_lab.results.row import RUNS_FILE
 from cvqmpt_lab.search.result import Budget
 from experiments import experiment
 from experiments.experiment import Experiment, parts_of
+from paper_tables.statements import CLAIMS
 from paper_tables.suites import ALL, Amount, Suite
 from paper_tables.suites import SUITES as reported
 
@@ -59,7 +60,10 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     words = f"reproduce all --profile small --jobs 1 --out {tmp_path}"
     lines = cvqmpt(words).splitlines()
     assert "A path to turn: problem 0, birrt, seed 0" in (tmp_path / "report.html").read_text()
-    assert len(lines) <= 15 and max(map(len, lines)) <= 100 + len(str(tmp_path))
+    assert "own verdict" in lines[1] and "committed verdict" in lines[1]
+    told = zip(lines[2 : 2 + len(CLAIMS)], CLAIMS, strict=True)
+    assert all(line.startswith(claim.title) for line, claim in told)
+    assert len(lines) <= 30 and max(map(len, lines)) <= 100 + len(str(tmp_path))
     assert str(tmp_path / "report.html") in lines[-1] and str(tmp_path / "claims.md") in lines[-2]
     for name in ("report.html", "claims.md", "histogram/values.csv", "place-task/table.md"):
         assert (tmp_path / name).is_file()

@@ -264,6 +264,21 @@ def test_the_command_compares_two_directories(capsys, tmp_path):
     assert last == "fails: birrt: time > 1.1, it is 2 times A's"
 
 
+def test_planners_of_one_run_alone_are_named_and_must_not_be_missing_from_the_second(
+    capsys, tmp_path
+):
+    folders = [str(tmp_path / name / "place-task") for name in "ab"]
+    for name, other in (("a", "mpnet"), ("b", "roadmap")):
+        (tmp_path / name).mkdir()
+        a_results_folder(tmp_path / name, birrt=1.0, **{other: 1.0})
+    assert main(["compare", *folders]) == 0
+    out = capsys.readouterr().out
+    assert "in A alone, not compared: mpnet\n" in out
+    assert "in B alone, not compared: roadmap\n" in out and "fails" not in out
+    assert main(["compare", *folders, "--fail-if", "time > 9"]) == 1
+    assert capsys.readouterr().out.splitlines()[-1] == "fails: mpnet: B has no runs of it"
+
+
 def test_a_rule_holds_for_ratios_and_for_what_fewer_solve_and_must_be_judged():
     fewer = compared(twenty(1.0), twenty(0.5, range(19)))
     for text, told in (

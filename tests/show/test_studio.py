@@ -232,7 +232,7 @@ def test_without_viser_the_extra_is_named(tmp_path):
     (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['viser'] = None")
     paths = f"{tmp_path}{os.pathsep}{ROOT}"
     line = run(["studio", "place-task"], code=2, PYTHONPATH=paths)
-    assert line.count("\n") == 1 and "pip install 'cvqmpt-lab[studio]'" in line
+    assert line.count("\n") == 1 and "pip install -c constraints.txt -e '.[studio]'" in line
 
 
 def test_the_command_serves_until_it_is_interrupted(tmp_path, problem):
