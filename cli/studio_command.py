@@ -1,6 +1,7 @@
 """`cvqmpt studio`: a page in the browser on which a problem is changed and planned again."""
 
 import argparse
+import signal
 import threading
 
 from cli.options import Options, log, not_negative_int, option
@@ -17,11 +18,12 @@ def run(args: argparse.Namespace) -> int:
     problem = _problem(args)
     compile_kernels(log)
     page = studio(problem, args.port)
-    try:
-        print(f"{page}; Ctrl-C ends it", flush=True)
-        threading.Event().wait()
-    except KeyboardInterrupt:
-        page.stop()
+    ended = threading.Event()
+    # Python would lose a KeyboardInterrupt that comes while it collects garbage
+    signal.signal(signal.SIGINT, lambda *_: ended.set())
+    print(f"{page}; Ctrl-C ends it", flush=True)
+    ended.wait()
+    page.stop()
     return 0
 
 

@@ -145,7 +145,8 @@ class Studio:
         """End the planning thread, after the request it works on."""
         self._stopped = True
         self.ask()
-        self._worker.join()
+        # it is a daemon: a browser that takes no message must not keep the process
+        self._worker.join(timeout=10.0)
 
     def _work(self) -> None:
         """Answer the newest request, again and again."""
