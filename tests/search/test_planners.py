@@ -104,7 +104,12 @@ def test_spent_budgets_are_named_and_give_no_path(problem, name, seconds, iterat
 def test_unknown_names_and_settings_of_the_tree_search_are_refused(problem):
     choices = "draws of a tree search 'some'; valid choices: raw, projected, free"
     for told, call, *given, settings in (
-        (r"planner 'rtt'; valid choices: package.module:planner, birrt.*tb-rrt", planner_named, "rtt", {}),
+        (
+            r"planner 'rtt'; choices: package.module:planner, birrt.*tb-rrt",
+            planner_named,
+            "rtt",
+            {},
+        ),
         (
             "backend 'bullet'; valid choices: compiled, exact",
             ConstrainedSpace,
