@@ -105,7 +105,7 @@ def test_unknown_names_and_settings_of_the_tree_search_are_refused(problem):
     choices = "draws of a tree search 'some'; valid choices: raw, projected, free"
     for told, call, *given, settings in (
         (
-            r"planner 'rtt'; choices: package.module:planner, birrt.*tb-rrt",
+            r"'rtt'; valid choices: package.module:planner, birrt.*tb-rrt",
             planner_named,
             "rtt",
             {},
