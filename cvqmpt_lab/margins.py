@@ -23,9 +23,10 @@ class Margin(NamedTuple):
 
     def check(self) -> Self:
         """Itself; refuse a margin below 0, and one that is larger than 0.1 m or 0.2 rad."""
-        for name, value, most in (("", self.metres, "0.1 m"), (" angle", self.radians, "0.2 rad")):
-            if not 0.0 <= value <= float(most.split()[0]):
-                raise InvalidInputError(f"margin{name} {value}: give a number from 0 to {most}")
+        limits = ("margin", self.metres, 0.1, "m"), ("margin angle", self.radians, 0.2, "rad")
+        for name, value, most, unit in limits:
+            if not 0.0 <= value <= most:
+                raise InvalidInputError(f"{name} {value}: give a number from 0 to {most} {unit}")
         return self
 
 
@@ -70,10 +71,9 @@ def _slack(problem: PlanningProblem, states: np.ndarray) -> tuple[float, float]:
     """Slack [rad] and [m] in bounds of positive width of the best of states (k, n)."""
     most = np.full((len(states), 7), np.inf)
     for region in problem.constraint:
-        wide = region.bounds[:, 0] < region.bounds[:, 1]
         inside = -excess(region, displacements(problem.robot, region, states))
         # what projection may leave
-        most = np.minimum(most, np.where(wide, (inside - TOLERANCE).clip(min=0.0), np.inf))
+        most = np.minimum(most, np.where(region.wide, (inside - TOLERANCE).clip(min=0.0), np.inf))
     return float(most[:, 3:].min(axis=1).max()), float(most[:, :3].min(axis=1).max())
 
 

@@ -96,7 +96,7 @@ def least_slack(
     q = evenly_spaced(states, spacing)
     for region in regions:
         lower, upper = region.bounds.T
-        thin = ~np.isin(np.arange(7), region.bounded_rows) | (lower == upper)
+        thin = ~np.isin(np.arange(7), region.bounded_rows) | ~region.wide
         x = displacements(robot, region, q)
         inside = np.where(thin, np.inf, -excess(region, x).max(axis=0))
         seen = np.array([inside[3:].min(), inside[:3].min()]).clip(min=0.0)

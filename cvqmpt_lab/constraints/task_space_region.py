@@ -125,6 +125,11 @@ class TaskSpaceRegion(Checked):
         limit = np.array([np.inf] * 3 + [np.pi] * 4)
         return frozen(np.flatnonzero((lower > -limit) | (upper < limit)))
 
+    @property
+    def wide(self) -> np.ndarray:
+        """Which of `bounds` have a width (7,) bool; the others fix an entry."""
+        return self.bounds[:, 0] < self.bounds[:, 1]
+
     def inset(self, metres: float, radians: float, share: float = 0.4) -> Self:
         """The region whose bounds lie inside by [m] and [rad]; rows of width 0 stay.
 

@@ -23,7 +23,7 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
-from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution
+from cvqmpt_lab.tasks.solve import TaskSolution
 from cvqmpt_lab.tasks.task import Grasp, HandPhase, Hold, Phase, Release
 from cvqmpt_lab.tasks.world import World
 from cvqmpt_lab.trajectory.trajectory import Trajectory
@@ -225,7 +225,7 @@ def execute_task(
         world.follow(motion)
         q = motion.positions[-1]
         world.hold(q, 0.1)
-        parts.append((_problem_of(outcome), motion, world.samples[began:]))
+        parts.append((outcome.solution.problem, motion, world.samples[began:]))
     world.hold(q, SETTLE)
     found = _judged(task.name, world, parts)
     if load is None or not isinstance(task.phases[-1], Release):
@@ -242,10 +242,6 @@ def _mass(load: Attachment | SceneObject) -> float:
     if load.mass is None:
         raise InvalidInputError(f"{load.name!r} has no mass: state it in kg, 'mass' in its file")
     return load.mass
-
-
-def _problem_of(outcome: PhaseOutcome) -> PlanningProblem:
-    return outcome.solution.problem
 
 
 def _move_fingers(
@@ -305,10 +301,9 @@ def _judged(
         off = max(off, _off_polyline(problem.robot.poses(planned)[:, :3, 3], there))
         for region in problem.constraint:
             x = displacements(problem.robot, region, executed)
-            wide = region.bounds[:, 0] < region.bounds[:, 1]
-            beyond = np.where(wide, excess(region, x), 0.0).max(axis=0)
+            beyond = np.where(region.wide, excess(region, x), 0.0).max(axis=0)
             outside = np.maximum(outside, (beyond[3:].max(), beyond[:3].max()))
-            rows = [k for k in region.bounded_rows if wide[k] and k >= 3]
+            rows = [k for k in region.bounded_rows if region.wide[k] and k >= 3]
             if rows:
                 tilt = float(np.nanmax([tilt, np.abs(x[:, rows]).max()]))
     return Execution(

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.robot.dynamics import link_inertia
+from cvqmpt_lab.robot.dynamics import link_inertias
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
@@ -88,6 +88,7 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
     assets = SubElement(root, "asset")
     world = SubElement(root, "worldbody")
     links, arm = [world], robot.kinematics
+    bodies = link_inertias(robot) if physics else []
     for j, name in enumerate(robot.joint_names):
         link = _placed(links[arm.parent[j]], f"link_{j + 1}", arm.rotation[j], arm.translation[j])
         kind = "slide" if arm.prismatic[j] else "hinge"
@@ -96,7 +97,7 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
         if physics is None:
             SubElement(link, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
         else:
-            _add_dynamics(joint, link, robot, j, name in physics.fingers)
+            _add_dynamics(joint, link, bodies[j], name in physics.fingers)
         links.append(link)
     carriers = _with_doors(world, scene, physics) if physics else {}
     of_door = {
@@ -132,14 +133,16 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
     return tostring(root, encoding="unicode")
 
 
-def _add_dynamics(joint: Element, link: Element, robot: Robot, j: int, finger: bool) -> None:
+def _add_dynamics(
+    joint: Element, link: Element, body: tuple[float, np.ndarray, np.ndarray], finger: bool
+) -> None:
     """Rotor, damping and mass; light fingers would give way by centimetres without a rotor."""
     rotor = (1.0, 250.0) if finger else (ARMATURE, DAMPING)
     joint.set("armature", repr(rotor[0]))
     joint.set("damping", repr(rotor[1]))
     if finger:
         joint.set("solreflimit", "0.004 1")
-    mass, centre, tensor = link_inertia(robot, j)
+    mass, centre, tensor = body
     six = _numbers(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
     SubElement(link, "inertial", pos=_numbers(centre), mass=repr(float(mass)), fullinertia=six)
 

@@ -123,14 +123,16 @@ class Dynamics:
         return found
 
 
-def link_inertia(robot: Robot, joint: int) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) of what a joint moves alone.
+def link_inertias(robot: Robot) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) of what each joint moves.
 
-    In the frame of `Robot.kinematics` whose z is the joint's axis.
+    Without what later joints move; in the frames of `Robot.kinematics`, whose z is the axis.
     """
-    _, T = in_link(axis_frames(robot.model), joint + 1, pin.SE3.Identity())
-    body = pin.SE3(T).act(robot.model.inertias[joint + 1])
-    return body.mass, body.lever, body.inertia
+    frames, found = axis_frames(robot.model), []
+    for joint, inertia in enumerate(list(robot.model.inertias)[1:], start=1):
+        body = pin.SE3(in_link(frames, joint, pin.SE3.Identity())[1]).act(inertia)
+        found.append((body.mass, body.lever, body.inertia))
+    return found
 
 
 def without_effort_limit(robot: Robot) -> str:

@@ -253,7 +253,7 @@ def seen_of_solution(
         return seen_of_moments(moments_of(solution, plots), hidden=hidden, plots=plots)
     return seen_of_problem(
         solution.problem,
-        solution.path if solution.simplified else None,
+        solution.path,
         carried,
         most_states,
         goals=goals,

@@ -78,8 +78,7 @@ def draw(
         case PlanningProblem():
             image = problem_image(what, None, size)
         case Solution():
-            path_found = what.path if what.simplified else None
-            image = problem_image(what.problem, path_found, size)
+            image = problem_image(what.problem, what.path, size)
         case Task():
             image = problem_image(shown(World.before(what)), None, size)
         case TaskSolution():
@@ -127,8 +126,8 @@ def draw_solution(
         ghosts: number of poses shown between start and goal.
         carried: the load in the hand if the problem does not model it.
     """
-    planned = solution.path if solution.simplified else None
-    write_png(Path(path), problem_image(solution.problem, planned, size, ghosts, carried))
+    image = problem_image(solution.problem, solution.path, size, ghosts, carried)
+    write_png(Path(path), image)
 
 
 @one_thread()
