@@ -302,7 +302,7 @@ def drawn_goals(problem: PlanningProblem) -> GoalSample:
     held = [part for part in problem.constraint if isinstance(part, TaskSpaceRegionChain)]
     sampled = partial(sample_goals, problem, rng, MAX_GOALS, near=problem.start if held else None)
     drawn = None
-    if not reaches_no_pose(problem.robot):
+    if not reaches_no_pose(problem.robot, region):
         drawn = sampled(within=held)
         # a region of one pose has no other
         if _on_manifold(problem, drawn.configurations).any() or not np.ptp(region.Bw, axis=1).any():

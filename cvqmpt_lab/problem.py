@@ -6,13 +6,15 @@ Problems are saved as json, schema ``cvqmpt-problem/1`` (for editors:
     {"schema": "cvqmpt-problem/1", "name": "...",
      "robot": {"name": "panda", "finger_opening": 0.04}
            or {"urdf": "arm.urdf", "end_effector": "tool", "srdf": null, "locked": {"joint": 0.0}},
-              either with "articulated": {...}  (see `ArticulatedObject`),
+              either with "articulated": {...}  (see `ArticulatedObject`), or with several
+              "end_effectors": ["left", "right"], whose joints then move together,
      "scene": {"name", "objects": [{"name", "shape", "T_world_object"}, ...]}  or  "scene.json",
-     "attachments": [{"name", "shape", "T_hand_object"}],
+     "attachments": [{"name", "shape", "T_hand_object", "end_effector", "also_held_by"}],
      "constraint": {"upright": 0.1}, or a list of such and of full regions
                    {"T0_w": pose, "Tw_e": pose, "Bw": 6 rows [lower, upper], null = free,
                     "tilt": 0.1 (not needed)},
-                   with "base" a frame of the robot, T0_w is the pose of w in that frame,
+                   with "base" a frame of the robot, T0_w is the pose of w in that frame; with
+                   "end_effector", the region is about that one,
      "start": configuration  or  "start_region": region,
      "goals": [configuration, ...]  and / or  "goal_region": region,
      "clearance": 0.01}
@@ -35,7 +37,12 @@ import numpy as np
 from cvqmpt_lab.codec import Document, OneOrMore
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.solids import reach_with
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, find_in_region, why_none
+from cvqmpt_lab.constraints.inverse_kinematics import (
+    SAMPLE_MARGIN,
+    contradiction,
+    find_in_region,
+    why_none,
+)
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.report import bounds_text, broken_bound, displacements
 from cvqmpt_lab.constraints.task_space_region import (
@@ -171,8 +178,15 @@ class PlanningProblem(Document):
                 f"{most} can be kept at once: leave out those that others say already"
             )
         for region in self.constraint:
-            # raises UnknownChoiceError for a frame that does not exist
-            region.reference_link(self.robot)
+            # refuses frames that do not exist or do not move
+            region.links(self.robot)
+        ends = [region for region in (self.start_region, self.goal_region) if region is not None]
+        for name in (
+            *(region.end_effector for region in ends),
+            *(name for item in self.attachments for name in item.held_by),
+        ):
+            # refuses a frame that is no end effector
+            self.robot.hand(name)
 
     def _check_configurations(self) -> None:
         n = self.robot.dof
@@ -328,10 +342,23 @@ def _faults(problem: PlanningProblem) -> Iterator[tuple[int, str, str]]:
         )
 
 
+def with_projected_start(problem: PlanningProblem) -> PlanningProblem:
+    """The problem with its start moved onto the constraint (Algorithm 1); refused if that fails."""
+    start = problem.manifold.project(problem.start)
+    if start is None:
+        raise InvalidProblemError(
+            f"{problem.name}: the projection of the start fails: "
+            + "; ".join(_off_manifold(problem, "start", problem.start))
+        )
+    return problem.changed(start=frozen(start))
+
+
 def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> tuple[str, str]:
     """Which bound a start or goal q (n,) breaks; of a goal region if all its goals do; the cure."""
     states, broken = q[None], f"{label} breaks"
     cure = "`cvqmpt ik` finds configurations that keep the constraint"
+    if label == "start":
+        cure += ", --project-start moves this one onto it"
     goals = problem.goals
     if label != "start" and problem.goal_region is not None:
         residuals = np.linalg.norm(problem.manifold.residual(goals), axis=1)
@@ -345,4 +372,8 @@ def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> tuple[
         broken_bound(region, displacements(problem.robot, region, states))
         for region in problem.constraint
     ]
-    return f"{broken} {', '.join(filter(None, bounds)) or 'the constraint by rounding'}", cure
+    if against := contradiction(problem.robot, problem.constraint):
+        cure = f"{against}: take out or widen one"
+    off = np.linalg.norm(problem.manifold.residual(states), axis=1).min()
+    told = ", ".join(filter(None, bounds)) or "the constraint by rounding"
+    return f"{broken} {told}, |F| = {off:.3g}", cure

@@ -223,7 +223,7 @@ def _aside(hold: Grip, T_world_room: np.ndarray, T_room_hand: np.ndarray) -> flo
     region, robot = TaskSpaceRegion(T_world_room, T_room_hand, bounds), hold.robot
     guesses = first_guesses(robot, np.random.default_rng(0), 4)
     poses = np.broadcast_to(np.eye(4), (4, 4, 4))
-    found = np.concatenate(solve_poses(robot, poses, guesses, anywhere=region))
+    found = np.concatenate(solve_poses(robot, region, poses, guesses, anywhere=True))
     if not len(found):
         return 0.0
     return float((np.linalg.inv(T_world_room) @ robot.pose(found[0]))[1, 3] - T_room_hand[1, 3])

@@ -42,9 +42,9 @@ def robot_arrays(robot: Robot, attachments: tuple[Attachment, ...] = ()) -> Robo
     for spec, piece in zip(specs, robot.links, strict=True):
         _require_few_pieces(f"link geometry {piece.name!r}", spec)
     links = [piece.link for piece in robot.links]
-    hand, T_link_hand = robot.end_effector_link
     rows = []
     for item in attachments:
+        hand, T_link_hand = robot.hand(item.end_effector)
         carried = shape_specs(item.shape, T_link_hand @ item.T_hand_object)
         for spec in carried:
             _require_few_pieces(f"attachment {item.name!r}", spec)

@@ -335,9 +335,10 @@ def _box_gaps(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def _robot_geometry(robot: Robot, attachments: Sequence[Attachment]) -> pin.GeometryModel:
     """The robot's geometry and what it carries, with the pairs to check."""
     geometry = robot.collision_model.copy()
-    hand = robot.model.frames[robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)]
     carried = []
     for item in attachments:
+        frame = item.end_effector or robot.end_effector
+        hand = robot.model.frames[robot.model.getFrameId(frame, pin.FrameType.BODY)]
         rows = []
         for piece in solids(item.name, item.shape, item.T_hand_object):
             placement = hand.placement * pin.SE3(piece.T_parent_shape)

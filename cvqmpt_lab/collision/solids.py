@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import coal
 import numpy as np
-import pinocchio as pin
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
@@ -24,12 +23,13 @@ class Solid(NamedTuple):
 
 
 def carried_pairs(robot: Robot, attachments: Sequence[Attachment]) -> list[tuple[int, int]]:
-    """(link piece, attachment) index pairs, without pieces fixed to the hand."""
-    frame = robot.model.getFrameId(robot.end_effector, pin.FrameType.BODY)
-    hand = robot.model.frames[frame].parentJoint
-    joints = [item.parentJoint for item in robot.collision_model.geometryObjects]
+    """(link piece, attachment) index pairs, without pieces fixed to a hand that holds it."""
+    holding = [[robot.hand(name)[0] for name in item.held_by] for item in attachments]
     return [
-        (i, k) for k in range(len(attachments)) for i, joint in enumerate(joints) if joint != hand
+        (i, k)
+        for k, hands in enumerate(holding)
+        for i, piece in enumerate(robot.links)
+        if piece.link not in hands
     ]
 
 

@@ -8,13 +8,14 @@ joints move gets to hardly any pose that is drawn: configurations are projected 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.project import projection_scratch, reach_poses
-from cvqmpt_lab.constraints.report import broken_bound, displaced
+from cvqmpt_lab.constraints.report import broken_bound, displaced, displacements
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     RegionConstraint,
@@ -31,38 +32,44 @@ NEAR = 0.3  # [rad] standard deviation of starts around a given configuration
 POSES = 25  # drawn at once
 SAMPLE_MARGIN = 1e-3  # [m] kept from obstacles by sampled starts and goals
 INSIDE = 1e-3  # [m, rad] or a tenth of the width, inside bounds: where projected samples end
-ONE_POSE = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)))
 
 
-def reaches_no_pose(robot: Robot) -> bool:
-    """Whether the hand has less than six joints: most poses that are drawn are out of its reach."""
-    return int(robot.kinematics.moves[:, robot.end_effector_link[0]].sum()) < 6
+def one_pose(region: TaskSpaceRegion) -> TaskSpaceRegion:
+    """The region of one pose, of that end effector; its reference frame is written later."""
+    return TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)), end_effector=region.end_effector)
+
+
+def reaches_no_pose(robot: Robot, region: TaskSpaceRegion) -> bool:
+    """Whether less than six joints move the hand: it gets to hardly any pose that is drawn."""
+    return int(robot.kinematics.moves[:, robot.hand(region.end_effector)[0]].sum()) < 6
 
 
 def solve_poses(
     robot: Robot,
+    region: TaskSpaceRegion,
     poses: np.ndarray,
     guesses: np.ndarray,
     within: Sequence[TaskSpaceRegion] = (),
-    anywhere: TaskSpaceRegion | None = None,
+    anywhere: bool = False,
 ) -> list[np.ndarray]:
     """Configurations inside the limits that reach end-effector poses, by Newton's method.
 
     Args:
         robot: the robot.
+        region: that the poses were drawn in.
         poses: (k, 4, 4) in the base frame [m].
         guesses: (k, a, n), where Newton's method starts; overwritten [rad or m].
         within: regions kept at the same time.
-        anywhere: a region of poses, anywhere in which they end instead.
+        anywhere: they end anywhere in the region instead.
 
     Returns:
         k arrays (at most a, n).
     """
     # the reference frame of the first region is written for each pose
-    regions = stack_regions(robot, (ONE_POSE, *within))
-    if anywhere is not None:
-        regions = stack_regions(robot, (anywhere, *within), INSIDE)
-        poses = np.broadcast_to(anywhere.T0_w, poses.shape)
+    regions = stack_regions(robot, (one_pose(region), *within))
+    if anywhere:
+        regions = stack_regions(robot, (region, *within), INSIDE)
+        poses = np.broadcast_to(region.T0_w, poses.shape)
     reached = np.empty(guesses.shape[:2], dtype=np.int64)
     reach_poses(
         robot.kinematics,
@@ -121,7 +128,7 @@ def sample_region(
     near: configuration (n,) that Newton's method starts around, `NEAR` away, instead of anywhere.
     project: onto the region, not onto poses drawn in it; always if the robot `reaches_no_pose`.
     """
-    anywhere = region if project or reaches_no_pose(robot) else None
+    anywhere = project or reaches_no_pose(robot, region)
     found: list[np.ndarray] = []
     unreachable = colliding = tried = 0
     while len(found) < count and tried < max_poses:
@@ -132,7 +139,7 @@ def sample_region(
         for candidates in (
             one
             for part in few
-            for one in solve_poses(robot, poses[part], guesses[part], within, anywhere)
+            for one in solve_poses(robot, region, poses[part], guesses[part], within, anywhere)
         ):
             tried += 1
             free = next((q for q in candidates if not checker.in_collision(q)), None)
@@ -164,31 +171,71 @@ def why_none(
     """The reasons: out of reach, against the constraint, in collision; "" if none is known."""
     rng = np.random.default_rng(0)
     T = region.sample_poses(rng, POSES)
-    anywhere = region if reaches_no_pose(robot) else None
-    found = solve_poses(robot, T, first_guesses(robot, rng, len(T)), anywhere=anywhere)
+    anywhere = reaches_no_pose(robot, region)
+    found = solve_poses(robot, region, T, first_guesses(robot, rng, len(T)), anywhere=anywhere)
     missed = T[[len(rows) == 0 for rows in found]]
-    reasons = [_reach(robot, missed, rng)] if len(missed) else []
+    reasons = [_reach(robot, region, missed, rng)] if len(missed) else []
     for member in constraint:
-        # few drawn poses say nothing of turns that are all free
-        if (region.bounded_rows > 2).any() and not isinstance(member, TaskSpaceRegionChain):
+        # few drawn poses say nothing of turns that are all free, nor of the other hand
+        if (
+            (region.bounded_rows > 2).any()
+            and not isinstance(member, TaskSpaceRegionChain)
+            and robot.hand(member.end_effector) is robot.hand(region.end_effector)
+        ):
             broken = broken_bound(member, displaced(member, T, member.T0_w[None]))
             reasons += [f"every pose breaks {broken}"] if broken else []
+        elif isinstance(member, TaskSpaceRegionChain) and not reasons:
+            reasons.append(_open_chain(robot, region, member, rng))
     reasons.append(_collisions(checker, np.concatenate(found)))
     return "; ".join(filter(None, reasons))
 
 
-def _reach(robot: Robot, T: np.ndarray, rng: np.random.Generator) -> str:
+def _open_chain(
+    robot: Robot,
+    region: TaskSpaceRegion,
+    member: TaskSpaceRegionChain,
+    rng: np.random.Generator,
+) -> str:
+    """By how much a closed chain is missed at best with a hand in a region; "" if it closes."""
+    T, guesses = region.sample_poses(rng, POSES), first_guesses(robot, rng, POSES)
+    if any(map(len, solve_poses(robot, region, T, guesses, (member,)))):
+        return ""
+    ends = guesses.reshape(-1, robot.dof)
+    off = np.linalg.norm(RegionConstraint(robot, (region, member)).residual(ends), axis=1)
+    best = ends[None, off.argmin()]
+    broken = broken_bound(member, displacements(robot, member, best)) or "nothing, the other hand"
+    hand = member.end_effector or robot.end_effector
+    return f"{member.base} and {hand} cannot both hold on there: the best of all breaks {broken}"
+
+
+def contradiction(robot: Robot, constraint: Sequence[TaskSpaceRegion], tries: int = 100) -> str:
+    """Two regions that no configuration was found for together, in words; "" without such."""
+    draws = robot.random_configurations(np.random.default_rng(0), tries)
+
+    def kept(*members: TaskSpaceRegion) -> bool:
+        manifold = RegionConstraint(robot, members)
+        return any(manifold.project(q) is not None for q in draws)
+
+    for (i, first), (k, second) in combinations(enumerate(constraint), 2):
+        if kept(first) and kept(second) and not kept(first, second):
+            return f"constraint[{i}] and constraint[{k}] contradict each other"
+    return ""
+
+
+def _reach(robot: Robot, region: TaskSpaceRegion, T: np.ndarray, rng: np.random.Generator) -> str:
     """How far poses (k, 4, 4) without inverse kinematics are, and how far the hand reaches."""
-    axis, reach = robot.kinematics.translation[0], hand_reach(robot)
-    away = np.linalg.norm(T[:, :3, 3] - axis, axis=1)
+    first = int(robot.kinematics.moves[:, robot.hand(region.end_effector)[0]].argmax())
+    reach = hand_reach(robot, region.end_effector)
+    away = np.linalg.norm(T[:, :3, 3] - robot.kinematics.translation[first], axis=1)
     if away.min() > reach:
         return (
-            f"they lie {away.min():.2f} m or more from {robot.joint_names[0]}, the hand reaches "
-            f"{reach:.2f} m"
+            f"they lie {away.min():.2f} m or more from {robot.joint_names[first]}, the hand "
+            f"reaches {reach:.2f} m"
         )
     turned = 0
+    anyhow = np.array([[0.0, 0.0]] * 3 + [[-FREE, FREE]] * 3)
     for pose in T:
-        place = TaskSpaceRegion(pose, np.eye(4), np.array([[0.0, 0.0]] * 3 + [[-FREE, FREE]] * 3))
+        place = TaskSpaceRegion(pose, np.eye(4), anyhow, end_effector=region.end_effector)
         manifold = RegionConstraint(robot, (place,))
         guesses = first_guesses(robot, rng, 1)[0]
         turned += any(manifold.project(q) is not None for q in guesses)
@@ -198,21 +245,23 @@ def _reach(robot: Robot, T: np.ndarray, rng: np.random.Generator) -> str:
             "asked to none"
         )
     return (
-        f"they lie from {away.min():.2f} m on from {robot.joint_names[0]}, where the hand reaches "
-        f"{reach:.2f} m, but the joint limits do not let it get there"
+        f"they lie from {away.min():.2f} m on from {robot.joint_names[first]}, where the hand "
+        f"reaches {reach:.2f} m, but the joint limits do not let it get there"
     )
 
 
-def hand_reach(robot: Robot, count: int = 4000) -> float:
-    """Distance [m] from the first joint that the hand reaches.
+def hand_reach(robot: Robot, end_effector: str | None = None, count: int = 4000) -> float:
+    """Distance [m] from its first joint that a hand reaches.
 
     Found by `count` random configurations, and by more around the best one.
     """
-    axis, rng = robot.kinematics.translation[0], np.random.default_rng(0)
+    k, rng = robot.kinematics, np.random.default_rng(0)
+    axis = k.translation[int(k.moves[:, robot.hand(end_effector)[0]].argmax())]
     configurations, best, reach = robot.random_configurations(rng, count), robot.lower, 0.0
     # standard deviations [rad or m], round by round
     for spread in (0.3, 0.2, 0.1, 0.05):
-        away = np.linalg.norm(robot.poses(configurations)[:, :3, 3] - axis, axis=1)
+        there = robot.poses(configurations, end_effector)[:, :3, 3]
+        away = np.linalg.norm(there - axis, axis=1)
         if away.max() > reach:
             best, reach = configurations[away.argmax()], float(away.max())
         near = best + spread * rng.standard_normal((count // 8, robot.dof))

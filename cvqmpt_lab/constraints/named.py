@@ -24,10 +24,11 @@ from cvqmpt_lab.errors import (
     shown,
 )
 from cvqmpt_lab.poses import Placement, Pose, pose
-from cvqmpt_lab.values import Angle, Condition
+from cvqmpt_lab.values import Angle, Condition, Name, frozen
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+HAND = "end_effector"  # field of a region that names its own
 Tolerance = Annotated[float, Condition(float, lambda x: x >= 0.0, "0 or more")]
 
 
@@ -93,6 +94,38 @@ def near_pose(
     return symmetric_region(pose(at[:3, 3]), turned, bounds, tilt)
 
 
+def relative_pose(
+    base: Name,
+    at: Pose,
+    position: Tolerance = 0.0,
+    rotation: Angle = 0.0,
+    about: Axis | None = None,
+) -> TaskSpaceRegionChain:
+    """The end effector stands at a pose in the frame of another one, or close to it.
+
+    Both then hold one thing, as a closed chain.
+
+    Args:
+        base: the other end effector, or another frame of the robot.
+        at: the pose in its frame (4, 4).
+        position: tolerance of x, y and z [m].
+        rotation: largest entry of the rotation vector, or angle of the axis `about` [rad].
+        about: axis of the end effector about which it turns freely.
+    """
+    turned, bounds, tilt = np.eye(4), [position] * 3 + [rotation] * 3, None
+    if about is not None:
+        # w and e turned, so that z is the axis
+        turned, bounds, tilt = _along((0.0, 0.0, 0.0), _direction(about)), bounds[:3], rotation
+        bounds += [FREE] * 3
+    Bw = frozen(np.array([[-bound, bound] for bound in bounds]))
+    return TaskSpaceRegionChain(at @ turned, turned.T, Bw, tilt=tilt, base=base)
+
+
+def _direction(axis: Axis) -> Vector:
+    x, y, z = (-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[-1])]
+    return x, y, z
+
+
 # what may stand for a region: `{"upright": {...}}` or `{"upright": 0.1}`, its first argument
 NAMED: Mapping[str, Any] = {
     "upright": upright,
@@ -101,6 +134,7 @@ NAMED: Mapping[str, Any] = {
     "plane": plane,
     "line": line,
     "pose": near_pose,
+    "relative-pose": relative_pose,
 }
 
 
@@ -141,17 +175,25 @@ class RegionForm:
         if unknown is not None:
             raise InvalidInputError(
                 f"{at(where, shown(unknown)[1:-1])} is unknown{nearest(unknown, [*full, *NAMED])}; "
-                f"fields: {', '.join(full)}, or one of {', '.join(NAMED)} alone"
+                f"fields: {', '.join(full)}, or one of {', '.join(NAMED)} alone, or with "
+                f"{HAND}"
             )
         if not any(key in NAMED for key in keys):
             kind: Any = TaskSpaceRegionChain if "base" in value else TaskSpaceRegion
             return from_plain(kind, value, where)
-        if len(keys) > 1:
-            raise InvalidInputError(f"{where} has {', '.join(keys)}; a region by name stands alone")
-        kind, content = NAMED[keys[0]], value[keys[0]]
+        name = next(key for key in keys if key in NAMED)
+        if [key for key in keys if key not in (name, HAND)]:
+            raise InvalidInputError(
+                f"{where} has {', '.join(keys)}; a region by name stands alone, or with {HAND}"
+            )
+        kind, content = NAMED[name], value[name]
         if not isinstance(content, Mapping):
             content = {next(iter(field_kinds(kind))): content}
-        return from_plain(kind, content, at(where, keys[0]))
+        made = from_plain(kind, content, at(where, name))
+        if HAND not in value:
+            return made
+        hand = from_plain(Name | None, value[HAND], at(where, HAND))
+        return made.changed(end_effector=hand)
 
     def write(self, value: TaskSpaceRegion) -> Any:
         """The region in full."""

@@ -68,8 +68,9 @@ def bound_usage(
 
 
 def displacements(robot: Robot, region: TaskSpaceRegion, states: np.ndarray) -> np.ndarray:
-    """Displacements x (m, 7) of the end effector at states (m, n), see `bounds` [m, rad]."""
-    return displaced(region, robot.poses(states), region.reference_poses(robot, states))
+    """Displacements x (m, 7) of its end effector at states (m, n), see `bounds` [m, rad]."""
+    poses = robot.poses(states, region.end_effector)
+    return displaced(region, poses, region.reference_poses(robot, states))
 
 
 def displaced(region: TaskSpaceRegion, poses: np.ndarray, references: np.ndarray) -> np.ndarray:

@@ -90,6 +90,8 @@ class TaskSpaceRegion(Checked):
     Bw: Bounds
     # upper bound of the tilt [rad], a cone; None, or pi and more, leaves it free
     tilt: Angle | None = field(default=None, kw_only=True)
+    # frame e, one of the robot's end effectors; None: its first
+    end_effector: Name | None = field(default=None, kw_only=True)
 
     def _check(self) -> None:
         if self.tilt != 0.0:
@@ -104,9 +106,12 @@ class TaskSpaceRegion(Checked):
         object.__setattr__(self, "Bw", frozen(Bw))
         object.__setattr__(self, "tilt", None)
 
-    def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
-        """Pose row that carries frame w (0 = the world), and T_link_w (4, 4)."""
-        return 0, self.T0_w
+    def links(self, robot: Robot) -> tuple[tuple[int, np.ndarray], tuple[int, np.ndarray]]:
+        """Pose row that carries w (0 = the world), T_link_w (4, 4); the same of e.
+
+        InvalidInputError or UnknownChoiceError: the robot has no such frames.
+        """
+        return (0, self.T0_w), robot.hand(self.end_effector)
 
     def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
         """T_world_w (k, 4, 4) at q (k, n), by pinocchio; (1, 4, 4) if it is fixed."""
@@ -183,15 +188,15 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
     The chain goes from the world through the joints that move `base`, e.g. the hinge of a door, and
     one region to the end effector. The joints are the robot's (see `with_articulated_object`), free
     within their limits. `T0_w` is the pose of w in the base frame: `sample_poses` gives poses in
-    the base frame.
+    the base frame. With another end effector as base, both hands form a closed chain.
     """
 
     base: Name  # name of a body frame of the robot, e.g. "dagger_door_left/handle_bar"
     # The base stands still while the robot moves; a base that does is refused without it
     fixed: bool = False
 
-    def reference_link(self, robot: Robot) -> tuple[int, np.ndarray]:
-        """Pose row that carries frame w, and T_link_w (4, 4); InvalidInputError: no such base."""
+    def links(self, robot: Robot) -> tuple[tuple[int, np.ndarray], tuple[int, np.ndarray]]:
+        """As of a `TaskSpaceRegion`; refuses a base that e does not move against."""
         row, T_link_base = robot.link_of(self.base)
         if row == 0 and not self.fixed:
             raise InvalidInputError(
@@ -203,7 +208,14 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
             raise InvalidInputError(
                 f'base {self.base!r} is moved by the planned joints: leave out "fixed": true'
             )
-        return row, T_link_base @ self.T0_w
+        link, T_link_e = robot.hand(self.end_effector)
+        moves = robot.kinematics.moves
+        if (moves[:, row] == moves[:, link]).all():
+            raise InvalidInputError(
+                f"base {self.base!r} and end effector {self.end_effector or robot.end_effector!r} "
+                "do not move against each other: name another frame, or leave the region out"
+            )
+        return (row, T_link_base @ self.T0_w), (link, T_link_e)
 
     def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:
         """T_world_w (k, 4, 4) at configurations q (k, n), by pinocchio."""
@@ -211,7 +223,13 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
 
     def at(self, T_world_base: np.ndarray) -> TaskSpaceRegion:
         """The region in the world while the base stands at a pose (4, 4)."""
-        return TaskSpaceRegion(T_world_base @ self.T0_w, self.Tw_e, self.Bw, tilt=self.tilt)
+        return TaskSpaceRegion(
+            T_world_base @ self.T0_w,
+            self.Tw_e,
+            self.Bw,
+            tilt=self.tilt,
+            end_effector=self.end_effector,
+        )
 
 
 def symmetric_region(
@@ -261,7 +279,7 @@ def _standing(axis: Axis) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class RegionConstraint:
-    """The intersection of regions of a robot's end effector as F(q) = 0; without regions m = 0."""
+    """The intersection of regions of a robot's end effectors as F(q) = 0; without any m = 0."""
 
     robot: Robot
     members: tuple[TaskSpaceRegion, ...]
@@ -310,20 +328,21 @@ class RegionConstraint:
 
 
 def stack_regions(robot: Robot, members: Sequence[TaskSpaceRegion], shrink: float = 0.0) -> Regions:
-    """Plain arrays of regions of the end effector.
+    """Plain arrays of regions.
 
     shrink: bounds are moved inwards by this much [m, rad], at most a tenth of their width, so that
         straight joint motions between two states at the bounds stay inside.
     """
-    link, T_link_e = robot.end_effector_link
-    references = [member.reference_link(robot) for member in members]
-    ends = [T_link_e @ np.linalg.inv(member.Tw_e) for member in members]
+    references, hands = (
+        zip(*(member.links(robot) for member in members), strict=True) if members else ((), ())
+    )
+    ends = [T @ np.linalg.inv(it.Tw_e) for it, (_, T) in zip(members, hands, strict=True)]
     rows = [(k, row) for k, member in enumerate(members) for row in member.bounded_rows]
     bounds = np.array([members[k].bounds[row] for k, row in rows]).reshape(-1, 2)
     inset = np.minimum(shrink, 0.1 * (bounds[:, 1] - bounds[:, 0]))
     k = len(members)
     return Regions(
-        link=np.full(k, link, dtype=np.int64),
+        link=np.array([row for row, _ in hands], dtype=np.int64),
         base=np.array([row for row, _ in references], dtype=np.int64),
         end_rotation=np.array([T[:3, :3] for T in ends]).reshape(k, 3, 3),
         end_translation=np.array([T[:3, 3] for T in ends]).reshape(k, 3),

@@ -21,12 +21,13 @@ from cvqmpt_lab.robot.robot import JointLimits, Robot, axis_frames, in_link
 
 
 class Load(NamedTuple):
-    """The mass of something fixed to the end effector."""
+    """The mass of something fixed to an end effector."""
 
     T_hand_object: np.ndarray  # (4, 4) [m]
     mass: float  # [kg]
     centre: np.ndarray  # of mass (3,), in the object's frame [m]
     tensor: np.ndarray  # of inertia about the centre of mass (3, 3) [kg m^2]
+    end_effector: str | None = None  # None: the robot's first
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,9 @@ class Dynamics:
         if robot.weightless or np.isinf(robot.limits["effort"]).all():
             return None
         model = robot.model.copy()
-        frame = model.frames[model.getFrameId(robot.end_effector, pin.FrameType.BODY)]
         for load in loads:
+            name = load.end_effector or robot.end_effector
+            frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
             inertia = pin.Inertia(load.mass, load.centre, load.tensor)
             held = frame.placement * pin.SE3(load.T_hand_object)
             model.appendBodyToJoint(frame.parentJoint, inertia, held)

@@ -60,7 +60,7 @@ def panda(finger_opening: float = FINGER_OPENING) -> Robot:
 
 def load_robot(
     urdf: Path | str,
-    end_effector: str,
+    end_effector: str | Sequence[str],
     srdf: Path | str | None = None,
     locked: Mapping[str, float] | None = None,
     package_dirs: Sequence[Path | str] = (),
@@ -77,7 +77,7 @@ def load_robot(
 
     Args:
         urdf: file.
-        end_effector: frame that constraints and goals are about.
+        end_effector: frame that constraints and goals are about; several: all their joints move.
         srdf: file with the link pairs to skip; without one they are found by sampling.
         locked: joints to fix, with their values [rad or m].
         package_dirs: folders in which ``package://`` mesh paths are looked up first.
@@ -89,7 +89,11 @@ def load_robot(
     """
     source: dict[str, Any] = {
         "urdf": str(Path(urdf).resolve()),
-        "end_effector": end_effector,
+        **(
+            {"end_effector": end_effector}
+            if isinstance(end_effector, str)
+            else {"end_effectors": list(end_effector)}
+        ),
         "srdf": str(Path(srdf).resolve()) if srdf else None,
         "locked": dict(locked or {}),
         "package_dirs": [str(Path(folder).resolve()) for folder in package_dirs],
@@ -166,7 +170,7 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     given = read_source(source)
     read = {path: content_digest(path) for path in (given.urdf, given.srdf) if path}
     urdf = read_urdf(Path(given.urdf))
-    held = held_joints(urdf, given.end_effector, given.locked, given.base is not None)
+    held = held_joints(urdf, given.end_effectors, given.locked, given.base is not None)
     held = tuple(joint for joint in held if joint.name not in free)
     model, geometry, meshes = _models(urdf, given, held)
     replace_meshes_by_hulls(geometry)
@@ -178,14 +182,18 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         # those of the source have no entries for joints that are free beside the arm's
         if values is not None and not free
     }
-    hand = model.frames[model.getFrameId(given.end_effector, pin.FrameType.BODY)]
+    hands = {
+        name: model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        for name in given.end_effectors
+    }
     robot = Robot(
         name=model.name,
         source=dict(source),
         model=model,
         collision_model=geometry,
-        end_effector=given.end_effector,
-        end_effector_link=in_link(axes, hand.parentJoint, hand.placement),
+        end_effectors={
+            name: in_link(axes, hand.parentJoint, hand.placement) for name, hand in hands.items()
+        },
         kinematics=kinematics_arrays(model, axes),
         links=tuple(link_geometry(item, axes) for item in geometry.geometryObjects),
         self_collision_pairs=(),

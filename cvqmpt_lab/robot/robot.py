@@ -144,9 +144,9 @@ class Robot:
     source: dict  # field "robot" of a problem file that loads this robot again
     model: pin.Model
     collision_model: pin.GeometryModel  # meshes replaced by their convex hulls
-    end_effector: str  # frame that constraints and goals are about
-    # pose row of the end effector's link, T_link_frame (4, 4)
-    end_effector_link: tuple[int, np.ndarray]
+    # frames that constraints and goals are about, the first where a region names none: pose row of
+    # the link, T_link_frame (4, 4)
+    end_effectors: Mapping[str, tuple[int, np.ndarray]]
     kinematics: Kinematics  # arrays for the kernels
     links: tuple[LinkGeometry, ...]  # convex pieces
     # indices into `links` of the pairs that are checked
@@ -159,14 +159,34 @@ class Robot:
 
     def __post_init__(self) -> None:
         # problems share robots
-        frozen((self.kinematics, self.end_effector_link, *self.limits.values()))
+        frozen((self.kinematics, *self.end_effectors.values(), *self.limits.values()))
 
     def __repr__(self) -> str:
         return (
-            f"Robot {self.name!r}: {self.dof} joints, end effector {self.end_effector}, "
+            f"Robot {self.name!r}: {self.dof} joints, end effector "
+            f"{' and '.join(self.end_effectors)}, "
             f"reach {self.reach:.2f} m, {len(self.links)} convex pieces\n"
             f"joints      {', '.join(self.joint_names)}"
         )
+
+    @property
+    def end_effector(self) -> str:
+        """The first end effector's frame."""
+        return next(iter(self.end_effectors))
+
+    @property
+    def end_effector_link(self) -> tuple[int, np.ndarray]:
+        """Pose row of the first end effector's link, and T_link_frame (4, 4)."""
+        return next(iter(self.end_effectors.values()))
+
+    def hand(self, end_effector: str | None = None) -> tuple[int, np.ndarray]:
+        """Pose row of an end effector's link, None: the first one's, and T_link_frame (4, 4)."""
+        name = end_effector or self.end_effector
+        if name not in self.end_effectors:
+            raise UnknownChoiceError(
+                f"end effector of robot {self.name}", name, list(self.end_effectors)
+            )
+        return self.end_effectors[name]
 
     @property
     def dof(self) -> int:
@@ -235,8 +255,7 @@ class Robot:
         for j in range(self.dof):
             slide = max(abs(k.lower[j]), abs(k.upper[j])) if k.prismatic[j] else 0.0
             distance[j + 1] = distance[k.parent[j]] + np.linalg.norm(k.translation[j]) + slide
-        link, T = self.end_effector_link
-        ends = [distance[link] + np.linalg.norm(T[:3, 3])]
+        ends = [distance[row] + np.linalg.norm(T[:3, 3]) for row, T in self.end_effectors.values()]
         for piece in self.links:
             if piece.link == 0:
                 continue
@@ -248,11 +267,11 @@ class Robot:
 
         Of a hinge, the largest distance from its origin to a point that it moves.
 
-        carried: radius of a ball around the end effector with what it carries [m].
+        carried: radius of a ball around each end effector with what it carries [m].
         """
         k, far = self.kinematics, np.zeros(self.dof + 1)
-        link, T = self.end_effector_link
-        far[link] = np.linalg.norm(T[:3, 3]) + carried
+        for link, T in self.end_effectors.values():
+            far[link] = max(far[link], np.linalg.norm(T[:3, 3]) + carried)
         for piece in self.links:
             corners = np.linalg.norm(piece.vertices_in_link, axis=1).max()
             far[piece.link] = max(far[piece.link], corners)

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, mapping
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, mapping, unique
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.urdf import collada_unit
 from cvqmpt_lab.values import FloatArray, numbers
@@ -56,6 +56,8 @@ class RobotSource:
     base: Pose | None = None
     name: str = ""  # a key of `ARMS`, instead of a URDF; options given beside it replace the arm's
     finger_opening: float | None = None  # [m] of each finger of the Panda
+    # several frames instead of `end_effector`; regions name theirs, or mean the first
+    end_effectors: tuple[str, ...] = ()
 
     @property
     def limits(self) -> dict[str, FloatArray | None]:
@@ -97,6 +99,19 @@ def read_source(source: Mapping[str, Any]) -> RobotSource:
         if name != ARTICULATED and (value is not None or name not in ("end_effector", "srdf"))
     }
     given = from_plain(RobotSource, values, WHERE)
+    if given.end_effector and given.end_effectors:
+        raise InvalidInputError(
+            f"{WHERE} has 'end_effector' and 'end_effectors': give one of the two"
+        )
+    unique(given.end_effectors, f"{WHERE}.end_effectors")
+    if given.end_effectors:
+        given = replace(given, end_effector=given.end_effectors[0])
+    given = _with_arm(given)
+    return replace(given, end_effectors=given.end_effectors or (given.end_effector,))
+
+
+def _with_arm(given: RobotSource) -> RobotSource:
+    """The source with a URDF and end effector: those of the named arm, or its own."""
     if given.name and given.urdf:
         raise InvalidInputError(f"{WHERE} has 'name' and 'urdf': give one of the two")
     if given.name:
@@ -143,7 +158,8 @@ def _of_arm(given: RobotSource) -> RobotSource:
     return replace(
         given,
         urdf=str(robots / arm.urdf),
-        end_effector=given.end_effector or arm.end_effector,
+        end_effector=given.end_effector or arm.end_effector or arm.end_effectors[0],
+        end_effectors=given.end_effectors or (() if given.end_effector else arm.end_effectors),
         srdf=given.srdf or (arm.srdf and str(robots / arm.srdf)),
         locked={**arm.locked, **fingers, **given.locked},
         **limits,
@@ -210,6 +226,34 @@ ARMS: Mapping[str, RobotSource] = {
     "baxter-left": RobotSource("baxter_description/urdf/baxter.urdf", "left_gripper", BAXTER_SRDF),
     "baxter-right": RobotSource(
         "baxter_description/urdf/baxter.urdf", "right_gripper", BAXTER_SRDF
+    ),
+    # both arms
+    "baxter": RobotSource(
+        "baxter_description/urdf/baxter.urdf",
+        srdf=BAXTER_SRDF,
+        end_effectors=("left_gripper", "right_gripper"),
+    ),
+    "tiago-dual": RobotSource(
+        "tiago_description/robots/tiago_dual.urdf",
+        end_effectors=("hand_left_palm_link", "hand_right_palm_link"),
+    ),
+    "tiago-pro": RobotSource(
+        "tiago_pro_description/robots/tiago_pro.urdf",
+        end_effectors=("gripper_left_base_link", "gripper_right_base_link"),
+    ),
+    "talos": RobotSource(
+        TALOS,
+        locked=STANDING,
+        end_effectors=("gripper_left_base_link", "gripper_right_base_link"),
+    ),
+    "pr2": RobotSource(
+        "pr2_description/urdf/pr2.urdf",
+        end_effectors=("l_gripper_tool_frame", "r_gripper_tool_frame"),
+    ),
+    "g1": RobotSource(
+        "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
+        locked={f"waist_{axis}_joint": 0.0 for axis in ("yaw", "roll", "pitch")},
+        end_effectors=("left_hand_palm_link", "right_hand_palm_link"),
     ),
     "pr2-left": RobotSource("pr2_description/urdf/pr2.urdf", "l_gripper_tool_frame"),
     "pr2-right": RobotSource("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame"),

@@ -206,13 +206,13 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
 
 
 def held_joints(
-    urdf: Urdf, end_effector: str, locked: Mapping[str, float], base_given: bool
+    urdf: Urdf, end_effectors: Sequence[str], locked: Mapping[str, float], base_given: bool
 ) -> tuple[HeldJoint, ...]:
-    """The joints that planning does not move: locked ones, and those outside the chain.
+    """The joints that planning does not move: locked ones, and those outside the chains.
 
     Args:
         urdf: the robot.
-        end_effector: link at the end of the chain, which begins at the base.
+        end_effectors: links at the ends of the chains, which begin at the base.
         locked: values [rad or m] of joints by name.
         base_given: whether the pose of the base is given: then a floating joint of the chain is
             held, too.
@@ -223,8 +223,9 @@ def held_joints(
     Raises UnknownChoiceError for a name that the URDF lacks. Raises InvalidInputError if a joint
     can be neither moved nor held (it names options that help), or if no joint is left to move.
     """
-    if end_effector not in urdf.links:
-        raise UnknownChoiceError("end-effector frame", end_effector, urdf.links)
+    for name in end_effectors:
+        if name not in urdf.links:
+            raise UnknownChoiceError("end-effector frame", name, urdf.links)
     movable = {joint.name: joint for joint in urdf.joints.values() if joint.kind != "fixed"}
     held = {}
     for name, value in locked.items():
@@ -237,7 +238,8 @@ def held_joints(
                 "Give radians"
             )
         held[name] = HeldJoint(name, number, LOCKED)
-    chain = {joint.name for joint in urdf.chain(end_effector)}
+    chains = {name: {joint.name for joint in urdf.chain(name)} for name in end_effectors}
+    chain = set[str]().union(*chains.values())
     free = [joint for name, joint in movable.items() if name not in held]
     # mimicking joints come last: whether they are held can depend on the joint that they follow
     for joint in sorted(free, key=lambda joint: joint.mimics is not None):
@@ -263,11 +265,12 @@ def held_joints(
             + " ".join(f"--lock {joint.name}={joint.neutral:g}" for joint in offending)
             + (", or place the base: --base X,Y,Z" if floats else "")
         )
-    if not chain & movable.keys() - held.keys():
-        raise InvalidInputError(
-            f"no joint of {urdf.path.name} moves {end_effector!r}; end effectors it may have: "
-            + ", ".join(urdf.likely_end_effectors())
-        )
+    for end_effector, joints in chains.items():
+        if not joints & movable.keys() - held.keys():
+            raise InvalidInputError(
+                f"no joint of {urdf.path.name} moves {end_effector!r}; end effectors it may have: "
+                + ", ".join(urdf.likely_end_effectors())
+            )
     return tuple(held[name] for name in movable if name in held)
 
 

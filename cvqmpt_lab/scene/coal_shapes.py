@@ -39,7 +39,7 @@ def loads_of(attachments: Iterable[Attachment]) -> list[Load]:
                 solid.computeCOM(),
                 density * solid.computeMomentofInertiaRelatedToCOM(),
             )
-        loads.append(Load(item.T_hand_object, item.mass, centre, tensor))
+        loads.append(Load(item.T_hand_object, item.mass, centre, tensor, item.end_effector))
     return loads
 
 

@@ -209,6 +209,14 @@ class Attachment(Checked):
     shape: Shape  # the geometry, in the object frame
     T_hand_object: Pose  # (4, 4), pose of the shape in the end-effector frame [m]
     mass: Mass | None = None  # [kg], for timing and execution; None: not known, taken as 0
+    end_effector: Name | None = None  # that carries it; None: the robot's first
+    # other end effectors that hold it, too: what is fixed to them may touch it
+    also_held_by: tuple[Name, ...] = ()
+
+    @property
+    def held_by(self) -> tuple[str | None, ...]:
+        """All end effectors that hold it; None: the robot's first."""
+        return self.end_effector, *self.also_held_by
 
     def _check(self) -> None:
         if isinstance(self.shape, OccupancyMap):

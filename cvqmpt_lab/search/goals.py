@@ -15,10 +15,10 @@ from cvqmpt_lab.constraints.inverse_kinematics import (
     INSIDE,
     MAX_ITERATIONS,
     NEAR,
-    ONE_POSE,
     SAMPLE_MARGIN,
     TOLERANCE,
     GoalSample,
+    one_pose,
 )
 from cvqmpt_lab.constraints.project import ProjectionScratch, newton, projection_scratch
 from cvqmpt_lab.constraints.regions import Regions
@@ -175,12 +175,12 @@ def sample_goals(
     robot, region = problem.robot, problem.goal_region
     assert region is not None
     if near is None:
-        seeds = _seeds_anywhere(robot)
+        seeds = _seeds_anywhere(robot, region.end_effector)
     else:
         scattered = near + NEAR * rng.standard_normal((512, robot.dof))
-        seeds = _seeds(robot, np.clip(scattered, robot.lower, robot.upper))
+        seeds = _seeds(robot, np.clip(scattered, robot.lower, robot.upper), region.end_effector)
     T = region.sample_poses(rng, max_poses)
-    regions = stack_regions(robot, (ONE_POSE, *within))
+    regions = stack_regions(robot, (one_pose(region), *within))
     if project:
         # no pose is the one to start near to
         T[:], look = region.T0_w, 1
@@ -227,14 +227,15 @@ def _turned_near(configurations: np.ndarray, start: np.ndarray, robot: Robot) ->
 
 
 @lru_cache(maxsize=8)
-def _seeds_anywhere(robot: Robot) -> Seeds:
+def _seeds_anywhere(robot: Robot, end_effector: str | None) -> Seeds:
     """Uniform configurations, always the same."""
-    return _seeds(robot, robot.random_configurations(np.random.default_rng(0), 8192))
+    uniform = robot.random_configurations(np.random.default_rng(0), 8192)
+    return _seeds(robot, uniform, end_effector)
 
 
-def _seeds(robot: Robot, configurations: np.ndarray) -> Seeds:
-    """Configurations (k, n) with their hand poses."""
-    link, T = robot.end_effector_link
+def _seeds(robot: Robot, configurations: np.ndarray, end_effector: str | None) -> Seeds:
+    """Configurations (k, n) with the poses of an end effector."""
+    link, T = robot.hand(end_effector)
     rotations, translations = link_poses(robot.kinematics, configurations)
     return Seeds(
         configurations,

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -164,7 +165,7 @@ def robot_bodies(
         mesh = hull_mesh(part.vertices)
         found.append(Body(group, layer, part.name, mesh, colour, poses, opacity))
     for item in problem.attachments:
-        poses = problem.robot.poses(states) @ item.T_hand_object
+        poses = problem.robot.poses(states, item.end_effector) @ item.T_hand_object
         name = item.name.replace("_", " ") if group in ("robot", "start") else group
         found.append(Body(name, layer, item.name, shape_mesh(item.shape), LOAD, poses, opacity))
     return found
@@ -218,7 +219,7 @@ def _over(
 ) -> Iterator[Body]:
     """Start, goals, ghosts, the hand's trace, constraint and axes; path: its states (m, n)."""
     states = problem.start[None] if path is None else path
-    T_world_hand = problem.robot.poses(states)
+    hands = [problem.robot.poses(states, name) for name in problem.robot.end_effectors]
     yield from robot_bodies(problem, problem.start[None], ROBOT, "start", "start", 0.35)
     opacity = 0.5 if path is None else 0.55
     for k, goal in enumerate(problem.goals[:goals] if path is None else states[-1:]):
@@ -228,13 +229,15 @@ def _over(
         for k in range(1, ghosts + 1):
             q = path[np.searchsorted(travelled, travelled[-1] * k / (ghosts + 1))]
             yield from robot_bodies(problem, q[None], GHOST, "on the way", f"way/{k}", 0.25)
-        trace = beads(T_world_hand[:, :3, 3])
-        yield Body("path of the hand", "path", "hand", trace, TRACE, behind=0.45)
+        for T_world_hand in hands:
+            trace = beads(T_world_hand[:, :3, 3])
+            yield Body("path of the hand", "path", "hand", trace, TRACE, behind=0.45)
     for k, mark in enumerate(constraint_marks(problem, states)):
         layer = f"constraint/{k}"
         yield Body("constraint", layer, "mark", mark, CONSTRAINT, opacity=0.3, behind=0.12)
     of_axes = (0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85)  # red, green, blue
-    for name, colour, mesh in zip("xyz", of_axes, axes_marks(problem.robot.reach), strict=True):
+    marks = zip("xyz", of_axes, axes_marks(problem.robot.reach), strict=True)
+    for (name, colour, mesh), T_world_hand in product(marks, hands):
         yield Body("axes of the hand", "hand", name, mesh, colour, T_world_hand)
         for T in T_world_hand[[0, -1]]:
             yield Body("axes", "axes", name, mesh, colour, T[None], behind=0.5)

@@ -35,17 +35,17 @@ def constraint_marks(
         widest: half angle at which a cone is no longer drawn [rad].
     """
     robot, reach = problem.robot, problem.robot.reach
-    T_world_hand = robot.poses(states)
     for region in problem.constraint:
         if isinstance(region, TaskSpaceRegionChain):
-            # joints that move the region's frame, not the hand
-            moved = np.flatnonzero(robot.kinematics.moves[:, region.reference_link(robot)[0]])
-            if len(moved):
+            # the joint of a door; a region that hangs on the other hand is not drawn
+            moved = np.flatnonzero(robot.kinematics.moves[:, region.links(robot)[0][0]])
+            if len(moved) == 1:
                 swept = np.repeat(states[:1], 40, axis=0)
                 swept[:, moved] = np.linspace(robot.lower[moved], robot.upper[moved], 40)
                 yield beads((region.reference_poses(robot, swept) @ region.Tw_e)[:, :3, 3])
             continue
-        T_world_w = T_world_hand @ np.linalg.inv(region.Tw_e)  # w, displaced
+        # w, displaced
+        T_world_w = robot.poses(states, region.end_effector) @ np.linalg.inv(region.Tw_e)
         rows = set(region.bounded_rows.tolist())
         fixed, free = ([k for k in range(3) if (k in rows) == bound] for bound in (True, False))
         if len(free) in (1, 2):

@@ -87,7 +87,7 @@ def test_chains_survive_json_and_bad_ones_are_refused(door, panda):
     elsewhere, plain = replace(chain, base="fridge/handle"), to_plain(chain) | {"base": 3}
     for told, call, *given, options in (
         (r"'fridge/handle'.*panda_hand", replace, door, {"constraint": (elsewhere,)}),
-        (r"frame of robot panda '.*handle_bar'.*panda_hand", chain.reference_link, panda, {}),
+        (r"frame of robot panda '.*handle_bar'.*panda_hand", chain.links, panda, {}),
         ("'goal_region' hangs on", replace, door, {"goal_region": chain}),
         ("base is 3; it must be str", from_plain, Region, plain, {}),
         ("base is miss", from_plain, TaskSpaceRegionChain, to_plain(chain.at(np.eye(4))), {}),

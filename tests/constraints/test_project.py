@@ -88,15 +88,15 @@ def test_an_unreachable_region_and_what_is_not_a_number_fail(panda):
 
 
 def test_inverse_kinematics_reaches_the_pose(panda):
-    rng = np.random.default_rng(4)
+    rng, region = np.random.default_rng(4), region_at(np.zeros(3), 0.1)
     solved = 0
     for q in 0.8 * panda.random_configurations(rng, 20) + 0.1 * (panda.lower + panda.upper):
         T = panda.pose(q)
-        solutions = solve_poses(panda, T[None], first_guesses(panda, rng, 1))[0]
+        solutions = solve_poses(panda, region, T[None], first_guesses(panda, rng, 1))[0]
         solved += len(solutions) > 0
         for solution in solutions:
             np.testing.assert_allclose(panda.pose(solution), T, atol=2e-6)
             assert panda.joint_outside_limits(solution) is None
     assert solved >= 18
     guesses = first_guesses(panda, rng, 1)
-    assert len(solve_poses(panda, UNREACHABLE.T0_w[None], guesses)[0]) == 0
+    assert len(solve_poses(panda, UNREACHABLE, UNREACHABLE.T0_w[None], guesses)[0]) == 0
