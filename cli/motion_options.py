@@ -40,8 +40,9 @@ MOTION: Options = {
             metavar="X,Y,Z,R,P,Y",
         ),
         "--constraint": option(
-            f"{', '.join(NAMED)} (the first three keep how the end effector "
-            "is oriented at the start), or a region as json; repeatable",
+            f"{', '.join(NAMED)} (the first three keep how the end effector is oriented at the "
+            "start, relative-pose=HAND how the other one is held to that one), or a region as "
+            "json; repeatable",
             metavar="NAME[=VALUE]|JSON",
             **REPEATED,
         ),
@@ -127,6 +128,15 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
         from scipy.spatial.transform import Rotation  # takes 0.3 s to import
 
         fields["rpy"] = Rotation.from_matrix(robot.pose(start)[:3, :3]).as_euler("xyz").tolist()
+    if name == "relative-pose":
+        hand = next((hand for hand in robot.end_effectors if hand != value), None)
+        if value not in robot.end_effectors or hand is None:
+            raise UnknownChoiceError(
+                "--constraint relative-pose=HAND", value, list(robot.end_effectors)
+            )
+        at = np.linalg.inv(robot.pose(start, value)) @ robot.pose(start, hand)
+        held = {name: {"base": value, "at": at.tolist()}, "end_effector": hand}
+        return from_plain(Region, held, "--constraint")
     if value:
         fields[next(iter(field_kinds(NAMED[name])))] = numbers("--constraint", value, ("VALUE",))[0]
     return from_plain(Region, {name: fields}, "--constraint")

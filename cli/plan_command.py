@@ -42,7 +42,7 @@ from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named
-from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.problem import PlanningProblem, with_projected_start
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW, Robot
 from cvqmpt_lab.solution_report import solution_data, solution_lines
@@ -92,6 +92,8 @@ def _solved_problem(
     args: argparse.Namespace, problem: PlanningProblem
 ) -> tuple["Solution | TaskSolution", dict[str, Any] | list[str]]:
     """A problem's solution, and its report: data for --json, else lines."""
+    if args.project_start:
+        problem = with_projected_start(problem)
     planner, why = (args.planner, "") if args.planner else default_planner(problem)
     method = planner_named(planner, args.model, args.reach)
     if args.cloud and not motion_given(args):
@@ -130,7 +132,9 @@ def _solved_task(
     from cvqmpt_lab.tasks.solve import solve_task, task_data, task_lines
     from cvqmpt_lab.trajectory.timing import TimingSettings
 
-    unusable = [name for name in ("cloud", "optimize", "save_path") if getattr(args, name)]
+    unusable = [
+        name for name in ("cloud", "optimize", "save_path", "project_start") if getattr(args, name)
+    ]
     if unusable:
         raise InvalidInputError(
             f"--{unusable[0].replace('_', '-')} does not go with a task; leave it out"
@@ -322,6 +326,7 @@ OPTIONS: Options = {
     "--scene": option(
         "obstacles of --start and --goal, instead of --cloud", type=Path, metavar="S.json"
     ),
+    "--project-start": option("move the start onto the constraint first (Algorithm 1)", **FLAG),
     **SEED,
     "--json": option("print one json object instead of the report", **FLAG),
     "-v --verbose": option("log the stages of planning on standard error", **FLAG),

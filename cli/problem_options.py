@@ -59,6 +59,12 @@ def _locked_joint(text: str) -> tuple[str, float]:
 
 ROBOT_DETAILS: Options = {  # what may be said of a robot, whichever way it is named
     "--end-effector": option("its frame that constraint and goals speak of", metavar="FRAME"),
+    "--end-effectors": option(
+        "several such frames, whose joints move together; regions name theirs",
+        nargs="+",
+        default=[],
+        metavar="FRAME",
+    ),
     "--srdf": option("file with link pairs not to check", type=Path, metavar="ARM.srdf"),
     "--package-dir": option(
         "where package:// meshes lie, beside ROS_PACKAGE_PATH; repeatable",
@@ -134,7 +140,7 @@ def robot_source(
     if args.robot is not None:
         return {"name": args.robot, **options}
     if args.urdf is not None:
-        if args.end_effector is None:
+        if args.end_effector is None and not args.end_effectors:
             raise InvalidInputError(
                 "--urdf needs --end-effector FRAME, a frame of that URDF; cvqmpt robot "
                 f"{args.urdf} suggests one"
@@ -161,6 +167,7 @@ def robot_options(args: argparse.Namespace) -> dict[str, Any]:
     """The options of `ROBOT_DETAILS` that were given, as fields of a problem file's robot."""
     given = {
         "end_effector": args.end_effector,
+        "end_effectors": args.end_effectors,
         "srdf": args.srdf and str(args.srdf.absolute()),
         "package_dirs": [str(folder.absolute()) for folder in args.package_dir],
         "locked": dict(args.lock),

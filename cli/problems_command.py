@@ -47,7 +47,7 @@ def _new(args: argparse.Namespace) -> int:
     from cvqmpt_lab.benchmarks.task_template import task_template
     from cvqmpt_lab.benchmarks.templates import problem_template, with_limits
 
-    if args.urdf is not None and args.end_effector is None:
+    if args.urdf is not None and args.end_effector is None and not args.end_effectors:
         args.end_effector = read_urdf(args.urdf).likely_end_effectors()[0]
         print(f"end effector {args.end_effector}, a guess; --end-effector names another")
     robot, notes = with_limits(robot_source(args) or {"name": "panda"})

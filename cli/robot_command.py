@@ -25,7 +25,8 @@ def run(args: argparse.Namespace) -> int:
     """Load the robot and report."""
     if args.robot is None:
         for name, arm in ARMS.items():
-            print(f"{name:16} {arm.urdf}, end effector {arm.end_effector}")
+            hands = arm.end_effector or " and ".join(arm.end_effectors)
+            print(f"{name:16} {arm.urdf}, end effector {hands}")
         return 0
     source, others = _source(args)
     robot = robot_from_source(source)
@@ -43,7 +44,8 @@ def _source(args: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
     options = robot_options(args)
     if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
         return {"name": args.robot, **options}, []
-    likely = [] if "end_effector" in options else read_urdf(Path(args.robot)).likely_end_effectors()
+    chosen = {"end_effector", "end_effectors"} & options.keys()
+    likely = [] if chosen else read_urdf(Path(args.robot)).likely_end_effectors()
     return {
         "urdf": args.robot,
         **({"end_effector": likely[0]} if likely else {}),
@@ -64,7 +66,7 @@ def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:
         "name": robot.name,
         "source": robot.source,
         "kinematics_digest": robot.kinematics_digest,
-        "end_effector": robot.end_effector,
+        "end_effectors": list(robot.end_effectors),
         "reach_m": robot.reach,
         "joints": [
             {
@@ -97,7 +99,7 @@ def report(robot: Robot, said: dict[str, Any], others: list[str]) -> Iterator[st
         f"{robot.kinematics_digest}"
     )
     chosen = f" (a guess of {', '.join(others)}: --end-effector names another)" if others else ""
-    yield f"end effector {robot.end_effector}{chosen}"
+    yield f"end effector {' and '.join(robot.end_effectors)}{chosen}"
     for joint in said["joints"]:
         unit = "m" if joint["kind"] == "prismatic" else "rad"
         fast = (

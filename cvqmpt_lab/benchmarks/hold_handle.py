@@ -79,9 +79,9 @@ def _set(source: Mapping[str, Any], fingers: Sequence[Joint], share: float) -> d
     return {"locked": {**source.get("locked", {}), **at}} if fingers else {}
 
 
-def _pieces(robot: Robot) -> dict[str, np.ndarray]:
-    """Corners (k, 3) of the pieces of the hand, in the frame of the end effector."""
-    row, T = robot.end_effector_link
+def pieces_of(robot: Robot, end_effector: str | None = None) -> dict[str, np.ndarray]:
+    """Corners (k, 3) of the pieces of a hand, in the frame of the end effector."""
+    row, T = robot.hand(end_effector)
     found = {
         piece.name: (piece.vertices_in_link - T[:3, 3]) @ T[:3, :3]
         for piece in robot.links
@@ -89,19 +89,20 @@ def _pieces(robot: Robot) -> dict[str, np.ndarray]:
     }
     if not found:
         raise InvalidInputError(
-            f"robot {robot.name} has no collision bodies at {robot.end_effector}, so nothing says "
-            "where a handle touches it; name another --end-effector, or a URDF with such bodies"
+            f"robot {robot.name} has no collision bodies at "
+            f"{end_effector or robot.end_effector}, so nothing says where a handle touches it; "
+            "name another --end-effector, or a URDF with such bodies"
         )
     return found
 
 
-def _outward(robot: Robot) -> Axis:
-    """The axis of the end effector that points away from the last joint."""
-    _, T = robot.end_effector_link
+def outward(robot: Robot, end_effector: str | None = None) -> Axis:
+    """The axis of an end effector that points away from its last joint."""
+    _, T = robot.hand(end_effector)
     away = T[:3, :3].T @ T[:3, 3]
     if np.linalg.norm(away) < 0.01:
         # the frame of the last link: long fingers say where it points, else the joint's axis
-        corners = np.concatenate(list(_pieces(robot).values()))
+        corners = np.concatenate(list(pieces_of(robot, end_effector).values()))
         away = T[2, :3] * (-1.0 if corners.mean(axis=0) @ T[2, :3] > 0.0 else 1.0)
         if np.abs(corners).max() > 0.08:
             away = corners.flat[np.abs(corners).argmax()] * np.eye(3)[np.abs(corners).argmax() % 3]
@@ -132,7 +133,7 @@ def _bars(source: Mapping[str, Any], opened: Mapping[str, Any], play: float = 0.
     play: between open fingers and a bar, at least [m].
     """
     robot, found = robot_from_source({**source, **opened}), []
-    pieces, axis = _pieces(robot), _outward(robot)
+    pieces, axis = pieces_of(robot), outward(robot)
     for turned in (False, True):
         T = np.eye(4)
         T[:3, :3] = R = _frame(axis, turned)
@@ -155,7 +156,7 @@ def _knob(robot: Robot, half: float = 0.015, gap: float = 0.002) -> Grip:
 
     gap: between them [m]; contact would count as a collision before the hand holds it.
     """
-    pieces, axis = _pieces(robot), _outward(robot)
+    pieces, axis = pieces_of(robot), outward(robot)
     R = _frame(axis, False)
     corners = np.concatenate(list(pieces.values())) @ R
     tip = corners[:, 0].max()
@@ -175,11 +176,11 @@ def _knob(robot: Robot, half: float = 0.015, gap: float = 0.002) -> Grip:
 def _closed(source: Mapping[str, Any], hold: Grip, fingers: Sequence[Joint], opened: float) -> Grip:
     """The same with the fingers closed until they touch the bar, from a share of their range."""
     box, T = Box((BAR, hold.bar, BAR)), np.linalg.inv(hold.T_handle_hand)
-    fields, gaps = hold.opened, _gaps(_pieces(hold.robot), box, T)
+    fields, gaps = hold.opened, _gaps(pieces_of(hold.robot), box, T)
     share, step = 1.0 - opened, 2.0 * opened - 1.0  # first all the way, then halves of the rest
     for _ in range(11 if fingers else 0):
         tried = _set(source, fingers, share)
-        found = _gaps(_pieces(robot_from_source({**source, **tried})), box, T)
+        found = _gaps(pieces_of(robot_from_source({**source, **tried})), box, T)
         step *= 0.5
         if min(found.values()) < 0.0:
             share += step

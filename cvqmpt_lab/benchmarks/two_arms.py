@@ -1,0 +1,254 @@
+"""Two arms carry one tray or box: over a table, through a window, into a shelf.
+
+Both hands hold it as a closed chain: `relative-pose` of the second hand in the frame of the first.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.benchmarks.hold_handle import outward, pieces_of
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.inverse_kinematics import (
+    SAMPLE_MARGIN,
+    find_in_region,
+    first_guesses,
+    solve_poses,
+)
+from cvqmpt_lab.constraints.named import relative_pose
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, symmetric_region
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.row import phase_problem
+from cvqmpt_lab.robot.kinematics import link_poses
+from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box
+
+TILT = 0.1  # [rad] of the tray
+# roll, pitch, yaw of a hand's outward axis, x, in the tray's frame, for a hand on its left
+HELD = ("forward", "inward", "down")
+
+
+class Layout(NamedTuple):
+    """Lengths of a kind of problem, in shares of what an arm reaches."""
+
+    size: tuple[float, float, float]  # of what is carried
+    start: tuple[float, float, float]  # its centre, from the middle between the shoulders
+    goal: tuple[float, float, float]
+
+
+LAYOUTS: Mapping[str, Layout] = {
+    "tray-over-table": Layout((0.2, 0.3, 0.03), (0.55, 0.15, -0.2), (0.55, -0.15, -0.2)),
+    "tray-through-window": Layout((0.2, 0.3, 0.03), (0.45, 0.0, -0.1), (0.75, 0.0, -0.1)),
+    "box-into-shelf": Layout((0.2, 0.25, 0.15), (0.5, 0.0, 0.1), (0.7, 0.0, -0.2)),
+}
+ROBOTS: Mapping[str, Mapping[str, Any]] = {
+    "baxter": {"name": "baxter"},
+    "tiago-pro": {"name": "tiago-pro"},
+}
+PROBLEMS = 30  # of each kind and robot
+
+
+class Carried(NamedTuple):
+    """What two hands hold, and how."""
+
+    item: Attachment  # held by the first hand; its T_hand_object is in that hand's frame
+    constraint: tuple[TaskSpaceRegion, ...]  # held by both, and level
+
+
+def shoulders(robot: Robot) -> tuple[np.ndarray, float]:
+    """The middle (3,) between both shoulders, and how far a hand gets from its own [m].
+
+    A shoulder is the origin of the first joint that moves one hand alone.
+    """
+    hands = [robot.hand(name)[0] for name in robot.end_effectors]
+    alone = (
+        robot.kinematics.moves[:, hands] & (robot.kinematics.moves[:, hands].sum(1) == 1)[:, None]
+    )
+    rows = alone.argmax(axis=0) + 1
+    states = robot.random_configurations(np.random.default_rng(0), 4000)
+    states[0] = np.clip(0.0, robot.lower, robot.upper)
+    _, origins = link_poses(robot.kinematics, states)
+    ends = [robot.poses(states, name)[:, :3, 3] for name in robot.end_effectors]
+    far = [
+        np.linalg.norm(end - origins[:, row], axis=1) for end, row in zip(ends, rows, strict=True)
+    ]
+    return origins[0, rows].mean(axis=0), float(np.max(far))
+
+
+@lru_cache(maxsize=8)
+def hold(robot: Robot, kind: str, poses: int = 12) -> Carried:
+    """The grasps at both sides of what is carried that inverse kinematics reaches most often.
+
+    Hands point forward, to each other, or down, turned about that by quarters.
+
+    Args:
+        robot: with two end effectors.
+        kind: of `LAYOUTS`.
+        poses: of what is carried, tried for each grasp.
+    """
+    if len(robot.end_effectors) != 2:
+        raise InvalidInputError(
+            f"robot {robot.name} has {len(robot.end_effectors)} end effectors: name two, "
+            "--end-effectors LEFT RIGHT"
+        )
+    layout, (middle, reach) = LAYOUTS[kind], shoulders(robot)
+    size = np.round(reach * np.array(layout.size), 2)
+    around = reach * np.array([0.1, 0.1, 0.1])
+    rng = np.random.default_rng(0)
+    at = middle + reach * (0.5 * np.add(layout.start, layout.goal))
+    region = symmetric_region(pose(at), np.eye(4), [*around, 0.0, 0.0, 0.2])
+    checker = CollisionChecker(robot, Scene("none", ()), margin=SAMPLE_MARGIN)
+    scores: dict[str, list[tuple[int, np.ndarray]]] = {}
+    T_world_item = region.sample_poses(rng, poses)
+    for style in HELD:
+        for side, hand in zip((1.0, -1.0), robot.end_effectors, strict=True):
+            found = []
+            for roll in range(4):
+                T = _grasp(robot, hand, style, side, roll, size)
+                there = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)), end_effector=hand)
+                guesses = first_guesses(robot, np.random.default_rng(0), poses)
+                states = solve_poses(robot, there, T_world_item @ T, guesses)
+                free = sum(any(not checker.in_collision(q) for q in rows) for rows in states)
+                found.append((free, T))
+            scores.setdefault(style, []).append(max(found, key=lambda it: it[0]))
+    style = max(scores, key=lambda style: min(free for free, _ in scores[style]))
+    (_, first), (_, second) = scores[style]
+    left, right = robot.end_effectors
+    item = Attachment(
+        kind.split("-")[0], Box(tuple(size.tolist())), np.linalg.inv(first), also_held_by=(right,)
+    )
+    closed = relative_pose(left, np.linalg.inv(first) @ second).changed(end_effector=right)
+    return Carried(item, (closed, symmetric_region(np.eye(4), first, [FREE] * 6, TILT)))
+
+
+def _grasp(
+    robot: Robot, hand: str, style: str, side: float, roll: int, size: np.ndarray
+) -> np.ndarray:
+    """T_item_hand (4, 4) of a hand at the left (side 1) or right (-1) edge of a box."""
+    axis = outward(robot, hand)
+    k, sign = "xyz".index(axis[-1]), -1.0 if axis[0] == "-" else 1.0
+    tip = float((np.concatenate(list(pieces_of(robot, hand).values()))[:, k] * sign).max())
+    ahead = {"forward": (1.0, 0.0, 0.0), "inward": (0.0, -side, 0.0), "down": (0.0, 0.0, -1.0)}
+    x = np.array(ahead[style])
+    y = np.roll(np.abs(x), 1)
+    for _ in range(roll):
+        y = np.cross(x, y)
+    # columns of R_item_hand: the outward axis along x, the next ones along y and across both
+    R = np.empty((3, 3))
+    R[:, k], R[:, (k + 1) % 3], R[:, (k + 2) % 3] = sign * x, y, np.cross(sign * x, y)
+    T = np.eye(4)
+    T[:3, :3] = R
+    edge = np.array([0.0, side * 0.5 * size[1], 0.0])
+    T[:3, 3] = edge - (tip - 0.01) * x
+    return T
+
+
+def two_arms_problem(index: int) -> PlanningProblem | UnsolvableProblem:
+    """Problem index % 30 of a kind and robot, in the order of `ROBOTS` and `LAYOUTS`."""
+    number, k = divmod(index, PROBLEMS)
+    robot, kind = tuple(product(ROBOTS, LAYOUTS))[number]
+    made = carrying_problem(robot_from_source(ROBOTS[robot]), kind, k)
+    return replace(made, name=phase_problem(str(index), number + 1, f"{robot} {kind}"))
+
+
+def carrying_problem(
+    robot: Robot, kind: str, number: int, draws: int = 20
+) -> PlanningProblem | UnsolvableProblem:
+    """Problem `number` of a kind for a robot with two hands: the first of 20 scenes with both ends.
+
+    Start and goal are drawn around those of the layout; what is carried is level, and may yaw.
+    """
+    (item, constraint), (middle, reach) = hold(robot, kind), shoulders(robot)
+    T_item_hand, wide = np.linalg.inv(item.T_hand_object), 0.0
+    for region in constraint[:1]:
+        second = T_item_hand @ region.T0_w
+        wide = max(abs(T_item_hand[1, 3]), abs(second[1, 3])) + 0.08
+    rng = np.random.default_rng([number, *kind.encode()])
+    for _ in range(draws):
+        shift = reach * rng.uniform(-0.05, 0.05, (2, 3))
+        ends = middle + reach * np.array([LAYOUTS[kind].start, LAYOUTS[kind].goal]) + shift
+        scene = Scene(kind, tuple(SCENES[kind](rng, ends, reach, np.array(item.shape.size), wide)))
+        regions = [
+            symmetric_region(pose(end), T_item_hand, [width] * 3 + [0.0, 0.0, 0.3])
+            for end, width in zip(ends, (0.02, 0.01), strict=True)
+        ]
+        checker = CollisionChecker(robot, scene, (item,), margin=SAMPLE_MARGIN)
+        starts, goals = (
+            find_in_region(robot, region, checker, rng, count=1, within=constraint).configurations
+            for region in regions
+        )
+        if len(starts) and len(goals):
+            return PlanningProblem(
+                f"{kind} {number}",
+                robot,
+                scene,
+                starts[0],
+                constraint=constraint,
+                attachments=(item,),
+                goal_region=regions[1],
+            )
+    return UnsolvableProblem(f"{kind} {number}", f"none of {draws} scenes has a start and a goal")
+
+
+def _box(name: str, low: Sequence[float], high: Sequence[float]) -> SceneObject:
+    """A box between two corners [m]."""
+    size = np.subtract(high, low).round(4).tolist()
+    return SceneObject(name, Box(tuple(size)), pose(0.5 * np.add(low, high).round(4)))
+
+
+def _over_table(
+    rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
+) -> Iterator[SceneObject]:
+    """A table below both ends, and a block between them that is higher than what is carried."""
+    x, _, z = ends.mean(axis=0)
+    top = ends[:, 2].min() - reach * rng.uniform(0.1, 0.15)
+    half = 0.7 * reach
+    yield _box("table", (x - 0.3 * reach, -half, top - 0.05), (x + 0.4 * reach, half, top))
+    deep, thick = reach * rng.uniform((0.05, 0.02), (0.15, 0.04))
+    high = z + reach * rng.uniform(0.0, 0.08)
+    yield _box("block", (x - deep, -thick, top), (x + deep, thick, high))
+
+
+def _through_window(
+    rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
+) -> Iterator[SceneObject]:
+    """A wall between both ends with an opening in it."""
+    x, y, z = ends.mean(axis=0) + reach * rng.uniform(-0.03, 0.03, 3)
+    across, up = wide + reach * rng.uniform(0.05, 0.12), reach * rng.uniform(0.15, 0.25)
+    side, thick = 0.8 * reach, 0.02
+    yield _box("wall below", (x, -side, z - reach), (x + thick, side, z - up))
+    yield _box("wall above", (x, -side, z + up), (x + thick, side, z + reach))
+    yield _box("wall right", (x, -side, z - up), (x + thick, y - across, z + up))
+    yield _box("wall left", (x, y + across, z - up), (x + thick, side, z + up))
+
+
+def _into_shelf(
+    rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
+) -> Iterator[SceneObject]:
+    """Two boards with sides around the goal, in front of the start."""
+    x, y, z = ends[1]
+    front, back = ends[:, 0].mean(), x + 0.5 * size[0] + 0.1 * reach
+    across = wide + reach * rng.uniform(0.03, 0.1)
+    low = z - 0.5 * size[2] - reach * rng.uniform(0.05, 0.1)
+    high = z + 0.5 * size[2] + reach * rng.uniform(0.1, 0.2)
+    yield _box("lower board", (front, y - across, low - 0.02), (back, y + across, low))
+    yield _box("upper board", (front, y - across, high), (back, y + across, high + 0.02))
+    for name, edge in (("right", -1.0), ("left", 1.0)):
+        first, last = sorted((y + edge * across, y + edge * (across + 0.02)))
+        yield _box(f"{name} side", (front, first, low - 0.02), (back, last, high + 0.02))
+
+
+SCENES = {
+    "tray-over-table": _over_table,
+    "tray-through-window": _through_window,
+    "box-into-shelf": _into_shelf,
+}
