@@ -300,8 +300,12 @@ def drawn_goals(problem: PlanningProblem) -> GoalSample:
     rng, region = problem.random_stream(), problem.goal_region
     assert region is not None
     held = [part for part in problem.constraint if isinstance(part, TaskSpaceRegionChain)]
-    sampled = partial(sample_goals, problem, rng, MAX_GOALS, near=problem.start if held else None)
+    near = problem.start if held else None
+    sampled = partial(sample_goals, problem, rng, MAX_GOALS, near=near)
     drawn = None
+    if any(part.base in problem.robot.end_effectors for part in held):
+        # few postures of two hands come near to that of the start
+        sampled = partial(_near_and_far, problem, rng)
     if not reaches_no_pose(problem.robot, region):
         drawn = sampled(within=held)
         # a region of one pose has no other
@@ -309,6 +313,13 @@ def drawn_goals(problem: PlanningProblem) -> GoalSample:
             return drawn
     projected = sampled(within=problem.constraint, project=True)
     return projected if drawn is None or len(projected.configurations) else drawn
+
+
+def _near_and_far(problem: PlanningProblem, rng: np.random.Generator, **options: Any) -> GoalSample:
+    """Goals in postures like the start's, and others where these are few."""
+    like = sample_goals(problem, rng, MAX_GOALS, near=problem.start, **options)
+    missing = MAX_GOALS - len(like.configurations)
+    return like.with_more(sample_goals(problem, rng, missing, **options)) if missing else like
 
 
 def _on_manifold(problem: PlanningProblem, states: np.ndarray) -> np.ndarray:

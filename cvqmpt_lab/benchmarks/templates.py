@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.benchmarks.two_arms import two_arms_template
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, hand_reach
@@ -42,6 +43,13 @@ COMMENTS = {
         "A pose is {xyz, rpy}, {xyz, quaternion [x, y, z, w]} or a 4x4 matrix.",
         "Other fields: attachments (what the hand carries), goals (configurations, used as they "
         "are), start_region.",
+    ],
+    "two arms": [
+        "Two hands carry a tray. constraint: `base` is the first hand's frame; the second one, "
+        "`end_effector`, keeps its pose in it (a closed chain);",
+        "the other region keeps the tray level. attachments: the tray, carried by the first hand "
+        "and also_held_by the second, which may touch it.",
+        "goal_region: poses of the first hand. More configurations of both: `cvqmpt ik`.",
     ],
     "object": [
         "type: box with size, cylinder with radius and height, sphere with radius, convex_mesh "
@@ -78,17 +86,18 @@ LAYOUTS = (
 def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
     """Json of a problem that can be planned, for a robot's json; InvalidInputError: none found."""
     robot = robot_from_source(source)
-    plain: dict[str, Any] = {
+    head = {
         "$schema": "problem.schema.json",  # written beside the problem, so that both can be moved
         "schema": PlanningProblem.SCHEMA,
         "_comment": COMMENTS["problem"],
-        "name": "mine",
-        "robot": dict(source),
     }
+    if len(robot.end_effectors) > 1:
+        return {**head, **two_arms_template(source), "_comment": COMMENTS["two arms"]}
+    plain: dict[str, Any] = {**head, "name": "mine", "robot": dict(source)}
     for layout in LAYOUTS:
         for axis in _axes(robot):
             top, scene = _scene(robot, layout)
-            head = {
+            begun = {
                 **plain,
                 "scene": scene,
                 "constraint": {
@@ -98,7 +107,7 @@ def problem_template(source: Mapping[str, Any]) -> dict[str, Any]:
             }
             for start, goal in _ends(robot, from_plain(Scene, scene), layout, top, axis):
                 joints = dict(zip(robot.joint_names, start.tolist(), strict=True))
-                made = {**head, "start": joints, **_goal(robot, goal)}
+                made = {**begun, "start": joints, **_goal(robot, goal)}
                 if _solved(PlanningProblem.from_dict(made), matters=layout is not LAYOUTS[-1]):
                     return made
     raise InvalidInputError(

@@ -23,6 +23,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import (
 from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, symmetric_region
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import phase_problem
@@ -31,9 +32,9 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.search.result import Budget
 
 TILT = 0.1  # [rad] of the tray
-# roll, pitch, yaw of a hand's outward axis, x, in the tray's frame, for a hand on its left
 HELD = ("forward", "inward", "down")
 
 
@@ -43,12 +44,13 @@ class Layout(NamedTuple):
     size: tuple[float, float, float]  # of what is carried
     start: tuple[float, float, float]  # its centre, from the middle between the shoulders
     goal: tuple[float, float, float]
+    held: tuple[str, ...]  # of `HELD`
 
 
 LAYOUTS: Mapping[str, Layout] = {
-    "tray-over-table": Layout((0.2, 0.3, 0.03), (0.55, 0.15, -0.2), (0.55, -0.15, -0.2)),
-    "tray-through-window": Layout((0.2, 0.3, 0.03), (0.45, 0.0, -0.1), (0.75, 0.0, -0.1)),
-    "box-into-shelf": Layout((0.2, 0.25, 0.15), (0.5, 0.0, 0.1), (0.7, 0.0, -0.2)),
+    "tray-over-table": Layout((0.2, 0.22, 0.03), (0.55, 0.2, -0.1), (0.55, -0.2, -0.1), HELD),
+    "tray-through-window": Layout((0.2, 0.3, 0.03), (0.45, 0.0, -0.1), (0.7, 0.0, -0.1), HELD[:2]),
+    "box-into-shelf": Layout((0.2, 0.25, 0.15), (0.42, 0.0, 0.0), (0.68, 0.0, -0.05), HELD[:2]),
 }
 ROBOTS: Mapping[str, Mapping[str, Any]] = {
     "baxter": {"name": "baxter"},
@@ -102,14 +104,15 @@ def hold(robot: Robot, kind: str, poses: int = 12) -> Carried:
         )
     layout, (middle, reach) = LAYOUTS[kind], shoulders(robot)
     size = np.round(reach * np.array(layout.size), 2)
-    around = reach * np.array([0.1, 0.1, 0.1])
     rng = np.random.default_rng(0)
-    at = middle + reach * (0.5 * np.add(layout.start, layout.goal))
-    region = symmetric_region(pose(at), np.eye(4), [*around, 0.0, 0.0, 0.2])
+    around = [
+        symmetric_region(pose(middle + reach * np.array(end)), np.eye(4), [0.05 * reach] * 6)
+        for end in (layout.start, layout.goal)
+    ]
     checker = CollisionChecker(robot, Scene("none", ()), margin=SAMPLE_MARGIN)
     scores: dict[str, list[tuple[int, np.ndarray]]] = {}
-    T_world_item = region.sample_poses(rng, poses)
-    for style in HELD:
+    T_world_item = np.concatenate([region.sample_poses(rng, poses // 2) for region in around])
+    for style in layout.held:
         for side, hand in zip((1.0, -1.0), robot.end_effectors, strict=True):
             found = []
             for roll in range(4):
@@ -168,10 +171,9 @@ def carrying_problem(
     Start and goal are drawn around those of the layout; what is carried is level, and may yaw.
     """
     (item, constraint), (middle, reach) = hold(robot, kind), shoulders(robot)
-    T_item_hand, wide = np.linalg.inv(item.T_hand_object), 0.0
-    for region in constraint[:1]:
-        second = T_item_hand @ region.T0_w
-        wide = max(abs(T_item_hand[1, 3]), abs(second[1, 3])) + 0.08
+    T_item_hand = np.linalg.inv(item.T_hand_object)
+    beyond = (T_item_hand, T_item_hand @ constraint[0].T0_w)
+    wide = max(abs(T[1, 3]) for T in beyond) + 0.08
     rng = np.random.default_rng([number, *kind.encode()])
     for _ in range(draws):
         shift = reach * rng.uniform(-0.05, 0.05, (2, 3))
@@ -182,16 +184,22 @@ def carrying_problem(
             for end, width in zip(ends, (0.02, 0.01), strict=True)
         ]
         checker = CollisionChecker(robot, scene, (item,), margin=SAMPLE_MARGIN)
-        starts, goals = (
-            find_in_region(robot, region, checker, rng, count=1, within=constraint).configurations
-            for region in regions
-        )
-        if len(starts) and len(goals):
+        ends_found, near = [], None
+        for region in regions:
+            # a goal in a posture like the start's: both hands cannot change it while they hold on
+            found = find_in_region(
+                robot, region, checker, rng, count=1, within=constraint, near=near
+            )
+            near = next(iter(found.configurations), None)
+            if near is None:
+                break
+            ends_found.append(near)
+        else:
             return PlanningProblem(
                 f"{kind} {number}",
                 robot,
                 scene,
-                starts[0],
+                ends_found[0],
                 constraint=constraint,
                 attachments=(item,),
                 goal_region=regions[1],
@@ -236,7 +244,7 @@ def _into_shelf(
 ) -> Iterator[SceneObject]:
     """Two boards with sides around the goal, in front of the start."""
     x, y, z = ends[1]
-    front, back = ends[:, 0].mean(), x + 0.5 * size[0] + 0.1 * reach
+    front, back = x - 0.5 * size[0] - 0.03 * reach, x + 0.5 * size[0] + 0.1 * reach
     across = wide + reach * rng.uniform(0.03, 0.1)
     low = z - 0.5 * size[2] - reach * rng.uniform(0.05, 0.1)
     high = z + 0.5 * size[2] + reach * rng.uniform(0.1, 0.2)
@@ -252,3 +260,20 @@ SCENES = {
     "tray-through-window": _through_window,
     "box-into-shelf": _into_shelf,
 }
+
+
+def two_arms_template(source: Mapping[str, Any], numbers: int = 20) -> dict[str, Any]:
+    """Json of a problem of two hands that is solved; InvalidInputError: none of `numbers` is."""
+    robot = robot_from_source(source)
+    for number in range(numbers):
+        made = carrying_problem(robot, "tray-over-table", number, draws=1)
+        if isinstance(made, PlanningProblem):
+            solution = solve(made, "birrt", Budget(iterations=2000), seed=0, clearance=False)
+            if solution.solved:
+                joints = dict(zip(robot.joint_names, made.start.tolist(), strict=True))
+                return {**made.to_dict(), "robot": dict(source), "start": joints}
+    raise InvalidInputError(
+        f"no tray was found that both hands of robot {robot.name} carry over a table; name other "
+        "--end-effectors, or write a problem by hand: `cvqmpt problems new --robot baxter` shows "
+        "how"
+    )

@@ -104,6 +104,15 @@ class GoalSample:
     unreachable: int  # poses without an inverse-kinematics solution
     colliding: int  # poses with solutions, none of them free of collision
 
+    def with_more(self, other: "GoalSample") -> "GoalSample":
+        """Both samples together."""
+        return GoalSample(
+            np.concatenate([self.configurations, other.configurations]),
+            self.poses_tried + other.poses_tried,
+            self.unreachable + other.unreachable,
+            self.colliding + other.colliding,
+        )
+
     @property
     def outcome(self) -> str:
         """Counts of poses that gave no configuration."""
