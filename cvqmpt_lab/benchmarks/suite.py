@@ -72,6 +72,7 @@ def _item(suite: str, index: int) -> SuiteItem:
         family_task,
         multi_sequence,
         sensor_task,
+        two_arms,
         unconstrained_task,
     )
 
@@ -82,6 +83,7 @@ def _item(suite: str, index: int) -> SuiteItem:
         "open-door": door_task.door_problem,
         "robots": family_task.robots_problem,
         "sensor": sensor_task.sensor_problem,
+        "two-arms": two_arms.two_arms_problem,
         "unconstrained": unconstrained_task.unconstrained_problem,
         "multi-sequence": multi_sequence.multi_sequence_task,
     }
@@ -105,6 +107,7 @@ SUITES: Mapping[str, Suite] = {
         Suite("robots", range(180), partial(_item, "robots")),
         Suite("peers", range(30), single_goal_problem, _CAN, new_scenes=False),
         Suite("sensor", range(30), partial(_item, "sensor")),
+        Suite("two-arms", range(180), partial(_item, "two-arms")),
         Suite("unconstrained", range(120), partial(_item, "unconstrained")),
         Suite(
             "multi-sequence",

@@ -63,6 +63,7 @@ class Carried(NamedTuple):
     """What two hands hold, and how."""
 
     item: Attachment  # held by the first hand; its T_hand_object is in that hand's frame
+    size: np.ndarray  # of the item (3,) [m]
     constraint: tuple[TaskSpaceRegion, ...]  # held by both, and level
 
 
@@ -130,7 +131,7 @@ def hold(robot: Robot, kind: str, poses: int = 12) -> Carried:
         kind.split("-")[0], Box(tuple(size.tolist())), np.linalg.inv(first), also_held_by=(right,)
     )
     closed = relative_pose(left, np.linalg.inv(first) @ second).changed(end_effector=right)
-    return Carried(item, (closed, symmetric_region(np.eye(4), first, [FREE] * 6, TILT)))
+    return Carried(item, size, (closed, symmetric_region(np.eye(4), first, [FREE] * 6, TILT)))
 
 
 def _grasp(
@@ -170,7 +171,7 @@ def carrying_problem(
 
     Start and goal are drawn around those of the layout; what is carried is level, and may yaw.
     """
-    (item, constraint), (middle, reach) = hold(robot, kind), shoulders(robot)
+    (item, size, constraint), (middle, reach) = hold(robot, kind), shoulders(robot)
     T_item_hand = np.linalg.inv(item.T_hand_object)
     beyond = (T_item_hand, T_item_hand @ constraint[0].T0_w)
     wide = max(abs(T[1, 3]) for T in beyond) + 0.08
@@ -178,7 +179,7 @@ def carrying_problem(
     for _ in range(draws):
         shift = reach * rng.uniform(-0.05, 0.05, (2, 3))
         ends = middle + reach * np.array([LAYOUTS[kind].start, LAYOUTS[kind].goal]) + shift
-        scene = Scene(kind, tuple(SCENES[kind](rng, ends, reach, np.array(item.shape.size), wide)))
+        scene = Scene(kind, tuple(SCENES[kind](rng, ends, reach, size, wide)))
         regions = [
             symmetric_region(pose(end), T_item_hand, [width] * 3 + [0.0, 0.0, 0.3])
             for end, width in zip(ends, (0.02, 0.01), strict=True)
@@ -232,7 +233,7 @@ def _through_window(
     """A wall between both ends with an opening in it."""
     x, y, z = ends.mean(axis=0) + reach * rng.uniform(-0.03, 0.03, 3)
     across, up = wide + reach * rng.uniform(0.05, 0.12), reach * rng.uniform(0.15, 0.25)
-    side, thick = 0.8 * reach, 0.02
+    side, thick = max(0.8 * reach, across + 0.2 * reach), 0.02
     yield _box("wall below", (x, -side, z - reach), (x + thick, side, z - up))
     yield _box("wall above", (x, -side, z + up), (x + thick, side, z + reach))
     yield _box("wall right", (x, -side, z - up), (x + thick, y - across, z + up))
@@ -262,18 +263,18 @@ SCENES = {
 }
 
 
-def two_arms_template(source: Mapping[str, Any], numbers: int = 20) -> dict[str, Any]:
+def two_arms_template(source: Mapping[str, Any], numbers: int = 10) -> dict[str, Any]:
     """Json of a problem of two hands that is solved; InvalidInputError: none of `numbers` is."""
     robot = robot_from_source(source)
-    for number in range(numbers):
-        made = carrying_problem(robot, "tray-over-table", number, draws=1)
+    for kind, number in product(LAYOUTS, range(numbers)):
+        made = carrying_problem(robot, kind, number, draws=1)
         if isinstance(made, PlanningProblem):
             solution = solve(made, "birrt", Budget(iterations=2000), seed=0, clearance=False)
             if solution.solved:
                 joints = dict(zip(robot.joint_names, made.start.tolist(), strict=True))
                 return {**made.to_dict(), "robot": dict(source), "start": joints}
     raise InvalidInputError(
-        f"no tray was found that both hands of robot {robot.name} carry over a table; name other "
+        f"no tray or box was found that both hands of robot {robot.name} can move; name other "
         "--end-effectors, or write a problem by hand: `cvqmpt problems new --robot baxter` shows "
         "how"
     )
