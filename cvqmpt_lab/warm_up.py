@@ -9,7 +9,7 @@ import numpy as np
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright_box
 from cvqmpt_lab.jit import compile_all, compiled_before
 from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planners import Method, planner_named
+from cvqmpt_lab.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.scene import Scene
@@ -79,7 +79,10 @@ def warm_up(
         method: the planner.
         backend: of state checks.
         announce: called before anything is compiled, which takes a while.
+
+    InvalidInputError: the planner cannot serve the problem.
     """
+    require_fit(method, problem)
     # an external planner may use our search; whatever else it prepares is timed
     if method.external:
         method = planner_named("birrt")
