@@ -67,24 +67,24 @@ class Carried(NamedTuple):
     constraint: tuple[TaskSpaceRegion, ...]  # held by both, and level
 
 
+@lru_cache(maxsize=8)
 def shoulders(robot: Robot) -> tuple[np.ndarray, float]:
     """The middle (3,) between both shoulders, and how far a hand gets from its own [m].
 
     A shoulder is the origin of the first joint that moves one hand alone.
     """
-    hands = [robot.hand(name)[0] for name in robot.end_effectors]
-    alone = (
-        robot.kinematics.moves[:, hands] & (robot.kinematics.moves[:, hands].sum(1) == 1)[:, None]
-    )
-    rows = alone.argmax(axis=0) + 1
+    hands = list(robot.end_effectors.values())
+    moves = robot.kinematics.moves[:, [row for row, _ in hands]]
+    firsts = (moves & (moves.sum(axis=1, keepdims=True) == 1)).argmax(axis=0) + 1
     states = robot.random_configurations(np.random.default_rng(0), 4000)
     states[0] = np.clip(0.0, robot.lower, robot.upper)
-    _, origins = link_poses(robot.kinematics, states)
-    ends = [robot.poses(states, name)[:, :3, 3] for name in robot.end_effectors]
+    turns, origins = link_poses(robot.kinematics, states)
+    ends = [origins[:, row] + turns[:, row] @ T[:3, 3] for row, T in hands]
     far = [
-        np.linalg.norm(end - origins[:, row], axis=1) for end, row in zip(ends, rows, strict=True)
+        np.linalg.norm(end - origins[:, first], axis=1)
+        for end, first in zip(ends, firsts, strict=True)
     ]
-    return origins[0, rows].mean(axis=0), float(np.max(far))
+    return origins[0, firsts].mean(axis=0), float(np.max(far))
 
 
 @lru_cache(maxsize=8)
