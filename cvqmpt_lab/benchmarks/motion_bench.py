@@ -6,6 +6,7 @@ lifts, is in no package of ours. See `motion_bench_archive`.
 
 from dataclasses import replace
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +98,7 @@ def level_problem(index: int, tilt: float = 0.1) -> PlanningProblem | Unsolvable
     """The same with a level hand: its axis that points up at the goal points up all the way.
 
     The start is the given one where the hand is level there; else one with the hand at the same
-    place, found around the given start, or anywhere.
+    place, or within 0.1 or 0.3 m of it, found around the given start or anywhere.
 
     Args:
         index: as in `motion_bench_problem`.
@@ -115,13 +116,11 @@ def level_problem(index: int, tilt: float = 0.1) -> PlanningProblem | Unsolvable
     if np.linalg.norm(apart.residual(found.start)) == 0.0:
         return found.changed(constraint=(level,))
     here = pose(robot.pose(found.start)[:3, 3])
-    there = symmetric_region(here, np.eye(4), [0.0] * 3 + [FREE] * 3)
-    for near in (found.start, None):
+    for reach, near in product((0.0, 0.1, 0.3), (found.start, None)):
+        there = symmetric_region(here, np.eye(4), [reach] * 3 + [FREE] * 3)
         rng = np.random.default_rng([index, 45])
-        drawn = sample_region(
-            robot, there, checker, rng, 1, within=(level,), near=near, project=True
-        )
+        drawn = sample_region(robot, there, checker, rng, 1, 50, (level,), near, project=True)
         if len(drawn.configurations):
             return found.changed(constraint=(level,), start=drawn.configurations[0])
-    reason = f"{found.scene.name}: no level hand at the start's place, {drawn.outcome}"
+    reason = f"{found.scene.name}: no level hand near the start's place, {drawn.outcome}"
     return UnsolvableProblem(found.name, reason, FailReason.NO_START)
