@@ -21,7 +21,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     symmetric_region,
     upright,
 )
-from cvqmpt_lab.errors import located
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import yaml_value
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
@@ -44,12 +44,11 @@ def motion_bench_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     """
     number, place = divmod(index, 100 * len(SETS))
     robot, scenes = tuple(HANDS)[number], SETS[place // 100]
-    name = phase_problem(str(index), number + 1, robot)
+    name, number_in_set = phase_problem(str(index), number + 1, robot), f"{place % 100 + 1:04d}"
+    texts = problem_texts(robot)
+    scene, request = (texts[f"{scenes}/{kind}{number_in_set}"] for kind in ("scene", "request"))
     problem = problem_of_texts(
-        name,
-        bench_robot(robot),
-        f"{scenes}/{place % 100 + 1:04d}",
-        *(problem_texts(robot)[f"{scenes}/{kind}{place % 100 + 1:04d}"] for kind in KINDS),
+        name, bench_robot(robot), f"{scenes}/{number_in_set}", scene, request
     )
     checker = problem.collision_checker(0.0)
     ends = (
@@ -61,9 +60,6 @@ def motion_bench_problem(index: int) -> PlanningProblem | UnsolvableProblem:
             said = f"{problem.scene.name}: the {end} collides, {checker.contact(q)}"
             return UnsolvableProblem(name, said, kind)
     return problem
-
-
-KINDS = ("scene", "request")
 
 
 @lru_cache(maxsize=8)
@@ -81,13 +77,15 @@ def problem_of_texts(
     Joints are looked up by name; values up to 1e-5 beyond a limit are moved to it: requests state
     joints that turn without end, which the robot's file bounds by 3.14159 rad.
     """
-    with located(f"request of {scene_name}"):
-        asked = yaml_value(request)
+    asked = yaml_value(request)
+    try:
         begin = asked["start_state"]["joint_state"]
         start = dict(zip(begin["name"], begin["position"], strict=True))
         bounds = asked["goal_constraints"][0]["joint_constraints"]
         goal = {bound["joint_name"]: bound["position"] for bound in bounds}
-        ends = np.array([[end[joint] for joint in robot.joint_names] for end in (start, goal)])
+        ends = np.array([[float(end[j]) for j in robot.joint_names] for end in (start, goal)])
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise InvalidInputError(f"request of {scene_name} is not readable: {error}") from error
     inside = np.clip(ends, robot.lower, robot.upper)
     ends = np.where(np.abs(ends - inside) <= 1e-5, inside, ends)
     found = scene_of_yaml(scene, Path(f"{scene_name}.yaml"))

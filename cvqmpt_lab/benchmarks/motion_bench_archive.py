@@ -147,7 +147,8 @@ def read_texts(data: bytes, robot: str) -> dict[str, str]:
     texts = {}
     with tarfile.open(fileobj=io.BytesIO(data), mode="r:bz2") as tar:
         for member in tar:
-            found, text = named.fullmatch(member.name), tar.extractfile(member)
+            found = named.fullmatch(member.name)
+            text = tar.extractfile(member) if found and member.isfile() else None
             if found and text:
                 texts[f"{found[1]}/{found[2]}"] = text.read().decode("utf-8")
     return texts
