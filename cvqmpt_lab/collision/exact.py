@@ -25,7 +25,7 @@ from cvqmpt_lab.scene.scene import Attachment, Scene
 Number = TypeVar("Number", float, np.ndarray)
 ROUNDING = 1e-6  # [m] coal stops when a distance d is known to ROUNDING (1 + d)
 # [m] by which boxes in a broad phase are inflated: it reports obstacles that are that close
-INFLATIONS = (1e-3, 1e-2, 0.05, 0.25)
+INFLATIONS = (1e-3, 1e-2, 0.05, 0.1, 0.25)
 
 
 @dataclass(frozen=True)
