@@ -24,9 +24,11 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, get_type_hints
 
 import numpy as np
+from llvmlite import binding as llvm
 from llvmlite import ir
 from numba import config, from_dtype, njit, types
 from numba.core.caching import FunctionCache, UserProvidedCacheLocator
+from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
 from cvqmpt_lab.caches import (
@@ -114,6 +116,26 @@ class Locator(UserProvidedCacheLocator):
 class _Cache(FunctionCache):
     """Machine code of an entry on disk; unreadable: compiled again, unwritable: not kept."""
 
+    def function(self, sig: tuple[types.Type, ...]) -> Callable | None:
+        """The function for a signature, from machine code alone, or None where it is not on disk.
+
+        Numba's own way reads, too, what compiling its callers needs: rules of types (imports of
+        0.3 s) and the intermediate code (10 ms an entry).
+        """
+        context = cpu_target.target_context
+        try:
+            kept = self._cache_file.load(self._index_key(sig, context.codegen()))
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return None
+        if kept is None:
+            return None
+        (name, form, (machine_code, _)), description, environment, *_ = kept
+        # numba asks the intermediate code, here of an empty function, which names are defined
+        named = f'define void @"{description.llvm_cpython_wrapper_name}"() {{ ret void }}'
+        code = (machine_code, llvm.parse_assembly(named).as_bitcode())
+        library = context.codegen().unserialize_library((name, form, code))
+        return context.get_executable(library, description, environment)
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for a signature, or None."""
         try:
@@ -178,7 +200,10 @@ class Entry:
     @functools.cached_property
     def unchecked(self) -> Callable:
         """Its machine code, for callers that made the arrays: a check costs some microseconds."""
-        return self.dispatcher.compile(tuple(_numba_type(form) for form in _forms(self.py_func)))
+        signature = tuple(_numba_type(form) for form in _forms(self.py_func))
+        cache = self.dispatcher._cache
+        known = cache.function(signature) if isinstance(cache, _Cache) else None
+        return known or self.dispatcher.compile(signature)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the machine code, or raise InvalidInputError that names the array at fault."""
