@@ -1,0 +1,132 @@
+"""Drake's KinematicTrajectoryOptimization (C++, SNOPT): a B-spline optimised, from several guesses.
+
+Bounds and distances hold at 40 states of it; between them nothing is asked, and so a path may fail
+the certificate. It ends at the first path that the solver calls a solution.
+"""
+
+import time
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from cvqmpt_lab.execution.mjcf import Body, bodies_of, unchecked_pairs
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
+from cvqmpt_lab.search.result import Budget
+from experiments.peers import rpy_box, upright_region, versions
+
+MADE_BY = versions("drake", "drake")
+
+import pydrake.all as drake
+
+
+class World(NamedTuple):
+    """A problem in Drake."""
+
+    diagram: drake.Diagram
+    context: drake.Context  # of the diagram
+    plant: drake.MultibodyPlant
+    constraints: list[drake.Constraint]  # on one configuration
+
+
+def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
+    """A path (m, n) [rad], or None if the solver found none in time.
+
+    Args:
+        problem: with one upright constraint and one goal, see `upright_region`.
+        budget: its seconds [s]; an optimisation that has begun is not interrupted.
+        seed: of the states that guesses after the first, a straight line, go through.
+    """
+    deadline = time.perf_counter() + (budget.seconds or np.inf)
+    world, rng = _world(problem), np.random.default_rng(seed)
+    ends = problem.start, problem.goals[0]
+    path, through = None, np.mean(ends, axis=0)
+    while path is None and time.perf_counter() < deadline:
+        path = _optimized(world, problem, through)
+        drawn = rng.normal(np.mean(ends, axis=0), 0.6)
+        through = np.clip(drawn, problem.robot.lower, problem.robot.upper)
+    return path if time.perf_counter() < deadline else None
+
+
+def _optimized(
+    world: World, problem: PlanningProblem, through: np.ndarray, checked: int = 40
+) -> np.ndarray | None:
+    """A path (m, n), or None; the first guess goes from start to goal through a state."""
+    robot, count = problem.robot, 16
+    ends = problem.start, problem.goals[0]
+    optimizer = drake.KinematicTrajectoryOptimization(robot.dof, count)
+    optimizer.AddPositionBounds(robot.lower, robot.upper)
+    optimizer.AddDurationConstraint(1.0, 1.0)
+    optimizer.AddPathLengthCost()
+    for state, s in zip(ends, (0.0, 1.0), strict=True):
+        optimizer.AddPathPositionConstraint(state, state, s)
+    for s in np.linspace(0.0, 1.0, checked + 2)[1:-1]:
+        for constraint in world.constraints:
+            optimizer.AddPathPositionConstraint(constraint, s)
+    corners = np.array([ends[0], through, ends[1]])
+    times = np.linspace(0.0, 2.0, count)
+    guess = np.array([np.interp(times, range(3), column) for column in corners.T])
+    optimizer.SetInitialGuess(drake.BsplineTrajectory(optimizer.basis(), guess.T[:, :, None]))
+    found = drake.SnoptSolver().Solve(optimizer.prog())
+    if not found.is_success():
+        return None
+    path = optimizer.ReconstructTrajectory(found)
+    return np.array([path.value(s).ravel() for s in np.linspace(0.0, 1.0, 200)])
+
+
+@lru_cache(maxsize=4)
+def _world(problem: PlanningProblem) -> World:
+    region, arm = upright_region(problem), problem.robot.kinematics
+    builder = drake.DiagramBuilder()
+    plant, scene = drake.AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    links = [plant.world_body()]
+    for j in range(problem.robot.dof):
+        links.append(plant.AddRigidBody(f"link_{j + 1}", drake.SpatialInertia.SolidSphereWithMass(1.0, 0.1)))
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = arm.rotation[j], arm.translation[j]
+        kind = drake.PrismaticJoint if arm.prismatic[j] else drake.RevoluteJoint
+        parent = links[arm.parent[j]].body_frame()
+        before = plant.AddFrame(drake.FixedOffsetFrame(f"before_{j}", parent, _pose(T)))
+        frames = before, links[j + 1].body_frame()
+        plant.AddJoint(kind(f"joint_{j}", *frames, [0.0, 0.0, 1.0], arm.lower[j], arm.upper[j]))
+    bodies = bodies_of(problem.robot, problem.scene)
+    shapes = {
+        body.name: plant.RegisterCollisionGeometry(
+            links[body.link], _pose(body.T_link_body), _shape(body), body.name, drake.CoulombFriction()
+        )
+        for body in bodies
+    }
+    row, T_link_hand = problem.robot.end_effector_link
+    T_link_tool = T_link_hand @ np.linalg.inv(region.Tw_e)
+    hand = links[row].body_frame()
+    tool = plant.AddFrame(drake.FixedOffsetFrame("tool", hand, _pose(T_link_tool)))
+    plant.Finalize()
+    rules = drake.CollisionFilterDeclaration()
+    for pair in unchecked_pairs(problem.robot):
+        rules.ExcludeBetween(*(drake.GeometrySet(shapes[name]) for name in pair))
+    scene.collision_filter_manager().Apply(rules)
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    own = plant.GetMyMutableContextFromRoot(context)
+    x, tilt = np.eye(3)[0], rpy_box(region)[4, 1]
+    upright = drake.AngleBetweenVectorsConstraint(
+        plant, plant.world_frame(), region.T0_w[:3, 0], tool, x, 0.0, tilt, own
+    )
+    clear = drake.MinimumDistanceLowerBoundConstraint(plant, 1e-3, own, None, 0.02)
+    return World(diagram, context, plant, [upright, clear])
+
+
+def _pose(T: np.ndarray) -> drake.RigidTransform:
+    return drake.RigidTransform(drake.RotationMatrix.ProjectToRotationMatrix(T[:3, :3]), T[:3, 3])
+
+
+def _shape(body: Body) -> drake.Shape:
+    match body.shape:
+        case Box(size):
+            return drake.Box(size)
+        case Cylinder(radius, height):
+            return drake.Cylinder(radius, height)
+        case Sphere(radius):
+            return drake.Sphere(radius)
+    return drake.Convex(body.shape.vertices.T, body.name)
