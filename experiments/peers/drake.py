@@ -1,11 +1,10 @@
 """Drake's KinematicTrajectoryOptimization (C++, SNOPT): a B-spline optimised, from several guesses.
 
-Bounds and distances hold at 40 states of it; between them nothing is asked, and so a path may fail
+Bounds and distances hold at 30 states of it; between them nothing is asked, and so a path may fail
 the certificate. It ends at the first path that the solver calls a solution.
 """
 
 import time
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -24,10 +23,9 @@ import pydrake.all as drake
 class World(NamedTuple):
     """A problem in Drake."""
 
-    diagram: drake.Diagram
-    context: drake.Context  # of the diagram
-    plant: drake.MultibodyPlant
-    constraints: list[drake.Constraint]  # on one configuration
+    kept: tuple  # what the constraints, which are on one configuration, refer to
+    upright: drake.Constraint
+    clear: drake.Constraint
 
 
 def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
@@ -35,54 +33,70 @@ def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | No
 
     Args:
         problem: with one upright constraint and one goal, see `upright_region`.
-        budget: its seconds [s]; an optimisation that has begun is not interrupted.
+        budget: its seconds [s].
         seed: of the states that guesses after the first, a straight line, go through.
     """
     deadline = time.perf_counter() + (budget.seconds or np.inf)
-    world, rng = _world(problem), np.random.default_rng(seed)
-    ends = problem.start, problem.goals[0]
-    path, through = None, np.mean(ends, axis=0)
+    world, rng, robot = _world(problem), np.random.default_rng(seed), problem.robot
+    middle = 0.5 * (problem.start + problem.goals[0])
+    path, through = None, middle
     while path is None and time.perf_counter() < deadline:
-        path = _optimized(world, problem, through)
-        drawn = rng.normal(np.mean(ends, axis=0), 0.6)
-        through = np.clip(drawn, problem.robot.lower, problem.robot.upper)
-    return path if time.perf_counter() < deadline else None
+        path = _optimized(world, problem, through, deadline)
+        # [rad] wide enough to go round what is between
+        through = np.clip(rng.normal(middle, 0.6), robot.lower, robot.upper)
+    return path
 
 
 def _optimized(
-    world: World, problem: PlanningProblem, through: np.ndarray, checked: int = 40
+    world: World, problem: PlanningProblem, through: np.ndarray, deadline: float, count: int = 14
 ) -> np.ndarray | None:
-    """A path (m, n), or None; the first guess goes from start to goal through a state."""
-    robot, count = problem.robot, 16
-    ends = problem.start, problem.goals[0]
-    optimizer = drake.KinematicTrajectoryOptimization(robot.dof, count)
-    optimizer.AddPositionBounds(robot.lower, robot.upper)
-    optimizer.AddDurationConstraint(1.0, 1.0)
-    optimizer.AddPathLengthCost()
-    for state, s in zip(ends, (0.0, 1.0), strict=True):
-        optimizer.AddPathPositionConstraint(state, state, s)
-    for s in np.linspace(0.0, 1.0, checked + 2)[1:-1]:
-        for constraint in world.constraints:
-            optimizer.AddPathPositionConstraint(constraint, s)
-    corners = np.array([ends[0], through, ends[1]])
+    """A path (m, n) of a spline with so many control points, or None.
+
+    The guess goes from start to goal through a state, and is first moved to where the hand is
+    upright, without obstacles.
+    """
+    corners = np.array([problem.start, through, problem.goals[0]])
     times = np.linspace(0.0, 2.0, count)
-    guess = np.array([np.interp(times, range(3), column) for column in corners.T])
-    optimizer.SetInitialGuess(drake.BsplineTrajectory(optimizer.basis(), guess.T[:, :, None]))
-    found = drake.SnoptSolver().Solve(optimizer.prog())
+    guess = np.stack([np.interp(times, range(3), column) for column in corners.T], axis=1)
+    spline = None
+    for constraints in ([world.upright], [world.upright, world.clear]):
+        asked = drake.KinematicTrajectoryOptimization(problem.robot.dof, count)
+        asked.AddPositionBounds(problem.robot.lower, problem.robot.upper)
+        asked.AddDurationConstraint(1.0, 1.0)
+        asked.AddPathLengthCost()
+        for state, s in zip(corners[::2], (0.0, 1.0), strict=True):
+            asked.AddPathPositionConstraint(state, state, s)
+        for s in np.linspace(0.0, 1.0, 32)[1:-1]:
+            for constraint in constraints:
+                asked.AddPathPositionConstraint(constraint, s)
+        first = drake.BsplineTrajectory(asked.basis(), guess[:, :, None])
+        asked.SetInitialGuess(spline or first)
+        options = drake.SolverOptions()
+        for name, value in {
+            "Major iterations limit": 100,
+            "Major feasibility tolerance": 1e-4,
+            "Major optimality tolerance": 1e-2,
+            "Time limit": max(0.01, deadline - time.perf_counter()),
+        }.items():
+            options.SetOption(drake.SnoptSolver.id(), name, value)
+        found = drake.SnoptSolver().Solve(asked.prog(), None, options)
+        spline = asked.ReconstructTrajectory(found)
     if not found.is_success():
         return None
-    path = optimizer.ReconstructTrajectory(found)
-    return np.array([path.value(s).ravel() for s in np.linspace(0.0, 1.0, 200)])
+    inner = np.linspace(0.0, 1.0, 400)[1:-1]
+    return np.array([corners[0], *(spline.value(s).ravel() for s in inner), corners[2]])
 
 
-@lru_cache(maxsize=4)
 def _world(problem: PlanningProblem) -> World:
+    """Robot, obstacles and constraint, with a frame `tool` at T_hand_tool = Tw_e^-1."""
     region, arm = upright_region(problem), problem.robot.kinematics
     builder = drake.DiagramBuilder()
     plant, scene = drake.AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     links = [plant.world_body()]
     for j in range(problem.robot.dof):
-        links.append(plant.AddRigidBody(f"link_{j + 1}", drake.SpatialInertia.SolidSphereWithMass(1.0, 0.1)))
+        links.append(
+            plant.AddRigidBody(f"link_{j + 1}", drake.SpatialInertia.SolidSphereWithMass(1.0, 0.1))
+        )
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = arm.rotation[j], arm.translation[j]
         kind = drake.PrismaticJoint if arm.prismatic[j] else drake.RevoluteJoint
@@ -93,7 +107,11 @@ def _world(problem: PlanningProblem) -> World:
     bodies = bodies_of(problem.robot, problem.scene)
     shapes = {
         body.name: plant.RegisterCollisionGeometry(
-            links[body.link], _pose(body.T_link_body), _shape(body), body.name, drake.CoulombFriction()
+            links[body.link],
+            _pose(body.T_link_body),
+            _shape(body),
+            body.name,
+            drake.CoulombFriction(),
         )
         for body in bodies
     }
@@ -113,8 +131,9 @@ def _world(problem: PlanningProblem) -> World:
     upright = drake.AngleBetweenVectorsConstraint(
         plant, plant.world_frame(), region.T0_w[:3, 0], tool, x, 0.0, tilt, own
     )
-    clear = drake.MinimumDistanceLowerBoundConstraint(plant, 1e-3, own, None, 0.02)
-    return World(diagram, context, plant, [upright, clear])
+    # [m] distances are kept at 1 mm or more, and felt from 0.1 m on
+    clear = drake.MinimumDistanceLowerBoundConstraint(plant, 1e-3, own, None, 0.1)
+    return World((diagram, context, plant), upright, clear)
 
 
 def _pose(T: np.ndarray) -> drake.RigidTransform:
