@@ -1,4 +1,4 @@
-"""The adapters of three other planners; what needs their packages (extra `peers`) is skipped."""
+"""The adapters of other planners; what needs their packages (extra `peers`) is skipped."""
 
 from dataclasses import replace
 from importlib import metadata
@@ -19,7 +19,10 @@ from experiments.peers.world_files import unchecked_pairs, urdf_of
 from paper_tables.suites import SUITES
 
 TUNING = 1000  # a problem that is not reported
-NEEDS = {"hpp": "hpp-python", "roboplan": "roboplan", "sscbirrt": "sscbirrt"}
+NEEDS = {
+    **{"drake": "drake", "hpp": "hpp-python", "roboplan": "roboplan"},
+    **{"roboplan-star": "roboplan", "sscbirrt": "sscbirrt"},
+}
 
 
 @pytest.fixture(scope="module")
