@@ -188,7 +188,7 @@ class Kernel:
 
     def __init__(self, function: Callable, options: dict[str, Any]) -> None:
         self.py_func, self.name, self.options = function, function.__name__, options
-        functools.update_wrapper(self, function)
+        self.__doc__, self.__module__ = function.__doc__, function.__module__
 
     @functools.cached_property
     def dispatcher(self) -> Any:

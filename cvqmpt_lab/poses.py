@@ -65,9 +65,11 @@ class Placement:
     @property
     def matrix(self) -> FloatArray:
         """The same as a (4, 4) array."""
+        T = pose(self.xyz)
+        if self.rpy is None and self.quaternion is None:
+            return T
         from scipy.spatial.transform import Rotation  # a third of a second to import
 
-        T = pose(self.xyz)
         if self.rpy is not None:
             T[:3, :3] = Rotation.from_euler("xyz", self.rpy).as_matrix()
         if self.quaternion is not None:

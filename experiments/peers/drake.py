@@ -15,7 +15,7 @@ from cvqmpt_lab.execution.mjcf import Body, bodies_of, unchecked_pairs
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
-from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 from cvqmpt_lab.search.result import Budget
 from experiments.peers import rpy_box, upright_region, versions
 
@@ -172,4 +172,6 @@ def _shape(body: Body) -> drake.Shape:
             return drake.Cylinder(radius, height)
         case Sphere(radius):
             return drake.Sphere(radius)
-    return drake.Convex(body.shape.vertices.T, body.name)
+        case ConvexMesh(vertices):
+            return drake.Convex(vertices.T, body.name)
+    raise AssertionError(body)  # bodies_of gives no others
