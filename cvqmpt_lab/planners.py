@@ -18,6 +18,7 @@ from cvqmpt_lab.external import entry_point_names, external_planner, is_external
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import informed_roadmap_path
 from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.cell_trees import CellSearch
 from cvqmpt_lab.search.controls import guided, no_costs, other_costs
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import Stages
@@ -182,6 +183,7 @@ PLANNERS = _by_name(
     Method.simple("birrt"),
     # Algorithm 3 without a limit of extensions, as it is printed; `birrt` has the best tuning
     Method.simple("birrt-printed", search=BiRRT(reach=math.inf)),
+    Method.simple("cells", search=CellSearch()),
     _ompl("ompl-projected", "projected"),
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),
