@@ -183,7 +183,7 @@ PLANNERS = _by_name(
     Method.simple("birrt"),
     # Algorithm 3 without a limit of extensions, as it is printed; `birrt` has the best tuning
     Method.simple("birrt-printed", search=BiRRT(reach=math.inf)),
-    Method.simple("cells", search=CellSearch()),
+    replace(Method.simple("cells", search=CellSearch()), grows=False),  # for narrow passages
     _ompl("ompl-projected", "projected"),
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),
