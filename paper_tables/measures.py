@@ -1,7 +1,7 @@
 """What tables measure: values of a row, statistics, ratios to a baseline, easy and hard problems.
 
-Pure functions of rows. The work of a run is its projections and state checks, which do not depend
-on the machine. Seeds of one problem are not independent: everywhere a problem counts once.
+Pure functions of rows. The work of a run is its projections, state checks and clearances, which do
+not depend on the machine. Seeds of one problem are not independent: everywhere a problem counts once.
 """
 
 import math
@@ -11,7 +11,7 @@ from operator import attrgetter
 from statistics import fmean, median
 from typing import Literal, NamedTuple, TypeVar
 
-from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.row import ResultRow, search_work
 from cvqmpt_lab.results.statistics import (
     Interval,
     ProblemKey,
@@ -38,10 +38,10 @@ solved = attrgetter("solved")
 
 
 def work(row: ResultRow) -> float | None:
-    """Work of the search: `work = projections + state checks`."""
+    """Work of the search, see `search_work`: clearances that were not counted add nothing."""
     if row.n_projections is None or row.n_state_checks is None:
         return None
-    return float(row.n_projections + row.n_state_checks)
+    return float(search_work(row.n_projections, row.n_state_checks, row.n_clearances))
 
 
 def paper_cost(row: ResultRow) -> float | None:
