@@ -24,7 +24,7 @@ from cvqmpt_lab.search.result import Budget, PlanResult, PlanStatus
 from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettings, scene_costs
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-X = dict(first=4, promise=1500, seed=1, draws=0, mix=0, searches=40)
+X = dict(first=4, promise=1500, seed=1, draws=0, mix=0, searches=40, again=0, between=3000, dear=np.inf)
 X.update(eval(os.environ.get("PX", "{}")))
 
 
@@ -115,7 +115,7 @@ class Portfolio(BiRRT):
                 start,
                 goals,
                 replace(self.settings, searches=X["searches"]),
-                self.costs(space),
+                self.costs(space)._replace(dearest=X["dear"]),
             )
             path = query.next_path(deadline, X["promise"])
             by = self.name if path is not None else by
@@ -134,7 +134,13 @@ class Portfolio(BiRRT):
                 growth._distribution = GaussianMixture.equal(
                     known, self.roadmap.covariance, distribution, 0.3, self.name
                 )
-            path = grow(growth, began + self.alone - space.work)
+            if X["again"] and query:
+                path = grow(growth, X["between"])
+                if path is None and deadline.spent() is None:
+                    path = query.next_path(deadline, X["again"])
+                    by = self.name if path is not None else by
+            if path is None and deadline.spent() is None:
+                path = grow(growth, began + self.alone - space.work)
         size = self.alone
         while path is None and deadline.spent() is None:
             cells = cells or CellTrees(space, start, goals, rng)
