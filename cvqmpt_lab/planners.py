@@ -171,7 +171,7 @@ def _portfolio(name: str) -> Method:
     def build(problem: PlanningProblem, model: str) -> Stages:
         roadmap = spread_roadmap(problem.robot, problem.attachments)
         return Stages(
-            search=Portfolio(roadmap=roadmap),
+            search=Portfolio(roadmap=roadmap, name=name),
             path_source=partial(informed_roadmap_path, scene_costs),
         )
 

@@ -334,6 +334,10 @@ class GrowingTrees:
         (own, other), (a, b), parent = self.trees.nodes, self.trees.size, self.trees.parent
         return Tree(own[:a], parent[0, :a]), Tree(other[:b], parent[1, :b])
 
+    def draw_from(self, distribution: SamplingDistribution, first: np.ndarray) -> None:
+        """From now on, draw from another distribution, after some draws (k, n) that are given."""
+        self._distribution, self._drawn, self._next = distribution, first.copy(), 0
+
     def grow(
         self, work: float, iterations: int | None = None, deadline: float = np.inf
     ) -> JointPath | None:

@@ -31,7 +31,6 @@ class EdgeCosts(NamedTuple):
     weight: float = 4.0  # [rad] of -log P(free); 0: motions cost their length
     # [rad] between the states whose clearances are read; GAP times as much at most
     spacing: float = 0.3
-    dearest: float = np.inf  # edges with a larger -log P(free) are left out
 
 
 @kernel(inline="source")

@@ -231,10 +231,7 @@ def _astar(space, roadmap, costs):
                     )
                 lowest = min(roadmap.lowest[here, slot], roadmap.clearance[there])
                 roadmap.lowest[here, slot] = lowest
-                dear = negative_log(costs, lowest)
-                if dear > costs.dearest:
-                    continue
-                cost += costs.weight * dear
+                cost += costs.weight * negative_log(costs, lowest)
                 judged = roadmap.known[here, slot] // 4 >= readings(costs, length)
             hopeful = cost < roadmap.cost[there] and cost + roadmap.to_go[there] < roadmap.longest
             if hopeful and size < roadmap.heap.shape[0]:
@@ -265,12 +262,7 @@ def _astar(space, roadmap, costs):
             while cheapest and left > 0:
                 left -= 1
                 cost += costs.weight * _read_edge(space, roadmap, costs, row, slot, there)
-                dear = negative_log(costs, roadmap.lowest[row, slot]) > costs.dearest
-                if (
-                    dear
-                    or cost >= roadmap.cost[there]
-                    or cost + roadmap.to_go[there] >= roadmap.longest
-                ):
+                if cost >= roadmap.cost[there] or cost + roadmap.to_go[there] >= roadmap.longest:
                     cheapest = False
                     continue
                 if left == 0:

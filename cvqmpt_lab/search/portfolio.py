@@ -1,89 +1,52 @@
 """The search of planner `roadmap`: trees, a roadmap and cells take turns, by counts of work.
 
-    1. trees of Algorithm 3 grow for a few iterations: easy problems end here;
-    2. the roadmap is searched while it promises something (`lazy_roadmap`);
-    3. trees grow on, the start's from what the roadmap found free;
-    4. trees that walk from rarely chosen cells take turns with them, for narrow passages.
+    1. trees of Algorithm 3 grow for a few iterations: problems that need no roadmap end here;
+    2. the roadmap is searched (`lazy_roadmap`), but for little work;
+    3. the trees grow on, first towards the nodes that the roadmap search found free, then towards
+       draws around them;
+    4. the roadmap is searched on, once more;
+    5. the trees grow on, and take turns with trees that walk from rarely chosen cells
+       (`cell_trees`), which pass narrow passages.
+
+No turn is ended by the clock, so the same seed leads to the same path. Numbers were chosen on
+tuning problems, see docs/performance.md.
 """
 
-import os
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.jit import entry
-from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, Trees, plant
+from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, plant
 from cvqmpt_lab.search.cell_trees import CellTrees
-from cvqmpt_lab.search.edge_costs import EdgeCosts
-from cvqmpt_lab.search.lazy_roadmap import FREE, RoadmapArrays
-from cvqmpt_lab.search.planner_interface import Deadline, GaussianMixture, SamplingDistribution
-from cvqmpt_lab.search.result import Budget, PlanResult, PlanStatus
+from cvqmpt_lab.search.planner_interface import (
+    Deadline,
+    GaussianMixture,
+    SamplingDistribution,
+    Uniform,
+)
+from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettings, scene_costs
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-X = dict(first=4, promise=1500, seed=1, draws=0, mix=0, searches=40, again=0, between=3000, dear=np.inf)
-X.update(eval(os.environ.get("PX", "{}")))
+Turn: TypeAlias = tuple[str, JointPath | None]  # who had a turn, and the path that it found
 
 
-@entry
-def graft(
-    roadmap: RoadmapArrays,
-    trees: Trees,
-    tree: int,
-    root: int,
-    row: int,
-    rows: Annotated[np.ndarray, "int64 total"],
-    place: Annotated[np.ndarray, "int64 total"],
-):
-    """Add to a tree what free edges lead to from a row of the roadmap.
-
-    Args:
-        roadmap: with verdicts.
-        trees: to add to, with room for all its rows.
-        tree: which.
-        root: its node that is the row.
-        row: the start or a goal.
-        rows: work array.
-        place: the node of each row in a tree, or -1; written.
-    """
-    inner, k = roadmap.neighbours.shape
-    nodes, parent, size = trees.nodes[tree], trees.parent[tree], trees.size
-    rows[0], place[row] = row, root
-    done, found = 0, 1
-    while done < found:
-        here = rows[done]
-        done += 1
-        for other in range(inner):
-            free = False
-            if here < inner:
-                for slot in range(k):
-                    there = roadmap.neighbours[here, slot]
-                    free = free or (there == other and roadmap.edge[here, slot] == FREE)
-            else:
-                free = roadmap.goal_edge[other, here - inner] == FREE
-            if free and place[other] < 0 and roadmap.node[other] == FREE:
-                place[other] = size[tree]
-                for j in range(nodes.shape[1]):
-                    nodes[size[tree], j] = roadmap.nodes[other, j]
-                parent[size[tree]] = place[here]
-                size[tree] += 1
-                rows[found] = other
-                found += 1
-    return found - 1
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Portfolio(BiRRT):
-    """Trees, a roadmap and cells, one after the other and in turns."""
+    """Trees, a roadmap and cells in turns; work is that of `ConstrainedSpace.work`."""
 
-    roadmap: Roadmap | None = None
-    name: str = "roadmap"
-    settings: RoadmapSearchSettings = field(default_factory=RoadmapSearchSettings)
-    costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
-    alone: float = 20_000  # work after which cells take turns
+    roadmap: Roadmap
+    name: str  # of paths through the roadmap, in results
+    settings: RoadmapSearchSettings = field(
+        default_factory=lambda: RoadmapSearchSettings(searches=80)
+    )
+    first: int = 2  # iterations of the trees before the roadmap is searched
+    turns: tuple[float, float] = (1_500, 4_000)  # work of its two turns
+    between: float = 6_000  # work of the trees between them
+    alone: float = 20_000  # work after which cells take turns, of so much work each
 
     def search(
         self,
@@ -95,70 +58,90 @@ class Portfolio(BiRRT):
         rng: np.random.Generator,
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
-        deadline, began = Deadline(budget, space), space.work
-        clock = np.inf if budget.seconds is None else time.perf_counter() + budget.seconds
-        growth = GrowingTrees(self, space, plant(start, goals, 4096), distribution, rng)
-        cells, query, by = None, None, distribution.name
-
-        def grow(trees, work, most=None):
-            left = deadline.rest().iterations
-            most = left if most is None else min(most, left or most)
-            return trees.grow(work, most, clock)
-
-        path = grow(growth, np.inf, X["first"]) if X["first"] else None
-        if path is None and deadline.spent() is None and len(self.roadmap.nodes) > 1:
-            from dataclasses import replace
-
-            query = RoadmapQuery(
-                space,
-                self.roadmap.near(start, space.robot),
-                start,
-                goals,
-                replace(self.settings, searches=X["searches"]),
-                self.costs(space)._replace(dearest=X["dear"]),
-            )
-            path = query.next_path(deadline, X["promise"])
-            by = self.name if path is not None else by
-        if path is None and deadline.spent() is None:
-            if X["seed"] and query:
-                total = len(query.graph.nodes)
-                place, rows = np.full(total, -1), np.empty(total, dtype=np.int64)
-                added = graft.unchecked(query.graph, growth.trees, 0, 0, total - 1 - len(goals), rows, place)
-                for k in range(len(goals)):
-                    added += graft.unchecked(query.graph, growth.trees, 1, k, total - len(goals) + k, rows, place)
-            if X["draws"] and query:
-                known = query.graph.nodes[query.free_nodes]
-                growth._drawn, growth._next = np.array(known), 0
-            if X["mix"] and query:
-                known = query.graph.nodes[query.free_nodes]
-                growth._distribution = GaussianMixture.equal(
-                    known, self.roadmap.covariance, distribution, 0.3, self.name
-                )
-            if X["again"] and query:
-                path = grow(growth, X["between"])
-                if path is None and deadline.spent() is None:
-                    path = query.next_path(deadline, X["again"])
-                    by = self.name if path is not None else by
-            if path is None and deadline.spent() is None:
-                path = grow(growth, began + self.alone - space.work)
-        size = self.alone
-        while path is None and deadline.spent() is None:
-            cells = cells or CellTrees(space, start, goals, rng)
-            path = grow(cells, size)
-            by = "cells" if path is not None else by
-            if path is None and deadline.spent() is None:
-                path = grow(growth, size)
-        fallback = ""
-        if query is not None and by != self.name:
-            fallback = f"{by}: no roadmap path after {query.searches} searches"
+        run = _Run(self, space, start, goals, distribution, budget, rng)
+        path, by, status = None, distribution.name, None
+        for by, path in run.turns():
+            status = run.deadline.spent()
+            if path is not None or status is not None:
+                break
         return PlanResult(
-            status=PlanStatus.SOLVED if path is not None else deadline.spent(),
+            status=status or PlanStatus.TIMEOUT if path is None else PlanStatus.SOLVED,
             path=path,
-            seconds=deadline.seconds,
-            counters=deadline.counters,
-            vertices=int(growth.trees.size.sum()),
+            seconds=run.deadline.seconds,
+            counters=run.deadline.counters,
+            vertices=run.vertices,
             sampler=by,
-            detail=growth.complaint,
-            trees=growth.shown,
-            fallback=fallback,
+            trees=run.trees.shown,
+            detail=run.trees.complaint,
+            fallback="" if by == self.name else run.fallback,
         )
+
+
+class _Run:
+    """One search of a portfolio; its arguments are those of `Portfolio.search`."""
+
+    def __init__(
+        self,
+        method: Portfolio,
+        space: ConstrainedSpace,
+        start: np.ndarray,
+        goals: np.ndarray,
+        distribution: SamplingDistribution,
+        budget: Budget,
+        rng: np.random.Generator,
+    ) -> None:
+        self._method, self._space, self._ends, self._rng = method, space, (start, goals), rng
+        self._uniform = distribution
+        self.deadline = Deadline(budget, space)
+        self._clock = time.perf_counter() + (np.inf if budget.seconds is None else budget.seconds)
+        self.trees = GrowingTrees(method, space, plant(start, goals, 4096), distribution, rng)
+        self.fallback = ""  # why the roadmap found no path
+        self._others = 0  # nodes elsewhere than in the trees
+
+    @property
+    def vertices(self) -> int:
+        """Nodes of trees, free ones of the roadmap, and those of cells."""
+        return int(self.trees.trees.size.sum()) + self._others
+
+    def turns(self) -> Iterator[Turn]:
+        """Turn after turn; the caller ends it at a path, or when the budget is spent."""
+        method, began, trees = self._method, self._space.work, self._uniform.name
+        yield trees, self._grow(self.trees, np.inf, method.first)
+        if len(method.roadmap.nodes) < 2:
+            self.fallback = f"birrt: {len(method.roadmap.nodes)} nodes are no roadmap"
+        else:
+            yield from self._roadmap_turns()
+        yield trees, self._grow(self.trees, began + method.alone - self._space.work)
+        cells, others = CellTrees(self._space, *self._ends, self._rng), self._others
+        while True:
+            found = self._grow(cells, method.alone)
+            self._others = others + int(cells.trees.size.sum())
+            yield "cells", found
+            yield trees, self._grow(self.trees, method.alone)
+
+    def _roadmap_turns(self) -> Iterator[Turn]:
+        """The roadmap's two turns, and that of the trees between them."""
+        method, space, trees = self._method, self._space, self._uniform.name
+        near = method.roadmap.near(self._ends[0], space.robot)
+        uniform, costs = Uniform(space.robot.lower, space.robot.upper), scene_costs(space)
+        query = RoadmapQuery(space, near, *self._ends, method.settings, costs)
+        for work in method.turns:
+            path = query.next_path(self.deadline, work)
+            free = query.free_nodes
+            self._others = len(free)
+            known = query.graph.nodes[free]
+            lost = f"free nodes: no roadmap path after {query.searches} searches"
+            self.fallback = f"birrt around {len(free)} {lost}"
+            yield method.name, path
+            if work == method.turns[0]:
+                around = GaussianMixture.equal(known, near.covariance, uniform, 0.3, trees)
+                self.trees.draw_from(around, known)
+                yield trees, self._grow(self.trees, method.between)
+
+    def _grow(
+        self, trees: GrowingTrees | CellTrees, work: float, most: int | None = None
+    ) -> JointPath | None:
+        """Let trees grow for so much work, at most so many iterations, inside the budget."""
+        left = self.deadline.rest().iterations
+        iterations = min((count for count in (left, most) if count is not None), default=None)
+        return trees.grow(work, iterations, self._clock)
