@@ -205,7 +205,6 @@ PLANNERS = _by_name(
     _mpnet("mpnet-bridged", bridged=True),
     *(_product(name, choice) for name, choice in NAMED.items() if choice.predictor != "published"),
     _portfolio("roadmap"),
-    _roadmap("roadmap-old"),
     _roadmap("roadmap-cvq", VQ_MPT),
 )
 

@@ -1,7 +1,8 @@
 """What tables measure: values of a row, statistics, ratios to a baseline, easy and hard problems.
 
-Pure functions of rows. The work of a run is its projections, state checks and clearances, which do
-not depend on the machine. Seeds of one problem are not independent: everywhere a problem counts once.
+Pure functions of rows. The work of a run is its projections, state checks and clearances, which
+do not depend on the machine. Seeds of one problem are not independent: everywhere a problem counts
+once.
 """
 
 import math

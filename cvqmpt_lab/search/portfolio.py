@@ -59,13 +59,12 @@ class Portfolio(BiRRT):
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
         run = _Run(self, space, start, goals, distribution, budget, rng)
-        path, by, status = None, distribution.name, None
-        for by, path in run.turns():
+        turns, path, status = run.turns(), None, None
+        while path is None and status is None:
+            by, path = next(turns)
             status = run.deadline.spent()
-            if path is not None or status is not None:
-                break
         return PlanResult(
-            status=status or PlanStatus.TIMEOUT if path is None else PlanStatus.SOLVED,
+            status=PlanStatus.SOLVED if path is not None else status or PlanStatus.NO_PATH,
             path=path,
             seconds=run.deadline.seconds,
             counters=run.deadline.counters,
