@@ -112,11 +112,11 @@ class Method:
         return self.build(problem, self.model or self.weights or "")
 
 
-def _ompl(name: str, manifold: str) -> Method:
+def _ompl(name: str, manifold: str, kpiece: bool = False) -> Method:
     def build(problem: PlanningProblem, model: str) -> Stages:
         from cvqmpt_lab.search.ompl_planners import OmplSearch  # ompl takes 0.3 s to import
 
-        return Stages(search=OmplSearch(manifold))
+        return Stages(search=OmplSearch(manifold, kpiece))
 
     return Method(name, build, needs_charts=manifold != "projected", grows=False)
 
@@ -197,10 +197,11 @@ PLANNERS = _by_name(
     Method.simple("birrt"),
     # Algorithm 3 without a limit of extensions, as it is printed; `birrt` has the best tuning
     Method.simple("birrt-printed", search=BiRRT(reach=math.inf)),
-    Method.simple("cells", search=CellSearch()),
+    replace(Method.simple("cells", search=CellSearch()), grows=False),  # for narrow passages
     _ompl("ompl-projected", "projected"),
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),
+    _ompl("ompl-bkpiece", "projected", kpiece=True),
     _mpnet("mpnet", bridged=False),  # the paper's MPNet (w/ proj)
     _mpnet("mpnet-bridged", bridged=True),
     *(_product(name, choice) for name, choice in NAMED.items() if choice.predictor != "published"),

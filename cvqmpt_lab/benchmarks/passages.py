@@ -67,8 +67,8 @@ def cage_problem(opening: float, index: int) -> PlanningProblem | UnsolvableProb
         x, y = centre + radius * np.array([math.cos(gap + angle), math.sin(gap + angle)])
         bars.append(SceneObject(f"bar_{k}", Cylinder(0.01, 1.1), pose((x, y, 0.35))))
     bars.append(SceneObject("roof", Box((0.62, 0.62, 0.02)), pose((*centre, 0.91))))
-    side = rng.choice([-1.0, 1.0]) * rng.uniform(1.2, 1.6)  # [rad] of the start about the base
-    outside = (0.5 * math.cos(side), 0.5 * math.sin(side), 0.4)
+    side = rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.1)  # [rad] of the start about the base
+    outside = (0.65 * math.cos(side), 0.65 * math.sin(side), 0.4)
     ends = [_upright_at(outside, math.pi), _upright_at((*centre, 0.4), 0.6)]
     return _between(f"cage-{opening:g}-{index}", bars, upright_box(), (), ends, rng)
 

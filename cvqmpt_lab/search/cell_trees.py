@@ -6,21 +6,17 @@
         where T_b touches the last one's cell in any grid, try the direct motion to its node there
         Swap(T_a, T_b)
 
-A grid divides what the constraint leaves free (unbounded rows of its regions), or the joints where
-nothing is free, into cells, as KPIECE (Sucan and Kavraki 2009) and EST (Hsu et al. 1999) do. As
-nobody knows the right size of cells, there are grids of several, each used equally often. Motions
-between nodes are checked finely when they are made: a path through the trees is a solution.
+Cells are those of `cell_grids`. Motions between nodes are checked finely when they are made: a path
+through the trees is a solution.
 """
 
 import time
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.constraints.regions import residual
 from cvqmpt_lab.jit import entry, kernel
-from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search.birrt import (
     CONNECTED,
     FULL,
@@ -29,6 +25,14 @@ from cvqmpt_lab.search.birrt import (
     checked_tree_path,
     enlarged_trees,
     plant,
+)
+from cvqmpt_lab.search.cell_grids import (
+    HELD,
+    Grids,
+    choose,
+    empty_grids,
+    enlarged_grids,
+    place_node,
 )
 from cvqmpt_lab.search.motion import (
     CLEARANCES,
@@ -45,117 +49,10 @@ from cvqmpt_lab.search.motion import (
     segment_valid,
     step_towards,
 )
+from cvqmpt_lab.search.nearest import index_new_nodes, nearest_node
 from cvqmpt_lab.search.planner_interface import SamplingDistribution
 from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus, Tree
 from cvqmpt_lab.search.space import ConstrainedSpace
-
-HELD = 8  # nodes of each tree that a cell remembers
-
-
-class Grids(NamedTuple):
-    """Cells of several grids, and which nodes of two trees lie in them."""
-
-    # from free rows and joints to a place in each grid, in cells
-    projection: Annotated[np.ndarray, "grids axes coordinates"]
-    rows: Annotated[np.ndarray, "int64 free 2"]  # region and axis of free rows
-    table: Annotated[np.ndarray, "int32 grids slots"]  # a cell's number + 1 at its hash, or 0
-    place: Annotated[np.ndarray, "int32 grids cells axes"]
-    known: Annotated[np.ndarray, "int64 grids"]  # cells found in each grid
-    count: Annotated[np.ndarray, "int32 2 grids cells"]  # nodes of each tree in a cell
-    chosen: Annotated[np.ndarray, "int32 2 grids cells"]  # how often
-    held: Annotated[np.ndarray, "int32 2 grids cells held"]  # some of its nodes
-    # sums of weights: row i holds that of i & -i cells up to cell i - 1 (Fenwick 1994)
-    sums: Annotated[np.ndarray, "2 grids cells_and_one"]
-    coordinates: Annotated[np.ndarray, "coordinates"]  # work array: free rows and joints of a state
-    cell: Annotated[np.ndarray, "int64 grids"]  # work array: the cells of a state
-    motion: Annotated[np.ndarray, "longest n"]  # work array: states of a motion
-    refined: Annotated[np.ndarray, "finest n"]  # work array
-
-
-@kernel
-def _find_cells(space, grids, q):
-    """Write the cells of a state q (n,) into grids.cell; new ones are made."""
-    rotation, translation = space.scratch.link_rotation, space.scratch.link_translation
-    displacement, x = space.scratch.displacement, grids.coordinates
-    forward_kinematics(space.kinematics, q, rotation, translation)
-    residual(space.regions, rotation, translation, space.scratch.residual, displacement)
-    free = grids.rows.shape[0]
-    for i in range(free):
-        x[i] = displacement[grids.rows[i, 0], 3 + grids.rows[i, 1]]
-    for j in range(q.shape[0]):
-        x[free + j] = q[j]
-    axes, last_slot = grids.place.shape[2], grids.table.shape[1] - 1
-    for g in range(grids.place.shape[0]):
-        place, table, new = grids.place[g], grids.table[g], grids.known[g]
-        key = 0
-        for a in range(axes):
-            along = 0.0
-            for c in range(x.shape[0]):
-                along += grids.projection[g, a, c] * x[c]
-            place[new, a] = int(np.floor(along))
-            key = (key ^ place[new, a]) * 0x5BD1E995
-            key ^= key >> 15
-        slot = key & last_slot
-        while True:
-            cell = table[slot] - 1
-            if cell < 0:
-                table[slot] = new + 1
-                grids.known[g] = new + 1
-                cell = new
-                break
-            same = True
-            for a in range(axes):
-                same = same and place[cell, a] == place[new, a]
-            if same:
-                break
-            slot = (slot + 1) & last_slot
-        grids.cell[g] = cell
-
-
-@kernel
-def _count(grids, tree, g, cell, nodes, choices):
-    """Change how many nodes of a tree are in a cell, and how often it was chosen."""
-    count, chosen = grids.count[tree, g], grids.chosen[tree, g]
-    before = 0.0
-    if count[cell] > 0:
-        before = 1.0 / ((1.0 + chosen[cell]) * (1.0 + 0.2 * count[cell]))
-    count[cell] += nodes
-    chosen[cell] += choices
-    change = 1.0 / ((1.0 + chosen[cell]) * (1.0 + 0.2 * count[cell])) - before
-    i = cell + 1
-    while i < grids.sums.shape[2]:
-        grids.sums[tree, g, i] += change
-        i += i & -i
-
-
-@kernel
-def _place_node(space, grids, tree, nodes, node):
-    """Put a node of a tree into its cells, which grids.cell then holds."""
-    _find_cells(space, grids, nodes[node])
-    for g in range(grids.cell.shape[0]):
-        cell = grids.cell[g]
-        known = grids.count[tree, g, cell]
-        held = known if known < HELD else (node * 0x5BD1E995 >> 13) % HELD
-        grids.held[tree, g, cell, held] = node
-        _count(grids, tree, g, cell, 1, 0)
-
-
-@kernel
-def _choose(grids, tree, g, share, which):
-    """A node of a tree in a cell of grid g, drawn by weight; share, which: uniform in [0, 1)."""
-    sums = grids.sums[tree, g]
-    stride = sums.shape[0] - 1  # a power of two
-    left, cell = share * sums[stride], 0
-    while stride > 1:
-        stride //= 2
-        if sums[cell + stride] <= left and cell + stride < grids.known[g]:
-            cell += stride
-            left -= sums[cell]
-    # rounding may lead to a neighbour that the tree does not touch
-    while grids.count[tree, g, cell] == 0:
-        cell = cell - 1 if cell > 0 else grids.known[g] - 1
-    _count(grids, tree, g, cell, 0, 1)
-    return grids.held[tree, g, cell, int(which * min(grids.count[tree, g, cell], HELD))]
 
 
 @kernel
@@ -169,6 +66,11 @@ def _join(space, grids, trees, a, node, farthest):
             gap = distance(q, trees.nodes[b, grids.held[b, g, cell, k]])
             if gap < least:
                 other, least = grids.held[b, g, cell, k], gap
+    index_new_nodes(trees.nearest, b, trees.nodes[b], trees.size[b])
+    near = nearest_node(trees.nearest, b, trees.nodes[b], trees.size[b], q)
+    gap = distance(q, trees.nodes[b, near])
+    if gap < least:
+        other, least = near, gap
     if other < 0:
         return False
     target = trees.nodes[b, other]
@@ -193,7 +95,7 @@ def plant_cells(space: Space, trees: Trees, grids: Grids):
     """Put the roots of both trees into their cells."""
     for tree in range(2):
         for node in range(trees.size[tree]):
-            _place_node(space, grids, tree, trees.nodes[tree], node)
+            place_node(space, grids, tree, trees.nodes[tree], node)
 
 
 @entry
@@ -239,7 +141,7 @@ def grow_cells(
         counters[ITERATIONS] += 1
         trees.turn[0] = 1 - a  # Swap
         g = int(chances[i, 0] * grids.known.shape[0])
-        node = _choose(grids, a, g, chances[i, 1], chances[i, 2])
+        node = choose(grids, a, g, chances[i, 1], chances[i, 2])
         target, far = shifts[i], 0.0
         for j in range(target.shape[0]):
             place = nodes[node, j] + target[j]
@@ -254,7 +156,7 @@ def grow_cells(
             far -= distance(nodes[node], nodes[new])
             parent[new] = node
             trees.size[a] = new + 1
-            _place_node(space, grids, a, nodes, new)
+            place_node(space, grids, a, nodes, new)
             node = new
             walked += 1
         if walked > 0:
@@ -262,89 +164,6 @@ def grow_cells(
             if _join(space, grids, trees, a, node, farthest):
                 return CONNECTED, i + 1
     return GROWING, shifts.shape[0]
-
-
-def _grids(space: ConstrainedSpace, rng: np.random.Generator, cells: int = 2048) -> Grids:
-    """Empty grids for a space, with room for so many cells (a power of two) each."""
-    robot, n = space.robot, space.robot.dof
-    regions = space.problem.constraint
-    rows = [
-        (k, axis)
-        for k, region in enumerate(regions)
-        for axis in range(6)
-        if np.ptp(region.bounds[axis]) > 1.0
-    ]
-    unit = np.array([robot.reach if axis < 3 else np.pi for _, axis in rows])
-    spans = np.concatenate([unit, 0.5 * (robot.upper - robot.lower)])
-    views: list[np.ndarray] = []
-    places = [i for i, (_, axis) in enumerate(rows) if axis < 3]
-    free = list(range(len(rows)))
-    for chosen, sizes in ((places, (16, 32, 64)), (free, (8, 16, 32))):
-        if chosen and (chosen is places or len(free) > len(places)):
-            for size in sizes:
-                view = np.zeros((len(chosen), len(spans)))
-                view[range(len(chosen)), chosen] = size / spans[chosen]
-                views.append(view)
-    if not rows:
-        for size in (4, 8, 16):
-            turn = np.linalg.qr(rng.standard_normal((n, n)))[0][: min(3, n)]
-            views.append(size * turn / spans)
-    axes = max(map(len, views))
-    projection = np.zeros((len(views), axes, len(spans)))
-    for k, view in enumerate(views):
-        projection[k, : len(view)] = view
-    g = len(views)
-    return Grids(
-        projection=projection,
-        rows=np.array(rows, dtype=np.int64).reshape(-1, 2),
-        table=np.zeros((g, 4 * cells), dtype=np.int32),
-        place=np.zeros((g, cells, axes), dtype=np.int32),
-        known=np.zeros(g, dtype=np.int64),
-        count=np.zeros((2, g, cells), dtype=np.int32),
-        chosen=np.zeros((2, g, cells), dtype=np.int32),
-        held=np.zeros((2, g, cells, HELD), dtype=np.int32),
-        sums=np.zeros((2, g, cells + 1)),
-        coordinates=np.zeros(len(spans)),
-        cell=np.zeros(g, dtype=np.int64),
-        motion=np.zeros((64, n)),
-        refined=np.zeros((1024, n)),
-    )
-
-
-def _enlarged(grids: Grids) -> Grids:
-    """The same grids with room for twice as many cells each."""
-    g, cells, axes = grids.place.shape
-
-    def twice(array: np.ndarray, axis: int) -> np.ndarray:
-        return np.concatenate([array, np.zeros_like(array)], axis=axis)
-
-    larger = grids._replace(
-        table=np.zeros((g, 8 * cells), dtype=np.int32),
-        place=twice(grids.place, 1),
-        count=twice(grids.count, 2),
-        chosen=twice(grids.chosen, 2),
-        held=twice(grids.held, 2),
-        sums=np.concatenate([grids.sums, np.zeros_like(grids.sums[:, :, 1:])], axis=2),
-    )
-    larger.sums[:, :, -1] = grids.sums[:, :, -1]
-    fill_table.unchecked(larger)
-    return larger
-
-
-@entry
-def fill_table(grids: Grids):
-    """Put all known cells into the empty table."""
-    last_slot = grids.table.shape[1] - 1
-    for g in range(grids.place.shape[0]):
-        for cell in range(grids.known[g]):
-            key = 0
-            for a in range(grids.place.shape[2]):
-                key = (key ^ grids.place[g, cell, a]) * 0x5BD1E995
-                key ^= key >> 15
-            slot = key & last_slot
-            while grids.table[g, slot] != 0:
-                slot = (slot + 1) & last_slot
-            grids.table[g, slot] = cell + 1
 
 
 class CellTrees:
@@ -366,9 +185,9 @@ class CellTrees:
     ) -> None:
         self.space, self._rng = space, rng
         self.trees = plant(start, goals, capacity=4096)
-        self._grids = _grids(space, rng)
+        self._grids = empty_grids(space, rng)
         while len(goals) + 256 > self._grids.place.shape[1]:
-            self._grids = _enlarged(self._grids)
+            self._grids = enlarged_grids(self._grids)
         plant_cells.unchecked(space.arrays, self.trees, self._grids)
         self._scale = np.minimum((space.robot.upper - space.robot.lower) / np.pi, 1.0)
         self._shifts, self._chances = np.empty((0, len(start))), np.empty((0, 3))
@@ -408,7 +227,7 @@ class CellTrees:
                 self._chances[:last],
                 self._next,
                 int(most),
-                2.5,
+                4.0,
             )
             left -= int(self.space.arrays.counters[ITERATIONS] - before)
             self.space.reraise()
@@ -417,7 +236,7 @@ class CellTrees:
                 if self.trees.size.max() + 2 * longest >= self.trees.nodes.shape[1]:
                     self.trees = enlarged_trees(self.trees)
                 if self._grids.known.max() + 2 * longest >= self._grids.place.shape[1]:
-                    self._grids = _enlarged(self._grids)
+                    self._grids = enlarged_grids(self._grids)
             elif status == CONNECTED:
                 path = checked_tree_path(self.space, self.trees)
                 self.space.reraise()
@@ -426,9 +245,9 @@ class CellTrees:
         return None
 
     def _draw(self, count: int) -> None:
-        """Draw what the next walks do: lengths from 0.03 to 0.3 rad a joint."""
+        """Draw what the next walks do: lengths from 0.1 to 2 rad a joint."""
         n = len(self._scale)
-        length = 0.03 * 10.0 ** self._rng.random((count, 1))
+        length = 0.1 * 20.0 ** self._rng.random((count, 1))
         self._shifts = length * self._scale * self._rng.standard_normal((count, n))
         self._chances = self._rng.random((count, 3))
         self._next = 0
