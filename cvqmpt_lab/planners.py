@@ -290,7 +290,7 @@ def default_planner(problem: PlanningProblem) -> tuple[str, str]:
         return "birrt", "the hand holds a mechanism, for which no roadmap was measured"
     return (
         "roadmap",
-        "0.2 to 0.7 of birrt's work on tuning problems of four arms; birrt where it finds no path",
+        "less work than birrt on most problems of all arms; birrt and cells where it finds no path",
     )
 
 
