@@ -27,7 +27,7 @@ class Grids(NamedTuple):
     table: Annotated[np.ndarray, "int32 grids slots"]  # a cell's number + 1 at its hash, or 0
     place: Annotated[np.ndarray, "int32 grids cells axes"]
     known: Annotated[np.ndarray, "int64 grids"]  # cells found in each grid
-    count: Annotated[np.ndarray, "int32 2 grids cells"]  # nodes of each tree in a cell
+    members: Annotated[np.ndarray, "int32 2 grids cells"]  # nodes of each tree in a cell
     chosen: Annotated[np.ndarray, "int32 2 grids cells"]  # how often
     held: Annotated[np.ndarray, "int32 2 grids cells held"]  # some of its nodes
     # sums of weights: row i holds that of i & -i cells up to cell i - 1 (Fenwick 1994)
@@ -86,7 +86,7 @@ def _find_cells(space, grids, q):
 @kernel
 def _count(grids, tree, g, cell, nodes, choices):
     """Change how many nodes of a tree are in a cell, and how often it was chosen."""
-    count, chosen = grids.count[tree, g], grids.chosen[tree, g]
+    count, chosen = grids.members[tree, g], grids.chosen[tree, g]
     before = 0.0
     if count[cell] > 0:
         before = 1.0 / (1.0 + chosen[cell]) ** 2
@@ -105,7 +105,7 @@ def place_node(space, grids, tree, nodes, node):
     _find_cells(space, grids, nodes[node])
     for g in range(grids.cell.shape[0]):
         cell = grids.cell[g]
-        known = grids.count[tree, g, cell]
+        known = grids.members[tree, g, cell]
         held = known if known < HELD else (node * 0x5BD1E995 >> 13) % HELD
         grids.held[tree, g, cell, held] = node
         _count(grids, tree, g, cell, 1, 0)
@@ -123,10 +123,10 @@ def choose(grids, tree, g, share, which):
             cell += stride
             left -= sums[cell]
     # rounding may lead to a neighbour that the tree does not touch
-    while grids.count[tree, g, cell] == 0:
+    while grids.members[tree, g, cell] == 0:
         cell = cell - 1 if cell > 0 else grids.known[g] - 1
     _count(grids, tree, g, cell, 0, 1)
-    return grids.held[tree, g, cell, int(which * min(grids.count[tree, g, cell], HELD))]
+    return grids.held[tree, g, cell, int(which * min(grids.members[tree, g, cell], HELD))]
 
 
 def empty_grids(space: ConstrainedSpace, rng: np.random.Generator, cells: int = 2048) -> Grids:
@@ -161,7 +161,7 @@ def empty_grids(space: ConstrainedSpace, rng: np.random.Generator, cells: int = 
         table=np.zeros((g, 4 * cells), dtype=np.int32),
         place=np.zeros((g, cells, axes), dtype=np.int32),
         known=np.zeros(g, dtype=np.int64),
-        count=np.zeros((2, g, cells), dtype=np.int32),
+        members=np.zeros((2, g, cells), dtype=np.int32),
         chosen=np.zeros((2, g, cells), dtype=np.int32),
         held=np.zeros((2, g, cells, HELD), dtype=np.int32),
         sums=np.zeros((2, g, cells + 1)),
@@ -195,7 +195,7 @@ def enlarged_grids(grids: Grids) -> Grids:
     larger = grids._replace(
         table=np.zeros_like(twice(grids.table, 1)),
         place=twice(grids.place, 1),
-        count=twice(grids.count, 2),
+        members=twice(grids.members, 2),
         chosen=twice(grids.chosen, 2),
         held=twice(grids.held, 2),
         sums=twice(grids.sums, 2)[:, :, :-1],

@@ -62,7 +62,7 @@ def _join(space, grids, trees, a, node, farthest):
     q, other, least = trees.nodes[a, node], -1, farthest
     for g in range(grids.cell.shape[0]):
         cell = grids.cell[g]
-        for k in range(min(grids.count[b, g, cell], HELD)):
+        for k in range(min(grids.members[b, g, cell], HELD)):
             gap = distance(q, trees.nodes[b, grids.held[b, g, cell, k]])
             if gap < least:
                 other, least = grids.held[b, g, cell, k], gap
