@@ -308,10 +308,7 @@ class RoadmapQuery:
             getattr(self.graph, verdicts)[blocked] = kernels.BLOCKED
 
     def next_path(self, deadline: Deadline, work: float = np.inf) -> JointPath | None:
-        """The shortest free path on the manifold, or None; an A* search counts as an iteration.
-
-        work: to do at most, see `ConstrainedSpace.work`; a row that A* expands counts as much.
-        """
+        """The shortest free path, or None; work: at most, rows that A* expands counted, too."""
         path, ends = np.empty((2, 256), dtype=np.int64)  # longest path in nodes
         states = np.empty((64 * len(path), self.graph.nodes.shape[1]))
         arrays = self._space.arrays._replace(step=self._settings.step)
