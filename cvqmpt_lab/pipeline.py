@@ -303,7 +303,7 @@ def drawn_goals(problem: PlanningProblem) -> GoalSample:
     near = problem.start if held else None
     sampled = partial(sample_goals, problem, rng, MAX_GOALS, near=near)
     drawn = None
-    if any(part.base in problem.robot.end_effectors for part in held):
+    if problem.closed_chain:
         # few postures of two hands come near to that of the start
         sampled = partial(_near_and_far, problem, rng)
     if not reaches_no_pose(problem.robot, region):

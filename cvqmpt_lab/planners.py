@@ -169,7 +169,10 @@ def _portfolio(name: str) -> Method:
     """Trees, an evenly spread roadmap and cells in turns."""
 
     def build(problem: PlanningProblem, model: str) -> Stages:
-        roadmap = spread_roadmap(problem.robot, problem.attachments)
+        # hardly any evenly spread node lies near a closed chain
+        roadmap = (
+            None if problem.closed_chain else spread_roadmap(problem.robot, problem.attachments)
+        )
         return Stages(
             search=Portfolio(roadmap=roadmap, name=name),
             path_source=partial(informed_roadmap_path, scene_costs),

@@ -233,6 +233,12 @@ class PlanningProblem(Document):
         """The constraint as a function F(q)."""
         return RegionConstraint(self.robot, self.constraint)
 
+    @property
+    def closed_chain(self) -> bool:
+        """Whether an end effector is held to another one: the hands and the base form a ring."""
+        bases = [part.base for part in self.constraint if isinstance(part, TaskSpaceRegionChain)]
+        return any(base in self.robot.end_effectors for base in bases)
+
     @cached_property
     def dynamics(self) -> Dynamics | None:
         """Of the robot with what it carries; None where no effort is limited."""

@@ -38,7 +38,7 @@ Turn: TypeAlias = tuple[str, JointPath | None]  # who had a turn, and the path t
 class Portfolio(BiRRT):
     """Trees, a roadmap and cells in turns; work is that of `ConstrainedSpace.work`."""
 
-    roadmap: Roadmap
+    roadmap: Roadmap | None  # None: of a closed chain, see `PlanningProblem.closed_chain`
     name: str  # of paths through the roadmap, in results
     settings: RoadmapSearchSettings = field(
         default_factory=lambda: RoadmapSearchSettings(searches=80)
@@ -106,10 +106,12 @@ class _Run:
         """Turn after turn; the caller ends it at a path, or when the budget is spent."""
         method, began, trees = self._method, self._space.work, self._uniform.name
         yield trees, self._grow(self.trees, np.inf, method.first)
-        if len(method.roadmap.nodes) < 2:
+        if method.roadmap is None:
+            self.fallback = "birrt: no roadmap is made of closed chains"
+        elif len(method.roadmap.nodes) < 2:
             self.fallback = f"birrt: {len(method.roadmap.nodes)} nodes are no roadmap"
         else:
-            yield from self._roadmap_turns()
+            yield from self._roadmap_turns(method.roadmap)
         yield trees, self._grow(self.trees, began + method.alone - self._space.work)
         cells, others = CellTrees(self._space, *self._ends, self._rng), self._others
         while True:
@@ -118,10 +120,10 @@ class _Run:
             yield "cells", found
             yield trees, self._grow(self.trees, method.alone)
 
-    def _roadmap_turns(self) -> Iterator[Turn]:
+    def _roadmap_turns(self, roadmap: Roadmap) -> Iterator[Turn]:
         """The roadmap's two turns, and that of the trees between them."""
         method, space, trees = self._method, self._space, self._uniform.name
-        near = method.roadmap.near(self._ends[0], space.robot)
+        near = roadmap.near(self._ends[0], space.robot)
         uniform, costs = Uniform(space.robot.lower, space.robot.upper), scene_costs(space)
         query = RoadmapQuery(space, near, *self._ends, method.settings, costs)
         for work in method.turns:

@@ -29,7 +29,7 @@ def sampled_hands(
     robot, rng, method = problem.robot, np.random.default_rng(0), planner_named(planner)
     stages = method.stages(problem)
     for stage in (stages.predict, stages.search):
-        if isinstance(stage, RoadmapPath | Portfolio):
+        if isinstance(stage, RoadmapPath | Portfolio) and stage.roadmap is not None:
             yield "search", robot.poses(stage.roadmap.nodes)[:, :3, 3], GHOST
     for tree in trees:
         yield "search", robot.poses(tree.nodes)[:, :3, 3], GOAL
