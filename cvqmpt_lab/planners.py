@@ -289,6 +289,8 @@ def planner_named(name: str, model: str | None = None, reach: float | None = Non
 
 def default_planner(problem: PlanningProblem) -> tuple[str, str]:
     """The planner for a problem if the user names none, and the reason."""
+    if problem.closed_chain:
+        return "roadmap", "trees and cells in turns; no roadmap is made of closed chains"
     if any(isinstance(region, TaskSpaceRegionChain) for region in problem.constraint):
         return "birrt", "the hand holds a mechanism, for which no roadmap was measured"
     return (
