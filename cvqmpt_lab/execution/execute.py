@@ -150,6 +150,11 @@ def execute_motion(
             f"{', '.join(problem.robot.joint_names)}"
         )
     (load,) = problem.attachments or (None,)
+    if load is not None and load.also_held_by:
+        raise InvalidInputError(
+            f"{load.name} is held by {len(load.held_by)} hands: the simulation holds a load in "
+            "one; certify checks the motion's limits and contacts without it"
+        )
     q = motion.positions[0]
     physics = Physics(contact_time, welded=load)
     if friction:
