@@ -1,4 +1,4 @@
-"""`cvqmpt problems`: list or write a suite's problems, write a template, import MoveIt scenes."""
+"""`cvqmpt problems`: list or write a suite's problems, write a template, import or fetch others."""
 
 import argparse
 import os
@@ -9,6 +9,7 @@ import cvqmpt_lab
 from cli.options import FLAG, Options, ProgressBar, one_of, option, positive_int, writable_file
 from cli.problem_options import ROBOT, robot_source
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.motion_bench_archive import ARCHIVE, ROBOTS, fetch
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
@@ -88,6 +89,16 @@ def _import(args: argparse.Namespace) -> int:
     return 0
 
 
+def _fetch(args: argparse.Namespace) -> int:
+    """MotionBenchMaker's problems, into the cache."""
+    if args.what != "motion-bench":
+        raise UnknownChoiceError("set of problems", args.what, ["motion-bench"])
+    print(f"{fetch()}: 700 problems each of {', '.join(ROBOTS)}")
+    print(f"MotionBenchMaker, from {ARCHIVE} on the package index, Apache-2.0")
+    print("list them, with those that collide: cvqmpt problems list motion-bench")
+    return 0
+
+
 def _list(args: argparse.Namespace) -> int:
     """A line for each problem."""
     for index, problem in _problems(args):
@@ -133,12 +144,13 @@ ACTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "export": _export,
     "new": _new,
     "import": _import,
+    "fetch": _fetch,
 }
 OPTIONS: Options = {
     "action": option(", ".join(ACTIONS), type=one_of("action", ACTIONS)),
     "what": option(
         f"suite: {', '.join(SUITES)}; with new: the file to write; with import: a scene of MoveIt "
-        "(scene, yaml)"
+        "(scene, yaml); with fetch: motion-bench"
     ),
     "--problems": option("only the first N (all)", type=positive_int, metavar="N"),
     "--out": option(

@@ -319,6 +319,7 @@ def group_table(
     published: Sequence[PublishedValue],
     what: str = "constraint",
     notes: Sequence[str] = CONSTRAINT_NOTES,
+    columns: Mapping[str, Column] = GROUP_COLUMNS,
 ) -> SuiteTable:
     """A line for each group and planner, in the order of the suite, then all groups together.
 
@@ -334,7 +335,7 @@ def group_table(
         for planner, own in runs.groups.items():
             part = [row for row in own if group in ("all", split_problem(row.problem).phase)]
             names: dict[str, Any] = {"group": (group,), "suffix": f"_under_{group}"}
-            found.append(table.entry(planner, part, runs, GROUP_COLUMNS, **names))
+            found.append(table.entry(planner, part, runs, columns, **names))
     lines = table.group_lines(found, [what])
     size, suite = f"{len(ordered)} problems, {len(groups)} {what}s", runs.rows[0].suite
     together = table.counted([item for item in found if item.group == ("all",)])

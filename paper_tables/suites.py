@@ -18,6 +18,7 @@ from cvqmpt_lab.results.store import PARTIAL_FILE
 from paper_tables.factorial_table import PLANNERS as PRODUCTS
 from paper_tables.factorial_table import factorial_table
 from paper_tables.layouts import ARM_NOTES, CONSTRAINT_NOTES, group_table, peer_table, place_table
+from paper_tables.motion_bench_table import motion_bench_table
 from paper_tables.multi_sequence_table import task_table
 from paper_tables.statements import PublishedValue, read_published
 from paper_tables.table_engine import SuiteTable, rows_of_one_suite
@@ -27,6 +28,7 @@ QUICK = ("birrt", "birrt-printed", "ompl-projected", *LEARNED, "roadmap", "roadm
 SLOW = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
 ALL = (*QUICK[:3], *SLOW, *QUICK[3:])
 SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
+BENCHED = ("birrt", "roadmap", "ompl-projected")  # the last is RRTConnect where nothing is bound
 UNIFORM_ROADMAPS = ("roadmap-uniform-0", "roadmap-uniform-1", "roadmap-uniform-2")
 # what nothing learned gives `cvq-tuned`, and its bound
 LINES = "cvq:nearest-lines+along+free-draws+reach=1"
@@ -160,6 +162,18 @@ SUITES: Mapping[str, Suite] = {
         title="Planners of others, place task with a single goal",
         planners=("birrt", "roadmap", "roadmap-cvq", "roboplan", "sscbirrt", "hpp"),
         table=peer_table,
+    ),
+    # its problems are fetched: `cvqmpt problems fetch motion-bench`
+    "motion-bench": Suite(
+        title="MotionBenchMaker: problems of others, without a constraint",
+        planners=BENCHED,
+        table=motion_bench_table,
+        paper=("motion_bench.csv", "MotionBenchMaker"),
+    ),
+    "motion-bench-upright": Suite(
+        title="MotionBenchMaker: the same with a level hand",
+        planners=BENCHED,
+        table=motion_bench_table,
     ),
     "sensor": Suite(
         title="Scanned scenes, hand upright: planned in the map, judged in truth",

@@ -70,6 +70,7 @@ def _item(suite: str, index: int) -> SuiteItem:
         constraint_task,
         door_task,
         family_task,
+        motion_bench,
         multi_sequence,
         sensor_task,
         two_arms,
@@ -80,6 +81,8 @@ def _item(suite: str, index: int) -> SuiteItem:
         return family_task.held_out_problem(suite.removeprefix("family-"), index)
     makers: Mapping[str, Callable[[int], SuiteItem]] = {
         "constraints": constraint_task.constraint_problem,
+        "motion-bench": motion_bench.motion_bench_problem,
+        "motion-bench-upright": motion_bench.level_problem,
         "open-door": door_task.door_problem,
         "robots": family_task.robots_problem,
         "sensor": sensor_task.sensor_problem,
@@ -109,6 +112,10 @@ SUITES: Mapping[str, Suite] = {
         Suite("sensor", range(30), partial(_item, "sensor")),
         Suite("two-arms", range(180), partial(_item, "two-arms")),
         Suite("unconstrained", range(120), partial(_item, "unconstrained")),
+        *(
+            Suite(name, range(2100), partial(_item, name))
+            for name in ("motion-bench", "motion-bench-upright")
+        ),
         Suite(
             "multi-sequence",
             range(10),

@@ -25,7 +25,7 @@ from cvqmpt_lab.scene.scene import Attachment, Scene
 Number = TypeVar("Number", float, np.ndarray)
 ROUNDING = 1e-6  # [m] coal stops when a distance d is known to ROUNDING (1 + d)
 # [m] by which boxes in a broad phase are inflated: it reports obstacles that are that close
-INFLATIONS = (1e-3, 1e-2, 0.05, 0.25)
+INFLATIONS = (1e-3, 1e-2, 0.05, 0.1, 0.25)
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ class CollisionChecker:
         """The smallest distance of the robot to an obstacle, if it is below `least` [m].
 
         Pairs are measured in the order of the gaps between their boxes until a gap exceeds the
-        smallest distance so far.
+        smallest distance so far; of many obstacles, only groups with such gaps are looked at.
         """
         # coal's broad phases would return the last pair's distance, not the smallest
         nearest = Nearest(least, None)
@@ -246,18 +246,48 @@ class CollisionChecker:
         margin = _needed(least, 0.0)
         if margin <= INFLATIONS[-1] and not self._near_obstacles(margin):
             return nearest
+        moving, (groups, around) = _boxes(self._moving), self._groups
+        apart = _box_gaps(around, moving).min(axis=1, initial=np.inf)
+        if len(groups) > 1 and nearest.distance == np.inf:
+            nearest = self._nearest_in(groups[apart.argmin()], moving, nearest)
+        within = np.flatnonzero(apart <= max(nearest.distance, 0.0))
+        rows = np.sort(np.concatenate([np.empty(0, dtype=int), *(groups[k] for k in within)]))
+        return self._nearest_in(rows, moving, nearest)
+
+    def _nearest_in(self, rows: np.ndarray, moving: np.ndarray, nearest: Nearest) -> Nearest:
+        """The smallest distance to some obstacles (k,), if it is smaller than the nearest yet.
+
+        moving: boxes (b, 2, 3) around the pieces of the posed robot [m].
+        """
         _, objects = self._world(0.0)
-        gaps = _box_gaps(self._obstacle_boxes, _boxes(self._moving))
-        close = np.flatnonzero(gaps <= max(least, 0.0))
+        gaps = _box_gaps(self._obstacle_boxes[rows], moving)
+        close = np.flatnonzero(gaps <= max(nearest.distance, 0.0))
         by_gap = close[gaps.flat[close].argsort(kind="stable")]
         for k, gap in zip(by_gap.tolist(), gaps.flat[by_gap].tolist(), strict=True):
             if gap > max(nearest.distance, 0.0):
                 break
-            j, i = divmod(k, len(self._moving))
+            row, i = divmod(k, len(self._moving))
+            j = rows[row]
             distance = coal_distance(self._moving[i], objects[j])
             if distance < nearest.distance:
                 nearest = Nearest(distance, CollidingPair(self._pieces[i], self._obstacles[j].name))
         return nearest
+
+    @cached_property
+    def _groups(self) -> tuple[list[np.ndarray], np.ndarray]:
+        """Obstacles (k,) in groups of neighbours, and boxes around the groups (g, 2, 3) [m]."""
+        boxes, most = self._obstacle_boxes, 64  # of a group; fewer in all are one group
+        centres, left = boxes.mean(axis=1), [np.arange(len(boxes))]
+        groups = []
+        while left:
+            rows = left.pop()
+            if len(rows) <= most:
+                groups.append(rows)
+                continue
+            axis = np.ptp(centres[rows], axis=0).argmax()
+            left += np.array_split(rows[centres[rows, axis].argsort(kind="stable")], 2)
+        around = [(boxes[g, 0].min(axis=0), boxes[g, 1].max(axis=0)) for g in groups if len(g)]
+        return groups, np.array(around).reshape(-1, 2, 3)
 
     @cached_property
     def _obstacle_boxes(self) -> np.ndarray:

@@ -88,7 +88,7 @@ def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeo
 def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
     """Vertices (n, 3) [m] of a polytope that contains the shape: exact for hulls and boxes.
 
-    Cylinders and capsules are circumscribed by 24-sided prisms, spheres by boxes.
+    Cylinders and capsules are circumscribed by 24-sided prisms, spheres by 98 points.
     """
     corners = np.array(list(product((-1.0, 1.0), repeat=3)))
     match shape:
@@ -97,7 +97,7 @@ def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
         case coal.Box():
             return corners * shape.halfSide
         case coal.Sphere():
-            return corners * shape.radius
+            return ball_vertices(shape.radius)
         case coal.Cylinder():
             return prism_vertices(shape.radius, shape.halfLength)
         case coal.Capsule():
@@ -124,3 +124,14 @@ def prism_vertices(radius: float, half_length: float, sides: int = 24) -> np.nda
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = radius / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.concatenate([np.c_[ring, np.full(sides, z)] for z in (-half_length, half_length)])
+
+
+def ball_vertices(radius: float) -> np.ndarray:
+    """Vertices (98, 3) [m] of a polytope around a ball: they stand 1 / 0.965 of its radius off.
+
+    They are a grid on the faces of a cube, moved to a sphere: the corners of a box alone would
+    stand 1.73 radii off.
+    """
+    grid = [p for p in product(range(-2, 3), repeat=3) if max(map(abs, p)) == 2]
+    points = np.tan(np.pi / 8 * np.array(grid))
+    return radius / 0.965 * points / np.linalg.norm(points, axis=1)[:, None]

@@ -47,6 +47,12 @@ def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
     return read_by_suffix(PARSERS, Path(path), "MoveIt scene", Path(path), most=2**24)
 
 
+def scene_of_yaml(text: str, path: Path) -> Scene:
+    """The scene of a yaml text, whose meshes are named from a path's folder; see above."""
+    with located(str(path)):
+        return _scene(_from_yaml, text.encode(), path)[0]
+
+
 def _scene(parse: Callable, data: bytes, path: Path) -> tuple[Scene, str]:
     name, frame, found = parse(data.decode("utf-8"), path)
     pieces, met = Counter(of for of, _, _ in found), Counter[str]()

@@ -196,7 +196,9 @@ def shape_vertices(shape: Box | ConvexMesh) -> FloatArray:
 def bounding_radius(shape: Shape) -> float:
     """Radius [m] of the smallest ball around the shape's frame origin that holds the shape."""
     match shape:
-        case Box() | ConvexMesh():
+        case Box(size):
+            return 0.5 * math.hypot(*size)
+        case ConvexMesh():
             return float(np.linalg.norm(shape_vertices(shape), axis=1).max())
         case Cylinder(radius, height):
             return math.hypot(radius, 0.5 * height)

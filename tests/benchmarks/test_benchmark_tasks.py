@@ -85,7 +85,10 @@ def test_suites_know_their_problems(suite):
     sizes |= dict.fromkeys(("place-task-mirrored", "factorial"), 60)
     sizes |= dict.fromkeys(("multi-sequence", "open-door"), 10)
     sizes |= {"constraints": 160, "factorial-constraints": 80, "robots": 180, "unconstrained": 120}
+    sizes |= dict.fromkeys(("motion-bench", "motion-bench-upright"), 2100)
     assert last + 1 == sizes.get(suite, 50)
+    if sizes.get(suite) == 2100:
+        return  # needs an archive, see test_motion_bench
     assert suite_named(suite).item(last).name.partition("/")[0] == str(last)
     for index in (-1, last + 1, 1000):
         refused(f"problem {index} of suite {suite}.*0 to {last}", suite_named(suite).item, index)

@@ -273,3 +273,18 @@ def test_no_sampled_state_is_closer_than_proven(panda, open_kitchen, seed):
             assert min(least.distance, 0.1) - closest <= max(1e-3, 0.2 * least.distance) + 1e-6
             assert least.bound <= max(1e-3, 0.2 * least.distance, least.distance - 0.08) + 1e-9
     assert judged > 5
+
+
+def test_the_nearest_of_many_obstacles_is_found_group_by_group(panda):
+    """As coal finds it among all pairs; also below a distance that is given."""
+    rng = np.random.default_rng(4)
+    places = rng.uniform(-1.0, 1.0, (400, 3))
+    boxes = (SceneObject(f"box{i}", Box((0.02,) * 3), pose(p)) for i, p in enumerate(places))
+    checker = CollisionChecker(panda, scene_of(*boxes))
+    for q in panda.random_configurations(rng, 20):
+        checker._pose(q)
+        moving, objects = checker._moving, checker._world(0.0)[1]
+        every = min(coal_distance(piece, box) for piece in moving for box in objects)
+        assert checker.nearest_obstacle(q).distance == every
+        assert checker.nearest_obstacle(q, every + 0.01).distance == every
+        assert checker.nearest_obstacle(q, every - 1e-9).pair is None

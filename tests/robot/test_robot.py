@@ -5,9 +5,10 @@ import pinocchio as pin
 import pytest
 from numba import njit
 from refusals import refused
+from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.collision.motion_bounds import Sweep
-from cvqmpt_lab.robot.hulls import hull_vertices
+from cvqmpt_lab.robot.hulls import ball_vertices, hull_vertices
 from cvqmpt_lab.robot.kinematics import link_poses, sine_and_cosine
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.load import panda as load_panda
@@ -135,3 +136,9 @@ def test_a_file_that_is_no_srdf_is_named(slider_arm_urdf, tmp_path):
     for text, pattern in (("<robot", "cannot read SRDF"), ("<a/>", "root <a>")):
         (tmp_path / "bad.srdf").write_text(text)
         refused(pattern, load_robot, slider_arm_urdf, "tool", srdf=tmp_path / "bad.srdf")
+
+
+def test_a_ball_is_held_by_its_polytope_which_stands_little_off():
+    points = ball_vertices(0.2)
+    assert 0.2 <= -ConvexHull(points).equations[:, 3].max() <= 0.2001
+    assert np.linalg.norm(points, axis=1).max() < 0.2075

@@ -1,0 +1,70 @@
+"""Rows of MotionBenchMaker's problems by robot, with those left out, beside published numbers."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
+from paper_tables.layouts import CONSTRAINT_NOTES, CURVE, GROUP_COLUMNS, group_table
+from paper_tables.measures import median_of
+from paper_tables.statements import PublishedValue
+from paper_tables.table_engine import Column, SuiteTable, rows_of_one_suite
+from paper_tables.writers import Sections
+
+# there is no problem to solve; a planner had no part in it
+LEFT_OUT: Mapping[str, str] = {
+    FailReason.INVALID_START: "start collides",
+    FailReason.INVALID_GOAL: "goal collides",
+    FailReason.NO_START: "no level hand at the start",
+    FailReason.NO_GOAL: "no level hand at the goal",
+}
+COLUMNS: Mapping[str, Column] = {
+    **GROUP_COLUMNS,
+    "time_median": Column("time [s]", "s", median_of("time")),
+    "solved_within_1_s": replace(CURVE["solved_within_1_s"], label="within 1 s [%]"),
+}
+NOTES = (
+    "Problems of others: MotionBenchMaker, 700 each of a Panda, a UR5 with a gripper and a Fetch, "
+    "from the source archive of vamp-planner 0.6.4 (Apache-2.0), with its descriptions of the "
+    "robots. Start and goal are single configurations.",
+    CONSTRAINT_NOTES[1],
+    "Left out: problems whose start or goal collides in our model, and, with a level hand, those "
+    "in which no level hand was found where theirs is. `cvqmpt problems list` names them. All "
+    "other numbers are of the rest.",
+    "Published numbers are not comparable: VAMP covers robots by spheres, checks states of a "
+    "motion some way apart on vector units, and its time is that of the search alone; ours checks "
+    "meshes' hulls, and every path is shortened and proven free between its states. cuRobo is an "
+    "optimiser on a graphics card. Neither has constraints here, and processors differ.",
+)
+
+
+def motion_bench_table(
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue]
+) -> SuiteTable:
+    """A line for each robot and planner; what was left out, and published numbers."""
+    ordered = rows_of_one_suite(rows)
+    problems: dict[str, dict[str, str]] = defaultdict(dict)  # robot -> problem -> why left out
+    for row in ordered:
+        robot, why = split_problem(row.problem).phase, LEFT_OUT.get(row.fail_reason or "", "")
+        problems[robot][row.problem] = why
+    left_out = {name for found in problems.values() for name, why in found.items() if why}
+    kept = [row for row in ordered if row.problem not in left_out]
+    made = group_table(kept or ordered, published, "robot", NOTES, COLUMNS)
+    reasons = list(dict.fromkeys(LEFT_OUT.values()))
+    counts: list[list[str]] = [["robot", "problems", "planned", *reasons]]
+    for robot, found in problems.items():
+        whys = list(found.values())
+        counts.append([robot, *map(str, (len(whys), *map(whys.count, ("", *reasons))))])
+    papers: list[list[str]] = [["robot", "planner", "what", "value", "note"]]
+    for value in published:
+        number = f"{value.value} {value.unit}"
+        papers.append([value.table, value.paper_name, value.metric, number, value.note])
+    first, *rest = made.sections
+    sections: Sections = {
+        first: made.sections[first],
+        "Problems": counts,
+        **({"Published numbers, not comparable": papers} if published else {}),
+        **{name: made.sections[name] for name in rest},
+    }
+    size = f"{len(kept)} runs of {sum(map(len, problems.values())) - len(left_out)} problems"
+    return replace(made, size=f"{size}, {len(left_out)} left out", sections=sections)
