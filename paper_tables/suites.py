@@ -50,6 +50,17 @@ FREE_NOTES = (
     "cvq-mpt tries one goal after the other; birrt and birrt-printed search towards all at once.",
     CONSTRAINT_NOTES[1],
 )
+TWO_ARM_NOTES = (
+    "A group is a robot with two arms of 7 joints and a kind of problem. The grasp is fixed: the "
+    "second hand keeps its pose in the first one's frame, a closed chain. What is carried leans by "
+    "at most 0.1 rad, and may touch both hands and nothing else. Starts and goals are by inverse "
+    "kinematics of both hands.",
+    CONSTRAINT_NOTES[1],
+    "Time: total wall time, with goal inverse kinematics; median with failures as infinite.",
+    "Left out: `roadmap`, which falls back to birrt on closed chains, and learned samplers, whose "
+    "weights are for one arm. Whether a problem has a solution is not known: both ends lie on the "
+    "chain, perhaps in parts of it that are not connected.",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,6 +195,13 @@ SUITES: Mapping[str, Suite] = {
         ),
         table=partial(place_table, sensed=True),
         paper=("place_task.csv", "Physical robot"),
+    ),
+    # not `roadmap`, which is birrt on closed chains, nor learned samplers, which are for one arm
+    "two-arms": Suite(
+        title="Two arms carry a tray or a box, closed chain, level",
+        planners=("birrt", "ompl-projected"),
+        amounts=(Amount(), Amount(profile="small", problems=4, cutoff=2.0)),
+        table=partial(group_table, what="group", notes=TWO_ARM_NOTES, timed=True),
     ),
     "unconstrained": Suite(
         title="Kitchen and held-out families without a constraint",
