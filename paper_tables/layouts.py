@@ -323,10 +323,8 @@ def group_table(
 ) -> SuiteTable:
     """A line for each group and planner, in the order of the suite, then all groups together.
 
-    Ratios are within the group. what: a group, in the singular; timed: with median times.
+    Ratios are within the group. what: a group, in the singular.
     """
-    times = {"time_median": Column("time [s]", "s", median_of("time"))} if timed else {}
-    columns = {**times, **GROUP_COLUMNS}
     runs = table.suite_runs(rows)
     ordered = sorted(
         map(split_problem, {row.problem for row in runs.rows}), key=attrgetter("number")

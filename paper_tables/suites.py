@@ -17,11 +17,19 @@ from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from paper_tables.factorial_table import PLANNERS as PRODUCTS
 from paper_tables.factorial_table import factorial_table
-from paper_tables.layouts import ARM_NOTES, CONSTRAINT_NOTES, group_table, peer_table, place_table
+from paper_tables.layouts import (
+    ARM_NOTES,
+    CONSTRAINT_NOTES,
+    GROUP_COLUMNS,
+    group_table,
+    peer_table,
+    place_table,
+)
+from paper_tables.measures import median_of
 from paper_tables.motion_bench_table import motion_bench_table
 from paper_tables.multi_sequence_table import task_table
 from paper_tables.statements import PublishedValue, read_published
-from paper_tables.table_engine import SuiteTable, rows_of_one_suite
+from paper_tables.table_engine import Column, SuiteTable, rows_of_one_suite
 
 LEARNED = ("mpnet", "mpnet-bridged", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned")
 QUICK = ("birrt", "birrt-printed", "ompl-projected", *LEARNED, "roadmap", "roadmap-cvq")
@@ -201,7 +209,12 @@ SUITES: Mapping[str, Suite] = {
         title="Two arms carry a tray or a box, closed chain, level",
         planners=("birrt", "ompl-projected"),
         amounts=(Amount(), Amount(profile="small", problems=4, cutoff=2.0)),
-        table=partial(group_table, what="group", notes=TWO_ARM_NOTES, timed=True),
+        table=partial(
+            group_table,
+            what="group",
+            notes=TWO_ARM_NOTES,
+            columns={"time_median": Column("time [s]", "s", median_of("time")), **GROUP_COLUMNS},
+        ),
     ),
     "unconstrained": Suite(
         title="Kitchen and held-out families without a constraint",

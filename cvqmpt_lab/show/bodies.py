@@ -223,7 +223,7 @@ def _over(
     names = problem.robot.end_effectors
     # what bodies of each hand are called; those of one hand as ever
     hands = {
-        f"{name} " if len(names) > 1 else "": problem.robot.poses(states, name) for name in names
+        f"{name}/" if len(names) > 1 else "": problem.robot.poses(states, name) for name in names
     }
     yield from robot_bodies(problem, problem.start[None], ROBOT, "start", "start", 0.35)
     opacity = 0.5 if path is None else 0.55

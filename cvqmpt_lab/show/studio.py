@@ -94,8 +94,7 @@ class Studio:
         fitting = (name for name, one in PLANNERS.items() if not one.incompatibility(problem))
         self.planners = tuple(dict.fromkeys((planner, *fitting)))
         standing = upright(axis=upper_axis(problem.robot.pose(problem.start)))
-        # hands that hold one thing do not let go of it
-        hands = problem.robot.end_effectors
+        hands = problem.robot.end_effectors  # that hold one thing do not let go of it
         held = tuple(it for it in problem.constraint if getattr(it, "base", None) in hands)
         self.constraints = {"own": problem.constraint, "upright": (*held, standing), "none": held}
         self.on_answer: Callable[[Answer], None] = lambda answer: None  # in the planning thread
@@ -287,11 +286,9 @@ class StudioPage:
             gizmo.visible = name != "obstacle"
             gizmo.on_update(partial(self._drag, name))
             self._gizmos[name] = gizmo
-        robot, size = robot_bodies(problem, problem.start[None]), (1400, 1000)
-        torso = whole(body for body in robot if body.aside)
-        view = clear_viewpoint(
-            [in_view(robot)], whole(scene_bodies(problem.scene)), size, torso=torso
-        )
+        robot, still = robot_bodies(problem, problem.start[None]), scene_bodies(problem.scene)
+        aside = whole(body for body in robot if body.aside)
+        view = clear_viewpoint([in_view(robot)], whole(still), (1400, 1000), torso=aside)
         # from further away: the goal and what is dragged are in the picture, too
         server.initial_camera.position = 2.2 * np.subtract(view.eye, view.target) + view.target
         server.initial_camera.look_at, server.initial_camera.fov = view.target, view.height_angle
