@@ -1,6 +1,7 @@
 """`cvqmpt`: each module has in COMMANDS what runs its commands, and their tables of options."""
 
 import argparse
+import gc
 import importlib
 import io
 import os
@@ -199,6 +200,9 @@ def main(argv: list[str] | None = None) -> int:
     """Run a subcommand; errors of the package become one line and exit code 2."""
     try:
         args = _parsed(sys.argv[1:] if argv is None else argv)
+        if not gc.isenabled():  # see entry_point
+            gc.freeze()
+            gc.enable()
         code = command_named(args.command)[0](args)
         sys.stdout.flush()
         return code
@@ -233,6 +237,9 @@ def entry_point() -> None:
 
     Exit code 2, not Python's 1, after an error that is a fault of this package: 1 is a verdict.
     """
+    # what is imported is no garbage: looking for some in it takes a tenth of a short command, most
+    # of that at its end
+    gc.disable()
     if sys.stderr is None:  # closed
         sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
     if sys.stdout is None:

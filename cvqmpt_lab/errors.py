@@ -5,7 +5,6 @@ The command line prints the message and exits with code 2. That a planner finds 
 """
 
 import contextlib
-import difflib
 import importlib.util
 import reprlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -29,6 +28,8 @@ def shown(value: object) -> str:
 
 def nearest(value: object, choices: Iterable[object]) -> str:
     """The most similar choice, as "; did you mean 'x'?", or "" if none is similar."""
+    import difflib  # for errors alone
+
     plain = {str(choice).lower(): str(choice) for choice in choices}
     found = difflib.get_close_matches(str(value)[:LONGEST].lower(), plain, 1)
     return f"; did you mean {plain[found[0]]!r}?" if found else ""

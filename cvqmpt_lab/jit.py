@@ -24,9 +24,11 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, get_type_hints
 
 import numpy as np
+from llvmlite import binding as llvm
 from llvmlite import ir
 from numba import config, from_dtype, njit, types
 from numba.core.caching import FunctionCache, UserProvidedCacheLocator
+from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
 from cvqmpt_lab.caches import (
@@ -114,6 +116,26 @@ class Locator(UserProvidedCacheLocator):
 class _Cache(FunctionCache):
     """Machine code of an entry on disk; unreadable: compiled again, unwritable: not kept."""
 
+    def function(self, sig: tuple[types.Type, ...]) -> Callable | None:
+        """The function for a signature, from machine code alone, or None where it is not on disk.
+
+        Numba's own way reads, too, what compiling its callers needs: rules of types (imports of
+        0.3 s) and the intermediate code (10 ms an entry).
+        """
+        context = cpu_target.target_context
+        try:
+            kept = self._cache_file.load(self._index_key(sig, context.codegen()))
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return None
+        if kept is None:
+            return None
+        (name, form, (machine_code, _)), description, environment, *_ = kept
+        # numba asks the intermediate code, here of an empty function, which names are defined
+        named = f'define void @"{description.llvm_cpython_wrapper_name}"() {{ ret void }}'
+        code = (machine_code, llvm.parse_assembly(named).as_bitcode())
+        library = context.codegen().unserialize_library((name, form, code))
+        return context.get_executable(library, description, environment)
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for a signature, or None."""
         try:
@@ -145,7 +167,9 @@ def kernel(function: Callable | None = None, *, inline: str | None = None) -> An
         as a hundred scalars, too slow in the hot path. "source" copies its source into its callers
         and does not compile it alone.
     """
-    compiled = njit(no_cpython_wrapper=True, **OPTIONS, **INLINE[inline])
+    # numba copies the source of its own functions alone
+    made = Kernel if inline != "source" else _numba_function
+    compiled = functools.partial(made, options=INLINE[inline] | {"no_cpython_wrapper": True})
     return compiled if function is None else compiled(function)
 
 
@@ -155,30 +179,61 @@ def entry(function: Callable | None = None, *, inline: str | None = None) -> Any
     return compiled if function is None else compiled(function)
 
 
-class Entry:
-    """A compiled function whose arrays are checked when Python calls it, by position."""
+def _numba_function(function: Callable, options: dict[str, Any]) -> Any:
+    return njit(**OPTIONS, **options)(function)
 
-    all: ClassVar[list["Entry"]] = []
+
+class Kernel:
+    """A compiled function, made numba's own when something that calls it is compiled."""
 
     def __init__(self, function: Callable, options: dict[str, Any]) -> None:
-        self.py_func, self.name = function, function.__name__
-        functools.update_wrapper(self, function)
-        self.dispatcher = njit(**OPTIONS, **options)(function)
-        if folder() is not None:
-            before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES
-            config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder()), f"{__name__}.Locator"
-            self.dispatcher._cache = _Cache(function)
-            config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = before
-        Entry.all.append(self)
+        self.py_func, self.name, self.options = function, function.__name__, options
+        self.__doc__, self.__module__ = function.__doc__, function.__module__
+
+    @functools.cached_property
+    def dispatcher(self) -> Any:
+        """Numba's function."""
+        return _numba_function(self.py_func, self.options)
 
     @property
     def _numba_type_(self) -> Any:
         return self.dispatcher._numba_type_  # to compiled callers this is numba's function itself
 
+
+class Entry(Kernel):
+    """A compiled function whose arrays are checked when Python calls it, by position."""
+
+    all: ClassVar[list["Entry"]] = []
+
+    def __init__(self, function: Callable, options: dict[str, Any]) -> None:
+        super().__init__(function, options)
+        Entry.all.append(self)
+
+    @functools.cached_property
+    def cache(self) -> _Cache | None:
+        """Its machine code on disk, or None."""
+        if folder() is None:
+            return None
+        before = config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES
+        config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder()), f"{__name__}.Locator"
+        made = _Cache(self.py_func)
+        config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = before
+        return made
+
+    @functools.cached_property
+    def dispatcher(self) -> Any:
+        """Numba's function, which looks on disk before it compiles."""
+        made = super().dispatcher
+        if self.cache is not None:
+            made._cache = self.cache
+        return made
+
     @functools.cached_property
     def unchecked(self) -> Callable:
         """Its machine code, for callers that made the arrays: a check costs some microseconds."""
-        return self.dispatcher.compile(tuple(_numba_type(form) for form in _forms(self.py_func)))
+        signature = tuple(_numba_type(form) for form in _forms(self.py_func))
+        known = self.cache and self.cache.function(signature)
+        return known or self.dispatcher.compile(signature)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the machine code, or raise InvalidInputError that names the array at fault."""

@@ -18,6 +18,7 @@ from cvqmpt_lab.external import entry_point_names, external_planner, is_external
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import informed_roadmap_path
 from cvqmpt_lab.search.birrt import BiRRT
+from cvqmpt_lab.search.cell_trees import CellSearch
 from cvqmpt_lab.search.controls import guided, no_costs, other_costs
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import Stages
@@ -110,11 +111,11 @@ class Method:
         return self.build(problem, self.model or self.weights or "")
 
 
-def _ompl(name: str, manifold: str) -> Method:
+def _ompl(name: str, manifold: str, kpiece: bool = False) -> Method:
     def build(problem: PlanningProblem, model: str) -> Stages:
         from cvqmpt_lab.search.ompl_planners import OmplSearch  # ompl takes 0.3 s to import
 
-        return Stages(search=OmplSearch(manifold))
+        return Stages(search=OmplSearch(manifold, kpiece))
 
     return Method(name, build, needs_charts=manifold != "projected", grows=False)
 
@@ -182,9 +183,11 @@ PLANNERS = _by_name(
     Method.simple("birrt"),
     # Algorithm 3 without a limit of extensions, as it is printed; `birrt` has the best tuning
     Method.simple("birrt-printed", search=BiRRT(reach=math.inf)),
+    replace(Method.simple("cells", search=CellSearch()), grows=False),  # for narrow passages
     _ompl("ompl-projected", "projected"),
     _ompl("atlas-rrt", "atlas"),
     _ompl("tb-rrt", "tangent-bundle"),
+    _ompl("ompl-bkpiece", "projected", kpiece=True),
     _mpnet("mpnet", bridged=False),  # the paper's MPNet (w/ proj)
     _mpnet("mpnet-bridged", bridged=True),
     *(_product(name, choice) for name, choice in NAMED.items() if choice.predictor != "published"),

@@ -176,10 +176,13 @@ SUITES: Mapping[str, Suite] = {
         amounts=(Amount(seeds=3, cutoff=5.0), Amount(profile="small", problems=20, cutoff=2.0)),
         table=partial(group_table, what="arm", notes=ARM_NOTES),
     ),
-    # the last three planners are entry points, see `experiments.peers`; not everybody has them
+    # the last five planners are entry points, see `experiments.peers`; not everybody has them
     "peers": Suite(
         title="Planners of others, place task with a single goal",
-        planners=("birrt", "roadmap", "roadmap-cvq", "roboplan", "sscbirrt", "hpp"),
+        planners=(
+            *("birrt", "roadmap", "roadmap-cvq"),
+            *("roboplan", "roboplan-star", "sscbirrt", "hpp", "drake"),
+        ),
         table=peer_table,
     ),
     # its problems are fetched: `cvqmpt problems fetch motion-bench`

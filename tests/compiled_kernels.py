@@ -5,6 +5,7 @@ from numba import njit
 
 def from_python(kernel):
     """A kernel with a wrapper through which Python can call it."""
+    kernel = getattr(kernel, "dispatcher", kernel)  # of those whose source is copied: itself
     options = {
         name: value
         for name, value in kernel.targetoptions.items()

@@ -34,7 +34,8 @@ def test_weights_of_the_panda_are_refused_for_another_arm(other, name):
     told = "weights are for robot 'panda', not"
     line = refused(told, solve, other, name, Budget(iterations=10), seed=0)
     assert line.endswith(
-        "planners that can: birrt, birrt-printed, ompl-projected, atlas-rrt, tb-rrt, roadmap"
+        "planners that can: birrt, birrt-printed, cells, ompl-projected, atlas-rrt, tb-rrt, "
+        "ompl-bkpiece, roadmap"
     )
 
 

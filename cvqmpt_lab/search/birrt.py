@@ -85,6 +85,14 @@ def plant(start: np.ndarray, goals: np.ndarray, capacity: int) -> Trees:
     return trees
 
 
+def enlarged_trees(trees: Trees) -> Trees:
+    """The same trees with room for twice as many nodes."""
+    nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
+    parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
+    nearest = enlarged_index(trees.nearest, nodes.shape[1])
+    return trees._replace(nodes=nodes, parent=parent, nearest=nearest)
+
+
 @kernel(inline="source")
 def extend(space, nodes, parent, size, which, origin, target, reach):
     """ConstrainedExtend: extend from node `origin` towards target (n,) by at most `reach` [rad].
@@ -322,10 +330,7 @@ class BiRRT:
             extended += used
             space.reraise()
             if status == FULL:
-                nodes = np.concatenate([trees.nodes, np.empty_like(trees.nodes)], axis=1)
-                parent = np.concatenate([trees.parent, np.full_like(trees.parent, -1)], axis=1)
-                nearest = enlarged_index(trees.nearest, nodes.shape[1])
-                trees = trees._replace(nodes=nodes, parent=parent, nearest=nearest)
+                trees = enlarged_trees(trees)
             elif status == CONNECTED:
                 path = checked_tree_path(space, trees)
                 space.reraise()

@@ -1,5 +1,7 @@
 """The paper's baselines from OMPL: RRTConnect on projected, atlas and tangent-bundle spaces.
 
+BKPIECE1 on the projected space, over what the constraint leaves free, is one more.
+
 No other file of the package imports ompl. Projection, residual, Jacobian and state checks are the
 kernels of `birrt`; parameters are those of the published experiment code. Without a constraint, as
 in some phases of tasks, all three are RRTConnect on the joints' space.
@@ -15,6 +17,7 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
+from cvqmpt_lab.search.cell_grids import free_rows
 from cvqmpt_lab.search.motion import EXTENSIONS, ITERATIONS, NEWTON_ITERATIONS
 from cvqmpt_lab.search.planner_interface import SamplingDistribution
 from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
@@ -50,15 +53,50 @@ class _Manifold(ob.Constraint):
         return True
 
 
+class _FreeRows(ob.ProjectionEvaluator):
+    """At most three rows that the constraint leaves free; joints where it leaves none.
+
+    OMPL has one size of cells: the middle one of `cell_grids`.
+    """
+
+    def __init__(self, states: ob.StateSpace, space: ConstrainedSpace) -> None:
+        super().__init__(states)
+        self._space, self._rows = space, free_rows(space)[:3]
+        self._q = np.empty(space.robot.dof)
+        spans = np.where(self._rows[:, 1] < 3, space.robot.reach, np.pi)
+        if not len(spans):
+            spans = (space.robot.upper - space.robot.lower)[:3]
+        for i, span in enumerate(spans):
+            self.setCellSizes(i, float(span) / 16.0)
+
+    def getDimension(self) -> int:
+        """Number of coordinates."""
+        return len(self._rows) or min(3, len(self._q))
+
+    def project(self, state, projection) -> None:
+        """Write a state's coordinates."""
+        for j in range(len(self._q)):
+            self._q[j] = state[j]
+        self._space.residual_and_jacobian(self._q)
+        displacement = self._space.arrays.scratch.displacement
+        for i in range(self.getDimension()):
+            if len(self._rows):
+                region, axis = self._rows[i]
+                projection[i] = displacement[region, 3 + axis]
+            else:
+                projection[i] = self._q[i]
+
+
 @dataclass(frozen=True)
 class OmplSearch:
-    """RRTConnect on one of OMPL's constrained state spaces.
+    """RRTConnect, or BKPIECE1, on one of OMPL's constrained state spaces.
 
     OMPL 2.0.1 has no hook for a sampler: the distribution given to `search` is not used, and the
     result says which one was.
     """
 
     manifold: str  # "projected", "atlas" or "tangent-bundle"
+    kpiece: bool = False  # BKPIECE1 over what the constraint leaves free, in place of RRTConnect
 
     def search(
         self,
@@ -73,7 +111,7 @@ class OmplSearch:
         began = time.perf_counter()
         before = space.counters
         ou.RNG.setSeed(int(rng.integers(1, 2**31)))
-        run = _Run(self.manifold, space, start, goals)
+        run = _Run(self.manifold, space, start, goals, self.kpiece)
         status, path = run.run(budget, began)
         return PlanResult(
             status=status,
@@ -89,7 +127,12 @@ class _Run:
     """The OMPL objects of one planning run."""
 
     def __init__(
-        self, manifold: str, space: ConstrainedSpace, start: np.ndarray, goals: np.ndarray
+        self,
+        manifold: str,
+        space: ConstrainedSpace,
+        start: np.ndarray,
+        goals: np.ndarray,
+        kpiece: bool = False,
     ) -> None:
         self._space = space
         if space.dim:
@@ -115,7 +158,10 @@ class _Run:
         for q in goals:
             goal.addState(self._state(self._inside(q)))
         self._problem.setGoal(goal)
-        self._planner = og.RRTConnect(self._information)
+        self._planner = (og.BKPIECE1 if kpiece else og.RRTConnect)(self._information)
+        if kpiece:
+            self._projection = _FreeRows(self._states, space)  # held: OMPL does not keep it alive
+            self._planner.setProjectionEvaluator(self._projection)
         self._planner.setProblemDefinition(self._problem)
         self._planner.setup()
         self.vertices = 0

@@ -1,4 +1,4 @@
-"""Adapters of three other planners, for tables beside ours: hpp, roboplan, sscbirrt.
+"""Adapters of other planners, for tables beside ours: drake, hpp, roboplan, sscbirrt.
 
 The library does not know them: they are entry points of this distribution, as anybody's planner may
 be. They keep one upright constraint and plan to one goal, with an empty hand.

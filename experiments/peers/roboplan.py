@@ -38,13 +38,21 @@ def _world(robot: Robot, scene: Scene, region: TaskSpaceRegion) -> roboplan.core
     return world
 
 
-def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
+def plan_star(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
+    """The same with `rrt_star`, which its makers advise under constraints: trees are rewired."""
+    return plan(problem, budget, seed, rewired=True)
+
+
+def plan(
+    problem: PlanningProblem, budget: Budget, seed: int, rewired: bool = False
+) -> np.ndarray | None:
     """Plan with `roboplan.rrt.RRT`.
 
     Args:
         problem: with one upright constraint and one goal, see `upright_region`.
         budget: its seconds [s] are the planner's time limit.
         seed: of the planner's random numbers.
+        rewired: whether new nodes and their neighbours get shorter ways to the roots (RRT*).
 
     Returns:
         A path (m, n) [rad], or None if none was found in the budget.
@@ -64,6 +72,9 @@ def plan(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | No
         collision_check_step_size=0.05,
         max_planning_time=budget.seconds or 0.0,
         rrt_connect=True,
+        rrt_star=rewired,
+        # [rad] as far as an extension reaches
+        rewire_distance=0.5,
     )
     search = roboplan.rrt.RRT(world, options)
     search.setRngSeed(seed)

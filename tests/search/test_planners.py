@@ -29,7 +29,7 @@ from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 # these may fail: out of time, or of rollouts
-LENIENT = dict.fromkeys(("atlas-rrt", "tb-rrt"), PlanStatus.TIMEOUT)
+LENIENT = dict.fromkeys(("atlas-rrt", "tb-rrt", "ompl-bkpiece"), PlanStatus.TIMEOUT)
 LENIENT |= {"mpnet": PlanStatus.ITERATION_LIMIT}
 OURS = ("birrt", "guided-birrt")
 ENOUGH = Budget(iterations=20_000)

@@ -1,0 +1,124 @@
+"""Narrow passages: a pen drawn through a maze on a plane, and a hand taken out of a cage.
+
+Problems are a function of a width and an index; no suite contains them (see docs/performance.md).
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright_box
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.problem import PlanningProblem, shared_checker
+from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, Cylinder
+
+
+def maze_problem(width: float, index: int) -> PlanningProblem | UnsolvableProblem:
+    """A Panda's pen on a plane goes through three corridors `width` [m] wide, joined at their ends.
+
+    The place of the maze, its turn and the start's posture depend on the index.
+    """
+    rng = np.random.default_rng([index, round(1e4 * width)])
+    thick, length, pitch = 0.008, 0.5, width + 0.008
+    middle = pose((rng.uniform(0.5, 0.6), 0.0, 0.15), rng.uniform(-0.3, 0.3))
+    walls = []
+    for k in range(4):
+        inner = k in (1, 2)
+        # the gap of inner walls is at one end and then at the other
+        shift = (k - 1.5) * width if inner else 0.0
+        size = Box((thick, length - width if inner else length + 2 * thick, 0.08))
+        walls.append(
+            SceneObject(f"wall_{k}", size, middle @ pose(((k - 1.5) * pitch, shift, 0.02)))
+        )
+    for end in (-1, 1):
+        place = pose((0.0, end * 0.5 * (length + thick), 0.02))
+        walls.append(SceneObject(f"end_{end}", Box((3 * pitch, thick, 0.08)), middle @ place))
+    pen = Attachment("pen", Cylinder(0.006, 0.14), pose((0.0, 0.0, 0.15)))
+    tip = pose((0.0, 0.0, 0.22))
+    tip[1:3, 1:3] *= -1.0  # the pen points down
+    lean = [[-0.1, 0.1]] * 2
+    free = [-np.inf, np.inf]
+    height = pose((0.0, 0.0, 0.15))
+    plane = TaskSpaceRegion(height, tip, np.array([free, free, [-1e-3, 1e-3], *lean, free]))
+    ends = []
+    for side in (-1, 1):
+        corner = middle @ pose((side * pitch, side * 0.5 * (length - width), 0.0))
+        turn = [[0.0, 0.0]] * 3 + [[-0.03, 0.03]] * 2 + [[-math.pi, math.pi]]
+        ends.append(TaskSpaceRegion(corner, tip, np.array(turn)))
+    return _between(f"maze-{width:g}-{index}", walls, plane, (pen,), ends, rng)
+
+
+def cage_problem(opening: float, index: int) -> PlanningProblem | UnsolvableProblem:
+    """A Panda's level hand goes into a cage of bars with one gap `opening` [m] wide.
+
+    The place of the cage, the gap's side and the start's posture depend on the index.
+    """
+    rng = np.random.default_rng([index, round(1e4 * opening)])
+    centre, radius = np.array([rng.uniform(0.55, 0.62), rng.uniform(-0.05, 0.05)]), 0.27
+    gap = math.pi + rng.uniform(-0.2, 0.2)  # towards the base
+    half = math.asin(0.5 * (opening + 0.02) / radius)
+    bars = []
+    for k, angle in enumerate(np.arange(half, 2.0 * math.pi - half + 1e-9, math.radians(10.0))):
+        x, y = centre + radius * np.array([math.cos(gap + angle), math.sin(gap + angle)])
+        bars.append(SceneObject(f"bar_{k}", Cylinder(0.01, 1.1), pose((x, y, 0.35))))
+    bars.append(SceneObject("roof", Box((0.62, 0.62, 0.02)), pose((*centre, 0.91))))
+    side = rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.1)  # [rad] of the start about the base
+    outside = (0.65 * math.cos(side), 0.65 * math.sin(side), 0.4)
+    ends = [_upright_at(outside, math.pi), _upright_at((*centre, 0.4), 0.6)]
+    return _between(f"cage-{opening:g}-{index}", bars, upright_box(), (), ends, rng)
+
+
+def slot_problem(width: float, index: int) -> PlanningProblem | UnsolvableProblem:
+    """A Panda's upright hand reaches through a slot of that width [m] in a wall before it.
+
+    The place of the slot and the start's posture depend on the index.
+    """
+    rng = np.random.default_rng([index, round(1e4 * width)])
+    x, y = rng.uniform(0.4, 0.5), rng.uniform(-0.1, 0.1)
+    boards = []
+    for sign in (-1, 1):
+        place = pose((x, y + sign * 0.5 * (width + 0.8), 0.6))
+        boards.append(SceneObject(f"board_{sign}", Box((0.02, 0.8, 1.2)), place))
+    side = rng.choice([-1.0, 1.0])
+    before, behind = (x - 0.2, side * 0.35, 0.4), (x + 0.2, y, 0.4)
+    ends = [_upright_at(before, math.pi), _upright_at(behind, math.pi)]
+    return _between(f"slot-{width:g}-{index}", boards, upright_box(), (), ends, rng)
+
+
+def _upright_at(place: tuple[float, ...], turn: float) -> TaskSpaceRegion:
+    """Upright hand poses within 5 mm of a place, turned by up to +-turn [rad]."""
+    Tw_e = np.eye(4)
+    Tw_e[:3, :3] = UPRIGHT_ROTATION
+    Bw = np.array([[-0.005, 0.005]] * 3 + [[0.0, 0.0]] * 2 + [[-turn, turn]])
+    return TaskSpaceRegion(pose(place), Tw_e, Bw)
+
+
+def _between(
+    name: str,
+    objects: Sequence[SceneObject],
+    region: TaskSpaceRegion,
+    attachments: tuple[Attachment, ...],
+    ends: Sequence[TaskSpaceRegion],
+    rng: np.random.Generator,
+) -> PlanningProblem | UnsolvableProblem:
+    """The problem from one region to another, inside of a third."""
+    robot, scene = robot_from_source({"name": "panda"}), Scene(name, tuple(objects))
+    checker = shared_checker(robot, scene, attachments, SAMPLE_MARGIN)
+    starts = sample_region(robot, ends[0], checker, rng, count=1)
+    if len(starts.configurations) == 0:
+        return UnsolvableProblem(name, f"no start: {starts.outcome}")
+    return PlanningProblem(
+        name=name,
+        robot=robot,
+        scene=scene,
+        start=starts.configurations[0],
+        goals=np.empty((0, robot.dof)),
+        constraint=(region,),
+        attachments=attachments,
+        goal_region=ends[1],
+    )

@@ -1,0 +1,292 @@
+"""Two trees that explore what the constraint leaves free by short steps, for narrow passages.
+
+    repeat until the trees meet or the budget is spent:
+        choose a grid; of its cells that T_a touches, one that was rarely chosen; a node in it
+        walk from there in a random direction until blocked; each state becomes a node of T_a
+        where T_b touches the last one's cell in any grid, try the direct motion to its node there
+        Swap(T_a, T_b)
+
+Cells are those of `cell_grids`. Motions between nodes are checked finely when they are made: a path
+through the trees is a solution.
+"""
+
+import time
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from cvqmpt_lab.jit import entry, kernel
+from cvqmpt_lab.search.birrt import (
+    CONNECTED,
+    FULL,
+    GROWING,
+    Trees,
+    checked_tree_path,
+    enlarged_trees,
+    plant,
+)
+from cvqmpt_lab.search.cell_grids import (
+    HELD,
+    Grids,
+    choose,
+    empty_grids,
+    enlarged_grids,
+    place_node,
+)
+from cvqmpt_lab.search.motion import (
+    CLEARANCES,
+    DEVIATION,
+    EXTENSIONS,
+    ITERATIONS,
+    PROJECTIONS,
+    STATE_CHECKS,
+    STOPPED,
+    Space,
+    bisect_motion,
+    distance,
+    refine_and_check,
+    segment_valid,
+    step_towards,
+)
+from cvqmpt_lab.search.nearest import index_new_nodes, nearest_node
+from cvqmpt_lab.search.planner_interface import SamplingDistribution
+from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus, Tree
+from cvqmpt_lab.search.space import ConstrainedSpace
+
+
+@kernel
+def _join(space, grids, trees, a, node, farthest):
+    """Join a node of tree a, whose cells grids.cell holds, to a near one of the other tree."""
+    b = 1 - a
+    q, other, least = trees.nodes[a, node], -1, farthest
+    for g in range(grids.cell.shape[0]):
+        cell = grids.cell[g]
+        for k in range(min(grids.members[b, g, cell], HELD)):
+            gap = distance(q, trees.nodes[b, grids.held[b, g, cell, k]])
+            if gap < least:
+                other, least = grids.held[b, g, cell, k], gap
+    index_new_nodes(trees.nearest, b, trees.nodes[b], trees.size[b])
+    near = nearest_node(trees.nearest, b, trees.nodes[b], trees.size[b], q)
+    gap = distance(q, trees.nodes[b, near])
+    if gap < least:
+        other, least = near, gap
+    if other < 0:
+        return False
+    target = trees.nodes[b, other]
+    states = bisect_motion(space, q, target, max(DEVIATION * least, space.step), grids.motion)
+    if states == 0 or not segment_valid(space, q, grids.motion[0]):
+        return False
+    if refine_and_check(space, grids.motion[:states], grids.refined)[1] >= 0:
+        return False
+    for k in range(states):
+        new = trees.size[a]
+        for j in range(q.shape[0]):
+            trees.nodes[a, new, j] = grids.motion[k, j]
+        trees.parent[a, new] = node
+        trees.size[a] = new + 1
+        node = new
+    trees.meeting[a], trees.meeting[b] = node, other
+    return True
+
+
+@entry
+def plant_cells(space: Space, trees: Trees, grids: Grids):
+    """Put the roots of both trees into their cells."""
+    for tree in range(2):
+        for node in range(trees.size[tree]):
+            place_node(space, grids, tree, trees.nodes[tree], node)
+
+
+@entry
+def grow_cells(
+    space: Space,
+    trees: Trees,
+    grids: Grids,
+    shifts: Annotated[np.ndarray, "count n"],
+    chances: Annotated[np.ndarray, "count 3"],
+    first: int,
+    most_work: int,
+    farthest: float,
+):
+    """Walk once for each row of shifts from the first, until the trees meet.
+
+    Args:
+        space: the planning space; each walk counts as an iteration.
+        trees: from the start and from the goals.
+        grids: their cells.
+        shifts: from a node to where a walk goes [rad or m].
+        chances: uniform in [0, 1): which grid, cell and node.
+        first: row of the first walk.
+        most_work: projections, state checks and clearances, counted in all so far, at which to end.
+        farthest: states that are joined [rad].
+
+    Returns:
+        GROWING, CONNECTED (trees.meeting holds the nodes) or FULL (nodes or cells used up), and the
+        index of the next walk.
+    """
+    counters, limit = space.counters, trees.nodes.shape[1]
+    longest = grids.motion.shape[0]
+    for i in range(first, shifts.shape[0]):
+        a = trees.turn[0]
+        nodes, parent = trees.nodes[a], trees.parent[a]
+        crowded = max(trees.size[0], trees.size[1]) + 2 * longest >= limit
+        for g in range(grids.known.shape[0]):
+            crowded = crowded or grids.known[g] + 2 * longest >= grids.place.shape[1]
+        if crowded:
+            return FULL, i
+        work = counters[PROJECTIONS] + counters[STATE_CHECKS] + counters[CLEARANCES]
+        if work >= most_work:
+            return GROWING, i
+        counters[ITERATIONS] += 1
+        trees.turn[0] = 1 - a  # Swap
+        g = int(chances[i, 0] * grids.known.shape[0])
+        node = choose(grids, a, g, chances[i, 1], chances[i, 2])
+        target, far = shifts[i], 0.0
+        for j in range(target.shape[0]):
+            place = nodes[node, j] + target[j]
+            target[j] = min(max(place, space.kinematics.lower[j]), space.kinematics.upper[j])
+        far = DEVIATION * distance(nodes[node], target)
+        walked = 0
+        while walked < longest and distance(nodes[node], target) > 1e-9:
+            new = trees.size[a]
+            step = step_towards(space, nodes[node], target, far, nodes[new])
+            if step == STOPPED or not segment_valid(space, nodes[node], nodes[new]):
+                break
+            far -= distance(nodes[node], nodes[new])
+            parent[new] = node
+            trees.size[a] = new + 1
+            place_node(space, grids, a, nodes, new)
+            node = new
+            walked += 1
+        if walked > 0:
+            counters[EXTENSIONS] += 1
+            if _join(space, grids, trees, a, node, farthest):
+                return CONNECTED, i + 1
+    return GROWING, shifts.shape[0]
+
+
+class CellTrees:
+    """Two trees and their cells, which grow in slices of work.
+
+    Args:
+        space: the planning space.
+        start: (n,) [rad or m].
+        goals: (k, n) [rad or m].
+        rng: of all random numbers.
+    """
+
+    def __init__(
+        self,
+        space: ConstrainedSpace,
+        start: np.ndarray,
+        goals: np.ndarray,
+        rng: np.random.Generator,
+    ) -> None:
+        self.space, self._rng = space, rng
+        self.trees = plant(start, goals, capacity=4096)
+        self._grids = empty_grids(space, rng)
+        while len(goals) + 256 > self._grids.place.shape[1]:
+            self._grids = enlarged_grids(self._grids)
+        plant_cells.unchecked(space.arrays, self.trees, self._grids)
+        self._scale = np.minimum((space.robot.upper - space.robot.lower) / np.pi, 1.0)
+        self._shifts, self._chances = np.empty((0, len(start))), np.empty((0, 3))
+        self._next = 0
+
+    @property
+    def work(self) -> int:
+        """Projections, state checks and clearances counted in the space so far."""
+        done = self.space.counters
+        return done.projections + done.state_checks + done.clearances
+
+    def grow(
+        self, work: float, iterations: int | None = None, deadline: float = np.inf
+    ) -> JointPath | None:
+        """Grow for so much more work, so many iterations, or until a clock time, or to a path.
+
+        Args:
+            work: projections, state checks and clearances.
+            iterations: walks.
+            deadline: of time.perf_counter() [s].
+
+        Returns:
+            A path that passed the fine check, or None.
+        """
+        most = min(self.work + work, 2.0**62)
+        left = 2**62 if iterations is None else iterations
+        while self.work < most and left > 0 and time.perf_counter() < deadline:
+            if self._next == len(self._shifts):
+                self._draw(256)
+            last = min(self._next + min(left, 64), len(self._shifts))
+            before = self.space.arrays.counters[ITERATIONS]
+            status, self._next = grow_cells.unchecked(
+                self.space.arrays,
+                self.trees,
+                self._grids,
+                self._shifts[:last],
+                self._chances[:last],
+                self._next,
+                int(most),
+                4.0,
+            )
+            left -= int(self.space.arrays.counters[ITERATIONS] - before)
+            self.space.reraise()
+            if status == FULL:
+                longest = len(self._grids.motion)
+                if self.trees.size.max() + 2 * longest >= self.trees.nodes.shape[1]:
+                    self.trees = enlarged_trees(self.trees)
+                if self._grids.known.max() + 2 * longest >= self._grids.place.shape[1]:
+                    self._grids = enlarged_grids(self._grids)
+            elif status == CONNECTED:
+                path = checked_tree_path(self.space, self.trees)
+                self.space.reraise()
+                if path is not None:
+                    return path
+        return None
+
+    def _draw(self, count: int) -> None:
+        """Draw what the next walks do: lengths from 0.1 to 2 rad a joint."""
+        n = len(self._scale)
+        length = 0.1 * 20.0 ** self._rng.random((count, 1))
+        self._shifts = length * self._scale * self._rng.standard_normal((count, n))
+        self._chances = self._rng.random((count, 3))
+        self._next = 0
+
+
+@dataclass(frozen=True)
+class CellSearch:
+    """Trees of cells as a planner's search."""
+
+    def search(
+        self,
+        space: ConstrainedSpace,
+        start: np.ndarray,
+        goals: np.ndarray,
+        distribution: SamplingDistribution,
+        budget: Budget,
+        rng: np.random.Generator,
+    ) -> PlanResult:
+        """Search a path from start (n,) to any row of goals (k, n); see `Search`.
+
+        The distribution is not used: walks start from nodes.
+        """
+        began = time.perf_counter()
+        deadline = np.inf if budget.seconds is None else began + budget.seconds
+        before = space.counters
+        growth = CellTrees(space, start, goals, rng)
+        path = growth.grow(np.inf, budget.iterations, deadline)
+        late = time.perf_counter() >= deadline
+        failed = PlanStatus.TIMEOUT if late else PlanStatus.ITERATION_LIMIT
+        trees = growth.trees
+        return PlanResult(
+            status=PlanStatus.SOLVED if path is not None else failed,
+            path=path,
+            seconds=time.perf_counter() - began,
+            counters=space.counters_since(before),
+            vertices=int(trees.size.sum()),
+            sampler="cells",
+            trees=tuple(
+                Tree(trees.nodes[k, :size], trees.parent[k, :size])
+                for k, size in enumerate(trees.size)
+            ),
+        )

@@ -1,0 +1,89 @@
+"""Trees of cells: narrow passages, slices of work, grids that grow, no free rows."""
+
+import numpy as np
+import pytest
+
+from cvqmpt_lab.benchmarks.passages import cage_problem, maze_problem, slot_problem
+from cvqmpt_lab.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.results.store import states_hash
+from cvqmpt_lab.search.cell_grids import empty_grids, free_rows
+from cvqmpt_lab.search.cell_trees import CellTrees
+from cvqmpt_lab.search.result import Budget, PlanStatus
+from cvqmpt_lab.search.space import ConstrainedSpace
+
+MOST = Budget(iterations=30_000)
+
+
+@pytest.fixture(scope="module")
+def maze():
+    return with_sampled_goals(maze_problem(0.06, 3))[0]
+
+
+def test_a_maze_is_solved_and_repeats_bit_for_bit(maze):
+    first, again = (solve(maze, "cells", MOST, seed=1) for _ in range(2))
+    assert first.plan.status is PlanStatus.SOLVED and first.certificate.valid
+    assert first.plan.counters == again.plan.counters
+    assert states_hash(first.plan.path.states) == states_hash(again.plan.path.states)
+    assert 0 < first.plan.counters.projections < 500_000
+
+
+def grown(problem, slices, seed=2):
+    """The path and work of trees that grow in slices of so much work."""
+    space = ConstrainedSpace(problem)
+    growth = CellTrees(space, problem.start, problem.goals, problem.random_stream(seed))
+    for _ in range(1_000_000):
+        before = growth.work
+        path = growth.grow(slices)
+        if path is not None:
+            return path, growth
+        assert growth.work >= before + slices
+    raise AssertionError("no path")
+
+
+def test_slices_of_work_change_nothing(maze):
+    whole, one = grown(maze, np.inf)
+    parts, other = grown(maze, 1500)
+    np.testing.assert_array_equal(whole.states, parts.states)
+    assert one.space.counters == other.space.counters
+    assert one.trees.size.sum() > 1000
+
+
+def test_an_iteration_limit_ends_a_search(maze):
+    plan = solve(maze, "cells", Budget(iterations=70), seed=0).plan
+    assert plan.status is PlanStatus.ITERATION_LIMIT and plan.counters.iterations == 70
+
+
+def test_motions_of_the_trees_are_free_and_on_the_manifold(maze):
+    """Every motion of both trees passes the fine check of paths."""
+    _, growth = grown(maze, np.inf)
+    for nodes, parents, size in zip(*growth.trees[:3], strict=True):
+        for node in range(0, size, 101):
+            if parents[node] >= 0:
+                pair = nodes[[parents[node], node]]
+                assert growth.space.checked_path(pair)[0] is not None
+
+
+def test_free_rows(maze):
+    space = ConstrainedSpace(maze)
+    assert free_rows(space).tolist() == [[0, 0], [0, 1], [0, 5]]
+    assert len(empty_grids(space, np.random.default_rng(0)).projection) == 5
+    bare = ConstrainedSpace(maze.changed(constraint=()))
+    assert free_rows(bare).shape == (0, 2)
+
+
+def test_without_a_constraint_cells_divide_the_joints(maze):
+    plan = solve(maze.changed(constraint=()), "cells", MOST, seed=0).plan
+    assert plan.status is PlanStatus.SOLVED
+
+
+def test_the_width_of_a_passage_is_the_gap():
+    for make, width in ((maze_problem, 0.05), (cage_problem, 0.21), (slot_problem, 0.19)):
+        one, again, other = make(width, 4), make(width, 4), make(width, 5)
+        np.testing.assert_array_equal(one.start, again.start)
+        assert not np.array_equal(one.start, other.start)
+        assert len(with_sampled_goals(one)[0].goals) > 0
+
+
+def test_cells_has_no_reach():
+    assert not planner_named("cells").grows
