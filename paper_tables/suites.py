@@ -210,7 +210,7 @@ SUITES: Mapping[str, Suite] = {
     # not `roadmap`, which is birrt on closed chains, nor learned samplers, which are for one arm
     "two-arms": Suite(
         title="Two arms carry a tray or a box, closed chain, level",
-        planners=("birrt", "ompl-projected"),
+        planners=("birrt", "cells", "ompl-projected"),
         amounts=(Amount(), Amount(profile="small", problems=4, cutoff=2.0)),
         table=partial(
             group_table,
