@@ -14,6 +14,7 @@ from paper_tables import table_engine as table
 from paper_tables.measures import (
     REFERENCE,
     VALUES,
+    WORK,
     Rows,
     SuiteRuns,
     Value,
@@ -87,7 +88,7 @@ BEFORE_PROJECTED_DRAWS = (
     "cvq-wide is transformer, wide, projected, all-beams."
 )
 NOTES = (
-    f"Work (projections and state checks), projections, length and G: over those of {REFERENCE}, "
+    f"Work ({WORK}), projections, length and G: over those of {REFERENCE}, "
     "geometric mean of the ratio over problems that both solved, bootstrap interval [95 %]. "
     "Solved: certified, Wilson interval.",
     "G = F(q)^T F(q): mean over 256 fixed draws of what is sampled, inside the joint limits, "

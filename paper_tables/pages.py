@@ -37,7 +37,16 @@ from paper_tables.judging import (
     percent,
     verdict_lines,
 )
-from paper_tables.measures import REFERENCE, VALUES, Rows, grouped, mean_ratio, paired, work
+from paper_tables.measures import (
+    REFERENCE,
+    VALUES,
+    WORK,
+    Rows,
+    grouped,
+    mean_ratio,
+    paired,
+    work,
+)
 from paper_tables.statements import CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
 from paper_tables.suites import Suite, suite_of, table_of
 from paper_tables.table_engine import by_planner
@@ -316,7 +325,7 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
             "words": "A line a planner; higher and further left is better.",
         },
         "Work, solved runs": {
-            "svg": plots.distribution(groups, work, "projections and state checks"),
+            "svg": plots.distribution(groups, work, f"work: {WORK}"),
             "words": f"{boxes} Further left is less work.",
         },
         "Path length, solved runs": {

@@ -29,6 +29,8 @@ SCHEMA = "2"
 RUNS_FILE = "runs.csv"
 BY_ROLLOUTS = "solved by rollouts"  # begins `detail` of planners that join states of a rollout
 ROLLOUTS_ALONE = f"{BY_ROLLOUTS} alone"  # no tree was grown between them
+# state checks that reading a clearance costs, see docs/performance.md
+CLEARANCE_COST = 1 / 3
 FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet would run
 
 # the paper times these, as far as can be inferred
@@ -334,6 +336,14 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
             raise RunStoreError(f"{place}: {error}") from None
         rows.append(row)
     return rows
+
+
+def search_work(projections: int, state_checks: int, clearances: int | None) -> float:
+    """Work of a search: `projections + state checks + CLEARANCE_COST * clearances`.
+
+    clearances: None in rows that are older than their count, or of planners that read none.
+    """
+    return projections + state_checks + CLEARANCE_COST * (clearances or 0)
 
 
 def read_rows(path: Path) -> list[ResultRow]:

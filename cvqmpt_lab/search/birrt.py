@@ -280,63 +280,108 @@ class BiRRT:
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
         began = time.perf_counter()
-        deadline = np.inf if budget.seconds is None else began + budget.seconds
         before = space.counters
-        trees = plant(start, goals, capacity=4096)
-        status, path = PlanStatus.TIMEOUT, None
-        used, batch, samples = 0, 16, 0
-        while path is None:
-            if time.perf_counter() >= deadline:
-                break
-            count = batch if budget.iterations is None else min(batch, budget.iterations - used)
-            if count <= 0:
-                status = PlanStatus.ITERATION_LIMIT
-                break
-            # a copy: draws are projected in place
-            drawn = np.array(distribution.sample(rng, count), order="C")
-            trees, path, extended = self._use(space, trees, drawn, deadline)
-            used, batch, samples = used + count, min(2 * batch, 256), samples + extended
+        growth = GrowingTrees(self, space, plant(start, goals, capacity=4096), distribution, rng)
+        deadline = np.inf if budget.seconds is None else began + budget.seconds
+        path = growth.grow(np.inf, budget.iterations, deadline)
+        late = time.perf_counter() >= deadline
+        failed = PlanStatus.TIMEOUT if late else PlanStatus.ITERATION_LIMIT
         return PlanResult(
-            status=PlanStatus.SOLVED if path is not None else status,
+            status=PlanStatus.SOLVED if path is not None else failed,
             path=path,
             seconds=time.perf_counter() - began,
             counters=space.counters_since(before),
-            vertices=int(trees.size.sum()),
+            vertices=int(growth.trees.size.sum()),
             sampler=distribution.name,
-            detail=f"none of {used} draws reached the constraint" if used and not samples else "",
-            trees=tuple(
-                Tree(trees.nodes[k, :size], trees.parent[k, :size])
-                for k, size in enumerate(trees.size)
-            ),
+            detail=growth.complaint,
+            trees=growth.shown,
         )
 
-    def _use(
-        self, space: ConstrainedSpace, trees: Trees, samples: np.ndarray, deadline: float
-    ) -> tuple[Trees, JointPath | None, int]:
-        """Grow with one batch of draws (b, n), which are projected in place.
 
-        Returns the trees, a path that passed the fine check or None, and the number of draws that
-        the trees extended towards.
+class GrowingTrees:
+    """Two trees that grow in slices of work.
+
+    Args:
+        method: says how they are grown.
+        space: the planning space.
+        trees: to grow.
+        distribution: that samples are drawn from.
+        rng: of all draws.
+    """
+
+    def __init__(
+        self,
+        method: BiRRT,
+        space: ConstrainedSpace,
+        trees: Trees,
+        distribution: SamplingDistribution,
+        rng: np.random.Generator,
+    ) -> None:
+        self.trees = trees
+        self._method, self._space, self._distribution, self._rng = method, space, distribution, rng
+        self._drawn, self._next, self._batch = np.empty((0, trees.nodes.shape[2])), 0, 16
+        self._draws = self._used = 0
+
+    @property
+    def complaint(self) -> str:
+        """That no draw could be used, or ""."""
+        unused = self._draws and not self._used
+        return f"none of {self._draws} draws reached the constraint" if unused else ""
+
+    @property
+    def shown(self) -> tuple[Tree, Tree]:
+        """The trees without their work arrays."""
+        (own, other), (a, b), parent = self.trees.nodes, self.trees.size, self.trees.parent
+        return Tree(own[:a], parent[0, :a]), Tree(other[:b], parent[1, :b])
+
+    def draw_from(self, distribution: SamplingDistribution, first: np.ndarray) -> None:
+        """From now on, draw from another distribution, after some draws (k, n) that are given."""
+        self._distribution, self._drawn, self._next = distribution, first.copy(), 0
+
+    def grow(
+        self, work: float, iterations: int | None = None, deadline: float = np.inf
+    ) -> JointPath | None:
+        """Grow for so much more work, so many iterations, or until a clock time, or to a path.
+
+        Args:
+            work: as `ConstrainedSpace.work` counts it.
+            iterations: draws.
+            deadline: of time.perf_counter() [s].
+
+        Returns:
+            A path that passed the fine check, or None.
         """
-        arrays = space.arrays._replace(step=self.step)
-        # samples used before the clock is read
-        most = len(samples) if deadline == np.inf else 16
-        first = extended = 0
-        while first < len(samples) and time.perf_counter() < deadline:
-            part = samples[: first + most]
-            status, first, used = grow.unchecked(
-                arrays, trees, part, first, self.reach, DRAWS[self.draws]
+        arrays = self._space.arrays._replace(step=self._method.step)
+        most, left = self._space.work + work, np.inf if iterations is None else iterations
+        # draws used before work and clock are read
+        part = 4 if work < np.inf else 16
+        while left > 0 and self._space.work < most and time.perf_counter() < deadline:
+            if self._next == len(self._drawn):
+                # a copy: draws are projected in place
+                count = int(min(self._batch, left))
+                self._drawn = np.array(self._distribution.sample(self._rng, count), order="C")
+                self._next, self._batch = 0, min(2 * self._batch, 256)
+            first = self._next
+            status, self._next, used = grow.unchecked(
+                arrays,
+                self.trees,
+                self._drawn[: first + int(min(part, left))],
+                first,
+                self._method.reach,
+                DRAWS[self._method.draws],
             )
-            extended += used
-            space.reraise()
+            left -= self._next - first
+            self._draws += self._next - first
+            self._used += used
+            self._space.reraise()
             if status == FULL:
-                trees = enlarged_trees(trees)
+                self.trees = enlarged_trees(self.trees)
             elif status == CONNECTED:
-                path = checked_tree_path(space, trees)
-                space.reraise()
+                path = checked_tree_path(self._space, self.trees)
+                self._space.reraise()
                 if path is not None:
-                    return trees, path, extended
-        return trees, None, extended
+                    return path
+        return None
 
 
 def checked_tree_path(space: ConstrainedSpace, trees: Trees) -> JointPath | None:

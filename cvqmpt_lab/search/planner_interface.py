@@ -315,6 +315,6 @@ def search(
         vertices=proposal.vertices + result.vertices,
         timings=proposal.timings,
         detail="; ".join(filter(None, (proposal.detail, result.detail))),
-        fallback=proposal.fallback,
+        fallback=proposal.fallback or result.fallback,
         as_is=proposal.as_is,
     )

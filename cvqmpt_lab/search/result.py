@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError, shown, whole_number
+from cvqmpt_lab.results.row import search_work
 
 
 class PlanStatus(StrEnum):
@@ -74,6 +75,11 @@ class Counters:
     # of draws, before trees extend towards them: a part of projections and newton_iterations
     draw_projections: int = 0
     draw_newton_iterations: int = 0
+
+    @property
+    def work(self) -> float:
+        """`projections + state checks + CLEARANCE_COST * clearances`."""
+        return search_work(self.projections, self.state_checks, self.clearances)
 
 
 @dataclass(frozen=True)

@@ -307,17 +307,18 @@ class RoadmapQuery:
             blocked = getattr(known.graph, verdicts) == kernels.BLOCKED
             getattr(self.graph, verdicts)[blocked] = kernels.BLOCKED
 
-    def next_path(self, deadline: Deadline) -> JointPath | None:
-        """The shortest free path on the manifold, or None; an A* search counts as an iteration."""
+    def next_path(self, deadline: Deadline, work: float = np.inf) -> JointPath | None:
+        """The shortest free path, or None; work: at most, rows that A* expands counted, too."""
         path, ends = np.empty((2, 256), dtype=np.int64)  # longest path in nodes
         states = np.empty((64 * len(path), self.graph.nodes.shape[1]))
         arrays = self._space.arrays._replace(step=self._settings.step)
         length, bad = 0, -1
-        while self._left > 0 and deadline.spent() is None:
+        most_work, block = self._space.work + work, 16 if work == np.inf else 4
+        while self._left > 0 and self._space.work < most_work and deadline.spent() is None:
             # of a path that failed its fine check
             kernels.block_state.unchecked(self.graph, path, ends, length, bad)
             # searches before the clock is read
-            most = min(self._left, 16, deadline.rest().iterations or 16)
+            most = min(self._left, block, deadline.rest().iterations or block)
             size, length, searched = kernels.search.unchecked(
                 arrays, self.graph, self._costs, most, self._settings.drift, path, ends, states
             )
@@ -325,6 +326,7 @@ class RoadmapQuery:
             self._left -= searched
             deadline.count(searched)
             self.searches += searched
+            most_work -= searched * np.count_nonzero(self.graph.closed)
             if size == kernels.NO_PATH:
                 if searched < most:
                     break

@@ -169,6 +169,11 @@ class ConstrainedSpace:
         """Work done in this space so far."""
         return Counters(*self.arrays.counters.tolist())
 
+    @property
+    def work(self) -> float:
+        """Work done in this space so far, see `Counters.work`."""
+        return self.counters.work
+
     def counters_since(self, before: Counters) -> Counters:
         """Work done since an earlier reading."""
         return Counters(*(self.arrays.counters - [*vars(before).values()]).tolist())

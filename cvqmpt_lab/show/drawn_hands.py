@@ -8,6 +8,7 @@ import numpy as np
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query
+from cvqmpt_lab.search.portfolio import Portfolio
 from cvqmpt_lab.search.result import Budget, Tree
 from cvqmpt_lab.search.roadmap import RoadmapPath
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -27,8 +28,9 @@ def sampled_hands(
     """
     robot, rng, method = problem.robot, np.random.default_rng(0), planner_named(planner)
     stages = method.stages(problem)
-    if isinstance(stages.predict, RoadmapPath):
-        yield "search", robot.poses(stages.predict.roadmap.nodes)[:, :3, 3], GHOST
+    for stage in (stages.predict, stages.search):
+        if isinstance(stage, RoadmapPath | Portfolio):
+            yield "search", robot.poses(stage.roadmap.nodes)[:, :3, 3], GHOST
     for tree in trees:
         yield "search", robot.poses(tree.nodes)[:, :3, 3], GOAL
     cloud = None if stages.observe is None else stages.observe(problem.scene)

@@ -1,0 +1,146 @@
+"""The search of planner `roadmap`: trees, a roadmap and cells take turns, by counts of work.
+
+    1. trees of Algorithm 3 grow for a few iterations: problems that need no roadmap end here;
+    2. the roadmap is searched (`lazy_roadmap`), but for little work;
+    3. the trees grow on, first towards the nodes that the roadmap search found free, then towards
+       draws around them;
+    4. the roadmap is searched on, once more;
+    5. the trees grow on, and take turns with trees that walk from rarely chosen cells
+       (`cell_trees`), which pass narrow passages.
+
+No turn is ended by the clock, so the same seed leads to the same path. Numbers were chosen on
+tuning problems, see docs/performance.md.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, plant
+from cvqmpt_lab.search.cell_trees import CellTrees
+from cvqmpt_lab.search.planner_interface import (
+    Deadline,
+    GaussianMixture,
+    SamplingDistribution,
+    Uniform,
+)
+from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus
+from cvqmpt_lab.search.roadmap import Roadmap, RoadmapQuery, RoadmapSearchSettings, scene_costs
+from cvqmpt_lab.search.space import ConstrainedSpace
+
+Turn: TypeAlias = tuple[str, JointPath | None]  # who had a turn, and the path that it found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Portfolio(BiRRT):
+    """Trees, a roadmap and cells in turns; work is that of `ConstrainedSpace.work`."""
+
+    roadmap: Roadmap
+    name: str  # of paths through the roadmap, in results
+    settings: RoadmapSearchSettings = field(
+        default_factory=lambda: RoadmapSearchSettings(searches=80)
+    )
+    first: int = 2  # iterations of the trees before the roadmap is searched
+    turns: tuple[float, float] = (1_500, 4_000)  # work of its two turns
+    between: float = 6_000  # work of the trees between them
+    alone: float = 20_000  # work after which cells take turns, of so much work each
+
+    def search(
+        self,
+        space: ConstrainedSpace,
+        start: np.ndarray,
+        goals: np.ndarray,
+        distribution: SamplingDistribution,
+        budget: Budget,
+        rng: np.random.Generator,
+    ) -> PlanResult:
+        """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
+        run = _Run(self, space, start, goals, distribution, budget, rng)
+        turns, path, status = run.turns(), None, None
+        while path is None and status is None:
+            by, path = next(turns)
+            status = run.deadline.spent()
+        return PlanResult(
+            status=PlanStatus.SOLVED if path is not None else status or PlanStatus.NO_PATH,
+            path=path,
+            seconds=run.deadline.seconds,
+            counters=run.deadline.counters,
+            vertices=run.vertices,
+            sampler=by,
+            trees=run.trees.shown,
+            detail=run.trees.complaint,
+            fallback="" if by == self.name else run.fallback,
+        )
+
+
+class _Run:
+    """One search of a portfolio; its arguments are those of `Portfolio.search`."""
+
+    def __init__(
+        self,
+        method: Portfolio,
+        space: ConstrainedSpace,
+        start: np.ndarray,
+        goals: np.ndarray,
+        distribution: SamplingDistribution,
+        budget: Budget,
+        rng: np.random.Generator,
+    ) -> None:
+        self._method, self._space, self._ends, self._rng = method, space, (start, goals), rng
+        self._uniform = distribution
+        self.deadline = Deadline(budget, space)
+        self._clock = time.perf_counter() + (np.inf if budget.seconds is None else budget.seconds)
+        self.trees = GrowingTrees(method, space, plant(start, goals, 4096), distribution, rng)
+        self.fallback = ""  # why the roadmap found no path
+        self._others = 0  # nodes elsewhere than in the trees
+
+    @property
+    def vertices(self) -> int:
+        """Nodes of trees, free ones of the roadmap, and those of cells."""
+        return int(self.trees.trees.size.sum()) + self._others
+
+    def turns(self) -> Iterator[Turn]:
+        """Turn after turn; the caller ends it at a path, or when the budget is spent."""
+        method, began, trees = self._method, self._space.work, self._uniform.name
+        yield trees, self._grow(self.trees, np.inf, method.first)
+        if len(method.roadmap.nodes) < 2:
+            self.fallback = f"birrt: {len(method.roadmap.nodes)} nodes are no roadmap"
+        else:
+            yield from self._roadmap_turns()
+        yield trees, self._grow(self.trees, began + method.alone - self._space.work)
+        cells, others = CellTrees(self._space, *self._ends, self._rng), self._others
+        while True:
+            found = self._grow(cells, method.alone)
+            self._others = others + int(cells.trees.size.sum())
+            yield "cells", found
+            yield trees, self._grow(self.trees, method.alone)
+
+    def _roadmap_turns(self) -> Iterator[Turn]:
+        """The roadmap's two turns, and that of the trees between them."""
+        method, space, trees = self._method, self._space, self._uniform.name
+        near = method.roadmap.near(self._ends[0], space.robot)
+        uniform, costs = Uniform(space.robot.lower, space.robot.upper), scene_costs(space)
+        query = RoadmapQuery(space, near, *self._ends, method.settings, costs)
+        for work in method.turns:
+            path = query.next_path(self.deadline, work)
+            free = query.free_nodes
+            self._others = len(free)
+            known = query.graph.nodes[free]
+            lost = f"free nodes: no roadmap path after {query.searches} searches"
+            self.fallback = f"birrt around {len(free)} {lost}"
+            yield method.name, path
+            if work == method.turns[0]:
+                around = GaussianMixture.equal(known, near.covariance, uniform, 0.3, trees)
+                self.trees.draw_from(around, known)
+                yield trees, self._grow(self.trees, method.between)
+
+    def _grow(
+        self, trees: GrowingTrees | CellTrees, work: float, most: int | None = None
+    ) -> JointPath | None:
+        """Let trees grow for so much work, at most so many iterations, inside the budget."""
+        left = self.deadline.rest().iterations
+        iterations = min((count for count in (left, most) if count is not None), default=None)
+        return trees.grow(work, iterations, self._clock)
