@@ -66,8 +66,8 @@ TWO_ARM_NOTES = (
     CONSTRAINT_NOTES[1],
     "Time: total wall time, with goal inverse kinematics; median with failures as infinite.",
     "Left out: `roadmap`, which falls back to `birrt` on closed chains, and learned samplers, "
-    "whose weights are for one arm. Whether a problem has a solution is not known: both ends lie on the "
-    "chain, perhaps in parts of it that are not connected.",
+    "whose weights are for one arm. Whether a problem has a solution is not known: both ends lie "
+    "on the chain, perhaps in parts of it that are not connected.",
 )
 
 
