@@ -35,6 +35,7 @@ from cvqmpt_lab.execution.execute import (
     agreed,
     execute_motion,
     execute_task,
+    require_simulated,
 )
 from cvqmpt_lab.execution.simulation import mujoco_module
 from cvqmpt_lab.files import make_folder
@@ -151,7 +152,9 @@ def _motion(
     args: argparse.Namespace, problem: PlanningProblem, times: tuple[float, ...]
 ) -> list[Execution]:
     """A motion of a file, or planned here, executed."""
-    Controller(args.controller, problem.robot)  # refused before anything is planned
+    # refused before anything is planned
+    require_simulated(problem)
+    Controller(args.controller, problem.robot)
     motion = _planned(args, problem) if args.motion is None else _read(args, problem)
     friction = args.hold == "friction"
     return [execute_motion(problem, motion, args.controller, time, friction) for time in times]

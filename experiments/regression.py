@@ -79,6 +79,7 @@ CASES: tuple[Case, ...] = (
             ("cvq:oracle+wide+algorithm-2", (2,), "factorial-constraints"),
             ("birrt", (1,), "sensor"),  # obstacles: a map of filtered rendered images
             ("roadmap-cvq", (1,), "sensor"),
+            ("birrt", (0, 90), "two-arms"),  # a closed chain of each robot
         )
         for problem in problems
         for seed in (0, 1)

@@ -17,11 +17,19 @@ from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from paper_tables.factorial_table import PLANNERS as PRODUCTS
 from paper_tables.factorial_table import factorial_table
-from paper_tables.layouts import ARM_NOTES, CONSTRAINT_NOTES, group_table, peer_table, place_table
+from paper_tables.layouts import (
+    ARM_NOTES,
+    CONSTRAINT_NOTES,
+    GROUP_COLUMNS,
+    group_table,
+    peer_table,
+    place_table,
+)
+from paper_tables.measures import median_of
 from paper_tables.motion_bench_table import motion_bench_table
 from paper_tables.multi_sequence_table import task_table
 from paper_tables.statements import PublishedValue, read_published
-from paper_tables.table_engine import SuiteTable, rows_of_one_suite
+from paper_tables.table_engine import Column, SuiteTable, rows_of_one_suite
 
 LEARNED = ("mpnet", "mpnet-bridged", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned")
 QUICK = ("birrt", "birrt-printed", "ompl-projected", *LEARNED, "roadmap", "roadmap-cvq")
@@ -49,6 +57,17 @@ FREE_NOTES = (
     "without their constraint. opt-cvq-mpt is left out: Algorithm 2 has nothing to move codes to. "
     "cvq-mpt tries one goal after the other; birrt and birrt-printed search towards all at once.",
     CONSTRAINT_NOTES[1],
+)
+TWO_ARM_NOTES = (
+    "A group is a robot with two arms of 7 joints and a kind of problem. The grasp is fixed: the "
+    "second hand keeps its pose in the first one's frame, a closed chain. What is carried leans by "
+    "at most 0.1 rad, and may touch both hands and nothing else. Starts and goals are by inverse "
+    "kinematics of both hands.",
+    CONSTRAINT_NOTES[1],
+    "Time: total wall time, with goal inverse kinematics; median with failures as infinite.",
+    "Left out: `roadmap`, which falls back to `birrt` on closed chains, and learned samplers, "
+    "whose weights are for one arm. Whether a problem has a solution is not known: both ends lie "
+    "on the chain, perhaps in parts of it that are not connected.",
 )
 
 
@@ -187,6 +206,18 @@ SUITES: Mapping[str, Suite] = {
         ),
         table=partial(place_table, sensed=True),
         paper=("place_task.csv", "Physical robot"),
+    ),
+    # not `roadmap`, which is birrt on closed chains, nor learned samplers, which are for one arm
+    "two-arms": Suite(
+        title="Two arms carry a tray or a box, closed chain, level",
+        planners=("birrt", "cells", "ompl-projected"),
+        amounts=(Amount(), Amount(profile="small", problems=4, cutoff=2.0)),
+        table=partial(
+            group_table,
+            what="group",
+            notes=TWO_ARM_NOTES,
+            columns={"time_median": Column("time [s]", "s", median_of("time")), **GROUP_COLUMNS},
+        ),
     ),
     "unconstrained": Suite(
         title="Kitchen and held-out families without a constraint",

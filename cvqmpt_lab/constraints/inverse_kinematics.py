@@ -196,7 +196,7 @@ def why_none(
         elif isinstance(member, TaskSpaceRegionChain) and not reasons:
             reasons.append(_open_chain(robot, region, member, rng))
     reasons.append(_collisions(checker, np.concatenate(found)))
-    return "; ".join(filter(None, reasons))
+    return "; ".join(filter(None, reasons)) or contradiction(robot, constraint)
 
 
 def _open_chain(

@@ -126,6 +126,18 @@ def agreed(executions: Iterable[Execution]) -> tuple[Outcome, str]:
     return (Outcome.NOT_EXECUTED if faults else Outcome.EXECUTED), "; ".join(faults)
 
 
+def require_simulated(problem: PlanningProblem) -> None:
+    """InvalidInputError where the simulation cannot hold what the problem's motion moves."""
+    if "articulated" in problem.robot.source:
+        raise InvalidInputError("a motion that holds a door is executed as part of a task")
+    for item in problem.attachments:
+        if item.also_held_by:
+            raise InvalidInputError(
+                f"{item.name} is held by {len(item.held_by)} hands: the simulation holds a load in "
+                "one; cvqmpt certify judges such a motion, with its limits and contacts"
+            )
+
+
 def execute_motion(
     problem: PlanningProblem,
     motion: Trajectory,
@@ -142,8 +154,7 @@ def execute_motion(
         contact_time: of the simulation [s].
         friction: whether fingers hold the load, else it is welded to the hand.
     """
-    if "articulated" in problem.robot.source:
-        raise InvalidInputError("a motion that holds a door is executed as part of a task")
+    require_simulated(problem)
     if motion.joint_names != problem.robot.joint_names:
         raise InvalidInputError(
             f"the motion is of joints {', '.join(motion.joint_names)}, the problem's robot has "

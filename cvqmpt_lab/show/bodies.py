@@ -71,6 +71,7 @@ class Body:
     poses: np.ndarray = field(default_factory=lambda: np.eye(4)[None])
     opacity: float = 1.0
     behind: float = 0.0  # opacity where something solid is in front of it
+    aside: bool = False  # a torso between two arms: a viewpoint is chosen for what it moves
 
     def at(self, state: int = 0) -> Mesh:
         """Its triangles in the world at a state of the path."""
@@ -159,11 +160,11 @@ def robot_bodies(
     rotations, translations = link_poses(problem.robot.kinematics, states)
     T_world_link = np.tile(np.eye(4), (*translations.shape[:2], 1, 1))
     T_world_link[..., :3, :3], T_world_link[..., :3, 3] = rotations, translations
-    found = []
+    found, several = [], len(problem.robot.end_effectors) > 1
     for part in problem.robot.links:
         poses = T_world_link[:, part.link] @ part.T_link_geometry
-        mesh = hull_mesh(part.vertices)
-        found.append(Body(group, layer, part.name, mesh, colour, poses, opacity))
+        mesh, aside = hull_mesh(part.vertices), several and part.link == 0
+        found.append(Body(group, layer, part.name, mesh, colour, poses, opacity, aside=aside))
     for item in problem.attachments:
         poses = problem.robot.poses(states, item.end_effector) @ item.T_hand_object
         name = item.name.replace("_", " ") if group in ("robot", "start") else group
@@ -219,7 +220,11 @@ def _over(
 ) -> Iterator[Body]:
     """Start, goals, ghosts, the hand's trace, constraint and axes; path: its states (m, n)."""
     states = problem.start[None] if path is None else path
-    hands = [problem.robot.poses(states, name) for name in problem.robot.end_effectors]
+    names = problem.robot.end_effectors
+    # what bodies of each hand are called; those of one hand as ever
+    hands = {
+        f"{name}/" if len(names) > 1 else "": problem.robot.poses(states, name) for name in names
+    }
     yield from robot_bodies(problem, problem.start[None], ROBOT, "start", "start", 0.35)
     opacity = 0.5 if path is None else 0.55
     for k, goal in enumerate(problem.goals[:goals] if path is None else states[-1:]):
@@ -229,16 +234,16 @@ def _over(
         for k in range(1, ghosts + 1):
             q = path[np.searchsorted(travelled, travelled[-1] * k / (ghosts + 1))]
             yield from robot_bodies(problem, q[None], GHOST, "on the way", f"way/{k}", 0.25)
-        for T_world_hand in hands:
+        for whose, T_world_hand in hands.items():
             trace = beads(T_world_hand[:, :3, 3])
-            yield Body("path of the hand", "path", "hand", trace, TRACE, behind=0.45)
+            yield Body("path of the hand", "path", f"{whose}hand", trace, TRACE, behind=0.45)
     for k, mark in enumerate(constraint_marks(problem, states)):
         layer = f"constraint/{k}"
         yield Body("constraint", layer, "mark", mark, CONSTRAINT, opacity=0.3, behind=0.12)
     of_axes = (0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85)  # red, green, blue
     marks = zip("xyz", of_axes, axes_marks(problem.robot.reach), strict=True)
-    for (name, colour, mesh), T_world_hand in product(marks, hands):
-        yield Body("axes of the hand", "hand", name, mesh, colour, T_world_hand)
+    for (name, colour, mesh), (whose, T_world_hand) in product(marks, hands.items()):
+        yield Body("axes of the hand", "hand", whose + name, mesh, colour, T_world_hand)
         for T in T_world_hand[[0, -1]]:
             yield Body("axes", "axes", name, mesh, colour, T[None], behind=0.5)
 
@@ -383,3 +388,8 @@ def seen_of_moments(
 def whole(bodies: Iterable[Body], state: int = 0) -> Mesh:
     """One mesh of several bodies at a state."""
     return joined(body.at(state) for body in bodies)
+
+
+def in_view(bodies: Iterable[Body], state: int = 0) -> Mesh:
+    """`whole`, without bodies that a viewpoint is not chosen for."""
+    return whole((body for body in bodies if not body.aside), state)

@@ -30,6 +30,7 @@ from cvqmpt_lab.show.bodies import (
     Seen,
     frames,
     ground_height,
+    in_view,
     moments_of,
     robot_bodies,
     scene_bodies,
@@ -67,8 +68,10 @@ def draw(
             # its joints as near to 0 as their limits let them
             rest = np.clip(0.0, what.lower, what.upper)
             alone = PlanningProblem(what.name, what, Scene("nothing", ()), rest, rest[None])
-            robot = whole(robot_bodies(alone, rest[None]))
-            image = still_image(alone, rest, size, clear_viewpoint([robot], whole(()), size))
+            bodies = robot_bodies(alone, rest[None])
+            torso = whole(body for body in bodies if body.aside)
+            viewpoint = clear_viewpoint([in_view(bodies)], whole(()), size, [torso], torso)
+            image = still_image(alone, rest, size, viewpoint)
         case Scene():
             scene = whole(scene_bodies(what))
             if not len(scene.corners):
@@ -150,9 +153,9 @@ def problem_image(
         legend = legend[:0]
     size = (size[0], size[1] - len(legend))
     moving = list(seen.layers("goals", "way", "path").values())
-    parts = [whole(bodies) for bodies in (start, *moving[:1], *moving[-1:])]
-    stage = clear_stage(seen, parts, size, map(whole, over))
-    return np.concatenate([stage.image(parts[0], layers_on(stage, over)), legend])
+    parts = [in_view(bodies) for bodies in (start, *moving[:1], *moving[-1:])]
+    stage = clear_stage(seen, parts, size, map(in_view, over))
+    return np.concatenate([stage.image(whole(start), layers_on(stage, over)), legend])
 
 
 def layers_on(stage: Stage, layers: Sequence[Sequence[Body]]) -> list[Layer]:
@@ -164,8 +167,9 @@ def clear_stage(
     seen: Seen, parts: Sequence[Mesh], size: tuple[int, int], inside: Iterable[Mesh] = ()
 ) -> Stage:
     """The scene, from a viewpoint that shows most of a motion's parts; see `clear_viewpoint`."""
-    still = whole(seen.scene)
-    return Stage(still, seen.ground, clear_viewpoint(parts, still, size, [*inside]), size)
+    still, torso = whole(seen.scene), whole(body for body in seen.moving if body.aside)
+    viewpoint = clear_viewpoint(parts, still, size, [*inside], torso)
+    return Stage(still, seen.ground, viewpoint, size)
 
 
 def still_image(
@@ -308,8 +312,8 @@ def film_solution(
     count = len(seen.labels)
     # the viewpoint is chosen for some eight of its states
     some = range(0, count, max(1, count // 8))
-    views, over = [whole(arm, k) for k in some], list(seen.layers("goals", "path").values())
-    inside = [*(whole(seen.moving, k) for k in some), *map(whole, over)]
+    views, over = [in_view(arm, k) for k in some], list(seen.layers("goals", "path").values())
+    inside = [*(in_view(seen.moving, k) for k in some), *map(in_view, over)]
     stage = clear_stage(seen, [joined(views)], size, inside)
     layers = layers_on(stage, over)
     images = []

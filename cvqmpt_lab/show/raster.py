@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.jit import entry
-from cvqmpt_lab.show.meshes import Colour, Mesh, unit
+from cvqmpt_lab.show.meshes import Colour, Mesh, joined, unit
 
 
 @dataclass(frozen=True)
@@ -300,6 +300,7 @@ def clear_viewpoint(
     scene: Mesh,
     size: tuple[int, int],
     inside: Sequence[Mesh] = (),
+    torso: Mesh | None = None,
     azimuths: Sequence[float] = (-132, -165, -95, 160, 125, -60, 90, -25, 55, 15),
     enough: float = 0.8,
     gain: float = 0.05,
@@ -312,6 +313,7 @@ def clear_viewpoint(
         scene: what may be in front of them.
         size: width and height of the picture [pixels].
         inside: what the picture holds too, even where the scene hides it.
+        torso: that carries several arms, which are seen from in front of it, if it has any corners.
         azimuths: from the motion to the eye, in the order in which they are tried [deg].
         enough: share of the motion in sight at which no other direction is tried.
         gain: share that another direction must show more to be taken instead.
@@ -319,12 +321,15 @@ def clear_viewpoint(
     """
     shape = (rows, round(rows * size[0] / size[1]))
     points = np.concatenate([part.corners.reshape(-1, 3) for part in (*parts, *inside)])
+    ways, elevation, still = list(azimuths), 24.0, [scene]
+    if torso is not None and len(torso.corners):
+        ways, elevation, still = [35.0, -35.0, *ways], 35.0, [scene, torso]
     best, best_share = framed(points, size), -1.0
-    for azimuth in azimuths:
-        viewpoint = framed(points, size, azimuth)
+    for azimuth in ways:
+        viewpoint = framed(points, size, azimuth, elevation)
         # shares of the parts that are not behind the scene or an earlier part
         depth, shares = np.full(shape, np.inf), []
-        for mesh in (scene, *parts):
+        for mesh in (joined(still), *parts):
             view = rasterise(mesh, viewpoint, shape)
             nearer = view.nearer_than(depth)
             depth[nearer.at] = nearer.depth

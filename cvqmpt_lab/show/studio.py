@@ -34,7 +34,7 @@ from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named, requir
 from cvqmpt_lab.poses import Placement, Pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.show.bodies import robot_bodies, scene_bodies, seen_of_problem, whole
+from cvqmpt_lab.show.bodies import in_view, robot_bodies, scene_bodies, seen_of_problem, whole
 from cvqmpt_lab.show.drawn_hands import sampled_hands
 from cvqmpt_lab.show.meshes import Colour
 from cvqmpt_lab.show.picture import png_of
@@ -94,7 +94,9 @@ class Studio:
         fitting = (name for name, one in PLANNERS.items() if not one.incompatibility(problem))
         self.planners = tuple(dict.fromkeys((planner, *fitting)))
         standing = upright(axis=upper_axis(problem.robot.pose(problem.start)))
-        self.constraints = {"own": problem.constraint, "upright": (standing,), "none": ()}
+        hands = problem.robot.end_effectors  # that hold one thing do not let go of it
+        held = tuple(it for it in problem.constraint if getattr(it, "base", None) in hands)
+        self.constraints = {"own": problem.constraint, "upright": (*held, standing), "none": held}
         self.on_answer: Callable[[Answer], None] = lambda answer: None  # in the planning thread
         # the newest ones
         self.request, self.state = Request(0, planner), Answer(Request(-1, planner), problem)
@@ -284,8 +286,9 @@ class StudioPage:
             gizmo.visible = name != "obstacle"
             gizmo.on_update(partial(self._drag, name))
             self._gizmos[name] = gizmo
-        robot = whole(robot_bodies(problem, problem.start[None]))
-        view = clear_viewpoint([robot], whole(scene_bodies(problem.scene)), (1400, 1000))
+        robot, still = robot_bodies(problem, problem.start[None]), scene_bodies(problem.scene)
+        aside = whole(body for body in robot if body.aside)
+        view = clear_viewpoint([in_view(robot)], whole(still), (1400, 1000), torso=aside)
         # from further away: the goal and what is dragged are in the picture, too
         server.initial_camera.position = 2.2 * np.subtract(view.eye, view.target) + view.target
         server.initial_camera.look_at, server.initial_camera.fov = view.target, view.height_angle

@@ -17,7 +17,7 @@ from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.show.bodies import Body, Seen, seen_of_problem, seen_of_solution, whole
+from cvqmpt_lab.show.bodies import Body, Seen, in_view, seen_of_problem, seen_of_solution, whole
 from cvqmpt_lab.show.curves import Plot
 from cvqmpt_lab.show.raster import clear_viewpoint
 from cvqmpt_lab.tasks.solve import TaskSolution
@@ -82,11 +82,12 @@ def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> str:
     # the first view shows the robot at the start of a task, or at both ends of a path
     ends = (0,) if seen.times is not None else (0, len(seen.labels) - 1)
     robot = [body for body in seen.moving if body.layer == "robot"]
-    views = [whole(robot, k) for k in ends]
+    views = [in_view(robot, k) for k in ends]
     # and holds the whole motion, at some ten states
     count = len(seen.labels)
-    inside = [whole(seen.moving, k) for k in range(0, count, max(1, count // 10))]
-    viewpoint = clear_viewpoint(views, whole(seen.scene), size, inside)
+    inside = [in_view(seen.moving, k) for k in range(0, count, max(1, count // 10))]
+    torso = whole(body for body in robot if body.aside)
+    viewpoint = clear_viewpoint(views, whole(seen.scene), size, inside, torso)
     bodies = seen.bodies("goals", "path", "constraint", "hand")
     offset = np.subtract(viewpoint.eye, viewpoint.target)
     distance = float(np.linalg.norm(offset))

@@ -257,3 +257,19 @@ def test_problems_that_have_no_start_or_goal_are_left_out_of_motion_benchs_table
     assert [lines["panda", "birrt"][k].split()[0] for k in (0, 1, -1)] == ["2", "100", "50.0"]
     assert "699 of 700" in found.markdown
     assert table_of(failed).size == "0 runs of 0 problems, 1 left out"
+
+
+def test_two_arms_are_grouped_by_robot_and_kind_with_times():
+    groups = "baxter tray-over-table", "tiago-pro box-into-shelf"
+    made = [
+        make(f"{k + 30 * g}/{g + 1}-{group}", planner, suite="two-arms", t_total_s=time)
+        for g, group in enumerate(groups)
+        for k in range(10)
+        for planner, time, make in (("birrt", 0.05, a_row), ("ompl-projected", 2.0, a_failure))
+    ]
+    found = table_of(made)
+    first = {tuple(line[:2]): line[2:] for line in found.sections["By group"]}
+    assert first["group", "planner"][:3] == ["problems", "time [s]", "solved [%]"]
+    assert first[groups[0], "birrt"][:2] == ["10", "0.0500 [0.0500, 0.0500]"]
+    assert "∞" in first[groups[0], "ompl-projected"][1]
+    assert found.size == "20 problems, 2 groups" and "closed chain" in found.markdown
