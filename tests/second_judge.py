@@ -257,24 +257,36 @@ def held_value(joint, locked, joints):
 class Arm:
     """Groups of rigidly joined links, their joints and bodies, of a problem's field "robot"."""
 
-    def __init__(self, robot, folder):
+    def __init__(self, robot, folder, order=()):
+        """order: names of the joints as states give them; not needed for one end effector."""
         path = (folder / robot["urdf"]).resolve()
         root, locked = ElementTree.parse(path).getroot(), robot.get("locked", {})
         joints = {joint.get("name"): joint for joint in root.findall("joint")}
         above = {joint.find("child").get("link"): joint for joint in joints.values()}
-        moving, link = [], robot["end_effector"]
-        while link in above:
-            if above[link].get("type") != "fixed" and above[link].get("name") not in locked:
-                moving.append(above[link])
-            link = above[link].find("parent").get("link")
+        hands = robot.get("end_effectors") or [robot["end_effector"]]
+        moving = {}  # joints by name, from the hands to the base
+        for link in hands:
+            while link in above:
+                if above[link].get("type") != "fixed" and above[link].get("name") not in locked:
+                    moving[above[link].get("name")] = above[link]
+                link = above[link].find("parent").get("link")
+        order = list(order) or [*moving][::-1]
         self.joints = []  # of each group after the world: the group before it, T (4, 4), joint
         links = {link: (WORLD, np.eye(4))}  # of each: its group, and T (4, 4) in it
         waiting = list(joints.values())
         while waiting:
-            joint = next(joint for joint in waiting if joint.find("parent").get("link") in links)
+            # joints that move wait for those that are earlier in the order
+            joint = next(
+                joint
+                for joint in waiting
+                if joint.find("parent").get("link") in links
+                and (
+                    joint.get("name") not in moving or joint.get("name") == order[len(self.joints)]
+                )
+            )
             waiting.remove(joint)
             group, T = links[joint.find("parent").get("link")]
-            if joint in moving:
+            if joint.get("name") in moving:
                 self.joints.append((group, T @ pose_of(joint), joint))
                 group, T = len(self.joints), np.eye(4)
             else:
@@ -282,7 +294,7 @@ class Arm:
                 if joint.get("type") != "fixed":
                     T = T @ motion(joint, held_value(joint, locked, joints))
             links[joint.find("child").get("link")] = group, T
-        self.hand, self.bodies = links[robot["end_effector"]], []
+        self.frames, self.hand, self.bodies = links, links[hands[0]], []
         for link in root.findall("link"):
             (group, T), bodies = links[link.get("name")], link.findall("collision")
             parts = [
@@ -308,6 +320,18 @@ class Arm:
         skipped = self.excused | {frozenset(pair) for pair in excused}
         every = combinations(self.bodies, 2)
         return [(a, b) for a, b in every if a.group != b.group and {a.name, b.name} not in skipped]
+
+    def carried(self, things, folder):
+        """Bodies of attachments in json."""
+        hand, T = self.hand
+        return [body_of(x, hand, T @ np.array(x["T_hand_object"]), folder) for x in things]
+
+    def carried_pairs(self, things, bodies):
+        """Pairs of a link and what is carried, without links fixed to a hand that holds it."""
+        names = [x.get("also_held_by", ()) for x in things]
+        holding = [{self.hand[0], *(self.frames[name][0] for name in some)} for some in names]
+        both = zip(bodies, holding, strict=True)
+        return [(a, b) for b, hands in both for a in self.bodies if a.group not in hands]
 
     def poses(self, states):
         """Of all groups (groups, k, 4, 4) at states (k, n)."""
@@ -336,13 +360,15 @@ class Judge:
 
     def __init__(self, path, arm, excused=()):
         """arm: of the file's field "robot". excused: names of more link pairs that may overlap."""
-        problem, (hand, T) = json.loads(path.read_text()), arm.hand
+        problem = json.loads(path.read_text())
         things, objects = problem["attachments"], problem["scene"]["objects"]
-        carried = [body_of(x, hand, T @ np.array(x["T_hand_object"]), path.parent) for x in things]
+        regions = problem.get("constraint", [])
+        self.regions = [regions] if isinstance(regions, dict) else regions
+        carried = arm.carried(things, path.parent)
         obstacles = [body_of(x, WORLD, np.array(x["T_world_object"]), path.parent) for x in objects]
         self.arm, self.bodies = arm, [*arm.bodies, *carried, *obstacles]
         self.moving = [body for body in (*arm.bodies, *carried) if body.group != WORLD]
-        in_hand = ((a, b) for a in arm.bodies for b in carried if a.group != hand)
+        in_hand = arm.carried_pairs(things, carried)
         self.pairs = [*arm.pairs(excused), *in_hand, *product(self.moving, obstacles)]
 
     def walk(self, states):
@@ -354,6 +380,33 @@ class Judge:
                 found = self.look(first + share[:, None] * (last - first))
                 worst = max(worst, found._replace(at=k + float(share[int(found.at)])))
         return worst
+
+    def outside(self, states):
+        """How far straight pieces between states (m, n) leave the regions, at most [m, rad]."""
+        speeds, worst = self.arm.speeds(self.moving, states), 0.0
+        for first, last in pairwise(states):
+            shares = np.linspace(0.0, 1.0, int(np.ceil(speeds @ np.abs(last - first) / STEP)) + 1)
+            poses = self.arm.poses(first + shares[:, None] * (last - first))
+            worst = max([worst, *(self.excess(region, poses) for region in self.regions)])
+        return worst
+
+    def excess(self, region, poses):
+        """How far a region in json is left at poses of the groups (groups, k, 4, 4)."""
+        base, e = region.get("base"), region.get("end_effector")
+        (b, T_base), (k, T_e) = (
+            self.arm.frames[base] if base else (WORLD, np.eye(4)),
+            self.arm.frames[e] if e else self.arm.hand,
+        )
+        w = poses[b] @ T_base @ np.array(region["T0_w"])
+        displaced = np.linalg.inv(w) @ poses[k] @ T_e @ np.linalg.inv(np.array(region["Tw_e"]))
+        turns = Rotation.from_matrix(displaced[:, :3, :3]).as_rotvec()
+        x = np.concatenate([displaced[:, :3, 3], turns], axis=1)
+        free = np.array([[-np.inf, np.inf]] * 6)
+        bounds = np.array(region["Bw"], dtype=float)
+        lower, upper = np.where(np.isnan(bounds), free, bounds).T
+        tilts = np.arccos(displaced[:, 2, 2].clip(-1.0, 1.0))
+        most = np.inf if region.get("tilt") is None else region["tilt"]
+        return float(max((lower - x).max(), (x - upper).max(), (tilts - most).max()))
 
     def look(self, states):
         """The deepest overlap at states (k, n), which are close to each other."""
