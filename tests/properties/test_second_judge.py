@@ -73,8 +73,11 @@ class Given(NamedTuple):
 
 
 @cache
-def given_arm(name, folder, kind=0):
-    """An arm by its name, or a random one by its number; kind: of what two hands hold."""
+def read_arm(name, folder):
+    """An arm by its name, or a random one by its number: its source, itself, as the judge reads it.
+
+    The judge takes the order of joints in states from the robot.
+    """
     source = {"urdf": str(folder / f"arm_{name}.urdf"), "end_effector": "tool", "srdf": None}
     if name in ARMS:
         named, robots = ARMS[name], example_robots()
@@ -85,12 +88,18 @@ def given_arm(name, folder, kind=0):
     else:
         (folder / source["urdf"]).write_bytes(random_urdf(name))
     robot = robot_from_source(source)
+    return source, robot, Arm(source, folder, robot.joint_names)
+
+
+@cache
+def given_arm(name, folder, kind=0):
+    """An arm; kind: of what two hands hold."""
+    source, robot, arm = read_arm(name, folder)
     out = [(pair.first, pair.second, pair.reason) for pair in robot.left_out_pairs]
     always = tuple((first, second) for first, second, why in out if why.startswith(OVERLAP))
     unseen = {frozenset((first, second)) for first, second, _ in out}
     held, chain = both_hold(robot, kind) if len(robot.end_effectors) > 1 else ((), ())
     checker = CollisionChecker(robot, Scene("empty", ()), held)
-    arm = Arm(source, folder, robot.joint_names)
     plain = tuple({**to_plain(x), "T_hand_object": x.T_hand_object.tolist()} for x in held)
     return Given(source, robot, checker, arm, always, unseen, plain, chain)
 
