@@ -41,7 +41,8 @@ PROMISE = "what is certified overlaps by 0.1 mm at most, by the files' triangles
 JUDGED = 0.8  # share of cases in which there must be something to judge
 DRAWN = 200  # configurations, of which one with two links near each other is chosen
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)  # [rad or m] by which those that follow differ from it
-CHAIN_STEP = 0.01  # [rad or m] between states of a closed chain, about
+CHAIN_STEPS = (0.01, 0.03, 0.1)  # [rad or m] between states of a closed chain, about
+SLIPS = (0.0, 1e-4, 3e-4)  # [rad or m] by which joints leave it, so that bounds are nearly broken
 # of the second hand in the frame of the first one
 FREEDOMS = ({}, {"position": 0.01, "rotation": 0.05}, {"about": "z"})
 KINDS = len(LAYOUTS) * len(FREEDOMS)
@@ -216,9 +217,11 @@ def short_motion(given, held, rng):
     share = rng.random()
     ends = [drawn - share * change, drawn + (1.0 - share) * change]
     ends = np.clip(ends, robot.lower, robot.upper)
-    step = CHAIN_STEP if given.chain else 0.1
-    states = np.linspace(*ends, 2 + int(np.linalg.norm(ends[1] - ends[0]) / step))
-    return given.kept(states), drawn
+    step = rng.choice(CHAIN_STEPS) if given.chain else 0.1
+    states = given.kept(np.linspace(*ends, 2 + int(np.linalg.norm(ends[1] - ends[0]) / step)))
+    if given.chain:
+        states = states + rng.choice(SLIPS) * rng.uniform(-1.0, 1.0, states.shape)
+    return np.clip(states, robot.lower, robot.upper), drawn
 
 
 def attachment(rng, folder):
@@ -356,3 +359,19 @@ def test_judge_sees_what_a_corner_of_a_link_is_in(size, tmp_path):
         problem_of(tmp_path / "problem.json", given, objects, [], q[None])
         verdict = Judge(tmp_path / "problem.json", given.arm).look(q[None])
         assert verdict.depth >= deep and (verdict.depth > 0.0) == bool(objects)
+
+
+def test_judge_sees_a_hand_that_lets_go(tmp_path):
+    """A wrist that turns leaves the chain by its turn; a hand that does not hold overlaps."""
+    given, rng = given_arm("baxter", tmp_path), np.random.default_rng(0)
+    q, path = free(given, rng), tmp_path / "problem.json"
+    for held, turn in (
+        (given.held, 0.0),
+        (given.held, 0.05),
+        ([{**given.held[0], "also_held_by": []}], 0.0),
+    ):
+        end = q + turn * np.eye(given.robot.dof)[-1]
+        problem_of(path, given, [], held, np.array([q, end]))
+        judge = Judge(path, given.arm, given.always)
+        assert judge.outside(np.array([q, end])) == pytest.approx(turn, abs=1e-5)
+        assert (judge.look(q[None]).depth > 0.005) == (held != given.held)
