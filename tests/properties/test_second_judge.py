@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import trimesh
+from judged_bodies import furthest, moved
 from properties.random_arms import ARMS as RANDOM_ARMS
 from properties.random_arms import random_urdf
 from scipy.spatial.transform import Rotation
-from second_judge import WORLD, Arm, Judge, body_of, furthest, moved
+from second_judge import WORLD, Arm, Judge, body_of
 
 from cvqmpt_lab.benchmarks.two_arms import LAYOUTS, hold
 from cvqmpt_lab.certificate import TOLERANCE, certify
