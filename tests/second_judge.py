@@ -16,8 +16,7 @@ from judged_bodies import Balls, Body, depth, moved, swallowed, touching
 from scipy.spatial.transform import Rotation
 
 STEP = 2e-4  # [m] that a point moves between neighbouring states, at most
-# of a pair that overlaps, at which its depth is measured, at most
-STATES = 5
+STATES = 5  # of a pair that overlaps, at which its depth is measured, at most
 SIDES = 96  # of cylinders
 WORLD = 0  # group of what does not move; group k is carried by joint k
 

@@ -278,9 +278,11 @@ def planned(given, problem, states, rng):
     """Part of a certified path from the states to another free state; else the states."""
     checker = problem.collision_checker()
     goals = [q for q in given.drawn(rng, 40) if not checker.in_collision(q)]
-    if not goals:
+    starts = [q for q in given.kept(states[:1]) if not checker.in_collision(q)]
+    if not goals or not starts:
         return states
-    found = solve(replace(problem, goals=np.array(goals[:1])), "birrt", BUDGET, 0, clearance=False)
+    posed = replace(problem, start=starts[0], goals=np.array(goals[:1]))
+    found = solve(posed, "birrt", BUDGET, 0, clearance=False)
     path = found.path.states if found.solved else states
     first = rng.integers(len(path) - 1)
     return path[first : first + STRETCH]
