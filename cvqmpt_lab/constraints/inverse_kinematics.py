@@ -223,7 +223,7 @@ def _cannot_hold(
     ends: np.ndarray,
 ) -> str:
     """By how much a region is missed where projections onto members end best, (k, n)."""
-    off = np.linalg.norm(RegionConstraint(robot, members).residual(ends), axis=1)
+    off = np.linalg.norm(RegionConstraint(robot, tuple(members)).residual(ends), axis=1)
     broken = broken_bound(member, displacements(robot, member, ends[None, off.argmin()]))
     what = "it cannot be kept"
     if isinstance(member, TaskSpaceRegionChain):
