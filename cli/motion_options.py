@@ -130,7 +130,12 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
         fields["rpy"] = Rotation.from_matrix(robot.pose(start)[:3, :3]).as_euler("xyz").tolist()
     if name == "relative-pose":
         hand = next((hand for hand in robot.end_effectors if hand != value), None)
-        if value not in robot.end_effectors or hand is None:
+        if hand is None:
+            raise InvalidInputError(
+                f"--constraint {text}: robot {robot.name} has one end effector; name two, "
+                "--end-effectors LEFT RIGHT"
+            )
+        if value not in robot.end_effectors:
             raise UnknownChoiceError(
                 "--constraint relative-pose=HAND", value, list(robot.end_effectors)
             )

@@ -14,7 +14,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import GoalSample, reaches_no_pos
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
 from cvqmpt_lab.errors import require_kind, whole_number
 from cvqmpt_lab.planners import Method, planner_named, require_fit
-from cvqmpt_lab.problem import PlanningProblem, with_usable_goals
+from cvqmpt_lab.problem import PlanningProblem, check_problem, with_usable_goals
 from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.search.anytime import Improvement, check_units, improve, restarted
 from cvqmpt_lab.search.birrt import BiRRT
@@ -133,6 +133,7 @@ def solve(
     called = time.perf_counter()
     problem, goal_seconds = with_sampled_goals(problem)
     if len(problem.goals) == 0:
+        check_problem(problem)  # a start that cannot be used is named first
         reason = f"no goal: {drawn_goals(problem).outcome}; {problem.why_no_goal()}"
         return Solution(problem, no_plan(PlanStatus.NO_GOAL, reason), goal_seconds=goal_seconds)
     problem, left_out = with_usable_goals(problem)

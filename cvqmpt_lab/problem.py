@@ -187,6 +187,9 @@ class PlanningProblem(Document):
         ):
             # refuses a frame that is no end effector
             self.robot.hand(name)
+        for item in self.attachments:
+            hands = [name or self.robot.end_effector for name in item.held_by]
+            unique(hands, f"end effectors that hold attachment {item.name!r}")
 
     def _check_configurations(self) -> None:
         n = self.robot.dof
@@ -379,7 +382,7 @@ def _off_manifold(problem: PlanningProblem, label: str, q: np.ndarray) -> tuple[
         for region in problem.constraint
     ]
     if against := contradiction(problem.robot, problem.constraint):
-        cure = f"{against}: take out or widen one"
+        cure = f"{against}; move, widen or leave out a region"
     off = np.linalg.norm(problem.manifold.residual(states), axis=1).min()
     told = ", ".join(filter(None, bounds)) or "the constraint by rounding"
     return f"{broken} {told}, |F| = {off:.3g}", cure

@@ -63,9 +63,11 @@ CASES: tuple[Case, ...] = (
         for planner, problems, suite in (
             ("birrt", (2, 5, 8), SUITE),
             ("birrt-printed", (2,), SUITE),
+            ("cells", (2, 5), SUITE),
             ("ompl-projected", (2, 5), SUITE),
             ("atlas-rrt", (8, 10), SUITE),
             ("tb-rrt", (8, 10), SUITE),
+            ("ompl-bkpiece", (10,), SUITE),
             ("mpnet", (2, 5), SUITE),
             ("mpnet-bridged", (2, 5), SUITE),
             ("cvq-mpt", (2, 5), SUITE),

@@ -37,7 +37,9 @@ STAGES = {  # of a run, by the column of their time
 COLOURS = {  # of planners
     "birrt": "#70757d",
     "birrt-printed": "#b3a58f",
+    "cells": "#2f6f73",
     "ompl-projected": "#8c6d1f",
+    "ompl-bkpiece": "#c9b458",
     "atlas-rrt": "#3aa6a6",
     "tb-rrt": "#7cae3c",
     "mpnet": "#8a4fa3",

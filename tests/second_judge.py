@@ -10,15 +10,13 @@ import xml.etree.ElementTree as ElementTree
 from itertools import combinations, pairwise, product
 from typing import NamedTuple
 
-import fcl
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
+from judged_bodies import Balls, Body, depth, moved, swallowed, touching
 from scipy.spatial.transform import Rotation
 
 STEP = 2e-4  # [m] that a point moves between neighbouring states, at most
-# of a pair that overlaps, at which its depth is measured, at most
-CONTACTS, CORNERS, STATES = 2000, 100, 5
+STATES = 5  # of a pair that overlaps, at which its depth is measured, at most
 SIDES = 96  # of cylinders
 WORLD = 0  # group of what does not move; group k is carried by joint k
 
@@ -29,141 +27,6 @@ class Verdict(NamedTuple):
     depth: float  # length [m] of the shortest move that ends it, or less; 0 where nothing overlaps
     pair: tuple[str, str] = ("", "")
     at: float = 0.0  # number of the state; 12.5 is half-way from state 12 to 13
-
-
-class Body:
-    """Triangles (f, 3, 3) [m] of bodies that move together; open or self-crossing are allowed."""
-
-    radius = 0.0
-
-    def __init__(self, name, group, triangles):
-        mesh = trimesh.Trimesh(
-            triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
-        )
-        self.name, self.group = name, group
-        # each corner once
-        self.triangles, self.points = np.array(mesh.triangles), np.array(mesh.vertices)
-        parts = trimesh.graph.connected_component_labels(mesh.edges, node_count=len(self.points))
-        # a corner of each part
-        self.one_of_each = self.points[np.unique(parts, return_index=True)[1]]
-        self.box = corners_around(self.points)
-        shape = fcl.BVHModel()
-        shape.beginModel(len(mesh.vertices), len(mesh.faces))
-        shape.addSubModel(mesh.vertices, mesh.faces)
-        shape.endModel()
-        self.object = fcl.CollisionObject(shape)
-
-    def placed(self, T):
-        self.object.setTransform(fcl.Transform(T[:3, :3], T[:3, 3]))
-        return self.object
-
-    def holds(self, points):
-        """Whether points (k, 3) are inside, by the winding number of the surface around them."""
-        found = ((points > self.box[0]) & (points < self.box[-1])).all(axis=1)
-        for k in np.flatnonzero(found):
-            a, b, c = np.moveaxis(self.triangles - points[k], 1, 0)
-            x, y, z = (np.linalg.norm(side, axis=1) for side in (a, b, c))
-            below = x * y * z + (a * b).sum(1) * z + (b * c).sum(1) * x + (c * a).sum(1) * y
-            found[k] = abs(np.arctan2((a * np.cross(b, c)).sum(1), below).sum()) > np.pi
-        return found
-
-    def distances(self, points):
-        """Of points (k, 3) to the surface, (k,)."""
-        count = len(self.triangles)
-        near = [
-            trimesh.triangles.closest_point(self.triangles, np.tile(p, (count, 1))) for p in points
-        ]
-        return np.array(
-            [np.linalg.norm(x - p, axis=1).min() for x, p in zip(near, points, strict=True)]
-        )
-
-
-class Balls:
-    """Balls of one radius around points (k, 3) [m] that move together with a group."""
-
-    def __init__(self, name, group, points, radius):
-        self.name, self.group, self.points, self.radius = name, group, points, radius
-        self.one_of_each, self.tree = points, cKDTree(points)
-        self.box = corners_around(np.concatenate([points - radius, points + radius]))
-        self.objects = [
-            fcl.CollisionObject(fcl.Sphere(radius), fcl.Transform(np.eye(3), p)) for p in points
-        ]
-        self.manager = fcl.DynamicAABBTreeCollisionManager()
-        self.manager.registerObjects(self.objects)
-        self.manager.setup()
-
-
-def corners_around(points):
-    """Of the box along the axes around points, (8, 3): the lowest first, the highest last."""
-    return np.array(list(product(*zip(points.min(axis=0), points.max(axis=0), strict=True))))
-
-
-def furthest(body, direction):
-    """The point (3,) of a body that is furthest along a unit direction."""
-    return body.points[(body.points @ direction).argmax()] + body.radius * direction
-
-
-def touching(a, b, T):
-    """Whether surfaces of a and b overlap; T (4, 4) is the pose of b in the frame of a."""
-    if isinstance(a, Balls) and isinstance(b, Balls):
-        return depth(a, b, T) > 0.0
-    if isinstance(b, Balls):
-        return touching(b, a, np.linalg.inv(T))
-    if isinstance(a, Body):
-        request, result = fcl.CollisionRequest(), fcl.CollisionResult()
-        return fcl.collide(a.placed(np.eye(4)), b.placed(T), request, result) > 0
-    data = fcl.CollisionData()
-    a.manager.collide(b.placed(T), data, fcl.defaultCollisionCallback)
-    return data.result.is_collision
-
-
-def swallowed(a, b, T):
-    """Whether a part of one body is inside the other."""
-    if isinstance(a, Body) and a.holds(moved(T, b.one_of_each)).any():
-        return True
-    return isinstance(b, Body) and bool(b.holds(moved(np.linalg.inv(T), a.one_of_each)).any())
-
-
-def depth(a, b, T):
-    """Length [m] of the shortest move that ends the overlap of a and b, or less."""
-    if isinstance(a, Balls) and isinstance(b, Balls):
-        return a.radius + b.radius - a.tree.query(moved(T, b.points))[0].min()
-    if isinstance(a, Balls):
-        return depth(b, a, np.linalg.inv(T))
-    if isinstance(b, Balls):
-        centres = moved(T, b.points)
-        off = np.maximum(np.maximum(a.box[0] - centres, centres - a.box[-1]), 0.0)
-        centres = centres[np.linalg.norm(off, axis=1).argsort()[:CORNERS]]
-        return b.radius - (np.where(a.holds(centres), -1.0, 1.0) * a.distances(centres)).min()
-    deepest = [0.0]
-    for one, other, M in ((a, b, T), (b, a, np.linalg.inv(T))):
-        corners = other.points[:: 1 + len(other.points) // CORNERS]
-        some = moved(M, np.concatenate([corners, other.one_of_each]))
-        deepest += list(one.distances(some[one.holds(some)]))
-    request = fcl.CollisionRequest(num_max_contacts=CONTACTS, enable_contact=True)
-    result = fcl.CollisionResult()
-    if fcl.collide(a.placed(np.eye(4)), b.placed(T), request, result):
-        first, second = np.array([(contact.b1, contact.b2) for contact in result.contacts]).T
-        deepest.append(triangle_depths(a.triangles[first], moved(T, b.triangles[second])).max())
-    return max(deepest)
-
-
-def triangle_depths(first, second):
-    """Least overlaps (k,) of triangles (k, 3, 3) along 11 axes: shortest moves that part them."""
-    e, f = np.roll(first, -1, axis=1) - first, np.roll(second, -1, axis=1) - second
-    edges = np.cross(e[:, :, None], f[:, None]).reshape(len(e), 9, 3)
-    axes = np.concatenate(
-        [edges, np.cross(e[:, :1], e[:, 1:2]), np.cross(f[:, :1], f[:, 1:2])], axis=1
-    )
-    lengths = np.linalg.norm(axes, axis=2)
-    x, y = np.einsum("kai,kci->kac", axes, first), np.einsum("kai,kci->kac", axes, second)
-    overlap = np.minimum(x.max(2) - y.min(2), y.max(2) - x.min(2))
-    usable = lengths > 1e-9 * lengths.max(axis=1, keepdims=True)
-    return np.where(usable, overlap / np.where(usable, lengths, 1.0), np.inf).min(axis=1)
-
-
-def moved(T, points):
-    return points @ T[:3, :3].T + T[:3, 3]
 
 
 def body_of(item, group, T, folder):
@@ -257,24 +120,36 @@ def held_value(joint, locked, joints):
 class Arm:
     """Groups of rigidly joined links, their joints and bodies, of a problem's field "robot"."""
 
-    def __init__(self, robot, folder):
+    def __init__(self, robot, folder, order=()):
+        """order: names of the joints as states give them; not needed for one end effector."""
         path = (folder / robot["urdf"]).resolve()
         root, locked = ElementTree.parse(path).getroot(), robot.get("locked", {})
         joints = {joint.get("name"): joint for joint in root.findall("joint")}
         above = {joint.find("child").get("link"): joint for joint in joints.values()}
-        moving, link = [], robot["end_effector"]
-        while link in above:
-            if above[link].get("type") != "fixed" and above[link].get("name") not in locked:
-                moving.append(above[link])
-            link = above[link].find("parent").get("link")
+        hands = robot.get("end_effectors") or [robot["end_effector"]]
+        moving = {}  # joints by name, from the hands to the base
+        for link in hands:
+            while link in above:
+                if above[link].get("type") != "fixed" and above[link].get("name") not in locked:
+                    moving[above[link].get("name")] = above[link]
+                link = above[link].find("parent").get("link")
+        order = list(order) or [*moving][::-1]
         self.joints = []  # of each group after the world: the group before it, T (4, 4), joint
         links = {link: (WORLD, np.eye(4))}  # of each: its group, and T (4, 4) in it
         waiting = list(joints.values())
         while waiting:
-            joint = next(joint for joint in waiting if joint.find("parent").get("link") in links)
+            # joints that move wait for those that are earlier in the order
+            joint = next(
+                joint
+                for joint in waiting
+                if joint.find("parent").get("link") in links
+                and (
+                    joint.get("name") not in moving or joint.get("name") == order[len(self.joints)]
+                )
+            )
             waiting.remove(joint)
             group, T = links[joint.find("parent").get("link")]
-            if joint in moving:
+            if joint.get("name") in moving:
                 self.joints.append((group, T @ pose_of(joint), joint))
                 group, T = len(self.joints), np.eye(4)
             else:
@@ -282,7 +157,7 @@ class Arm:
                 if joint.get("type") != "fixed":
                     T = T @ motion(joint, held_value(joint, locked, joints))
             links[joint.find("child").get("link")] = group, T
-        self.hand, self.bodies = links[robot["end_effector"]], []
+        self.frames, self.hand, self.bodies = links, links[hands[0]], []
         for link in root.findall("link"):
             (group, T), bodies = links[link.get("name")], link.findall("collision")
             parts = [
@@ -308,6 +183,18 @@ class Arm:
         skipped = self.excused | {frozenset(pair) for pair in excused}
         every = combinations(self.bodies, 2)
         return [(a, b) for a, b in every if a.group != b.group and {a.name, b.name} not in skipped]
+
+    def carried(self, things, folder):
+        """Bodies of attachments in json."""
+        hand, T = self.hand
+        return [body_of(x, hand, T @ np.array(x["T_hand_object"]), folder) for x in things]
+
+    def carried_pairs(self, things, bodies):
+        """Pairs of a link and what is carried, without links fixed to a hand that holds it."""
+        names = [x.get("also_held_by", ()) for x in things]
+        holding = [{self.hand[0], *(self.frames[name][0] for name in some)} for some in names]
+        both = zip(bodies, holding, strict=True)
+        return [(a, b) for b, hands in both for a in self.bodies if a.group not in hands]
 
     def poses(self, states):
         """Of all groups (groups, k, 4, 4) at states (k, n)."""
@@ -336,13 +223,15 @@ class Judge:
 
     def __init__(self, path, arm, excused=()):
         """arm: of the file's field "robot". excused: names of more link pairs that may overlap."""
-        problem, (hand, T) = json.loads(path.read_text()), arm.hand
+        problem = json.loads(path.read_text())
         things, objects = problem["attachments"], problem["scene"]["objects"]
-        carried = [body_of(x, hand, T @ np.array(x["T_hand_object"]), path.parent) for x in things]
+        regions = problem.get("constraint", [])
+        self.regions = [regions] if isinstance(regions, dict) else regions
+        carried = arm.carried(things, path.parent)
         obstacles = [body_of(x, WORLD, np.array(x["T_world_object"]), path.parent) for x in objects]
         self.arm, self.bodies = arm, [*arm.bodies, *carried, *obstacles]
         self.moving = [body for body in (*arm.bodies, *carried) if body.group != WORLD]
-        in_hand = ((a, b) for a in arm.bodies for b in carried if a.group != hand)
+        in_hand = arm.carried_pairs(things, carried)
         self.pairs = [*arm.pairs(excused), *in_hand, *product(self.moving, obstacles)]
 
     def walk(self, states):
@@ -354,6 +243,33 @@ class Judge:
                 found = self.look(first + share[:, None] * (last - first))
                 worst = max(worst, found._replace(at=k + float(share[int(found.at)])))
         return worst
+
+    def outside(self, states):
+        """How far straight pieces between states (m, n) leave the regions, at most [m, rad]."""
+        speeds, worst = self.arm.speeds(self.moving, states), 0.0
+        for first, last in pairwise(states):
+            shares = np.linspace(0.0, 1.0, int(np.ceil(speeds @ np.abs(last - first) / STEP)) + 1)
+            poses = self.arm.poses(first + shares[:, None] * (last - first))
+            worst = max([worst, *(self.excess(region, poses) for region in self.regions)])
+        return worst
+
+    def excess(self, region, poses):
+        """How far a region in json is left at poses of the groups (groups, k, 4, 4)."""
+        base, e = region.get("base"), region.get("end_effector")
+        (b, T_base), (k, T_e) = (
+            self.arm.frames[base] if base else (WORLD, np.eye(4)),
+            self.arm.frames[e] if e else self.arm.hand,
+        )
+        w = poses[b] @ T_base @ np.array(region["T0_w"])
+        displaced = np.linalg.inv(w) @ poses[k] @ T_e @ np.linalg.inv(np.array(region["Tw_e"]))
+        turns = Rotation.from_matrix(displaced[:, :3, :3]).as_rotvec()
+        x = np.concatenate([displaced[:, :3, 3], turns], axis=1)
+        free = np.array([[-np.inf, np.inf]] * 6)
+        bounds = np.array(region["Bw"], dtype=float)
+        lower, upper = np.where(np.isnan(bounds), free, bounds).T
+        tilts = np.arccos(displaced[:, 2, 2].clip(-1.0, 1.0))
+        most = np.inf if region.get("tilt") is None else region["tilt"]
+        return float(max((lower - x).max(), (x - upper).max(), (tilts - most).max()))
 
     def look(self, states):
         """The deepest overlap at states (k, n), which are close to each other."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.project import projection_scratch, reach_poses
+from cvqmpt_lab.constraints.project import project, projection_scratch, reach_poses
 from cvqmpt_lab.constraints.report import broken_bound, displaced, displacements
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
@@ -183,7 +183,13 @@ def why_none(
     anywhere = reaches_no_pose(robot, region)
     found = solve_poses(robot, region, T, first_guesses(robot, rng, len(T)), anywhere=anywhere)
     missed = T[[len(rows) == 0 for rows in found]]
-    reasons = [_reach(robot, region, missed, rng)] if len(missed) else []
+    reasons = [contradiction(robot, constraint)]
+    if len(missed) < len(T) and not any(reasons):
+        # the hand gets there, perhaps not with what holds on to it
+        chains = [member for member in constraint if isinstance(member, TaskSpaceRegionChain)]
+        reasons += [_open_chain(robot, region, member, rng) for member in chains]
+    if len(missed) and not any(reasons):
+        reasons.append(_reach(robot, region, missed, rng))
     for member in constraint:
         # few drawn poses say nothing of turns that are all free, nor of the other hand
         if (
@@ -193,8 +199,6 @@ def why_none(
         ):
             broken = broken_bound(member, displaced(member, T, member.T0_w[None]))
             reasons += [f"every pose breaks {broken}"] if broken else []
-        elif isinstance(member, TaskSpaceRegionChain) and not reasons:
-            reasons.append(_open_chain(robot, region, member, rng))
     reasons.append(_collisions(checker, np.concatenate(found)))
     return "; ".join(filter(None, reasons)) or contradiction(robot, constraint)
 
@@ -209,25 +213,48 @@ def _open_chain(
     T, guesses = region.sample_poses(rng, POSES), first_guesses(robot, rng, POSES)
     if any(map(len, solve_poses(robot, region, T, guesses, (member,)))):
         return ""
-    ends = guesses.reshape(-1, robot.dof)
-    off = np.linalg.norm(RegionConstraint(robot, (region, member)).residual(ends), axis=1)
-    best = ends[None, off.argmin()]
-    broken = broken_bound(member, displacements(robot, member, best)) or "nothing, the other hand"
-    hand = member.end_effector or robot.end_effector
-    return f"{member.base} and {hand} cannot both hold on there: the best of all breaks {broken}"
+    return _cannot_hold(robot, member, (region, member), guesses.reshape(-1, robot.dof)) + " there"
+
+
+def _cannot_hold(
+    robot: Robot,
+    member: TaskSpaceRegion,
+    members: Sequence[TaskSpaceRegion],
+    ends: np.ndarray,
+) -> str:
+    """By how much a region is missed where projections onto members end best, (k, n)."""
+    off = np.linalg.norm(RegionConstraint(robot, tuple(members)).residual(ends), axis=1)
+    broken = broken_bound(member, displacements(robot, member, ends[None, off.argmin()]))
+    what = "it cannot be kept"
+    if isinstance(member, TaskSpaceRegionChain):
+        hand = member.end_effector or robot.end_effector
+        what = f"{member.base} and {hand} cannot both hold on"
+    return f"{what}: the best of {len(ends)} tries breaks {broken or 'other bounds'}"
 
 
 def contradiction(robot: Robot, constraint: Sequence[TaskSpaceRegion], tries: int = 100) -> str:
-    """Two regions that no configuration was found for together, in words; "" without such."""
+    """A region, or two together, that no configuration was found for, in words; or ""."""
     draws = robot.random_configurations(np.random.default_rng(0), tries)
 
-    def kept(*members: TaskSpaceRegion) -> bool:
-        manifold = RegionConstraint(robot, members)
-        return any(manifold.project(q) is not None for q in draws)
+    def ends(*members: TaskSpaceRegion) -> np.ndarray:
+        """The first configuration (1, n) that keeps them, or where projections end (tries, n)."""
+        manifold, found = RegionConstraint(robot, members), draws.copy()
+        scratch = projection_scratch(robot.dof, manifold.regions)
+        for q in found:
+            if project(robot.kinematics, manifold.regions, q, TOLERANCE, 50, scratch) >= 0:
+                return q[None]
+        return found
 
+    alone = [ends(member) for member in constraint]
+    for k, (member, found) in enumerate(zip(constraint, alone, strict=True)):
+        if len(found) > 1:
+            return f"constraint[{k}]: {_cannot_hold(robot, member, (member,), found)}"
     for (i, first), (k, second) in combinations(enumerate(constraint), 2):
-        if kept(first) and kept(second) and not kept(first, second):
-            return f"constraint[{i}] and constraint[{k}] contradict each other"
+        if len(ends(first, second)) > 1:
+            return (
+                f"constraint[{i}] and constraint[{k}] contradict each other: none of {tries} "
+                "tries keeps both"
+            )
     return ""
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.load import load_robot
+from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.scene.families import random_scene
 
 ARMS = 12  # to draw from: loading one takes longer than a trial with it
@@ -75,6 +75,23 @@ def arm(number):
         path = Path(folder) / "arm.urdf"
         path.write_bytes(random_urdf(number))
         return load_robot(path, "tool")
+
+
+@cache
+def two_armed(number):
+    """A random arm with another one on its base or on its first link; their ends are planned."""
+    names = ("base", "link", "joint", "side", "turn", "tool", "mount")
+    first, second = (random_urdf(seed).decode() for seed in (number, number + ARMS))
+    for name in names:
+        second = second.replace(f'"{name}', f'"other_{name}')
+    inside = second.partition(">")[2].rpartition("</robot>")[0]
+    shoulder = origin(np.random.default_rng(number), 0.3)
+    shoulder = joint("neck", "fixed", ("base", "link1")[number % 2], "other_base", shoulder)
+    text = first.replace("</robot>", f"{inside}{shoulder}</robot>")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arms.urdf"
+        path.write_text(text)
+        return robot_from_source({"urdf": str(path), "end_effectors": ["tool", "other_tool"]})
 
 
 def problem_around(seed):
