@@ -165,7 +165,7 @@ def require_bound(robot, kind, step, rng, tries):
         more, _ = _between(robot, region, states[[0, -1]], x[[0, -1]])
         rise = beyond.max() - max(beyond[0], beyond[-1])
         assert rise <= more[0] + 1e-9
-        share = max(share, rise / more[0])
+        share = max(share, rise / max(more[0], 1e-12))
     return share
 
 
