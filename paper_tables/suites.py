@@ -17,7 +17,14 @@ from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from paper_tables.factorial_table import PLANNERS as PRODUCTS
 from paper_tables.factorial_table import factorial_table
-from paper_tables.layouts import ARM_NOTES, CONSTRAINT_NOTES, group_table, peer_table, place_table
+from paper_tables.layouts import (
+    ARM_NOTES,
+    CONSTRAINT_NOTES,
+    PEER_NOTES,
+    group_table,
+    peer_table,
+    place_table,
+)
 from paper_tables.motion_bench_table import motion_bench_table
 from paper_tables.multi_sequence_table import task_table
 from paper_tables.statements import PublishedValue, read_published
@@ -165,6 +172,21 @@ SUITES: Mapping[str, Suite] = {
             *("roboplan", "roboplan-star", "sscbirrt", "hpp", "drake"),
         ),
         table=peer_table,
+    ),
+    "peers-two-arms": Suite(
+        title="Planners of others, a tray in both hands with a single goal",
+        planners=("birrt", "ompl-projected", "hpp"),
+        table=partial(
+            peer_table,
+            notes=(
+                *PEER_NOTES[:5],
+                "What favours ours: HPP keeps the tray level exactly, where the problem allows "
+                "0.1 rad; its time holds its random shortcuts, which take what is left of the "
+                "cut-off where they go on finding shorter ways.",
+                "Ten trays over a table and ten through a window, both arms of a baxter, 14 "
+                "joints. HPP was set up on problems that are not in this table.",
+            ),
+        ),
     ),
     # its problems are fetched: `cvqmpt problems fetch motion-bench`
     "motion-bench": Suite(

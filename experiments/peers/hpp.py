@@ -19,13 +19,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search.result import Budget
-from experiments.peers import upright_region, versions
+from experiments.peers import fixed_holds, upright_region, versions
 from experiments.peers.world_files import urdf_of
 
 MADE_BY = versions("hpp", "hpp-python")
@@ -65,21 +63,9 @@ def _device(robot: Robot, scene: Scene, carried: tuple[Attachment, ...]) -> Any:
     return device
 
 
-def _held(problem: PlanningProblem) -> list[TaskSpaceRegionChain]:
-    """The regions of one frame of the robot in another; InvalidInputError: one leaves freedom."""
-    found = [part for part in problem.constraint if isinstance(part, TaskSpaceRegionChain)]
-    for part in found:
-        if part.Bw.any() or part.tilt is not None:
-            raise InvalidInputError(
-                f"{problem.name}: this adapter keeps a relative pose whose six bounds are 0, not "
-                f"{part.Bw.tolist()}"
-            )
-    return found
-
-
 def _kept(problem: PlanningProblem, device: Any) -> Any:
     """The constraints in HPP: the first hand is upright, and hands that hold one thing."""
-    robot, held = problem.robot, _held(problem)
+    robot, held = problem.robot, fixed_holds(problem)
     core, constraints = _imported("pyhpp.core"), _imported("pyhpp.constraints")
     rest = tuple(part for part in problem.constraint if part not in held)
     region = upright_region(problem.changed(constraint=rest, attachments=()))
