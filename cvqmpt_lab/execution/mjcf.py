@@ -64,23 +64,23 @@ def bodies_of(robot: Robot, scene: Scene, carried: Sequence[Attachment] = ()) ->
         Body(f"piece_{k}", piece.link, piece.T_link_geometry, ConvexMesh(piece.vertices))
         for k, piece in enumerate(robot.links)
     ]
-    for item in (*scene.obstacles, *carried):
+    items: list[SceneObject | Attachment] = [*scene.obstacles, *carried]
+    for item in items:
         if not isinstance(item.shape, Box | Cylinder | Sphere | ConvexMesh):
+            what = "load" if isinstance(item, Attachment) else "obstacle"
             raise InvalidInputError(
-                f"obstacle {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
+                f"{what} {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
                 "cylinders, spheres or convex meshes"
             )
-    for k, item in enumerate(scene.obstacles):
-        found.append(Body(f"obstacle_{k}", 0, item.T_world_object, item.shape))
+    for k, obstacle in enumerate(scene.obstacles):
+        found.append(Body(f"obstacle_{k}", 0, obstacle.T_world_object, obstacle.shape))
     for k, load in enumerate(carried):
         row, T_link_hand = robot.hand(load.end_effector)
         found.append(Body(f"{LOAD}_{k}", row, T_link_hand @ load.T_hand_object, load.shape))
     return found
 
 
-def unchecked_pairs(
-    robot: Robot, carried: Sequence[Attachment] = ()
-) -> Iterator[tuple[str, str]]:
+def unchecked_pairs(robot: Robot, carried: Sequence[Attachment] = ()) -> Iterator[tuple[str, str]]:
     """Pairs of robot and what it carries that are not checked against each other, by name."""
     pieces = [f"piece_{k}" for k in range(len(robot.links))]
     loads = [f"{LOAD}_{k}" for k in range(len(carried))]

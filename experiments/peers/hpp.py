@@ -1,8 +1,8 @@
 """HPP (C++, pinocchio, coal): diffusing planner, continuous collision checks, random shortcuts.
 
 HPP bounds nothing from two sides: the hand is kept upright exactly. Two hands may hold one thing:
-their relative pose is a second constraint, which must leave no freedom. Its wheels find their libraries
-by LD_LIBRARY_PATH alone; here they are loaded one by one instead.
+their relative pose is a second constraint, which must leave no freedom. Its wheels find their
+libraries by LD_LIBRARY_PATH alone; here they are loaded one by one instead.
 """
 
 import ctypes
