@@ -385,7 +385,7 @@ PEER_NOTES = (
 def peer_table(
     rows: Iterable[ResultRow],
     published: Sequence[PublishedValue],
-    notes: Sequence[str] = PEER_NOTES,
+    notes: tuple[str, ...] = PEER_NOTES,
 ) -> SuiteTable:
     """Paths, time and length of every planner, failures and notes."""
     runs = table.suite_runs(rows, published)
@@ -398,6 +398,5 @@ def peer_table(
         "Failures": table.count_lines(found, table.failure),
         "Notes": [*notes, *made, *table.seed_notes(runs)],
     }
-    shown = {name: {"": name} for name in PEER_COLUMNS}
-    latex = table.latex_planners(" ".join(notes), suite, found, shown)
+    latex = table.latex_planners(" ".join(notes), suite, found, {k: {"": k} for k in PEER_COLUMNS})
     return SuiteTable(suite, size, found, sections, latex)

@@ -53,7 +53,8 @@ def test_an_adapter_plans_a_certified_path_or_names_what_installs_it(problem, na
     try:
         versions(name, NEEDS[name])
     except InvalidInputError:
-        missing = rf"planner {name.removesuffix('-star')} needs .*{NEEDS[name]}.*not installed: .*\[peers\]"
+        module = name.removesuffix("-star")
+        missing = rf"planner {module} needs .*{NEEDS[name]}.*not installed: .*\[peers\]"
         refused(missing, external_planner, name)
         return
     made_by = f"{NEEDS[name]} {metadata.version(NEEDS[name])}"
