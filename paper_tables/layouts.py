@@ -383,9 +383,7 @@ PEER_NOTES = (
 
 
 def peer_table(
-    rows: Iterable[ResultRow],
-    published: Sequence[PublishedValue],
-    notes: tuple[str, ...] = PEER_NOTES,
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue], said: Sequence[str] = PEER_NOTES
 ) -> SuiteTable:
     """Paths, time and length of every planner, failures and notes."""
     runs = table.suite_runs(rows, published)
@@ -396,7 +394,7 @@ def peer_table(
     sections: Sections = {
         size: table.column_lines(found, PEER_COLUMNS),
         "Failures": table.count_lines(found, table.failure),
-        "Notes": [*notes, *made, *table.seed_notes(runs)],
+        "Notes": [*said, *made, *table.seed_notes(runs)],
     }
-    latex = table.latex_planners(" ".join(notes), suite, found, {k: {"": k} for k in PEER_COLUMNS})
+    latex = table.latex_planners(" ".join(said), suite, found, {k: {"": k} for k in PEER_COLUMNS})
     return SuiteTable(suite, size, found, sections, latex)

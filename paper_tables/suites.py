@@ -178,7 +178,7 @@ SUITES: Mapping[str, Suite] = {
         planners=("birrt", "ompl-projected", "hpp"),
         table=partial(
             peer_table,
-            notes=(
+            said=(
                 *PEER_NOTES[:5],
                 "What favours ours: HPP keeps the tray level exactly, where the problem allows "
                 "0.1 rad; its time holds its random shortcuts, which take what is left of the "
