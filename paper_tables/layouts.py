@@ -384,7 +384,9 @@ PEER_NOTES = (
 )
 
 
-def peer_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
+def peer_table(
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue], said: Sequence[str] = PEER_NOTES
+) -> SuiteTable:
     """Paths, time and length of every planner, failures and notes."""
     runs = table.suite_runs(rows, published)
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
@@ -394,8 +396,7 @@ def peer_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
     sections: Sections = {
         size: table.column_lines(found, PEER_COLUMNS),
         "Failures": table.count_lines(found, table.failure),
-        "Notes": [*PEER_NOTES, *made, *table.seed_notes(runs)],
+        "Notes": [*said, *made, *table.seed_notes(runs)],
     }
-    shown = {name: {"": name} for name in PEER_COLUMNS}
-    latex = table.latex_planners(" ".join(PEER_NOTES), suite, found, shown)
+    latex = table.latex_planners(" ".join(said), suite, found, {k: {"": k} for k in PEER_COLUMNS})
     return SuiteTable(suite, size, found, sections, latex)

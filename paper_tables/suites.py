@@ -21,6 +21,7 @@ from paper_tables.layouts import (
     ARM_NOTES,
     CONSTRAINT_NOTES,
     GROUP_COLUMNS,
+    PEER_NOTES,
     group_table,
     peer_table,
     place_table,
@@ -184,6 +185,21 @@ SUITES: Mapping[str, Suite] = {
             *("roboplan", "roboplan-star", "sscbirrt", "hpp", "drake"),
         ),
         table=peer_table,
+    ),
+    "peers-two-arms": Suite(
+        title="Planners of others, a tray in both hands with a single goal",
+        planners=("birrt", "ompl-projected", "hpp"),
+        table=partial(
+            peer_table,
+            said=(
+                *PEER_NOTES[:5],
+                "What favours ours: HPP keeps the tray level exactly, where the problem allows "
+                "0.1 rad; its time holds its random shortcuts, which take what is left of the "
+                "cut-off where they go on finding shorter ways.",
+                "Ten trays over a table and ten through a window, both arms of a baxter, 14 "
+                "joints. HPP was set up on problems that are not in this table.",
+            ),
+        ),
     ),
     # its problems are fetched: `cvqmpt problems fetch motion-bench`
     "motion-bench": Suite(

@@ -90,7 +90,13 @@ def mirrored_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
 
 def single_goal_problem(environment: int) -> PlanningProblem | UnsolvableProblem:
     """The problem with its first goal alone, so that planners cannot choose an easier one."""
-    problem = place_problem(environment)
+    return with_first_goal(place_problem(environment))
+
+
+def with_first_goal(
+    problem: PlanningProblem | UnsolvableProblem,
+) -> PlanningProblem | UnsolvableProblem:
+    """A problem with the first goal that is drawn for it alone."""
     if isinstance(problem, UnsolvableProblem):
         return problem
     found = drawn_goals(problem)

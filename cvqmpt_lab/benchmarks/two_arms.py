@@ -13,6 +13,7 @@ import numpy as np
 
 from cvqmpt_lab.benchmarks.hold_handle import outward, pieces_of
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
+from cvqmpt_lab.benchmarks.place_task import with_first_goal
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import (
     SAMPLE_MARGIN,
@@ -162,6 +163,18 @@ def two_arms_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     robot, kind = tuple(product(ROBOTS, LAYOUTS))[number]
     made = carrying_problem(robot_from_source(ROBOTS[robot]), kind, k)
     return replace(made, name=phase_problem(str(index), number + 1, f"{robot} {kind}"))
+
+
+def peers_problem(index: int, each: int = 10) -> PlanningProblem | UnsolvableProblem:
+    """One of baxter's first 10 trays over a table, or through a window, with its first goal alone.
+
+    Args:
+        index: 0 to 19.
+        each: so many of a kind.
+    """
+    kind, k = divmod(index, each)
+    made = two_arms_problem(kind * PROBLEMS + k)
+    return with_first_goal(replace(made, name=f"{index}/{made.name.partition('/')[2]}"))
 
 
 def carrying_problem(

@@ -5,7 +5,7 @@ fingers that move, doors as hinges and what is carried. Joint axes are those of 
 as z; every convex piece of a link and every obstacle is a body. Lengths in metres.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.collision.solids import carried_pairs
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.dynamics import link_inertias
 from cvqmpt_lab.robot.robot import Robot
@@ -54,31 +55,38 @@ class Physics(NamedTuple):
         return 1e-3 / max(1, round(2e-3 / self.contact_time))
 
 
-def bodies_of(robot: Robot, scene: Scene) -> list[Body]:
-    """The robot's pieces in the order of `Robot.links`, then the obstacles.
+def bodies_of(robot: Robot, scene: Scene, carried: Sequence[Attachment] = ()) -> list[Body]:
+    """The robot's pieces in the order of `Robot.links`, the obstacles, then what is carried.
 
-    Raises InvalidInputError for an obstacle that is no convex solid.
+    Raises InvalidInputError for an obstacle or a load that is no convex solid.
     """
     found = [
         Body(f"piece_{k}", piece.link, piece.T_link_geometry, ConvexMesh(piece.vertices))
         for k, piece in enumerate(robot.links)
     ]
-    for k, item in enumerate(scene.obstacles):
+    items: list[SceneObject | Attachment] = [*scene.obstacles, *carried]
+    for item in items:
         if not isinstance(item.shape, Box | Cylinder | Sphere | ConvexMesh):
+            what = "load" if isinstance(item, Attachment) else "obstacle"
             raise InvalidInputError(
-                f"obstacle {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
+                f"{what} {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
                 "cylinders, spheres or convex meshes"
             )
-        found.append(Body(f"obstacle_{k}", 0, item.T_world_object, item.shape))
+    for k, obstacle in enumerate(scene.obstacles):
+        found.append(Body(f"obstacle_{k}", 0, obstacle.T_world_object, obstacle.shape))
+    for k, load in enumerate(carried):
+        row, T_link_hand = robot.hand(load.end_effector)
+        found.append(Body(f"{LOAD}_{k}", row, T_link_hand @ load.T_hand_object, load.shape))
     return found
 
 
-def unchecked_pairs(robot: Robot) -> Iterator[tuple[str, str]]:
-    """Pairs of the robot's bodies that are not checked against each other, by name."""
-    checked = {frozenset(pair) for pair in robot.self_collision_pairs}
-    for pair in combinations(range(len(robot.links)), 2):
-        if frozenset(pair) not in checked:
-            yield f"piece_{pair[0]}", f"piece_{pair[1]}"
+def unchecked_pairs(robot: Robot, carried: Sequence[Attachment] = ()) -> Iterator[tuple[str, str]]:
+    """Pairs of robot and what it carries that are not checked against each other, by name."""
+    pieces = [f"piece_{k}" for k in range(len(robot.links))]
+    loads = [f"{LOAD}_{k}" for k in range(len(carried))]
+    checked = {frozenset((pieces[i], pieces[k])) for i, k in robot.self_collision_pairs}
+    checked |= {frozenset((pieces[i], loads[k])) for i, k in carried_pairs(robot, carried)}
+    return (pair for pair in combinations(pieces + loads, 2) if frozenset(pair) not in checked)
 
 
 def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:

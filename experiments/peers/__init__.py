@@ -1,7 +1,8 @@
 """Adapters of other planners, for tables beside ours: drake, hpp, roboplan, sscbirrt.
 
 The library does not know them: they are entry points of this distribution, as anybody's planner may
-be. They keep one upright constraint and plan to one goal, with an empty hand.
+be. They keep one upright constraint and plan to one goal, with an empty hand; hpp carries loads,
+in two hands as well.
 """
 
 from dataclasses import replace
@@ -64,6 +65,22 @@ def upright_region(problem: PlanningProblem) -> TaskSpaceRegion:
             f"the hand carries {problem.attachments[0].name!r}: it must be empty"
         )
     return region
+
+
+def fixed_holds(problem: PlanningProblem) -> list[TaskSpaceRegionChain]:
+    """The regions of a frame of the robot in another one, such as two hands that hold one thing.
+
+    InvalidInputError: one leaves freedom, which no adapter translates.
+    """
+    found = [part for part in problem.constraint if isinstance(part, TaskSpaceRegionChain)]
+    for part in found:
+        if part.bounds[:6].any() or part.tilt is not None:
+            raise InvalidInputError(
+                f"{problem.name}: the pose in the frame of {part.base!r} has bounds "
+                f"{part.Bw.tolist()}; this adapter keeps fixed ones: make all six 0, without a "
+                "tilt, or take a planner of ours, such as birrt"
+            )
+    return found
 
 
 def rpy_box(region: TaskSpaceRegion, share: float = 0.55) -> np.ndarray:

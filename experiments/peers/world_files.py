@@ -5,6 +5,7 @@ one for every obstacle, which is fixed to the world. Lengths in metres.
 """
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -15,20 +16,27 @@ from trimesh import Trimesh
 
 from cvqmpt_lab.execution.mjcf import Body, bodies_of, unchecked_pairs
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 
 TOOL = "tool"
 
 
-def urdf_of(robot: Robot, scene: Scene, folder: Path, T_hand_tool: np.ndarray) -> tuple[str, str]:
+def urdf_of(
+    robot: Robot,
+    scene: Scene,
+    folder: Path,
+    T_hand_tool: np.ndarray,
+    carried: Sequence[Attachment] = (),
+) -> tuple[str, str]:
     """URDF and SRDF of robot and obstacles as text; meshes go into a folder.
 
     Args:
         robot: its pieces become links of their own, fixed to `link_0` to `link_n`.
         scene: its obstacles are fixed to the world, `link_0`.
         folder: where the URDF finds its STL files.
-        T_hand_tool: (4, 4) pose of the frame `tool` in the hand [m].
+        T_hand_tool: (4, 4) pose of the frame `tool` in the first hand [m].
+        carried: loads, bodies that are fixed to the link of the hand that each is fixed to.
     """
     root = Element("robot", name="arm")
     for k in range(robot.dof + 1):
@@ -49,7 +57,7 @@ def urdf_of(robot: Robot, scene: Scene, folder: Path, T_hand_tool: np.ndarray) -
         limits = {"lower": repr(float(arm.lower[j])), "upper": repr(float(arm.upper[j]))}
         # a URDF must have a velocity and an effort; planners of paths do not use them
         SubElement(joint, "limit", {**limits, "velocity": "1.0", "effort": "1.0"})
-    for body in bodies_of(robot, scene):
+    for body in bodies_of(robot, scene, carried):
         link = SubElement(root, "link", name=body.name)
         collision = SubElement(link, "collision", name=f"{body.name}_0")
         _urdf_shape(SubElement(collision, "geometry"), body, folder)
@@ -63,7 +71,7 @@ def urdf_of(robot: Robot, scene: Scene, folder: Path, T_hand_tool: np.ndarray) -
     T = T_link_hand @ T_hand_tool
     _joint(root, f"link_{row}", TOOL, T[:3, :3], T[:3, 3])
     srdf = Element("robot", name="arm")
-    for first, second in unchecked_pairs(robot):
+    for first, second in unchecked_pairs(robot, carried):
         SubElement(srdf, "disable_collisions", link1=first, link2=second, reason="Never")
     return tostring(root, encoding="unicode"), tostring(srdf, encoding="unicode")
 

@@ -8,14 +8,20 @@ import pinocchio as pin
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.place_task import place_problem, single_goal_problem
+from cvqmpt_lab.benchmarks.place_task import (
+    place_problem,
+    single_goal_problem,
+    with_first_goal,
+)
+from cvqmpt_lab.benchmarks.two_arms import carrying_problem
 from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.external import entry_point_names, external_planner
 from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
-from experiments.peers import rpy_box, upright_region, versions
+from experiments.peers import fixed_holds, rpy_box, upright_region, versions
 from experiments.peers.world_files import unchecked_pairs, urdf_of
 from paper_tables.suites import SUITES
 
@@ -31,6 +37,13 @@ def problem():
     return single_goal_problem(TUNING)
 
 
+@pytest.fixture(scope="module")
+def tray():
+    """Both hands of a baxter carry it; a problem that is not reported."""
+    robot = robot_from_source({"name": "baxter"})
+    return with_first_goal(carrying_problem(robot, "tray-through-window", 102))
+
+
 def test_the_suites_adapters_are_entry_points():
     assert set(entry_point_names()) >= set(SUITES["peers"].planners) & NEEDS.keys() == NEEDS.keys()
 
@@ -40,7 +53,8 @@ def test_an_adapter_plans_a_certified_path_or_names_what_installs_it(problem, na
     try:
         versions(name, NEEDS[name])
     except InvalidInputError:
-        missing = rf"planner {name} needs .*{NEEDS[name]}.*not installed: .*\[peers\]"
+        module = name.removesuffix("-star")
+        missing = rf"planner {module} needs .*{NEEDS[name]}.*not installed: .*\[peers\]"
         refused(missing, external_planner, name)
         return
     made_by = f"{NEEDS[name]} {metadata.version(NEEDS[name])}"
@@ -52,22 +66,49 @@ def test_an_adapter_plans_a_certified_path_or_names_what_installs_it(problem, na
     assert solution.solved, (solution.plan.detail, solution.certificate)
 
 
-def test_the_urdf_has_the_kinematics_and_collisions_of_the_problem(problem, tmp_path):
-    urdf, srdf = urdf_of(problem.robot, problem.scene, tmp_path, np.eye(4))
+def test_hpp_carries_a_tray_in_two_hands(tray):
+    try:
+        versions("hpp", NEEDS["hpp"])
+    except InvalidInputError:
+        pytest.skip("needs hpp-python")
+    solution = solve(tray, "hpp", Budget(seconds=1200.0), seed=0)
+    assert solution.solved, (solution.plan.detail, solution.certificate)
+
+
+def test_a_hold_with_freedom_is_refused(tray):
+    (held,) = fixed_holds(tray)
+    loose = held.changed(Bw=np.vstack([held.Bw[:5], [[-0.1, 0.1]]]))
+    refused(
+        r"frame of 'left_gripper' has bounds .*\[-0.1, 0.1\].*make all six 0",
+        fixed_holds,
+        replace(tray, constraint=(loose, *tray.constraint[1:])),
+    )
+    refused("one upright constraint", upright_region, tray)
+
+
+@pytest.mark.parametrize("name", ["problem", "tray"])
+def test_the_urdf_has_the_kinematics_and_collisions_of_the_problem(name, request, tmp_path):
+    problem = request.getfixturevalue(name)
+    carried = problem.attachments
+    urdf, srdf = urdf_of(problem.robot, problem.scene, tmp_path, np.eye(4), carried)
     model = pin.buildModelFromXML(urdf)
+    assert tuple(model.names)[1:] == problem.robot.joint_names
     bodies = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
     bodies.addAllCollisionPairs()
     (tmp_path / "arm.srdf").write_text(srdf)
     pin.removeCollisionPairs(model, bodies, str(tmp_path / "arm.srdf"))
     data, results = model.createData(), pin.GeometryData(bodies)
     checker, tool = problem.collision_checker(), model.getFrameId("tool")
-    for q in problem.robot.random_configurations(np.random.default_rng(0), 200):
+    near = np.random.default_rng(0).normal(problem.start, 0.2, (100, problem.robot.dof))
+    drawn = problem.robot.random_configurations(np.random.default_rng(0), 200)
+    for q in (*drawn, *np.clip(near, problem.robot.lower, problem.robot.upper)):
         collides = pin.computeCollisions(model, data, bodies, results, q, True)
         assert collides == checker.in_collision(q)
         pin.framesForwardKinematics(model, data, q)
         assert np.allclose(data.oMf[tool].homogeneous, problem.robot.pose(q), atol=1e-9)
     checked = len(problem.robot.self_collision_pairs)
-    assert len(list(unchecked_pairs(problem.robot))) == 17 * 16 / 2 - checked
+    bodies = len(problem.robot.links)
+    assert len(list(unchecked_pairs(problem.robot))) == bodies * (bodies - 1) / 2 - checked
 
 
 def test_the_box_of_roll_pitch_and_yaw_lies_in_the_bounds_with_a_twelfth_left(problem):
