@@ -120,21 +120,16 @@ def page_of(results: Path) -> str:
 
 
 def verdict_lines(results: Path, beside: bool = False) -> list[str]:
-    """A line for each claim that rows judge, and the effect of each step.
+    """A line for each claim, and the effect of each step.
 
-    beside: a line for every claim, with the verdict of the committed rows.
+    beside: with the verdicts of the committed rows.
     """
     found = _found(results)
-    every = judged_claims(found)
-    judged = [item for item in every if item.verdicts]
-    lines = [banner(found)]
+    judged = judged_claims(found)
+    shown = pages.summary_lines(judged)
     if beside:
-        committed = judged_claims(evidence_below(RESULTS))
-        lines += text_lines(pages.beside_lines(every, committed))
-    elif judged:
-        lines += text_lines(pages.summary_lines(judged))
-    if len(judged) < len(every) and not beside:
-        lines.append(f"no rows yet for {len(every) - len(judged)} of {len(every)} claims")
+        shown = pages.beside_lines(judged, judged_claims(evidence_below(RESULTS)))
+    lines = [banner(found), *text_lines(shown)]
     steps = pages.decomposition_lines(found["place-task"]) if "place-task" in found else []
     lines += ["", *text_lines(steps)] if len(steps) > 1 else []
     return lines if lines[0] else lines[1:]

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.results.statistics import Interval
-from paper_tables.judging import less
-from paper_tables.measures import VALUES, Rows, fraction, mean_ratio, paired, solved
+from paper_tables.measures import VALUES, Rows, fraction, less, mean_ratio, paired, solved
 from paper_tables.table_engine import by_planner
 from paper_tables.writers import Lines, change, number
 

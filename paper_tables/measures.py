@@ -26,9 +26,9 @@ REFERENCE = "birrt"  # its work says how hard a problem is; others are compared 
 HARD_SHARE = 1 / 3
 # [s] PyBullet, all distances of a Panda in this kitchen: `cvqmpt bench paper-check`
 STATE_CHECK_COST = 3.5e-3
-# [s] Newton's method in Python, numpy, compiled kinematics: a lower bound of the published code's
-# time, which favours planners that project much.
-PROJECTION_COST = 2e-5
+# [s] The published constraint in Python, its value and a Newton step: docs/judgement.md
+RESIDUAL_COST = 1.3e-4
+NEWTON_STEP_COST = 5e-4
 
 Key = TypeVar("Key")
 Item = TypeVar("Item")
@@ -45,13 +45,15 @@ def work(row: ResultRow) -> float | None:
 
 
 def paper_cost(row: ResultRow) -> float | None:
-    """`projections * PROJECTION_COST + state checks * STATE_CHECK_COST + networks` [s].
+    """Search at what its work costs in the published code, and networks as measured [s].
 
-    Search at what work costs in a setting like the paper's; networks as measured; nothing else.
+    A projection costs the constraint's value and its Newton steps. Goals and shortening are in
+    nobody's cost.
     """
     if row.n_projections is None or row.n_state_checks is None:
         return None
-    search = row.n_projections * PROJECTION_COST + row.n_state_checks * STATE_CHECK_COST
+    search = row.n_projections * RESIDUAL_COST + row.n_state_checks * STATE_CHECK_COST
+    search += (row.n_newton_iterations or 0) * NEWTON_STEP_COST
     networks = (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
     return search + networks
 
@@ -176,7 +178,7 @@ def problem_mean(values: Iterable[Sequence[float]]) -> Interval:
 
 
 class Pair(NamedTuple):
-    """A problem that both solved, and positive values of the one and the other, seed by seed."""
+    """A problem, and values of the one planner and the other, seed by seed."""
 
     problem: str
     values: Sequence[tuple[float, float]]
@@ -203,18 +205,35 @@ def paired(
     baseline: Iterable[ResultRow],
     value: Value,
     key: Callable[[ResultRow], Hashable] = problem_key,
+    cutoff: float | None = None,
 ) -> list[Pair]:
     """Problems that both solved; runs are paired by problem and seed, or by `key`.
 
     Values that are not positive have no ratio and are left out.
+
+    Args:
+        cutoff: what a failed run counts as, of either planner, and the most that any run counts;
+            then all problems that both tried are compared.
     """
-    reference = {key(row): value(row) for row in baseline if row.solved}
+
+    def counted(row: ResultRow) -> float | None:
+        number = value(row) if row.solved else cutoff
+        return number if cutoff is None or number is None else min(number, cutoff)
+
+    reference = {key(row): counted(row) for row in baseline}
     found: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
-        own, other = value(row) if row.solved else None, reference.get(key(row))
+        own, other = counted(row), reference.get(key(row))
         if own and other and own > 0.0 < other:
             found.setdefault(row.problem, []).append((own, other))
     return [Pair(problem, values) for problem, values in found.items()]
+
+
+def less(ratio: Interval) -> Interval:
+    """Reduction as a fraction: 1 - ratio."""
+    bounds = ratio.estimate, ratio.high, ratio.low
+    middle, low, high = (None if x is None else 1.0 - x for x in bounds)
+    return Interval(middle, low, high, ratio.n)
 
 
 def mean_ratio(pairs: Iterable[Pair]) -> Interval:
