@@ -19,7 +19,7 @@ from cli.options import (
 )
 from cli.problem_options import planner_list
 from cvqmpt_lab.errors import InvalidInputError, in_checkout
-from cvqmpt_lab.files import write_text
+from cvqmpt_lab.files import write_bytes, write_text
 from experiments import regression
 from experiments.regression import EXPECTED
 from paper_tables import pages
@@ -107,9 +107,12 @@ def claims(args: argparse.Namespace) -> int:
             print(f"nothing written; --write writes {page}")
         return 0
     texts = pages.committed_pages() if args.results is None else {page: page_of(args.results)}
+    pictures = pages.committed_pictures() if args.results is None else {}
     for path, text in texts.items():
         write_text(path, text)
-    print(f"written {page}")
+    for path, picture in pictures.items():
+        write_bytes(path, picture)
+    print("\n".join(f"written {path}" for path in (*texts, *pictures)))
     return 0
 
 
@@ -266,7 +269,7 @@ CLAIMS: Options = {
         nargs="?",
         metavar="DIR",
     ),
-    "--write": option("write the page; without, verdicts are printed", **FLAG),
+    "--write": option("write page, README and pictures; without, verdicts are printed", **FLAG),
 }
 CHECK_TABLES: Options = {
     "folder": option(

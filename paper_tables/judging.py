@@ -186,7 +186,7 @@ class Verdict(NamedTuple):
         """Gain by the ratio of means, the paper's statistic: a problem counts by its size."""
         if self.claim.is_share or not self.pairs:
             return None
-        own, other = (math.fsum(x) for x in zip(*((p.own, p.other) for p in self.pairs)))
+        own, other = (math.fsum(side) for side in self._sides())
         return math.log(other / own)
 
     @property
@@ -194,8 +194,10 @@ class Verdict(NamedTuple):
         """The largest share of a mean that one problem has, of either planner."""
         if self.claim.is_share or not self.pairs:
             return None
-        sides = [[pair.own for pair in self.pairs], [pair.other for pair in self.pairs]]
-        return max(max(side) / math.fsum(side) for side in sides)
+        return max(max(side) / math.fsum(side) for side in self._sides())
+
+    def _sides(self) -> tuple[list[float], list[float]]:
+        return [pair.own for pair in self.pairs], [pair.other for pair in self.pairs]
 
     def shown(self, gain: float | None) -> str:
         """A gain as a signed change of the planner's value [%], or as points of a share."""

@@ -44,18 +44,32 @@ def work(row: ResultRow) -> float | None:
     return float(row.n_projections + row.n_state_checks)
 
 
-def paper_cost(row: ResultRow) -> float | None:
-    """Search at what its work costs in the published code, and networks as measured [s].
+def search_cost(row: ResultRow) -> float | None:
+    """What the work of a run costs in the published code [s].
 
-    A projection costs the constraint's value and its Newton steps. Goals and shortening are in
-    nobody's cost.
+    A projection costs the constraint's value and its Newton steps.
     """
     if row.n_projections is None or row.n_state_checks is None:
         return None
-    search = row.n_projections * RESIDUAL_COST + row.n_state_checks * STATE_CHECK_COST
-    search += (row.n_newton_iterations or 0) * NEWTON_STEP_COST
-    networks = (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
-    return search + networks
+    checks, steps = row.n_state_checks, row.n_newton_iterations or 0
+    return checks * STATE_CHECK_COST + row.n_projections * RESIDUAL_COST + steps * NEWTON_STEP_COST
+
+
+def network_time(row: ResultRow) -> float:
+    """Of encoding the scene, predicting and updating [s]."""
+    return (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
+
+
+def paper_cost(row: ResultRow) -> float | None:
+    """`search_cost` and networks as measured [s]; goals and shortening are in nobody's."""
+    search = search_cost(row)
+    return None if search is None else search + network_time(row)
+
+
+def time_at(row: ResultRow, check: float) -> float | None:
+    """`own_time` where a state check costs so much more [s], and other work in proportion."""
+    own, search = own_time(row), search_cost(row)
+    return None if own is None or search is None else own + check / STATE_CHECK_COST * search
 
 
 def newton_steps(row: ResultRow) -> float | None:
@@ -90,9 +104,7 @@ VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
     # where all from the scene's cloud was computed in the run
     "new_time": lambda row: own_time(row) if row.scene_new else None,
     "goals_time": attrgetter("t_goals_s"),
-    "network_time": lambda row: (
-        (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
-    ),
+    "network_time": network_time,
     "search_time": attrgetter("t_plan_s"),
     "simplify_time": attrgetter("t_simplify_s"),
     "sense_time": attrgetter("t_sense_s"),

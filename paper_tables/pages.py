@@ -120,10 +120,9 @@ def headline_lines(claims: Iterable[JudgedClaim]) -> Lines:
 def opening(claims: Sequence[JudgedClaim]) -> str:
     """The answer in a line, as replications are reported, and why."""
     count = Counter(item.word for item in claims)
-    words = (Word.REPLICATED, Word.SMALLER, Word.SAME, Word.OPPOSITE, Word.OPEN)
-    words += tuple(word for word in (Word.UNTESTABLE, Word.NO_ROWS) if count[word])
-    counted = ", ".join(f"{count[word]} {word.rpartition(' ')[2] if word is Word.SMALLER else word}"
-                        for word in words)  # fmt: skip
+    words = [Word.REPLICATED, Word.SMALLER, Word.SAME, Word.OPPOSITE, Word.OPEN]
+    words += [word for word in (Word.UNTESTABLE, Word.NO_ROWS) if count[word]]
+    counted = ", ".join(f"{count[word]} {word.rpartition(', ')[2]}" for word in words)
     return f"**Replication of method and claims with own weights: {counted}.** {BECAUSE}"
 
 
@@ -170,6 +169,7 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
     return rendered(
         "claims.md.j2",
         banner=banner(found),
+        picture="../docs/forest.png" if root == PAGE.parent else "",
         opening=opening(claims),
         summary=summary_lines(claims),
         reading=reading(),
@@ -228,6 +228,17 @@ def committed_pages() -> dict[Path, str]:
     if in_checkout():
         pages[README] = with_part(read_text(README), "verdicts", headline_text(claims))
     return pages
+
+
+def committed_pictures() -> dict[Path, bytes]:
+    """Pictures of the committed rows: every comparison of the claims, and the cost of a check."""
+    from paper_tables import plots  # matplotlib takes a second to import
+
+    found = evidence_below(RESULTS)
+    verdicts = [verdict for item in judged_claims(found) for verdict in item.verdicts]
+    task = by_planner(found["place-task"].rows, ())
+    drawn = {"forest.png": plots.forest(verdicts), "cost.png": plots.cost_curves(task)}
+    return {README.parent / "docs" / name: picture for name, picture in drawn.items()}
 
 
 def stale_pages(pages: Mapping[Path, str]) -> list[str]:
