@@ -241,13 +241,6 @@ def paired(
     return [Pair(problem, values) for problem, values in found.items()]
 
 
-def less(ratio: Interval) -> Interval:
-    """Reduction as a fraction: 1 - ratio."""
-    bounds = ratio.estimate, ratio.high, ratio.low
-    middle, low, high = (None if x is None else 1.0 - x for x in bounds)
-    return Interval(middle, low, high, ratio.n)
-
-
 def mean_ratio(pairs: Iterable[Pair]) -> Interval:
     """`exp(mean(log(own / other)))` over problems, with a bootstrap interval."""
     return geometric_mean_interval([pair.ratio for pair in pairs])

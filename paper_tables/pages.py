@@ -36,7 +36,6 @@ from paper_tables.measures import (
     VALUES,
     Rows,
     grouped,
-    less,
     mean_ratio,
     paired,
     work,
@@ -158,7 +157,7 @@ def _change_lines(
         if planner in groups and against in groups:
             for value in COMPARED.values():
                 pairs = paired(groups[planner], groups[against], VALUES[value])
-                cells.append(change(less(mean_ratio(pairs))))
+                cells.append(change(mean_ratio(pairs)))
             lines.append(cells)
     return lines
 

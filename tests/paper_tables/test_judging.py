@@ -376,7 +376,7 @@ def twenty(time, solved=range(20), planner="birrt"):
 def test_a_change_is_told_with_its_interval_and_equal_numbers_are_no_change():
     (found,) = compared(twenty(1.0), twenty(0.5))
     assert found.pairs == 40 and found.changes["time"].estimate == pytest.approx(0.5)
-    assert found.changes["length"].estimate == 0.0 and found.changes["time"].n == 20
+    assert found.changes["length"].estimate == 1.0 and found.changes["time"].n == 20
     assert clear([found]) == ["birrt: less time, −50.0 [−50.0, −50.0] %"]
     assert clear(compared(twenty(1.0), twenty(1.0))) == []
 
