@@ -3,6 +3,7 @@
 import csv
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from paper_tables.measures import VALUES, Pair, Rows, grouped, paired
 from paper_tables.multi_sequence_table import task_rows
 from paper_tables.statements import CLAIMS, PREDICTED, Claim, PublishedValue
 from paper_tables.suites import suite_of
+from paper_tables.writers import Lines
 
 
 class Evidence(NamedTuple):
@@ -79,6 +81,17 @@ def _verdicts(claim: Claim, evidence: Evidence) -> list[Verdict]:
         rows = task_rows(rows, PAPER_PHASES)
         cutoff = None if cutoff is None else len(PAPER_PHASES) * cutoff
     return verdicts_of(claim, rows, suite_of(suite).published, cutoff)
+
+
+def price_lines(evidence: Evidence) -> Lines:
+    """The claims at the paper's cost, and what they would be with cheaper projections."""
+    lines = [["planner", "against", "as published", "PyBullet's kinematics"]]
+    for claim in (claim for claim in CLAIMS if claim.metric == "paper_cost"):
+        priced = (replace(claim, metric=metric) for metric in ("paper_cost", "pybullet_cost"))
+        for both in zip(*(_verdicts(item, evidence) for item in priced), strict=True):
+            told = [f"{item.interval_text(item.gain)}: {item.word}" for item in both]
+            lines.append([both[0].planner, both[0].against, *told])
+    return lines
 
 
 def verdicts_of(

@@ -7,6 +7,7 @@ on the machine. Seeds of one problem are not independent: everywhere a problem c
 import math
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 from statistics import fmean, median
 from typing import Literal, NamedTuple, TypeVar
@@ -44,15 +45,20 @@ def work(row: ResultRow) -> float | None:
     return float(row.n_projections + row.n_state_checks)
 
 
-def search_cost(row: ResultRow) -> float | None:
+def search_cost(
+    row: ResultRow, residual: float = RESIDUAL_COST, step: float = NEWTON_STEP_COST
+) -> float | None:
     """What the work of a run costs in the published code [s].
 
-    A projection costs the constraint's value and its Newton steps.
+    Args:
+        row: of the run.
+        residual: price of the constraint's value, once a projection [s].
+        step: of each of its Newton steps [s].
     """
     if row.n_projections is None or row.n_state_checks is None:
         return None
     checks, steps = row.n_state_checks, row.n_newton_iterations or 0
-    return checks * STATE_CHECK_COST + row.n_projections * RESIDUAL_COST + steps * NEWTON_STEP_COST
+    return checks * STATE_CHECK_COST + row.n_projections * residual + steps * step
 
 
 def network_time(row: ResultRow) -> float:
@@ -60,9 +66,9 @@ def network_time(row: ResultRow) -> float:
     return (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
 
 
-def paper_cost(row: ResultRow) -> float | None:
+def paper_cost(row: ResultRow, **prices: float) -> float | None:
     """`search_cost` and networks as measured [s]; goals and shortening are in nobody's."""
-    search = search_cost(row)
+    search = search_cost(row, **prices)
     return None if search is None else search + network_time(row)
 
 
@@ -117,6 +123,8 @@ VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
     ),
     "work": work,
     "paper_cost": paper_cost,
+    # the same if PyBullet's kinematics projected
+    "pybullet_cost": partial(paper_cost, residual=5.5e-5, step=8e-5),
     "projections": attrgetter("n_projections"),
     "newton_iterations": attrgetter("n_newton_iterations"),
     "newton_steps": newton_steps,

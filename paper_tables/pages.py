@@ -24,6 +24,7 @@ from paper_tables.claims import (
     banner,
     evidence_below,
     judged_claims,
+    price_lines,
     read_evidence,
 )
 from paper_tables.committed import RESULTS
@@ -174,6 +175,7 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
         reading=reading(),
         claims=claims,
         steps=decomposition_lines(found["place-task"]) if "place-task" in found else [],
+        prices=price_lines(found["place-task"]) if "place-task" in found else [],
         kitchens=kitchen_lines(found) if found.keys() >= KITCHENS.keys() else [],
         reference=REFERENCE,
         results=[_made_by(item, root) for name, item in found.items() if name in used],
@@ -183,7 +185,8 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
 def _made_by(evidence: Evidence, root: Path) -> dict[str, Any]:
     """A results directory: where its rows are, its commit and wall-clock, and its commands."""
     made = sessions(evidence.record)
-    commits = dict.fromkeys((session.get("git_commit") or "unknown")[:12] for session in made)
+    facts = [(x.get("git_commit") or "unknown", x.get("date_utc") or "no date") for x in made]
+    commits = dict.fromkeys(f"{commit[:12]} ({date[:10]})" for commit, date in facts)
     folder = evidence.folder.relative_to(root).as_posix()
     files = f"[numbers]({folder}/values.csv)"
     if evidence.rows:
