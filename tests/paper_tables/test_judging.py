@@ -190,6 +190,10 @@ def test_all_solved_by_both_is_not_certain_to_be_equal():
         assert word(made_rows(problems=problems), AS_MANY, ()) is expected
     (found,) = verdicts_of(AS_MANY, made_rows(problems=10), (), 10.0, 0.01)
     assert found.gain.estimate == 0.0 and found.gain.low < -0.1 and found.needed > 10
+    fewer = made_rows(problems=20, shares={"a": 0.85, "b": 0.95})
+    of = claim("accuracy", margin=0.3, similar=True)
+    (found,) = verdicts_of(of, fewer, (), 10.0, 0.01)
+    assert found.word is OPEN and 20 < found.needed < 60, "0.2 from the margin, spread 0.3"
 
 
 def test_a_claim_is_as_its_worst_comparison_and_each_planner_and_baseline_must_be_there():
