@@ -66,7 +66,7 @@ def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
 
 
 def error_level() -> float:
-    """Probability of a false word of one claim, at most: all that can be tested share LEVEL."""
+    """Of one claim's interval, two-sided: all claims that can be tested share LEVEL."""
     return LEVEL / sum(not claim.untestable for claim in CLAIMS)
 
 
@@ -107,7 +107,7 @@ def verdicts_of(
         rows: of one suite.
         published: the paper's numbers.
         cutoff: of the rows [s], where they have one.
-        level: probability of a false word, at most (None: `error_level`).
+        level: of intervals, two-sided (None: `error_level`).
     """
     own = grouped((row.planner, row) for row in rows)
     metric = claim.published or claim.metric

@@ -20,7 +20,7 @@ from paper_tables.writers import Lines
 
 NOTHING = "–"
 REACHED = 0.9  # of the paper's number is as good as all of it; within 1 / REACHED is no difference
-LEVEL = 0.05  # probability of any false word on a page, at most
+LEVEL = 0.05  # probability of any claim of a page that is wrongly replicated, at most
 POWER = 0.8  # of a study that would decide what is inconclusive
 FEWEST = 3  # problems with numbers of both, for an interval
 DRAWS = 2000  # of studies like the paper's
@@ -89,7 +89,7 @@ class Verdict(NamedTuple):
     baseline: str
     kind: str  # of problems, where a claim is judged kind by kind
     pairs: Sequence[Pair]
-    level: float  # probability of a false word, at most
+    level: float  # of its two-sided interval
     paper: float | None  # the paper's own gain
     failed: tuple[int, int, int] = (0, 0, 0)  # runs: own failed, the baseline's failed, of both
     known: bool = True  # whether rows are of a size that says anything
