@@ -10,7 +10,7 @@ from experiments.figures.paper import FIGURES, reproduce_figure, summary
 
 LOG = "its last numbers are in docs/training_log.md"
 REMOVED = {  # figures by name, and what is there instead of them
-    "cost": "cvqmpt table RUNS has the times at the paper's cost of a state check",
+    "cost": "cvqmpt claims --write draws it of the committed rows, and table RUNS has its ends",
     "training": "curves.csv in the folder of a training has its curves; plot its columns",
     "equal-time": f"{LOG}; cvqmpt plan --optimize improves a path until the time is up",
     "difficulty": f"{LOG}; cvqmpt report lists the rows of a run problem by problem",

@@ -19,7 +19,7 @@ from cli.options import (
 )
 from cli.problem_options import planner_list
 from cvqmpt_lab.errors import InvalidInputError, in_checkout
-from cvqmpt_lab.files import write_text
+from cvqmpt_lab.files import write_bytes, write_text
 from experiments import regression
 from experiments.regression import EXPECTED
 from paper_tables import pages
@@ -107,9 +107,12 @@ def claims(args: argparse.Namespace) -> int:
             print(f"nothing written; --write writes {page}")
         return 0
     texts = pages.committed_pages() if args.results is None else {page: page_of(args.results)}
+    pictures = pages.committed_pictures() if args.results is None else {}
     for path, text in texts.items():
         write_text(path, text)
-    print(f"written {page}")
+    for path, picture in pictures.items():
+        write_bytes(path, picture)
+    print("\n".join(f"written {path}" for path in (*texts, *pictures)))
     return 0
 
 
@@ -120,21 +123,16 @@ def page_of(results: Path) -> str:
 
 
 def verdict_lines(results: Path, beside: bool = False) -> list[str]:
-    """A line for each claim that rows judge, and the effect of each step.
+    """A line for each claim, and the effect of each step.
 
-    beside: a line for every claim, with the verdict of the committed rows.
+    beside: with the verdicts of the committed rows.
     """
     found = _found(results)
-    every = judged_claims(found)
-    judged = [item for item in every if item.verdicts]
-    lines = [banner(found)]
+    judged = judged_claims(found)
+    shown = pages.summary_lines(judged)
     if beside:
-        committed = judged_claims(evidence_below(RESULTS))
-        lines += text_lines(pages.beside_lines(every, committed))
-    elif judged:
-        lines += text_lines(pages.summary_lines(judged))
-    if len(judged) < len(every) and not beside:
-        lines.append(f"no rows yet for {len(every) - len(judged)} of {len(every)} claims")
+        shown = pages.beside_lines(judged, judged_claims(evidence_below(RESULTS)))
+    lines = [banner(found), *text_lines(shown)]
     steps = pages.decomposition_lines(found["place-task"]) if "place-task" in found else []
     lines += ["", *text_lines(steps)] if len(steps) > 1 else []
     return lines if lines[0] else lines[1:]
@@ -271,7 +269,7 @@ CLAIMS: Options = {
         nargs="?",
         metavar="DIR",
     ),
-    "--write": option("write the page; without, verdicts are printed", **FLAG),
+    "--write": option("write page, README and pictures; without, verdicts are printed", **FLAG),
 }
 CHECK_TABLES: Options = {
     "folder": option(

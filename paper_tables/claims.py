@@ -1,18 +1,22 @@
-"""Every claim of the paper, judged by results directories: does it hold?"""
+"""Every claim of the paper, judged by results directories: is it replicated?"""
 
 import csv
-from collections.abc import Mapping
-from itertools import islice, pairwise
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions
-from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, read_rows
-from paper_tables.judging import Ruling, Verdict, overall, reduction, ruled, verdicts_of
-from paper_tables.measures import Pair, Rows, grouped
+from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, ResultRow, read_rows, split_problem
+from cvqmpt_lab.results.statistics import problem_key
+from paper_tables.judging import LEVEL, Verdict, Word, overall
+from paper_tables.measures import VALUES, Pair, Rows, grouped, paired
 from paper_tables.multi_sequence_table import task_rows
-from paper_tables.statements import CLAIMS, PREDICTED, Claim
+from paper_tables.statements import CLAIMS, PREDICTED, Claim, PublishedValue
 from paper_tables.suites import suite_of
+from paper_tables.writers import Lines
 
 
 class Evidence(NamedTuple):
@@ -28,52 +32,144 @@ class JudgedClaim(NamedTuple):
 
     claim: Claim
     verdicts: tuple[Verdict, ...]
-    ruling: Ruling  # over all verdicts of the claim
     evidence: Evidence | None
 
     @property
+    def word(self) -> Word:
+        """Over all verdicts of the claim."""
+        return Word.UNTESTABLE if self.claim.untestable else overall(self.verdicts)
+
+    @property
     def deciding(self) -> Verdict | None:
-        """The first verdict with the ruling of the claim."""
-        return next((verdict for verdict in self.verdicts if verdict.ruling is self.ruling), None)
+        """The first verdict with the word of the claim."""
+        return next((verdict for verdict in self.verdicts if verdict.word is self.word), None)
+
+    @property
+    def needed(self) -> int | None:
+        """Problems that would decide all comparisons that are inconclusive; None where none is."""
+        counts = [x.needed for x in self.verdicts if x.needed] if self.word is Word.OPEN else []
+        return max(counts, default=None)
 
 
 def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
-    """Every claim by results directories, by name; one correction for the tests of all claims.
+    """Every claim by results directories, by name.
 
-    Rows of a profile too small for verdicts rule nothing: too few runs.
+    Rows of a profile too small for verdicts leave everything inconclusive.
     """
-    measured = [_verdicts(claim, found.get(claim.suite)) for claim in CLAIMS]
-    every = [verdict for verdicts in measured for verdict in verdicts]
-    if profiles(found):
-        every = [verdict._replace(p=None) for verdict in every]
-    rest = iter(ruled(every))
-    judged = []
-    for claim, verdicts in zip(CLAIMS, measured, strict=True):
-        own = tuple(islice(rest, len(verdicts)))
-        judged.append(JudgedClaim(claim, own, overall(own), found.get(claim.suite)))
+    known, judged = not profiles(found), []
+    for claim in CLAIMS:
+        evidence = found.get(claim.suite)
+        verdicts = () if evidence is None or claim.untestable else _verdicts(claim, evidence)
+        own = tuple(verdict._replace(known=known) for verdict in verdicts)
+        judged.append(JudgedClaim(claim, own, evidence))
     return judged
 
 
-def _verdicts(claim: Claim, evidence: Evidence | None) -> list[Verdict]:
-    if evidence is not None and claim.baselines == (PREDICTED,):
+def error_level() -> float:
+    """Of one claim's interval, two-sided: all claims that can be tested share LEVEL."""
+    return LEVEL / sum(not claim.untestable for claim in CLAIMS)
+
+
+def _verdicts(claim: Claim, evidence: Evidence) -> list[Verdict]:
+    if claim.baselines == (PREDICTED,):
         return [updated_codes(claim, evidence.folder)]
-    if evidence is None or not evidence.rows:
+    if not evidence.rows:
         return []
     suite, rows = evidence.rows[0].suite, evidence.rows
+    cutoff: float | None = evidence.record["configuration"].get("cutoff_s")
     if suite == "multi-sequence":
         rows = task_rows(rows, PAPER_PHASES)
-    return verdicts_of(claim, rows, suite_of(suite).published)
+        cutoff = None if cutoff is None else len(PAPER_PHASES) * cutoff
+    return verdicts_of(claim, rows, suite_of(suite).published, cutoff)
+
+
+def price_lines(evidence: Evidence) -> Lines:
+    """The claims at the paper's cost, and what they would be with cheaper projections."""
+    lines = [["planner", "against", "as published", "PyBullet's kinematics"]]
+    for claim in (claim for claim in CLAIMS if claim.metric == "paper_cost"):
+        priced = (replace(claim, metric=metric) for metric in ("paper_cost", "pybullet_cost"))
+        for both in zip(*(_verdicts(item, evidence) for item in priced), strict=True):
+            told = [f"{item.interval_text(item.gain)}: {item.word}" for item in both]
+            lines.append([both[0].planner, both[0].against, *told])
+    return lines
+
+
+def verdicts_of(
+    claim: Claim,
+    rows: Rows,
+    published: Sequence[PublishedValue] = (),
+    cutoff: float | None = None,
+    level: float | None = None,
+) -> list[Verdict]:
+    """The claim about each of its planners that has rows, against each baseline.
+
+    Args:
+        rows: of one suite.
+        published: the paper's numbers.
+        cutoff: of the rows [s], where they have one.
+        level: of intervals, two-sided (None: `error_level`).
+    """
+    own = grouped((row.planner, row) for row in rows)
+    metric = claim.published or claim.metric
+    numbers = {item.planner: float(item.value) for item in published if item.metric == metric}
+    found = []
+    for planner, baseline in product(claim.planners, claim.baselines):
+        paper = None
+        if planner in numbers and baseline in numbers:
+            ours, other = numbers[planner], numbers[baseline]
+            paper = (ours - other) / 100.0 if claim.is_share else math.log(other / ours)
+        kinds = grouped((_kind(claim, row), row) for row in own.get(planner, ())) or {"": []}
+        for kind, ran in kinds.items():
+            against = [row for row in own.get(baseline, ()) if _kind(claim, row) == kind]
+            pairs = compared(claim, ran, against, cutoff)
+            probability = error_level() if level is None else level
+            verdict = Verdict(claim, planner, baseline, kind, pairs, probability, paper)
+            found.append(verdict._replace(failed=_failed(ran, against)))
+    return found
+
+
+def compared(claim: Claim, own: Rows, other: Rows, cutoff: float | None = None) -> list[Pair]:
+    """Problems with values of both planners, as the claim counts failures."""
+    if claim.is_share:
+        theirs = {problem_key(row): row.solved for row in other}
+        runs = [(row, theirs.get(problem_key(row))) for row in own]
+        both = [(row.problem, (float(row.solved), float(x))) for row, x in runs if x is not None]
+        return [Pair(*of_it) for of_it in grouped(both).items()]
+    value, limit = VALUES[claim.metric], None
+    if claim.cutoff == "rows" and cutoff is not None:
+        limit = cutoff
+    elif isinstance(claim.cutoff, str):
+        known = [value(row) for row in (*own, *other) if row.solved]
+        # without any number nothing can be compared, and 0 leaves all out
+        limit = max((x for x in known if x is not None), default=0.0)
+    elif claim.cutoff is not None:
+        limit = claim.cutoff
+    return paired(own, other, value, cutoff=limit)
+
+
+def _kind(claim: Claim, row: ResultRow) -> str:
+    return split_problem(row.problem).phase if claim.by_kind else ""
+
+
+def _failed(own: Rows, other: Rows) -> tuple[int, int, int]:
+    """Failed runs of both, among the runs that both did, and how many these are."""
+    ours = {problem_key(row): row.solved for row in own}
+    theirs = {problem_key(row): row.solved for row in other}
+    both = ours.keys() & theirs.keys()
+    failed = [sum(not solved[key] for key in both) for solved in (ours, theirs)]
+    return failed[0], failed[1], len(both)
 
 
 def updated_codes(claim: Claim, folder: Path) -> Verdict:
-    """G of the predicted codes after the update over that before; a problem counts once."""
+    """G of the predicted codes after the update against that before; a problem counts once."""
     codes = []
     with (folder / "values.csv").open(encoding="utf-8", newline="") as handle:
         for line in csv.DictReader(handle):
             after, before = float(line["g_after"]), float(line["g_before"])
             if line["code"] != "goal" and after > 0.0 < before:
                 codes.append((line["problem"], (after, before)))
-    return reduction(claim, PREDICTED, [Pair(*of_it) for of_it in grouped(codes).items()])
+    pairs = [Pair(*of_it) for of_it in grouped(codes).items()]
+    return Verdict(claim, claim.planners[0], PREDICTED, "", pairs, error_level(), None)
 
 
 def profiles(found: Mapping[str, Evidence]) -> list[str]:

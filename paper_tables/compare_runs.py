@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.results.statistics import Interval
-from paper_tables.judging import less
 from paper_tables.measures import VALUES, Rows, fraction, mean_ratio, paired, solved
 from paper_tables.table_engine import by_planner
 from paper_tables.writers import Lines, change, number
@@ -37,7 +36,7 @@ class Compared(NamedTuple):
     solved: tuple[Interval, Interval]  # [%]
     gained: tuple[Pair, ...]  # that B alone solves
     lost: tuple[Pair, ...]  # that A alone solves
-    # of COMPARED, as reductions (fractions), over the runs that both solve
+    # of COMPARED, as ratios B / A, over the runs that both solve
     changes: Mapping[str, Interval]
     left_out: tuple[int, int]  # runs of A alone and of B alone, which are not compared
     same_paths: int  # runs whose paths are equal bit for bit
@@ -86,7 +85,7 @@ def _compared(planner: str, a: Rows, b: Rows) -> Compared:
         solved=(fraction(a, solved).scaled(100), fraction(b, solved).scaled(100)),
         gained=tuple(pair for pair, old, new in pairs if new.solved and not old.solved),
         lost=tuple(pair for pair, old, new in pairs if old.solved and not new.solved),
-        changes={name: less(mean_ratio(paired(b, a, value))) for name, value in COMPARED.items()},
+        changes={name: mean_ratio(paired(b, a, value)) for name, value in COMPARED.items()},
         left_out=left_out,
         same_paths=sum(old.path_sha256 == new.path_sha256 is not None for _, old, new in pairs),
     )
@@ -112,13 +111,13 @@ def comparison_lines(found: Sequence[Compared]) -> Lines:
 
 
 def clear(found: Sequence[Compared]) -> list[str]:
-    """A line for each change whose interval excludes 0, and for runs gained or lost."""
+    """A line for each change whose interval excludes 1, and for runs gained or lost."""
     lines = []
     for item in found:
         for name, part in item.changes.items():
-            low, high = part.low or 0.0, part.high or 0.0
-            if low > 0.0 or high < 0.0:
-                word = "less" if low > 0.0 else "more"
+            low, high = part.low or 1.0, part.high or 1.0
+            if low > 1.0 or high < 1.0:
+                word = "more" if low > 1.0 else "less"
                 lines.append(f"{item.planner}: {word} {name}, {change(part)} %")
         for word, pairs in (("gained", item.gained), ("lost", item.lost)):
             if pairs:
@@ -171,5 +170,4 @@ class Rule(NamedTuple):
         if self.column == "solved":
             before, after = (part.estimate for part in item.solved)
             return None if before is None or after is None else after - before
-        less = item.changes[self.column].estimate
-        return None if less is None else 1.0 - less
+        return item.changes[self.column].estimate

@@ -1,245 +1,247 @@
-"""What rows say of the paper's claims: effects with intervals, tests, one correction for all.
+"""The rule by which rows judge the paper's claims; docs/judgement.md states it with its sources.
 
-A stated number x is tested at STATED_SHARE * x, two-sided: it holds where rows say significantly
-more, and does not where they say significantly less. What is solved in time is tested so by what it
-is more than CBiRRT's share. The tests of a page are one family, at LEVEL for all together (Holm
-1979).
+All effects are *gains*: 0 is no effect, above it is what the paper says. The gain of a problem is
+the mean over its seeds of log(baseline / own), or the difference of two shares of solved runs. The
+rule knows no suite and no planner.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from enum import StrEnum
+from statistics import fmean, median, stdev
 from typing import NamedTuple
 
-from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import UNDEFINED, Interval, ratio_of_means_interval
-from paper_tables.measures import (
-    VALUES,
-    Pair,
-    Rows,
-    by_problem,
-    fraction,
-    grouped,
-    mean_ratio,
-    paired,
-    problem_key,
-)
-from paper_tables.statements import CBIRRT, Claim, PublishedValue
+import numpy as np
+
+from cvqmpt_lab.results.statistics import CONFIDENCE, UNDEFINED, Interval, student_interval
+from paper_tables.measures import Pair
+from paper_tables.statements import Claim
 from paper_tables.writers import Lines
 
-NOTHING = "–"  # the baseline of a share, which is of nothing but itself
-STATED_SHARE = 0.9  # of a stated change that is tested
-LEVEL = 0.05  # of all tests of a page together
-FEWEST = 3  # problems with numbers of both, for a test
+NOTHING = "–"
+REACHED = 0.9  # of the paper's number is as good as all of it; within 1 / REACHED is no difference
+LEVEL = 0.05  # probability of any claim of a page that is wrongly replicated, at most
+POWER = 0.8  # of a study that would decide what is inconclusive
+FEWEST = 3  # problems with numbers of both, for an interval
+DRAWS = 2000  # of studies like the paper's
 
 
-class Ruling(StrEnum):
-    """Ruling of rows on a claim, or on it against one baseline."""
+class Word(StrEnum):
+    """What rows say of a claim, or of it against one baseline, the worst first."""
 
-    HOLDS = "holds"
-    FAILS = "does not hold"
-    TOO_FEW = "too few runs to tell"
-    INCOMPARABLE = "not comparable"
+    OPPOSITE = "opposite"
+    SAME = "no difference"
     NO_ROWS = "no rows yet"
+    OPEN = "inconclusive"
+    SMALLER = "same direction, smaller"
+    REPLICATED = "replicated"
+    UNTESTABLE = "not testable"
+
+
+def word_of(gain: Interval, margin: float, reached: float, similar: bool = False) -> Word:
+    """The word by where an interval lies.
+
+    Args:
+        gain: interval of the gain; None where there are too few problems.
+        margin: gains up to it, of either sign, are no difference.
+        reached: nine tenths of the paper's number, see `Verdict.reached`.
+        similar: whether the claim is that nothing more than the margin is lost.
+    """
+    if gain.low is None or gain.high is None:
+        return Word.OPEN
+    low, high = gain.low, gain.high
+    if similar:
+        if low > -margin:
+            return Word.REPLICATED
+        return Word.OPPOSITE if high < -margin else Word.OPEN
+    if low > 0.0 and high >= reached:
+        return Word.REPLICATED
+    if low >= -margin and high <= margin:
+        return Word.SAME
+    if high < 0.0:
+        return Word.OPPOSITE
+    return Word.SMALLER if low > 0.0 else Word.OPEN
+
+
+def sample_size(ratio: float, level: float) -> int:
+    """Values whose mean a t test tells from a number with probability POWER.
+
+    Args:
+        ratio: their standard deviation over how far their mean is from that number.
+        level: of the test, two-sided.
+    """
+    from scipy.special import stdtrit  # slow to import
+
+    count, last = FEWEST, 0
+    for _ in range(30):  # the quantiles depend on the count, and that on the quantiles
+        quantiles = stdtrit(count - 1, 1.0 - level / 2.0) + stdtrit(count - 1, POWER)
+        last, count = count, max(FEWEST, math.ceil((float(quantiles) * ratio) ** 2))
+        if abs(count - last) <= 1:
+            break
+    return max(count, last)
 
 
 class Verdict(NamedTuple):
-    """A claim against one baseline, measured: reductions, or a share of runs, as fractions."""
+    """A claim about one planner against one baseline."""
 
     claim: Claim
+    planner: str
     baseline: str
-    paper: float | None  # by the paper's own numbers
-    paired: Interval  # 1 - geometric mean of paired ratios; or the share
-    means: Interval  # 1 - ratio of means; undefined of shares
-    p: float | None  # of "exactly what is tested", two-sided; None where nothing can be tested
-    above: bool  # whether the estimate is on the claim's side
-    note: str = ""
-    ruling: Ruling = Ruling.TOO_FEW  # by `ruled`
+    kind: str  # of problems, where a claim is judged kind by kind
+    pairs: Sequence[Pair]
+    level: float  # of its two-sided interval
+    paper: float | None  # the paper's own gain
+    failed: tuple[int, int, int] = (0, 0, 0)  # runs: own failed, the baseline's failed, of both
+    known: bool = True  # whether rows are of a size that says anything
+
+    @property
+    def against(self) -> str:
+        """Baseline and kind of problems."""
+        return f"{self.baseline}, {self.kind}" if self.kind else self.baseline
+
+    @property
+    def gains(self) -> list[float]:
+        """Of the problems."""
+        if self.claim.is_share:
+            return [pair.own - pair.other for pair in self.pairs]
+        return [-math.log(pair.ratio) for pair in self.pairs]
+
+    @property
+    def gain(self) -> Interval:
+        """Mean over problems with Student's interval at the level of the page.
+
+        Shares have two made problems more, one for each side (Agresti and Min 2005): without, ten
+        of ten solved by both would be certain to be equal.
+        """
+        gains = self.gains
+        if len(gains) < FEWEST:
+            return Interval(fmean(gains) if gains else None, None, None, len(gains))
+        made = [math.sqrt(0.5), -math.sqrt(0.5)] if self.claim.is_share else []
+        found = student_interval([*gains, *made], 1.0 - self.level)
+        return found._replace(estimate=fmean(gains), n=len(gains))
+
+    @property
+    def reached(self) -> float:
+        """Nine tenths of the paper's number; the margin where it states none, or none above 0."""
+        if self.paper is None or self.paper <= 0.0:
+            return self.claim.margin
+        if self.claim.is_share:
+            return REACHED * self.paper
+        return -math.log(1.0 - REACHED * (1.0 - math.exp(-self.paper)))
+
+    @property
+    def word(self) -> Word:
+        """By the rule."""
+        if self.claim.untestable:
+            return Word.UNTESTABLE
+        if not self.pairs:
+            return Word.NO_ROWS
+        gain = self.gain if self.known else UNDEFINED
+        return word_of(gain, self.claim.margin, self.reached, self.claim.similar)
+
+    @property
+    def inside(self) -> bool | None:
+        """Whether the paper's number lies inside our interval."""
+        low, high = self.gain.low, self.gain.high
+        if self.paper is None or low is None or high is None:
+            return None
+        return low <= self.paper <= high
+
+    @property
+    def needed(self) -> int | None:
+        """Problems that would decide an inconclusive word, at the effect and spread found here."""
+        gains = self.gains
+        if self.word is not Word.OPEN or len(gains) < FEWEST:
+            return None
+        mean, margin = fmean(gains), self.claim.margin
+        away = abs(mean + margin) if self.claim.similar else max(abs(mean), margin - abs(mean))
+        spread = stdev(gains) or math.sqrt(1.0 / len(gains))  # then that of the made problems
+        return max(len(gains) + 1, sample_size(spread / max(away, 1e-3), self.level))
+
+    @property
+    def resolved(self) -> Interval:
+        """Where the statistic of a study of the paper's size falls in 95 % of the cases.
+
+        Drawn from these rows: so many problems, one seed, the ratio of means or the difference of
+        shares.
+        """
+        count = self.claim.runs
+        if not count or not self.pairs:
+            return UNDEFINED
+        rng = np.random.default_rng(0)
+        most = max(len(pair.values) for pair in self.pairs)
+        # (problems, seeds, 2); problems with fewer seeds repeat theirs
+        runs = np.array([[pair.values[k % len(pair.values)] for k in range(most)]
+                         for pair in self.pairs], dtype=np.float64)  # fmt: skip
+        size = (DRAWS, count)
+        drawn = runs[rng.integers(len(runs), size=size), rng.integers(most, size=size)].mean(axis=1)
+        own, other = drawn.T
+        gains = own - other if self.claim.is_share else np.log(other / own)
+        tail = (1.0 - CONFIDENCE) / 2.0
+        middle, low, high = (float(x) for x in np.quantile(gains, [0.5, tail, 1.0 - tail]))
+        return Interval(middle, low, high, count)
+
+    @property
+    def means(self) -> float | None:
+        """Gain by the ratio of means, the paper's statistic: a problem counts by its size."""
+        if self.claim.is_share or not self.pairs:
+            return None
+        own, other = (math.fsum(side) for side in self._sides())
+        return math.log(other / own)
+
+    @property
+    def heaviest(self) -> float | None:
+        """The largest share of a mean that one problem has, of either planner."""
+        if self.claim.is_share or not self.pairs:
+            return None
+        return max(max(side) / math.fsum(side) for side in self._sides())
+
+    def _sides(self) -> tuple[list[float], list[float]]:
+        return [pair.own for pair in self.pairs], [pair.other for pair in self.pairs]
+
+    def shown(self, gain: float | None) -> str:
+        """A gain as a signed change of the planner's value [%], or as points of a share."""
+        if gain is None:
+            return NOTHING
+        change = 100.0 * (gain if self.claim.is_share else math.expm1(-gain))
+        return f"{round(change):+d}".replace("-", "−").replace("+0", "0")
+
+    def bounds_text(self, gain: Interval) -> str:
+        """Bounds of an interval as changes, the smaller first; "" without."""
+        if gain.low is None:
+            return ""
+        bounds = (gain.low, gain.high) if self.claim.is_share else (gain.high, gain.low)
+        return ", ".join(map(self.shown, bounds))
+
+    def interval_text(self, gain: Interval) -> str:
+        """Estimate and bounds as changes, with the unit."""
+        if gain.estimate is None:
+            return NOTHING
+        bounds = self.bounds_text(gain)
+        inside = f" [{bounds}]" if bounds else ""
+        return f"{self.shown(gain.estimate)}{inside} {self.claim.unit}"
 
 
-def ruled(verdicts: Sequence[Verdict], level: float = LEVEL) -> list[Verdict]:
-    """Rule by Holm's step-down: sorted p are compared with level / m, level / (m - 1), ..."""
-    found = list(verdicts)
-    tested = sorted((verdict.p, k) for k, verdict in enumerate(found) if verdict.p is not None)
-    for rank, (p, k) in enumerate(tested):
-        if p > level / (len(tested) - rank):
-            break
-        ruling = Ruling.HOLDS if found[k].above else Ruling.FAILS
-        found[k] = found[k]._replace(ruling=ruling)
-    return found
-
-
-def overall(verdicts: Iterable[Verdict]) -> Ruling:
-    """Rule a claim: it holds if it does against all baselines, and fails if it does against one."""
-    order = (Ruling.FAILS, Ruling.INCOMPARABLE, Ruling.TOO_FEW, Ruling.HOLDS)
-    return min((x.ruling for x in verdicts), key=order.index, default=Ruling.NO_ROWS)
-
-
-# ---------------------------------------------------------------- what is measured
-
-
-def verdicts_of(claim: Claim, rows: Rows, published: Sequence[PublishedValue]) -> list[Verdict]:
-    """The claim against each baseline; against those without rows nothing can be told."""
-    own = grouped((row.planner, row) for row in rows)
-    if claim.planner not in own:
-        return []
-    if not claim.baselines:
-        return [_share(claim, own, published)]
-    judged = own[claim.planner]
-    metric = claim.published or claim.metric
-    numbers = {item.planner: float(item.value) for item in published if item.metric == metric}
-    found = []
-    for baseline in claim.baselines:
-        others = own.get(baseline, [])
-        paper = None
-        if claim.planner in numbers and baseline in numbers:
-            paper = 1.0 - numbers[claim.planner] / numbers[baseline]
-        verdict = reduction(claim, baseline, paired(judged, others, VALUES[claim.metric]), paper)
-        silent = verdict.ruling is Ruling.INCOMPARABLE
-        left_out = "" if silent else _left_out(judged, others)
-        found.append(verdict._replace(note="; ".join(filter(None, (verdict.note, left_out)))))
-    return found
-
-
-def _left_out(judged: Rows, others: Rows) -> str:
-    """How many runs are in no pair because one of two planners failed; "" for none."""
-    ours = {problem_key(row): row.solved for row in judged}
-    theirs = {problem_key(row): row.solved for row in others}
-    both = ours.keys() & theirs.keys()
-    told = []
-    for rows, own, other in ((judged, ours, theirs), (others, theirs, ours)):
-        lost = sum(not own[key] and other[key] for key in both)
-        if lost:
-            told.append(f"{lost} that {rows[0].planner} alone failed")
-    return f"left out of {len(both)} runs: {' and '.join(told)}" if told else ""
-
-
-def reduction(
-    claim: Claim, baseline: str, pairs: Sequence[Pair], paper: float | None = None
-) -> Verdict:
-    """Reduction by both statistics; p is the larger one, 1 if they lie on different sides."""
-    means = less(ratio_of_means_interval([(pair.own, pair.other) for pair in pairs]))
-    found = Verdict(claim, baseline, paper, less(mean_ratio(pairs)), means, None, False)
-    if claim.incomparable and not pairs:
-        nothing = UNDEFINED._replace(n=len(pairs))
-        why, ruling = claim.incomparable, Ruling.INCOMPARABLE
-        return found._replace(paired=nothing, means=nothing, note=why, ruling=ruling)
-    if len(pairs) < FEWEST:
-        return found._replace(note=f"{len(pairs)} problems")
-    tested = 1.0 - STATED_SHARE * claim.stated  # ratio
-    # Student's test of the logarithms; Fieller's of a ratio of means
-    logs = t_test([math.log(pair.ratio / tested) for pair in pairs])
-    differences = t_test([pair.own - tested * pair.other for pair in pairs])
-    above = [(one.estimate or 0.0) > 1.0 - tested for one in (found.paired, means)]
-    alone = []
-    for p, side in zip((logs, differences), above, strict=True):
-        ruling = Ruling.HOLDS if side else Ruling.FAILS
-        alone.append(Ruling.TOO_FEW if p > LEVEL else ruling)
-    note = ""
-    if alone[0] is not alone[1] or above[0] != above[1]:
-        heaviest = _heaviest(claim.planner, baseline, pairs)
-        note = f"each alone, paired: {alone[0]}, means: {alone[1]}; {heaviest}"
-    p = max(logs, differences) if above[0] == above[1] else 1.0
-    return found._replace(p=p, above=all(above), note=note)
-
-
-def _heaviest(planner: str, baseline: str, pairs: Sequence[Pair]) -> str:
-    """The problem with the largest share of a mean, which decides where the statistics disagree."""
-    own = math.fsum(pair.own for pair in pairs)
-    other = math.fsum(pair.other for pair in pairs)
-    shares = [(pair.own / own, planner, pair.problem) for pair in pairs]
-    shares += [(pair.other / other, baseline, pair.problem) for pair in pairs]
-    share, name, problem = max(shares)
-    return f"problem {problem} alone is {100.0 * share:.0f} % of the mean of {name}"
-
-
-def less(ratio: Interval) -> Interval:
-    """Reduction as a fraction: 1 - ratio."""
-    bounds = ratio.estimate, ratio.high, ratio.low
-    middle, low, high = (None if x is None else 1.0 - x for x in bounds)
-    return Interval(middle, low, high, ratio.n)
-
-
-def t_test(values: Sequence[float]) -> float:
-    """Two-sided p of t = mean sqrt(n) / s (Student); equal values: 0 or 1, one value: 1."""
-    if len(values) < 2:
-        return 1.0
-    if max(values) - min(values) < 1e-12:
-        return 1.0 if abs(values[0]) < 1e-12 else 0.0
-    from scipy.stats import ttest_1samp  # slow to import
-
-    return float(ttest_1samp(values, 0.0).pvalue)
-
-
-def score_test(share: Interval, tested: float) -> float:
-    """Two-sided p of a share p: z = |p - t| / sqrt(t (1 - t) / n), as Wilson's interval has it."""
-    spread = math.sqrt(tested * (1.0 - tested) / share.n)
-    return math.erfc(abs((share.estimate or 0.0) - tested) / spread / math.sqrt(2.0))
-
-
-def cutoff_of(rows: Rows, share: float) -> float:
-    """The least time [s] within which `share` of the runs are solved; inf if never."""
-    weighted = []
-    problems = by_problem(rows)
-    for seeds in problems:
-        weighted += [(row.t_total_s or 0.0, 1.0 / len(seeds)) for row in seeds if row.solved]
-    done = 0.0
-    for time, weight in sorted(weighted):
-        done += weight
-        if done >= share * len(problems) * (1.0 - 1e-12):
-            return time
-    return math.inf
-
-
-def _share(claim: Claim, own: Mapping[str, Rows], published: Sequence[PublishedValue]) -> Verdict:
-    """A claim on a share of runs; solved in time: what is above CBiRRT's share."""
-    if claim.incomparable:
-        why, ruling = claim.incomparable, Ruling.INCOMPARABLE
-        return Verdict(claim, NOTHING, claim.stated, UNDEFINED, UNDEFINED, None, False, why, ruling)
-    accuracy = next((x for x in published if (x.planner, x.metric) == (CBIRRT, "accuracy")), None)
-    cutoff, note, known = math.inf, "", 0.0
-    if claim.metric == "solved_in_time" and accuracy is not None:
-        known = float(accuracy.value) / 100.0
-        cutoff = cutoff_of(own.get(CBIRRT, ()), known)
-        note = f"within {cutoff:.3g} s, in which {CBIRRT} has solved {100.0 * known:.1f} %"
-        if math.isinf(cutoff):
-            note = f"{CBIRRT} never solves {100.0 * known:.1f} %: without a cutoff"
-
-    def counted(row: ResultRow) -> bool:
-        in_time = row.solved and (row.t_total_s or math.inf) <= cutoff
-        return in_time is not (claim.metric == "failed")
-
-    ours = fraction(own[claim.planner], counted)
-    tested = known + STATED_SHARE * (claim.stated - known)
-    p = None if ours.n < FEWEST else score_test(ours, tested)
-    above = (ours.estimate or 0.0) > tested
-    return Verdict(claim, NOTHING, claim.stated, ours, UNDEFINED, p, above, note)
-
-
-# ---------------------------------------------------------------- lines
-
-
-def percent(verdict: Verdict, interval: Interval) -> str:
-    """A reduction as a signed change [%], a share as it is; no decimals."""
-    if interval.estimate is None:
-        return NOTHING
-    sign, signed = (1.0, "") if verdict.baseline == NOTHING else (-1.0, "+")
-    bounds = sorted(sign * 100.0 * x for x in (interval.low, interval.high) if x is not None)
-    inside = f" [{', '.join(f'{round(x)}' for x in bounds)}]" if bounds else ""
-    return f"{round(sign * 100.0 * interval.estimate):{signed}d}{inside}".replace("-", "−")
+def overall(verdicts: Iterable[Verdict]) -> Word:
+    """The word of a claim: all comparisons must have it, so it is the worst of theirs."""
+    order = list(Word)
+    return min((x.word for x in verdicts), key=order.index, default=Word.NO_ROWS)
 
 
 def verdict_lines(verdicts: Iterable[Verdict]) -> Lines:
-    """A line for each verdict."""
-    lines = [["planner", "against", "paper [%]", "paired [%]", "means [%]", "n", "p", "verdict"]]
-    for verdict in verdicts:
-        paper, p = NOTHING, NOTHING
-        if verdict.paper is not None:
-            sign = 100.0 if verdict.baseline == NOTHING else -100.0
-            paper = f"{round(sign * verdict.paper)}".replace("-", "−")
-        if verdict.p is not None:
-            p = "<0.001" if verdict.p < 0.001 else f"{verdict.p:.3f}"
-        numbers = [percent(verdict, interval) for interval in (verdict.paired, verdict.means)]
-        n, ruling = str(verdict.paired.n), str(verdict.ruling)
-        lines.append([verdict.claim.planner, verdict.baseline, paper, *numbers, n, p, ruling])
+    """A line for each verdict; the last three columns are sensitivity and judge nothing."""
+    columns = "planner,against,paper,measured,problems,failed,paper inside?,verdict,to decide,"
+    lines = [f"{columns}single runs resolve,means,median,heaviest".split(",")]
+    for item in verdicts:
+        unit, runs = item.claim.unit, item.resolved
+        middle = median(item.gains) if item.pairs else None
+        gains = (item.paper, item.means, middle)
+        paper, means, typical = (NOTHING if x is None else f"{item.shown(x)} {unit}" for x in gains)
+        cells = [item.planner, item.against, paper, item.interval_text(item.gain)]
+        cells += [str(len(item.pairs)), "{} / {} of {}".format(*item.failed)]
+        cells += [{None: NOTHING, True: "yes", False: "no"}[item.inside], str(item.word)]
+        cells.append(NOTHING if item.needed is None else f"{item.needed} problems")
+        cells.append(f"{runs.n}: [{item.bounds_text(runs)}] {unit}" if runs.n else NOTHING)
+        heaviest = NOTHING if item.heaviest is None else f"{100.0 * item.heaviest:.0f} %"
+        lines.append([*cells, means, typical, heaviest])
     return lines

@@ -8,6 +8,7 @@ once.
 import math
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 from statistics import fmean, median
 from typing import Literal, NamedTuple, TypeVar
@@ -28,9 +29,9 @@ WORK = f"projections, state checks and {CLEARANCE_COST:.2g} of the clearances"
 HARD_SHARE = 1 / 3
 # [s] PyBullet, all distances of a Panda in this kitchen: `cvqmpt bench paper-check`
 STATE_CHECK_COST = 3.5e-3
-# [s] Newton's method in Python, numpy, compiled kinematics: a lower bound of the published code's
-# time, which favours planners that project much.
-PROJECTION_COST = 2e-5
+# [s] The published constraint in Python, its value and a Newton step: docs/judgement.md
+RESIDUAL_COST = 1.3e-4
+NEWTON_STEP_COST = 5e-4
 
 Key = TypeVar("Key")
 Item = TypeVar("Item")
@@ -46,16 +47,37 @@ def work(row: ResultRow) -> float | None:
     return float(search_work(row.n_projections, row.n_state_checks, row.n_clearances))
 
 
-def paper_cost(row: ResultRow) -> float | None:
-    """`projections * PROJECTION_COST + state checks * STATE_CHECK_COST + networks` [s].
+def search_cost(
+    row: ResultRow, residual: float = RESIDUAL_COST, step: float = NEWTON_STEP_COST
+) -> float | None:
+    """What the work of a run costs in the published code [s].
 
-    Search at what work costs in a setting like the paper's; networks as measured; nothing else.
+    Args:
+        row: of the run.
+        residual: price of the constraint's value, once a projection [s].
+        step: of each of its Newton steps [s].
     """
     if row.n_projections is None or row.n_state_checks is None:
         return None
-    search = row.n_projections * PROJECTION_COST + row.n_state_checks * STATE_CHECK_COST
-    networks = (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
-    return search + networks
+    checks, steps = row.n_state_checks, row.n_newton_iterations or 0
+    return checks * STATE_CHECK_COST + row.n_projections * residual + steps * step
+
+
+def network_time(row: ResultRow) -> float:
+    """Of encoding the scene, predicting and updating [s]."""
+    return (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
+
+
+def paper_cost(row: ResultRow, **prices: float) -> float | None:
+    """`search_cost` and networks as measured [s]; goals and shortening are in nobody's."""
+    search = search_cost(row, **prices)
+    return None if search is None else search + network_time(row)
+
+
+def time_at(row: ResultRow, check: float) -> float | None:
+    """`own_time` where a state check costs so much more [s], and other work in proportion."""
+    own, search = own_time(row), search_cost(row)
+    return None if own is None or search is None else own + check / STATE_CHECK_COST * search
 
 
 def newton_steps(row: ResultRow) -> float | None:
@@ -90,9 +112,7 @@ VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
     # where all from the scene's cloud was computed in the run
     "new_time": lambda row: own_time(row) if row.scene_new else None,
     "goals_time": attrgetter("t_goals_s"),
-    "network_time": lambda row: (
-        (row.t_encode_s or 0.0) + (row.t_predict_s or 0.0) + (row.t_optimize_s or 0.0)
-    ),
+    "network_time": network_time,
     "search_time": attrgetter("t_plan_s"),
     "simplify_time": attrgetter("t_simplify_s"),
     "sense_time": attrgetter("t_sense_s"),
@@ -105,6 +125,8 @@ VALUES: Mapping[str, Value] = {  # of a row, by name; times in [s]
     ),
     "work": work,
     "paper_cost": paper_cost,
+    # the same if PyBullet's kinematics projected
+    "pybullet_cost": partial(paper_cost, residual=5.5e-5, step=8e-5),
     "projections": attrgetter("n_projections"),
     "newton_iterations": attrgetter("n_newton_iterations"),
     "newton_steps": newton_steps,
@@ -178,7 +200,7 @@ def problem_mean(values: Iterable[Sequence[float]]) -> Interval:
 
 
 class Pair(NamedTuple):
-    """A problem that both solved, and positive values of the one and the other, seed by seed."""
+    """A problem, and values of the one planner and the other, seed by seed."""
 
     problem: str
     values: Sequence[tuple[float, float]]
@@ -205,15 +227,25 @@ def paired(
     baseline: Iterable[ResultRow],
     value: Value,
     key: Callable[[ResultRow], Hashable] = problem_key,
+    cutoff: float | None = None,
 ) -> list[Pair]:
     """Problems that both solved; runs are paired by problem and seed, or by `key`.
 
     Values that are not positive have no ratio and are left out.
+
+    Args:
+        cutoff: what a failed run counts as, of either planner, and the most that any run counts;
+            then all problems that both tried are compared.
     """
-    reference = {key(row): value(row) for row in baseline if row.solved}
+
+    def counted(row: ResultRow) -> float | None:
+        number = value(row) if row.solved else cutoff
+        return number if cutoff is None or number is None else min(number, cutoff)
+
+    reference = {key(row): counted(row) for row in baseline}
     found: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
-        own, other = value(row) if row.solved else None, reference.get(key(row))
+        own, other = counted(row), reference.get(key(row))
         if own and other and own > 0.0 < other:
             found.setdefault(row.problem, []).append((own, other))
     return [Pair(problem, values) for problem, values in found.items()]

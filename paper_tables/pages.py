@@ -24,21 +24,16 @@ from paper_tables.claims import (
     banner,
     evidence_below,
     judged_claims,
+    price_lines,
     read_evidence,
 )
 from paper_tables.committed import RESULTS
-from paper_tables.judging import (
-    LEVEL,
-    NOTHING,
-    STATED_SHARE,
-    Ruling,
-    Verdict,
-    less,
-    percent,
-    verdict_lines,
-)
+from paper_tables.judging import LEVEL, NOTHING, POWER, REACHED, Word, verdict_lines
 from paper_tables.measures import (
+    NEWTON_STEP_COST,
     REFERENCE,
+    RESIDUAL_COST,
+    STATE_CHECK_COST,
     VALUES,
     WORK,
     Rows,
@@ -47,7 +42,7 @@ from paper_tables.measures import (
     paired,
     work,
 )
-from paper_tables.statements import CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
+from paper_tables.statements import BECAUSE, CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
 from paper_tables.suites import Suite, suite_of, table_of
 from paper_tables.table_engine import by_planner
 from paper_tables.writers import Lines, change, markdown_table
@@ -74,13 +69,17 @@ def rendered(template: str, **data: Any) -> str:
         trim_blocks=not html,
         keep_trailing_newline=not html,
     )
-    environment.filters |= {"table": markdown_table, "verdicts": verdict_lines, "note": _note}
+    environment.filters |= {"table": markdown_table, "verdicts": verdict_lines}
     return environment.get_template(template).render(**data)
 
 
 def reading() -> list[str]:
     """Points on how to read verdicts."""
-    return [line.format(share=100 * STATED_SHARE, level=100 * LEVEL) for line in READING]
+    numbers = {"share": REACHED, "level": LEVEL, "power": POWER}
+    percents = {name: 100.0 * number for name, number in numbers.items()}
+    prices = {"check": STATE_CHECK_COST, "residual": RESIDUAL_COST, "step": NEWTON_STEP_COST}
+    prices = {name: 1e3 * price for name, price in prices.items()}
+    return [line.format(**percents, **prices) for line in READING]
 
 
 # ---------------------------------------------------------------- the page of claims
@@ -88,42 +87,49 @@ def reading() -> list[str]:
 
 def summary_lines(claims: Iterable[JudgedClaim]) -> Lines:
     """A line a claim, with the numbers of the comparison that decides."""
-    lines = [["claim", "against", "paired [%]", "means [%]", "verdict"]]
+    lines = [["claim", "planner", "against", "paper", "measured", "verdict", "to decide"]]
     for item in claims:
-        cells = [NOTHING] * 3
+        cells = [NOTHING] * 4
         if (shown := item.deciding) is not None:
-            numbers = [percent(shown, interval) for interval in (shown.paired, shown.means)]
-            cells = [shown.baseline, *numbers]
-        lines.append([item.claim.title, *cells, str(item.ruling)])
+            paper = NOTHING if shown.paper is None else shown.shown(shown.paper)
+            cells = [shown.planner, shown.against, paper, shown.interval_text(shown.gain)]
+        needed = NOTHING if item.needed is None else f"{item.needed} problems"
+        lines.append([item.claim.title, *cells, str(item.word), needed])
     return lines
 
 
 def beside_lines(own: Sequence[JudgedClaim], committed: Sequence[JudgedClaim]) -> Lines:
     """A line a claim: numbers and verdict of own rows, and the verdict of the committed ones."""
-    lines = [["claim", "against", "paired [%]", "own verdict", "committed verdict"]]
+    lines = [["claim", "against", "measured", "own verdict", "committed verdict"]]
     for line, known in zip(summary_lines(own)[1:], committed, strict=True):
-        claim, against, paired_change, _, ruling = line
-        lines.append([claim, against, paired_change, ruling, str(known.ruling)])
+        claim, _, against, _, measured, word, _ = line
+        lines.append([claim, against, measured, word, str(known.word)])
     return lines
 
 
 def headline_lines(claims: Iterable[JudgedClaim]) -> Lines:
     """The claims that the README shows: in the paper's words, measured, and why."""
-    lines = [["claim", "paper", "measured [%]", "verdict", "why"]]
+    lines = [["claim", "paper", "measured", "verdict", "why"]]
     for item in claims:
         if item.claim.why and (shown := item.deciding) is not None:
-            against = "" if shown.baseline == NOTHING else f" against {shown.baseline}"
-            measured = f"{percent(shown, shown.paired)}{against}"
-            verdict = str(item.ruling)
-            lines.append([item.claim.title, item.claim.paper, measured, verdict, item.claim.why])
+            measured = f"{shown.interval_text(shown.gain)} against {shown.against}"
+            word = str(item.word)
+            lines.append([item.claim.title, item.claim.paper, measured, word, item.claim.why])
     return lines
 
 
+def opening(claims: Sequence[JudgedClaim]) -> str:
+    """The answer in a line, as replications are reported, and why."""
+    count = Counter(item.word for item in claims)
+    words = [Word.REPLICATED, Word.SMALLER, Word.SAME, Word.OPPOSITE, Word.OPEN]
+    words += [word for word in (Word.UNTESTABLE, Word.NO_ROWS) if count[word]]
+    counted = ", ".join(f"{count[word]} {word.rpartition(', ')[2]}" for word in words)
+    return f"**Replication of method and claims with own weights: {counted}.** {BECAUSE}"
+
+
 def headline_text(claims: Sequence[JudgedClaim]) -> str:
-    """How many claims there are of each verdict, and the table of `headline_lines`."""
-    count = Counter(str(item.ruling) for item in claims)
-    counted = ", ".join(f"{ruling} {number}" for ruling, number in count.most_common())
-    return f"Of {len(claims)} claims: {counted}.\n\n{markdown_table(headline_lines(claims))}"
+    """The opening and the table of `headline_lines`."""
+    return f"{opening(claims)}\n\n{markdown_table(headline_lines(claims))}"
 
 
 def decomposition_lines(evidence: Evidence) -> Lines:
@@ -153,7 +159,7 @@ def _change_lines(
         if planner in groups and against in groups:
             for value in COMPARED.values():
                 pairs = paired(groups[planner], groups[against], VALUES[value])
-                cells.append(change(less(mean_ratio(pairs))))
+                cells.append(change(mean_ratio(pairs)))
             lines.append(cells)
     return lines
 
@@ -164,31 +170,24 @@ def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root
     return rendered(
         "claims.md.j2",
         banner=banner(found),
+        picture="../docs/forest.png" if root == PAGE.parent else "",
+        opening=opening(claims),
         summary=summary_lines(claims),
         reading=reading(),
         claims=claims,
         steps=decomposition_lines(found["place-task"]) if "place-task" in found else [],
+        prices=price_lines(found["place-task"]) if "place-task" in found else [],
         kitchens=kitchen_lines(found) if found.keys() >= KITCHENS.keys() else [],
         reference=REFERENCE,
         results=[_made_by(item, root) for name, item in found.items() if name in used],
     )
 
 
-def _note(verdict: Verdict) -> str:
-    """What decides a verdict, or ""."""
-    low, high = verdict.paired.low, verdict.paired.high
-    width = ""
-    if verdict.ruling is Ruling.TOO_FEW and low is not None and high is not None:
-        width = f"known to ±{50.0 * (high - low):.0f} points"
-    text = "; ".join(filter(None, (width, verdict.note)))
-    of = verdict.claim.planner if verdict.baseline == NOTHING else verdict.baseline
-    return f"{of}: {text}" if text else ""
-
-
 def _made_by(evidence: Evidence, root: Path) -> dict[str, Any]:
     """A results directory: where its rows are, its commit and wall-clock, and its commands."""
     made = sessions(evidence.record)
-    commits = dict.fromkeys((session.get("git_commit") or "unknown")[:12] for session in made)
+    facts = [(x.get("git_commit") or "unknown", x.get("date_utc") or "no date") for x in made]
+    commits = dict.fromkeys(f"{commit[:12]} ({date[:10]})" for commit, date in facts)
     folder = evidence.folder.relative_to(root).as_posix()
     files = f"[numbers]({folder}/values.csv)"
     if evidence.rows:
@@ -234,6 +233,17 @@ def committed_pages() -> dict[Path, str]:
     return pages
 
 
+def committed_pictures() -> dict[Path, bytes]:
+    """Pictures of the committed rows: every comparison of the claims, and the cost of a check."""
+    from paper_tables import plots  # matplotlib takes a second to import
+
+    found = evidence_below(RESULTS)
+    verdicts = [verdict for item in judged_claims(found) for verdict in item.verdicts]
+    task = by_planner(found["place-task"].rows, ())
+    drawn = {"forest.png": plots.forest(verdicts), "cost.png": plots.cost_curves(task)}
+    return {README.parent / "docs" / name: picture for name, picture in drawn.items()}
+
+
 def stale_pages(pages: Mapping[Path, str]) -> list[str]:
     """A line for each page that differs from its rendering."""
     return [
@@ -257,7 +267,7 @@ def report_html(
         report: is called with how many of them are done.
         paths: title and html of a path to turn, by the name of the directory that it is of.
     """
-    claims = [item for item in judged_claims(found) if item.verdicts]
+    claims = [item for item in judged_claims(found) if item.evidence]
     sections: list[dict[str, Any]] = []
     for evidence in found.values():
         report(len(sections), len(found))
@@ -269,7 +279,13 @@ def report_html(
         title="CVQ-MPT, reproduced",
         banner=banner(found),
         claims=summary_lines(claims) if claims else [],
-        styles={Ruling.HOLDS: "holds", Ruling.TOO_FEW: "part", Ruling.FAILS: "not"},
+        styles={
+            Word.REPLICATED: "holds",
+            Word.SMALLER: "part",
+            Word.OPEN: "part",
+            Word.SAME: "not",
+            Word.OPPOSITE: "not",
+        },
         reading=reading(),
         sections=sections,
         data={"columns": ROW_COLUMNS, "sections": data},  # what the page's script reads

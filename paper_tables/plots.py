@@ -1,7 +1,9 @@
-"""Plots of rows as svg, by matplotlib without a display; how every figure draws a planner."""
+"""Plots of rows and verdicts, by matplotlib without a display; how figures draw a planner."""
 
 import io
+import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 from zlib import crc32
 
@@ -10,10 +12,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from cvqmpt_lab.results.row import ResultRow
-from paper_tables.measures import Value
+from paper_tables.judging import Verdict, Word
+from paper_tables.measures import (
+    REFERENCE,
+    STATE_CHECK_COST,
+    Value,
+    mean_ratio,
+    paired,
+    time_at,
+)
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
@@ -52,6 +63,13 @@ COLOURS = {  # of planners
     "roadmap": "#1b3fa0",
     "roadmap-cvq": "#4f9fd9",
 }
+WORD_COLOURS = {
+    Word.REPLICATED: "#1a7f37",
+    Word.SMALLER: "#7cae3c",
+    Word.SAME: "#70757d",
+    Word.OPPOSITE: "#b42318",
+    Word.OPEN: "#c98a1b",
+}
 OURS = "roadmap"  # drawn with a thick line
 WIDTH = 7.6  # [inches]
 LINE = 0.27  # [inches] of height a planner
@@ -78,6 +96,13 @@ def svg(figure: Figure) -> str:
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     return text[text.index("<svg") :]
+
+
+def png(figure: Figure) -> bytes:
+    """A figure as the content of a png file."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=140)
+    return buffer.getvalue()
 
 
 @matplotlib.rc_context(STYLE)
@@ -138,6 +163,68 @@ def stage_times(groups: Groups) -> str:
             beside = axes.get_yaxis_transform()
             axes.text(0.99, k, f"{total:.0f} ms →", transform=beside, ha="right", va="center")
     return svg(figure)
+
+
+@matplotlib.rc_context(STYLE)
+def forest(verdicts: Sequence[Verdict]) -> bytes:
+    """Every comparison with its interval and the paper's number, as png; shares have a panel."""
+    parts = [
+        [x for x in verdicts if x.pairs and x.claim.is_share is part] for part in (False, True)
+    ]
+    heights = [max(1, len(part)) for part in parts]
+    figure = Figure(figsize=(WIDTH + 2.4, 1.6 + 0.19 * sum(heights)), layout="constrained")
+    panels = figure.subplots(2, 1, height_ratios=heights)
+    labels = "planner's number / baseline's", "more solved than the baseline [points]"
+    for shares, axes, part, label in zip((False, True), panels, parts, labels, strict=True):
+        at = (lambda gain: 100.0 * gain) if shares else (lambda gain: math.exp(-gain))
+        for place, item in enumerate(part):
+            gain, colour = item.gain, WORD_COLOURS[item.word]
+            if gain.low is not None and gain.high is not None:
+                axes.plot([at(gain.low), at(gain.high)], [place] * 2, color=colour, linewidth=2.2)
+            axes.plot(at(gain.estimate), place, "o", color=colour, markersize=4.5)
+            if item.paper is not None:
+                axes.plot(at(item.paper), place, "D", color="black", markersize=5, fillstyle="none")
+        titles = [f"{x.claim.title}: {x.planner} / {x.against}" for x in part]
+        axes.set_yticks(range(len(part)), titles, fontsize=7)
+        axes.set_ylim(len(part) - 0.4, -0.6)
+        axes.axvline(at(0.0), color="black", linewidth=0.8)
+        label = (
+            "more solved than the baseline [points]" if shares else "planner's number / baseline's"
+        )
+        _finish(axes, label, "", legend=False, log=not shares)
+    panels[0].axvspan(0.9, 1.0 / 0.9, color="0.92", zorder=0)
+    marks = [Line2D([], [], color=c, marker="o", label=w) for w, c in WORD_COLOURS.items()]
+    paper = Line2D([], [], color="black", marker="D", fillstyle="none", linestyle="none")
+    paper.set_label("the paper's number")
+    marks.append(paper)
+    figure.legend(handles=marks, loc="outside upper center", ncols=3, frameon=False)
+    return png(figure)
+
+
+@matplotlib.rc_context(STYLE)
+def cost_curves(groups: Groups) -> bytes:
+    """Time over that of `birrt` against the cost of a state check, as png.
+
+    All work is priced in proportion: at the right end as the published code pays it.
+    """
+    figure, axes = _axes(4.2)
+    prices = np.geomspace(1e-6, STATE_CHECK_COST, 15)
+    for name, rows in groups.items():
+        found = [
+            mean_ratio(paired(rows, groups[REFERENCE], partial(time_at, check=price)))
+            for price in prices
+        ]
+        if all(ratio.low for ratio in found) and name != REFERENCE:
+            middle, low, high = zip(*(ratio[:3] for ratio in found), strict=True)
+            style = line_style(name)
+            axes.plot(1e6 * prices, middle, label=name, **style)
+            axes.fill_between(
+                1e6 * prices, low, high, color=style["color"], alpha=0.12, linewidth=0
+            )
+    axes.axhline(1.0, color="black", linewidth=0.8)
+    axes.set_yscale("log")
+    _finish(axes, "cost of a state check [µs], other work in proportion", f"time / {REFERENCE}")
+    return png(figure)
 
 
 def _plain(axis: Axis) -> None:

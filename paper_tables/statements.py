@@ -1,20 +1,18 @@
-"""What the paper says, from ``published``: its numbers, and statements that rows can contradict.
-
-Rows of the place task existed when the statements were written; the rules of `judging` know no
-suite or planner.
-"""
+"""What the paper says, from ``published``: its numbers, and statements that rows can contradict."""
 
 import csv
+import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 PUBLISHED = Path(__file__).resolve().parent / "published"
 CBIRRT, OPT, CVQ = "ompl-projected", "opt-cvq-mpt", "cvq-mpt"
 PREDICTED = "as predicted"
 SEARCHES = (CBIRRT, "atlas-rrt", "tb-rrt")
-BASELINES = {"searches": SEARCHES, "named": (*SEARCHES, "mpnet"), "predicted": (PREDICTED,)}
+BASELINES = {"searches": SEARCHES, "predicted": (PREDICTED,), "none": ()}
+PLANNERS = {"both": (CVQ, OPT)}
 
 
 @dataclass(frozen=True)
@@ -40,31 +38,46 @@ def read_published(name: str, environment: str) -> tuple[PublishedValue, ...]:
 
 @dataclass(frozen=True)
 class Claim:
-    """`planner` needs `stated` (a fraction; 0: any) less of `metric` than every baseline.
+    """Each of `planners` has less of `metric` than every baseline, or solves more than it."""
 
-    Without baselines: at least the fraction `stated` of its runs are what `metric` says.
-    """
-
-    metric: str  # of `measures.VALUES`; or accuracy, failed, solved_in_time
-    stated: float = 0.0
+    metric: str  # of `measures.VALUES`; or accuracy, a share of solved runs
+    planners: tuple[str, ...]
+    title: str  # in our words
+    paper: str  # in the paper's
+    suite: str  # the results directory that judges it
     baselines: tuple[str, ...] = ()
-    planner: str = OPT
-    incomparable: str = ""  # why rows without such values do not answer it, or ""
+    # What a failed run counts as: the cut-off of the rows, the largest number of a run that one of
+    # both solved, or a number. None: compared is what both solved.
+    cutoff: Literal["rows", "largest"] | float | None = None
+    margin: float = -math.log(0.9)  # up to it is no difference; of shares as a fraction
+    similar: bool = False  # whether the claim is that no more than the margin is lost
+    by_kind: bool = False  # whether each kind of problem is a comparison of its own
+    runs: int | None = None  # of one planner in the paper's study
+    untestable: str = ""  # why no rows can answer it, or ""
     published: str = ""  # the paper's name of the metric where ours differs
-    title: str = ""  # in our words
-    paper: str = ""  # in the paper's
-    suite: str = ""  # the results directory that judges it
     remark: str = ""  # what a reader must know to take the numbers rightly
     why: str = ""  # of the verdict, in one line; the README shows the claims that have one
 
+    @property
+    def is_share(self) -> bool:
+        """Whether it is about a share of runs."""
+        return self.metric == "accuracy"
+
+    @property
+    def unit(self) -> str:
+        """Of its changes: percent, or points of a share."""
+        return "pt" if self.is_share else "%"
+
 
 def _claim(item: dict[str, Any]) -> Claim:
-    """A claim of the file, with the names of its baselines."""
-    named = item.pop("baselines", None)
-    return Claim(**item, baselines=BASELINES.get(named, (named,)) if named else ())
+    """A claim of the file, with the names of its planners and baselines."""
+    named = item.pop("baselines", "none")
+    planners = PLANNERS.get(item["planners"], (item["planners"],))
+    return Claim(**item | {"planners": planners}, baselines=BASELINES.get(named, (named,)))
 
 
 _FILE = tomllib.loads((PUBLISHED / "claims.toml").read_text(encoding="utf-8"))
 READING: list[str] = _FILE["reading"]
+BECAUSE: str = _FILE["because"]  # why the words are what they are, in two sentences
 STEPS: list[tuple[str, str, str]] = _FILE["steps"]  # what is added, planner, against
 CLAIMS = tuple(map(_claim, _FILE["claim"]))

@@ -50,14 +50,12 @@ def estimate(interval: Interval) -> str:
     return f"{number(interval.estimate)} {bounds(interval)}".strip()
 
 
-def change(reduction: Interval) -> str:
-    """A reduction (fraction) as a signed change [%]."""
-    middle, low, high = (
-        None if x is None else 0.0 - 100.0 * x
-        for x in (reduction.estimate, reduction.high, reduction.low)
-    )
-    sign = "+" if (middle or 0.0) > 0.0 else ""
-    return sign + estimate(Interval(middle, low, high, reduction.n)).replace("-", "−")
+def change(ratio: Interval) -> str:
+    """A ratio as a signed change [%]."""
+    middle, low, high = (None if x is None else 100.0 * (x - 1.0) for x in ratio[:3])
+    changes = Interval(middle, low, high, ratio.n)
+    sign = "+" if (changes.estimate or 0.0) > 0.0 else ""
+    return sign + estimate(changes).replace("-", "−")
 
 
 def padded(lines: Lines) -> list[list[str]]:

@@ -46,7 +46,8 @@ def a_results_folder(tmp_path, **times):
                 )
             )
     write_rows(folder / RUNS_FILE, rows)
-    record = {"configuration": {"suite": "place-task"}, "command": ["cvqmpt", "x"], "wall_s": 300.0}
+    configuration = {"suite": "place-task", "cutoff_s": 10.0}
+    record = {"configuration": configuration, "command": ["cvqmpt", "x"], "wall_s": 300.0}
     (folder / PROVENANCE_FILE).write_text(json.dumps(record))
     return tmp_path
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from operator import attrgetter
-from statistics import NormalDist
+from statistics import NormalDist, fmean, stdev
 from typing import NamedTuple
 
 import numpy as np
@@ -120,20 +120,21 @@ def geometric_mean_interval(values: ArrayLike) -> Interval:
     return Interval(middle, low, high, logs.n)
 
 
-def ratio_of_means_interval(pairs: Sequence[tuple[float, float]]) -> Interval:
-    """`sum(a_i) / sum(b_i)` of pairs (a_i, b_i), percentile-bootstrap interval over the pairs."""
-    n = len(pairs)
-    if n == 0:
+def student_interval(values: Sequence[float], confidence: float = CONFIDENCE) -> Interval:
+    """Mean with Student's t interval (Student 1908); UNDEFINED for fewer than two values.
+
+    Args:
+        values: independent numbers (n).
+        confidence: probability that such an interval holds the true mean.
+    """
+    n = len(values)
+    if n < 2:
         return UNDEFINED
-    array = _checked(np.ravel(pairs)).reshape(n, 2)
-    if n == 1:
-        return Interval(float(array[0, 0] / array[0, 1]), None, None, 1)
+    from scipy.special import stdtrit  # slow to import
 
-    def ratios(drawn: np.ndarray) -> np.ndarray:
-        sums = array[drawn].sum(axis=1)
-        return sums[:, 0] / sums[:, 1]
-
-    return Interval(float(array[:, 0].sum() / array[:, 1].sum()), *_bootstrap(n, ratios), n)
+    middle = fmean(values)
+    half = float(stdtrit(n - 1, (1.0 + confidence) / 2.0)) * stdev(values) / math.sqrt(n)
+    return Interval(middle, middle - half, middle + half, n)
 
 
 def _bootstrap(

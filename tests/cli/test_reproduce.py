@@ -64,7 +64,7 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     assert "own verdict" in lines[1] and "committed verdict" in lines[1]
     told = zip(lines[2 : 2 + len(CLAIMS)], CLAIMS, strict=True)
     assert all(line.startswith(claim.title) for line, claim in told)
-    assert len(lines) <= 30 and max(map(len, lines)) <= 100 + len(str(tmp_path))
+    assert len(lines) <= 40 and max(map(len, lines)) <= 100 + len(str(tmp_path))
     assert str(tmp_path / "report.html") in lines[-1] and str(tmp_path / "claims.md") in lines[-2]
     for name in ("report.html", "claims.md", "histogram/values.csv", "place-task/table.md"):
         assert (tmp_path / name).is_file()

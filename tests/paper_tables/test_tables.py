@@ -20,7 +20,7 @@ from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
 from paper_tables import pages
 from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.committed import RESULTS
-from paper_tables.judging import Ruling
+from paper_tables.judging import Word
 from paper_tables.layouts import place_table
 from paper_tables.plots import COLOURS, OURS, line_style
 from paper_tables.statements import read_published
@@ -133,44 +133,58 @@ def test_a_readme_without_marks_is_refused():
     refused("put them where", pages.with_part, "a README without marks", "verdicts", "")
 
 
-def test_a_claim_holds_against_all_planners_named(tmp_path):
-    """A third of the time of all planners; of all but one; no problem that both solved."""
-    for ompl, mpnet, expected, decided in (
-        (3.0, 3.0, Ruling.HOLDS, "ompl-projected"),
-        (3.0, 1.0, Ruling.FAILS, "mpnet"),
-        (1.0, 3.0, Ruling.FAILS, "ompl-projected"),
-        (3.0, None, Ruling.TOO_FEW, "mpnet"),
+def test_a_claim_is_judged_against_all_planners_named(tmp_path):
+    """A third of the time of all planners; of all but one; a baseline that never ran."""
+    for ompl, atlas, expected, decided in (
+        (3.0, 3.0, Word.REPLICATED, "ompl-projected"),
+        (3.0, 0.5, Word.OPPOSITE, "atlas-rrt"),
+        (0.5, 3.0, Word.OPPOSITE, "ompl-projected"),
+        (3.0, 1.0, Word.SAME, "atlas-rrt"),
     ):
-        others = {"atlas_rrt": 3.0, "tb_rrt": 3.0, "mpnet": mpnet, "birrt": 0.1}
-        folder = tmp_path / f"{ompl} {mpnet}"
+        others = {"ompl_projected": ompl, "atlas_rrt": atlas, "tb_rrt": None, "birrt": 0.1}
+        folder = tmp_path / f"{ompl} {atlas}"
         folder.mkdir()
-        a_results_folder(folder, opt_cvq_mpt=1.0, ompl_projected=ompl, **others)
-        found = by_title(folder)["twice as fast"]
-        assert found.ruling is expected and found.deciding.baseline == decided
+        a_results_folder(folder, opt_cvq_mpt=1.0, **others)
+        found = by_title(folder)["Opt: twice as fast"]
+        assert found.word is expected and found.deciding.baseline == decided
         assert "birrt" not in {verdict.baseline for verdict in found.verdicts}
 
 
-def test_claims_without_rows_say_so_and_what_cannot_be_compared_too(tmp_path):
+def test_claims_without_rows_say_so_and_what_cannot_be_tested_too(tmp_path):
     found = by_title(a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=3.0))
-    for title in ("tasks: plans −45 %", "lower G of codes"):
-        assert found[title].ruling is Ruling.NO_ROWS
-    assert found["fewer vertices"].ruling is found["complete"].ruling is Ruling.INCOMPARABLE
-    assert found["paths 35 % shorter"].ruling is Ruling.FAILS, "all paths are 6 rad"
+    titles = "Opt tasks: plans −45 %", "lower G of codes", "Opt: twice as fast", "solve as many"
+    assert {found[title].word for title in titles} == {Word.NO_ROWS}, "or not of all planners"
+    assert found["complete"].word is Word.UNTESTABLE and found["complete"].deciding is None
+    assert found["Opt: shorter paths"].verdicts[0].word is Word.SAME, "all paths are 6 rad"
 
 
 def test_a_small_profile_is_named(tmp_path):
-    others = dict.fromkeys(("ompl_projected", "atlas_rrt", "tb_rrt", "mpnet"), 3.0)
+    others = dict.fromkeys(("ompl_projected", "atlas_rrt", "tb_rrt"), 3.0)
     results = a_results_folder(tmp_path, opt_cvq_mpt=1.0, **others)
     path = next(results.glob(f"*/{PROVENANCE_FILE}"))
     record = json.loads(path.read_text())
-    for profile, ruling in (("small", Ruling.TOO_FEW), ("full", Ruling.HOLDS)):
+    for profile, word in (("small", Word.OPEN), ("full", Word.REPLICATED)):
         command = ["cvqmpt", "reproduce", "all", "--profile", profile]
         path.write_text(json.dumps({**record, "command": command}))
         found = evidence_below(results)
-        assert by_title(results)["twice as fast"].ruling is ruling
+        assert by_title(results)["Opt: twice as fast"].word is word
         report = pages.report_html(pages.evidence_of(results))
         for page in (pages.page_text(found, judged_claims(found), results), report):
             assert ("--profile small" in page) is (profile == "small")
+
+
+def test_the_opening_counts_every_word_and_the_page_has_it():
+    claims = judged_claims(evidence_below(RESULTS))
+    numbers = re.findall(r"(\d+) ([a-z ]+?)[,.]", pages.opening(claims).split("**")[1])
+    assert sum(int(number) for number, _ in numbers) == len(claims)
+    words = ["replicated", "smaller", "no difference", "opposite", "inconclusive"]
+    assert [word for _, word in numbers][:5] == words
+    assert pages.opening(claims) in pages.README.read_text(encoding="utf-8")
+
+
+def test_pictures_of_the_committed_rows_are_drawn_without_a_display():
+    for path, picture in pages.committed_pictures().items():
+        assert path.is_file() and picture.startswith(b"\x89PNG") and len(picture) > 20_000
 
 
 EVIL = "<script>alert(1)</script>$x$"
@@ -196,7 +210,7 @@ def page(results):
 
 
 def test_a_report_holds_all_its_parts_needs_no_network_and_names_are_text(page):
-    texts = "Does the paper hold?", "not comparable", "Solved against time", "Where time goes"
+    texts = "Is the paper replicated?", "not testable", "Solved against time", "Where time goes"
     assert all(text in page for text in (*texts, "Provenance"))
     assert page.count("<svg") == 4 and "cvqmpt plan place-task --problem PROBLEM" in page
     colours, plot, table = map(page.index, ("What the colours mean", "<svg", '<div class="wide">'))

@@ -12,6 +12,7 @@ from cvqmpt_lab.results.statistics import (
     jointly_solved,
     mean_of_solved,
     median_interval,
+    student_interval,
     wilson_interval,
 )
 
@@ -47,6 +48,16 @@ def test_mean_of_solved_leaves_failures_out():
     assert interval.estimate == 2.0 and interval.n == 2 and interval[1:3] == (1.0, 3.0)
     assert mean_of_solved([4.0, INF]) == Interval(4.0, None, None, 1)
     assert mean_of_solved([INF]) == UNDEFINED
+
+
+def test_students_interval_by_hand():
+    """Mean 2, sd 1, n 3: t(2 df) is 4.303 at 95 % and 9.925 at 99 %."""
+    for confidence, t in ((0.95, 4.303), (0.99, 9.925)):
+        interval = student_interval([1.0, 2.0, 3.0], confidence)
+        assert interval.estimate == 2.0 and interval.n == 3
+        half = t / math.sqrt(3.0)
+        assert interval[1:3] == pytest.approx((2.0 - half, 2.0 + half), abs=1e-3)
+    assert student_interval([1.0]) == UNDEFINED
 
 
 def row(problem, solved, seed=0):

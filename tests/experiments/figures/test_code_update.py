@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import xml.etree.ElementTree as ET
 from itertools import product
 
@@ -93,9 +94,9 @@ def test_shares_of_draws_above_delta_and_their_bound(update):
 def test_a_problem_counts_once_in_the_claim(tmp_path):
     lines = ["problem,code,g_before,g_after", "a,1,4,1", "a,2,4,4", "a,goal,1,100", "b,3,1,0.5"]
     (tmp_path / "values.csv").write_text("\n".join(lines))
-    effect = updated_codes(Claim("g", 0.0, (PREDICTED,)), tmp_path)
-    assert effect.paired[::3] == (pytest.approx(0.5), 2)
-    assert effect.means.estimate == pytest.approx(1.0 - (2.5 + 0.5) / (4.0 + 1.0))
+    effect = updated_codes(Claim("g", ("a",), "", "", "", (PREDICTED,)), tmp_path)
+    assert effect.gains == pytest.approx([math.log(2.0)] * 2)
+    assert effect.means == pytest.approx(math.log((4.0 + 1.0) / (2.5 + 0.5)))
 
 
 def test_hands_by_another_kinematics(update, problem):
