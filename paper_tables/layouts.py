@@ -367,14 +367,12 @@ PEER_NOTES = (
     "Estimate [95 % interval]. Every planner has one thread, the same convex pieces of the "
     "robot, the same obstacles and pairs of pieces, its own collision checker; what it loads for "
     "a robot and a scene is loaded before.",
-    "Path found: the planner returned a path in time. Certified: the path, as it was returned, "
-    "also keeps constraint, limits and obstacles between its states; Wilson intervals.",
-    "Time: wall clock around the whole call, for ours with shortening, for theirs with their "
-    "own; the certificate is left out. Median with runs that are not certified as infinite, "
-    "order-statistic interval.",
+    "Path found: returned in time. Certified: as it was returned, it also keeps constraint, limits "
+    "and obstacles between its states; Wilson intervals.",
+    "Time: wall clock around the whole call, with shortening, ours or theirs, without certificate. "
+    "Median with runs that are not certified as infinite, order-statistic interval.",
     f"Ratios to {REFERENCE}: geometric mean over problems that both solved, paired by problem and "
-    "seed, bootstrap interval.",
-    "Length: of certified paths, Euclidean in joint space.",
+    "seed, bootstrap interval. Length: of certified paths, Euclidean in joint space.",
     "What favours ours: roboplan and sscbirrt bound roll, pitch and yaw, and get a box of nine "
     "tenths of what fits into the problem's bounds at any roll; HPP keeps the hand upright "
     "exactly; its time holds its random shortcuts, as sscbirrt's holds its smoothing; roboplan "

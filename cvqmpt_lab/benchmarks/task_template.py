@@ -73,6 +73,11 @@ def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict
         what: the arm opens.
     """
     hold = hold_of(source)
+    if len(hold.robot.end_effectors) > 1:
+        raise InvalidInputError(
+            f"robot {hold.robot.name} has several end effectors, and a task is for one hand: name "
+            f"one, --end-effector {hold.robot.end_effector}"
+        )
     reach = hand_reach(hold.robot)
     tried, reached, failure = 0, 0, ""
     for place in _places(hold, what):

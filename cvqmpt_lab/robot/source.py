@@ -169,9 +169,38 @@ def _of_arm(given: RobotSource) -> RobotSource:
 FINGER_OPENING = 0.04  # [m] largest opening of each finger of the Panda's hand
 
 UR, XARM = "ur_description", "xarm_description"
-TALOS = "talos_data/robots/talos_reduced.urdf"
-BAXTER_SRDF = "baxter_description/srdf/baxter_manipulation.srdf"
-STANDING = {"torso_1_joint": 0.0, "torso_2_joint": 0.0}
+
+# Robots with two arms: NAME is both, NAME-left and NAME-right (of talos NAME-left-arm) are one
+TWO_ARMS: Mapping[str, RobotSource] = {
+    "tiago-dual": RobotSource(
+        "tiago_description/robots/tiago_dual.urdf",
+        end_effectors=("hand_left_palm_link", "hand_right_palm_link"),
+    ),
+    "tiago-pro": RobotSource(
+        "tiago_pro_description/robots/tiago_pro.urdf",
+        end_effectors=("gripper_left_base_link", "gripper_right_base_link"),
+    ),
+    "talos": RobotSource(
+        "talos_data/robots/talos_reduced.urdf",
+        locked={"torso_1_joint": 0.0, "torso_2_joint": 0.0},
+        end_effectors=("gripper_left_base_link", "gripper_right_base_link"),
+    ),
+    "baxter": RobotSource(
+        "baxter_description/urdf/baxter.urdf",
+        srdf="baxter_description/srdf/baxter_manipulation.srdf",
+        end_effectors=("left_gripper", "right_gripper"),
+    ),
+    "pr2": RobotSource(
+        "pr2_description/urdf/pr2.urdf",
+        end_effectors=("l_gripper_tool_frame", "r_gripper_tool_frame"),
+    ),
+    "g1": RobotSource(
+        "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
+        locked={f"waist_{axis}_joint": 0.0 for axis in ("yaw", "roll", "pitch")},
+        end_effectors=("left_hand_palm_link", "right_hand_palm_link"),
+    ),
+}
+SIDES = ("left", "right")
 
 # Arms with a fixed base, legs held; paths of files are relative to the folder of `example_robots`.
 # Velocity and effort limits are those of the URDF. Limits of acceleration and jerk are stated for
@@ -209,67 +238,19 @@ ARMS: Mapping[str, RobotSource] = {
     "tiago-no-hand": RobotSource(
         "tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"
     ),
-    "tiago-dual-left": RobotSource(
-        "tiago_description/robots/tiago_dual.urdf", "hand_left_palm_link"
-    ),
-    "tiago-dual-right": RobotSource(
-        "tiago_description/robots/tiago_dual.urdf", "hand_right_palm_link"
-    ),
-    "tiago-pro-left": RobotSource(
-        "tiago_pro_description/robots/tiago_pro.urdf", "gripper_left_base_link"
-    ),
-    "tiago-pro-right": RobotSource(
-        "tiago_pro_description/robots/tiago_pro.urdf", "gripper_right_base_link"
-    ),
-    "talos-left-arm": RobotSource(TALOS, "gripper_left_base_link", locked=STANDING),
-    "talos-right-arm": RobotSource(TALOS, "gripper_right_base_link", locked=STANDING),
-    "baxter-left": RobotSource("baxter_description/urdf/baxter.urdf", "left_gripper", BAXTER_SRDF),
-    "baxter-right": RobotSource(
-        "baxter_description/urdf/baxter.urdf", "right_gripper", BAXTER_SRDF
-    ),
-    # both arms
-    "baxter": RobotSource(
-        "baxter_description/urdf/baxter.urdf",
-        srdf=BAXTER_SRDF,
-        end_effectors=("left_gripper", "right_gripper"),
-    ),
-    "tiago-dual": RobotSource(
-        "tiago_description/robots/tiago_dual.urdf",
-        end_effectors=("hand_left_palm_link", "hand_right_palm_link"),
-    ),
-    "tiago-pro": RobotSource(
-        "tiago_pro_description/robots/tiago_pro.urdf",
-        end_effectors=("gripper_left_base_link", "gripper_right_base_link"),
-    ),
-    "talos": RobotSource(
-        TALOS,
-        locked=STANDING,
-        end_effectors=("gripper_left_base_link", "gripper_right_base_link"),
-    ),
-    "pr2": RobotSource(
-        "pr2_description/urdf/pr2.urdf",
-        end_effectors=("l_gripper_tool_frame", "r_gripper_tool_frame"),
-    ),
-    "g1": RobotSource(
-        "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
-        locked={f"waist_{axis}_joint": 0.0 for axis in ("yaw", "roll", "pitch")},
-        end_effectors=("left_hand_palm_link", "right_hand_palm_link"),
-    ),
-    "pr2-left": RobotSource("pr2_description/urdf/pr2.urdf", "l_gripper_tool_frame"),
-    "pr2-right": RobotSource("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame"),
+    **TWO_ARMS,
     **{
-        f"g1-{side}": RobotSource(
-            "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
-            f"{side}_hand_palm_link",
-            locked={f"waist_{axis}_joint": 0.0 for axis in ("yaw", "roll", "pitch")},
+        f"{name}-{side}" + "-arm" * (name == "talos"): replace(
+            robot, end_effector=hand, end_effectors=()
         )
-        for side in ("left", "right")
+        for name, robot in TWO_ARMS.items()
+        for side, hand in zip(SIDES, robot.end_effectors, strict=True)
     },
     **{
         f"romeo-{side}": RobotSource(
             "romeo_description/urdf/romeo.urdf", f"{side[0]}_wrist", locked={"TrunkYaw": 0.0}
         )
-        for side in ("left", "right")
+        for side in SIDES
     },
     "anymal-kinova": RobotSource(
         "anymal_b_simple_description/robots/anymal-kinova.urdf", "j2s6s200_end_effector"
