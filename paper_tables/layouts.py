@@ -351,8 +351,6 @@ def group_table(
     )
 
 
-# ---------------------------------------------------------------- beside external planners
-
 PEER_COLUMNS: Mapping[str, Column] = {
     "found": Column("path found [%]", "%", share_of(lambda row: row.certified is not None)),
     "certified": Column("certified [%]", "%", share_of(solved)),
