@@ -68,8 +68,8 @@ TWO_ARM_NOTES = (
     "Time: total wall time, with goal inverse kinematics; median with failures as infinite.",
     "`roadmap` makes no roadmap of closed chains: trees and cells in turns. ompl-projected ran on "
     "the trays over a table of baxter alone, where its runs that fail take most of the time. "
-    "Learned samplers are left out: their weights are for one arm. Whether a problem has a solution is not known: both ends lie "
-    "on the chain, perhaps in parts of it that are not connected.",
+    "Learned samplers are left out: weights are for one arm. Whether a problem has a solution "
+    "is not known: both ends lie on the chain, perhaps in parts of it that are not connected.",
 )
 
 
