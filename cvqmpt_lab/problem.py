@@ -237,10 +237,14 @@ class PlanningProblem(Document):
         return RegionConstraint(self.robot, self.constraint)
 
     @property
-    def closed_chain(self) -> bool:
-        """Whether an end effector is held to another one: the hands and the base form a ring."""
-        bases = [part.base for part in self.constraint if isinstance(part, TaskSpaceRegionChain)]
-        return any(base in self.robot.end_effectors for base in bases)
+    def closed_chain(self) -> Regions:
+        """The regions that hold one end effector to another: the hands and the base form a ring."""
+        hands = self.robot.end_effectors
+        return tuple(
+            part
+            for part in self.constraint
+            if isinstance(part, TaskSpaceRegionChain) and part.base in hands
+        )
 
     @cached_property
     def dynamics(self) -> Dynamics | None:

@@ -3,7 +3,7 @@
 Both hands hold it as a closed chain: `relative-pose` of the second hand in the frame of the first.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
@@ -39,19 +39,78 @@ TILT = 0.1  # [rad] of the tray
 HELD = ("forward", "inward", "down")
 
 
+def _box(name: str, low: Sequence[float], high: Sequence[float]) -> SceneObject:
+    """A box between two corners [m]."""
+    size = np.subtract(high, low).round(4).tolist()
+    return SceneObject(name, Box(tuple(size)), pose(0.5 * np.add(low, high).round(4)))
+
+
+def _over_table(
+    rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
+) -> Iterator[SceneObject]:
+    """A table below both ends, and a block between them that is higher than what is carried."""
+    x, _, z = ends.mean(axis=0)
+    top = ends[:, 2].min() - reach * rng.uniform(0.1, 0.15)
+    half = 0.7 * reach
+    yield _box("table", (x - 0.3 * reach, -half, top - 0.05), (x + 0.4 * reach, half, top))
+    deep, thick = reach * rng.uniform((0.05, 0.02), (0.15, 0.04))
+    high = z + reach * rng.uniform(0.0, 0.08)
+    yield _box("block", (x - deep, -thick, top), (x + deep, thick, high))
+
+
+def _through_window(
+    rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
+) -> Iterator[SceneObject]:
+    """A wall between both ends with an opening in it."""
+    x, y, z = ends.mean(axis=0) + reach * rng.uniform(-0.03, 0.03, 3)
+    across, up = wide + reach * rng.uniform(0.05, 0.12), reach * rng.uniform(0.15, 0.25)
+    side, thick = max(0.8 * reach, across + 0.2 * reach), 0.02
+    yield _box("wall below", (x, -side, z - reach), (x + thick, side, z - up))
+    yield _box("wall above", (x, -side, z + up), (x + thick, side, z + reach))
+    yield _box("wall right", (x, -side, z - up), (x + thick, y - across, z + up))
+    yield _box("wall left", (x, y + across, z - up), (x + thick, side, z + up))
+
+
+def _into_shelf(
+    rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
+) -> Iterator[SceneObject]:
+    """Two boards with sides around the goal, in front of the start."""
+    x, y, z = ends[1]
+    front, back = x - 0.5 * size[0] - 0.03 * reach, x + 0.5 * size[0] + 0.1 * reach
+    across = wide + reach * rng.uniform(0.03, 0.1)
+    low = z - 0.5 * size[2] - reach * rng.uniform(0.05, 0.1)
+    high = z + 0.5 * size[2] + reach * rng.uniform(0.1, 0.2)
+    yield _box("lower board", (front, y - across, low - 0.02), (back, y + across, low))
+    yield _box("upper board", (front, y - across, high), (back, y + across, high + 0.02))
+    for name, edge in (("right", -1.0), ("left", 1.0)):
+        first, last = sorted((y + edge * across, y + edge * (across + 0.02)))
+        yield _box(f"{name} side", (front, first, low - 0.02), (back, last, high + 0.02))
+
+
 class Layout(NamedTuple):
-    """Lengths of a kind of problem, in shares of what an arm reaches."""
+    """A kind of problem; lengths in shares of what an arm reaches."""
 
     size: tuple[float, float, float]  # of what is carried
     start: tuple[float, float, float]  # its centre, from the middle between the shoulders
     goal: tuple[float, float, float]
     held: tuple[str, ...]  # of `HELD`
+    # of a random generator, both ends (2, 3), the reach, the size (3,) and half the width of what
+    # is carried with its hands [m]
+    scene: Callable[
+        [np.random.Generator, np.ndarray, float, np.ndarray, float], Iterator[SceneObject]
+    ]
 
 
 LAYOUTS: Mapping[str, Layout] = {
-    "tray-over-table": Layout((0.2, 0.22, 0.03), (0.55, 0.2, -0.1), (0.55, -0.2, -0.1), HELD),
-    "tray-through-window": Layout((0.2, 0.3, 0.03), (0.45, 0.0, -0.1), (0.7, 0.0, -0.1), HELD[:2]),
-    "box-into-shelf": Layout((0.2, 0.25, 0.15), (0.42, 0.0, 0.0), (0.68, 0.0, -0.05), HELD[:2]),
+    "tray-over-table": Layout(
+        (0.2, 0.22, 0.03), (0.55, 0.2, -0.1), (0.55, -0.2, -0.1), HELD, _over_table
+    ),
+    "tray-through-window": Layout(
+        (0.2, 0.3, 0.03), (0.45, 0.0, -0.1), (0.7, 0.0, -0.1), HELD[:2], _through_window
+    ),
+    "box-into-shelf": Layout(
+        (0.2, 0.25, 0.15), (0.42, 0.0, 0.0), (0.68, 0.0, -0.05), HELD[:2], _into_shelf
+    ),
 }
 ROBOTS: Mapping[str, Mapping[str, Any]] = {
     "baxter": {"name": "baxter"},
@@ -119,7 +178,7 @@ def hold(robot: Robot, kind: str, poses: int = 12) -> Carried:
             found = []
             for roll in range(4):
                 T = _grasp(robot, hand, style, side, roll, size)
-                there = TaskSpaceRegion(np.eye(4), np.eye(4), np.zeros((6, 2)), end_effector=hand)
+                there = around[0].changed(end_effector=hand)
                 guesses = first_guesses(robot, np.random.default_rng(0), poses)
                 states = solve_poses(robot, there, T_world_item @ T, guesses)
                 free = sum(any(not checker.in_collision(q) for q in rows) for rows in states)
@@ -185,14 +244,15 @@ def carrying_problem(
     Start and goal are drawn around those of the layout; what is carried is level, and may yaw.
     """
     (item, size, constraint), (middle, reach) = hold(robot, kind), shoulders(robot)
+    layout = LAYOUTS[kind]
     T_item_hand = np.linalg.inv(item.T_hand_object)
     beyond = (T_item_hand, T_item_hand @ constraint[0].T0_w)
     wide = max(abs(T[1, 3]) for T in beyond) + 0.08
     rng = np.random.default_rng([number, *kind.encode()])
     for _ in range(draws):
         shift = reach * rng.uniform(-0.05, 0.05, (2, 3))
-        ends = middle + reach * np.array([LAYOUTS[kind].start, LAYOUTS[kind].goal]) + shift
-        scene = Scene(kind, tuple(SCENES[kind](rng, ends, reach, size, wide)))
+        ends = middle + reach * np.array([layout.start, layout.goal]) + shift
+        scene = Scene(kind, tuple(layout.scene(rng, ends, reach, size, wide)))
         regions = [
             symmetric_region(pose(end), T_item_hand, [width] * 3 + [0.0, 0.0, 0.3])
             for end, width in zip(ends, (0.02, 0.01), strict=True)
@@ -219,61 +279,6 @@ def carrying_problem(
                 goal_region=regions[1],
             )
     return UnsolvableProblem(f"{kind} {number}", f"none of {draws} scenes has a start and a goal")
-
-
-def _box(name: str, low: Sequence[float], high: Sequence[float]) -> SceneObject:
-    """A box between two corners [m]."""
-    size = np.subtract(high, low).round(4).tolist()
-    return SceneObject(name, Box(tuple(size)), pose(0.5 * np.add(low, high).round(4)))
-
-
-def _over_table(
-    rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
-) -> Iterator[SceneObject]:
-    """A table below both ends, and a block between them that is higher than what is carried."""
-    x, _, z = ends.mean(axis=0)
-    top = ends[:, 2].min() - reach * rng.uniform(0.1, 0.15)
-    half = 0.7 * reach
-    yield _box("table", (x - 0.3 * reach, -half, top - 0.05), (x + 0.4 * reach, half, top))
-    deep, thick = reach * rng.uniform((0.05, 0.02), (0.15, 0.04))
-    high = z + reach * rng.uniform(0.0, 0.08)
-    yield _box("block", (x - deep, -thick, top), (x + deep, thick, high))
-
-
-def _through_window(
-    rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
-) -> Iterator[SceneObject]:
-    """A wall between both ends with an opening in it."""
-    x, y, z = ends.mean(axis=0) + reach * rng.uniform(-0.03, 0.03, 3)
-    across, up = wide + reach * rng.uniform(0.05, 0.12), reach * rng.uniform(0.15, 0.25)
-    side, thick = max(0.8 * reach, across + 0.2 * reach), 0.02
-    yield _box("wall below", (x, -side, z - reach), (x + thick, side, z - up))
-    yield _box("wall above", (x, -side, z + up), (x + thick, side, z + reach))
-    yield _box("wall right", (x, -side, z - up), (x + thick, y - across, z + up))
-    yield _box("wall left", (x, y + across, z - up), (x + thick, side, z + up))
-
-
-def _into_shelf(
-    rng: np.random.Generator, ends: np.ndarray, reach: float, size: np.ndarray, wide: float
-) -> Iterator[SceneObject]:
-    """Two boards with sides around the goal, in front of the start."""
-    x, y, z = ends[1]
-    front, back = x - 0.5 * size[0] - 0.03 * reach, x + 0.5 * size[0] + 0.1 * reach
-    across = wide + reach * rng.uniform(0.03, 0.1)
-    low = z - 0.5 * size[2] - reach * rng.uniform(0.05, 0.1)
-    high = z + 0.5 * size[2] + reach * rng.uniform(0.1, 0.2)
-    yield _box("lower board", (front, y - across, low - 0.02), (back, y + across, low))
-    yield _box("upper board", (front, y - across, high), (back, y + across, high + 0.02))
-    for name, edge in (("right", -1.0), ("left", 1.0)):
-        first, last = sorted((y + edge * across, y + edge * (across + 0.02)))
-        yield _box(f"{name} side", (front, first, low - 0.02), (back, last, high + 0.02))
-
-
-SCENES = {
-    "tray-over-table": _over_table,
-    "tray-through-window": _through_window,
-    "box-into-shelf": _into_shelf,
-}
 
 
 def two_arms_template(source: Mapping[str, Any], numbers: int = 10) -> dict[str, Any]:

@@ -94,8 +94,7 @@ class Studio:
         fitting = (name for name, one in PLANNERS.items() if not one.incompatibility(problem))
         self.planners = tuple(dict.fromkeys((planner, *fitting)))
         standing = upright(axis=upper_axis(problem.robot.pose(problem.start)))
-        hands = problem.robot.end_effectors  # that hold one thing do not let go of it
-        held = tuple(it for it in problem.constraint if getattr(it, "base", None) in hands)
+        held = problem.closed_chain  # hands that hold one thing do not let go of it
         self.constraints = {"own": problem.constraint, "upright": (*held, standing), "none": held}
         self.on_answer: Callable[[Answer], None] = lambda answer: None  # in the planning thread
         # the newest ones
