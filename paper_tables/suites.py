@@ -116,7 +116,7 @@ SUITES: Mapping[str, Suite] = {
         amounts=(
             Amount(seeds=5, planners=QUICK),
             Amount(problems=60, cutoff=5.0, planners=CONTROLLED, folder="controls"),
-            Amount(seeds=3, late=True),
+            Amount(late=True),
             Amount(profile="small", problems=10, cutoff=2.0),
             Amount(profile="small", problems=3, cutoff=2.0, planners=CONTROLLED, folder="controls"),
         ),
@@ -218,7 +218,7 @@ SUITES: Mapping[str, Suite] = {
         title="Scanned scenes, hand upright: planned in the map, judged in truth",
         amounts=(
             Amount(seeds=3, planners=QUICK),
-            Amount(seeds=3, late=True),
+            Amount(late=True),
             Amount(profile="small", problems=2, cutoff=2.0),
         ),
         table=partial(place_table, sensed=True),
@@ -253,8 +253,8 @@ SUITES: Mapping[str, Suite] = {
     "multi-sequence": Suite(
         title="Multi-sequence task: open the shelf, take the can, stand it on the counter",
         amounts=(
-            Amount(seeds=5, planners=QUICK),
-            Amount(late=True),
+            Amount(seeds=2, planners=QUICK),
+            Amount(problems=30, late=True),
             # without ompl-projected, which took half of the profile's time (see the table's note)
             Amount(profile="small", problems=2, cutoff=2.0, planners=(SOME[0], *SOME[2:])),
         ),

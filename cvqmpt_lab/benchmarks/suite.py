@@ -111,7 +111,7 @@ SUITES: Mapping[str, Suite] = {
         Suite("robots", range(180), partial(_item, "robots")),
         Suite("peers", range(30), single_goal_problem, _CAN, new_scenes=False),
         Suite("peers-two-arms", range(20), partial(_item, "peers-two-arms")),
-        Suite("sensor", range(30), partial(_item, "sensor")),
+        Suite("sensor", range(98), partial(_item, "sensor")),
         Suite("two-arms", range(180), partial(_item, "two-arms")),
         Suite("unconstrained", range(120), partial(_item, "unconstrained")),
         *(
@@ -120,7 +120,7 @@ SUITES: Mapping[str, Suite] = {
         ),
         Suite(
             "multi-sequence",
-            range(10),
+            range(66),
             partial(_item, "multi-sequence"),
             new_scenes=False,
             settings={"speed": SLOW},

@@ -46,8 +46,8 @@ from cvqmpt_lab.search.nearest import (
     nearest_index,
     nearest_node,
 )
-from cvqmpt_lab.search.planner_interface import SamplingDistribution
-from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus, Tree
+from cvqmpt_lab.search.planner_interface import Deadline, SamplingDistribution
+from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, Tree
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 GROWING, CONNECTED, FULL = range(3)
@@ -279,23 +279,10 @@ class BiRRT:
         rng: np.random.Generator,
     ) -> PlanResult:
         """Search a path from start (n,) to any row of goals (k, n); see `Search`."""
-        began = time.perf_counter()
-        before = space.counters
+        deadline = Deadline(budget, space)
         growth = GrowingTrees(self, space, plant(start, goals, capacity=4096), distribution, rng)
-        deadline = np.inf if budget.seconds is None else began + budget.seconds
-        path = growth.grow(np.inf, budget.iterations, deadline)
-        late = time.perf_counter() >= deadline
-        failed = PlanStatus.TIMEOUT if late else PlanStatus.ITERATION_LIMIT
-        return PlanResult(
-            status=PlanStatus.SOLVED if path is not None else failed,
-            path=path,
-            seconds=time.perf_counter() - began,
-            counters=space.counters_since(before),
-            vertices=int(growth.trees.size.sum()),
-            sampler=distribution.name,
-            detail=growth.complaint,
-            trees=growth.shown,
-        )
+        path = growth.grow(np.inf, budget.iterations, deadline.clock)
+        return deadline.result(path, shown(growth.trees), distribution.name, growth.complaint)
 
 
 class GrowingTrees:
@@ -327,12 +314,6 @@ class GrowingTrees:
         """That no draw could be used, or ""."""
         unused = self._draws and not self._used
         return f"none of {self._draws} draws reached the constraint" if unused else ""
-
-    @property
-    def shown(self) -> tuple[Tree, Tree]:
-        """The trees without their work arrays."""
-        (own, other), (a, b), parent = self.trees.nodes, self.trees.size, self.trees.parent
-        return Tree(own[:a], parent[0, :a]), Tree(other[:b], parent[1, :b])
 
     def draw_from(self, distribution: SamplingDistribution, first: np.ndarray) -> None:
         """From now on, draw from another distribution, after some draws (k, n) that are given."""
@@ -382,6 +363,12 @@ class GrowingTrees:
                 if path is not None:
                     return path
         return None
+
+
+def shown(trees: Trees) -> tuple[Tree, Tree]:
+    """Both trees without their work arrays."""
+    (own, other), (a, b), parent = trees.nodes, trees.size, trees.parent
+    return Tree(own[:a], parent[0, :a]), Tree(other[:b], parent[1, :b])
 
 
 def checked_tree_path(space: ConstrainedSpace, trees: Trees) -> JointPath | None:

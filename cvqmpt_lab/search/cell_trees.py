@@ -17,6 +17,7 @@ from typing import Annotated
 import numpy as np
 
 from cvqmpt_lab.jit import entry, kernel
+from cvqmpt_lab.results.row import CLEARANCE_COST
 from cvqmpt_lab.search.birrt import (
     CONNECTED,
     FULL,
@@ -25,6 +26,7 @@ from cvqmpt_lab.search.birrt import (
     checked_tree_path,
     enlarged_trees,
     plant,
+    shown,
 )
 from cvqmpt_lab.search.cell_grids import (
     HELD,
@@ -50,8 +52,8 @@ from cvqmpt_lab.search.motion import (
     step_towards,
 )
 from cvqmpt_lab.search.nearest import index_new_nodes, nearest_node
-from cvqmpt_lab.search.planner_interface import SamplingDistribution
-from cvqmpt_lab.search.result import Budget, JointPath, PlanResult, PlanStatus, Tree
+from cvqmpt_lab.search.planner_interface import Deadline, SamplingDistribution
+from cvqmpt_lab.search.result import Budget, JointPath, PlanResult
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 
@@ -106,7 +108,7 @@ def grow_cells(
     shifts: Annotated[np.ndarray, "count n"],
     chances: Annotated[np.ndarray, "count 3"],
     first: int,
-    most_work: int,
+    most_work: float,
     farthest: float,
 ):
     """Walk once for each row of shifts from the first, until the trees meet.
@@ -118,7 +120,7 @@ def grow_cells(
         shifts: from a node to where a walk goes [rad or m].
         chances: uniform in [0, 1): which grid, cell and node.
         first: row of the first walk.
-        most_work: projections, state checks and clearances, counted in all so far, at which to end.
+        most_work: as `Counters.work` counts it, in all so far, at which to end.
         farthest: states that are joined [rad].
 
     Returns:
@@ -135,7 +137,8 @@ def grow_cells(
             crowded = crowded or grids.known[g] + 2 * longest >= grids.place.shape[1]
         if crowded:
             return FULL, i
-        work = counters[PROJECTIONS] + counters[STATE_CHECKS] + counters[CLEARANCES]
+        work = counters[PROJECTIONS] + counters[STATE_CHECKS]
+        work += CLEARANCE_COST * counters[CLEARANCES]
         if work >= most_work:
             return GROWING, i
         counters[ITERATIONS] += 1
@@ -183,7 +186,7 @@ class CellTrees:
         goals: np.ndarray,
         rng: np.random.Generator,
     ) -> None:
-        self.space, self._rng = space, rng
+        self._space, self._rng = space, rng
         self.trees = plant(start, goals, capacity=4096)
         self._grids = empty_grids(space, rng)
         while len(goals) + 256 > self._grids.place.shape[1]:
@@ -193,44 +196,38 @@ class CellTrees:
         self._shifts, self._chances = np.empty((0, len(start))), np.empty((0, 3))
         self._next = 0
 
-    @property
-    def work(self) -> int:
-        """Projections, state checks and clearances counted in the space so far."""
-        done = self.space.counters
-        return done.projections + done.state_checks + done.clearances
-
     def grow(
         self, work: float, iterations: int | None = None, deadline: float = np.inf
     ) -> JointPath | None:
         """Grow for so much more work, so many iterations, or until a clock time, or to a path.
 
         Args:
-            work: projections, state checks and clearances.
+            work: as `ConstrainedSpace.work` counts it.
             iterations: walks.
             deadline: of time.perf_counter() [s].
 
         Returns:
             A path that passed the fine check, or None.
         """
-        most = min(self.work + work, 2.0**62)
+        most = self._space.work + work
         left = 2**62 if iterations is None else iterations
-        while self.work < most and left > 0 and time.perf_counter() < deadline:
+        while self._space.work < most and left > 0 and time.perf_counter() < deadline:
             if self._next == len(self._shifts):
                 self._draw(256)
             last = min(self._next + min(left, 64), len(self._shifts))
-            before = self.space.arrays.counters[ITERATIONS]
+            before = self._space.arrays.counters[ITERATIONS]
             status, self._next = grow_cells.unchecked(
-                self.space.arrays,
+                self._space.arrays,
                 self.trees,
                 self._grids,
                 self._shifts[:last],
                 self._chances[:last],
                 self._next,
-                int(most),
+                most,
                 4.0,
             )
-            left -= int(self.space.arrays.counters[ITERATIONS] - before)
-            self.space.reraise()
+            left -= int(self._space.arrays.counters[ITERATIONS] - before)
+            self._space.reraise()
             if status == FULL:
                 longest = len(self._grids.motion)
                 if self.trees.size.max() + 2 * longest >= self.trees.nodes.shape[1]:
@@ -238,8 +235,8 @@ class CellTrees:
                 if self._grids.known.max() + 2 * longest >= self._grids.place.shape[1]:
                     self._grids = enlarged_grids(self._grids)
             elif status == CONNECTED:
-                path = checked_tree_path(self.space, self.trees)
-                self.space.reraise()
+                path = checked_tree_path(self._space, self.trees)
+                self._space.reraise()
                 if path is not None:
                     return path
         return None
@@ -270,23 +267,7 @@ class CellSearch:
 
         The distribution is not used: walks start from nodes.
         """
-        began = time.perf_counter()
-        deadline = np.inf if budget.seconds is None else began + budget.seconds
-        before = space.counters
+        deadline = Deadline(budget, space)
         growth = CellTrees(space, start, goals, rng)
-        path = growth.grow(np.inf, budget.iterations, deadline)
-        late = time.perf_counter() >= deadline
-        failed = PlanStatus.TIMEOUT if late else PlanStatus.ITERATION_LIMIT
-        trees = growth.trees
-        return PlanResult(
-            status=PlanStatus.SOLVED if path is not None else failed,
-            path=path,
-            seconds=time.perf_counter() - began,
-            counters=space.counters_since(before),
-            vertices=int(trees.size.sum()),
-            sampler="cells",
-            trees=tuple(
-                Tree(trees.nodes[k, :size], trees.parent[k, :size])
-                for k, size in enumerate(trees.size)
-            ),
-        )
+        path = growth.grow(np.inf, budget.iterations, deadline.clock)
+        return deadline.result(path, shown(growth.trees), "cells")

@@ -15,7 +15,15 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.motion import ITERATIONS
-from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus, Timings
+from cvqmpt_lab.search.result import (
+    Budget,
+    Counters,
+    JointPath,
+    PlanResult,
+    PlanStatus,
+    Timings,
+    Tree,
+)
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 
@@ -137,6 +145,8 @@ class Deadline:
     def __init__(self, budget: Budget, space: ConstrainedSpace) -> None:
         self.budget, self._space = budget, space
         self._began = time.perf_counter()
+        # [s] of time.perf_counter(), when seconds are spent
+        self.clock = self._began + (np.inf if budget.seconds is None else budget.seconds)
         self._counters = space.counters
 
     @property
@@ -172,6 +182,22 @@ class Deadline:
             left = iterations - self.counters.iterations
             iterations = max(min(math.ceil(share * iterations), left), 1)
         return Budget(seconds, iterations)
+
+    def result(
+        self, path: JointPath | None, trees: tuple[Tree, Tree], sampler: str, detail: str = ""
+    ) -> PlanResult:
+        """The result of a search by trees that ends now, for one of the budget's two reasons."""
+        failed = self.spent() or PlanStatus.ITERATION_LIMIT
+        return PlanResult(
+            status=PlanStatus.SOLVED if path is not None else failed,
+            path=path,
+            seconds=self.seconds,
+            counters=self.counters,
+            vertices=sum(len(tree.nodes) for tree in trees),
+            sampler=sampler,
+            detail=detail,
+            trees=trees,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,13 @@ No turn is ended by the clock, so the same seed leads to the same path. Numbers 
 tuning problems, see docs/performance.md.
 """
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, plant
+from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, plant, shown
 from cvqmpt_lab.search.cell_trees import CellTrees
 from cvqmpt_lab.search.planner_interface import (
     Deadline,
@@ -70,7 +69,7 @@ class Portfolio(BiRRT):
             counters=run.deadline.counters,
             vertices=run.vertices,
             sampler=by,
-            trees=run.trees.shown,
+            trees=shown(run.trees.trees),
             detail=run.trees.complaint,
             fallback="" if by == self.name else run.fallback,
         )
@@ -92,7 +91,6 @@ class _Run:
         self._method, self._space, self._ends, self._rng = method, space, (start, goals), rng
         self._uniform = distribution
         self.deadline = Deadline(budget, space)
-        self._clock = time.perf_counter() + (np.inf if budget.seconds is None else budget.seconds)
         self.trees = GrowingTrees(method, space, plant(start, goals, 4096), distribution, rng)
         self.fallback = ""  # why the roadmap found no path
         self._others = 0  # nodes elsewhere than in the trees
@@ -145,4 +143,4 @@ class _Run:
         """Let trees grow for so much work, at most so many iterations, inside the budget."""
         left = self.deadline.rest().iterations
         iterations = min((count for count in (left, most) if count is not None), default=None)
-        return trees.grow(work, iterations, self._clock)
+        return trees.grow(work, iterations, self.deadline.clock)
