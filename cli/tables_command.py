@@ -27,8 +27,11 @@ from paper_tables.claims import Evidence, banner, evidence_below, judged_claims
 from paper_tables.committed import (
     RESULTS,
     committed_directories,
+    committed_pages,
+    committed_pictures,
     differing_cells,
     require_checkout,
+    stale_pages,
     untraceable,
 )
 from paper_tables.suites import render_directory
@@ -106,8 +109,8 @@ def claims(args: argparse.Namespace) -> int:
         if args.results or in_checkout():
             print(f"nothing written; --write writes {page}")
         return 0
-    texts = pages.committed_pages() if args.results is None else {page: page_of(args.results)}
-    pictures = pages.committed_pictures() if args.results is None else {}
+    texts = committed_pages() if args.results is None else {page: page_of(args.results)}
+    pictures = committed_pictures() if args.results is None else {}
     for path, text in texts.items():
         write_text(path, text)
     for path, picture in pictures.items():
@@ -224,7 +227,7 @@ def _check_ours(args: argparse.Namespace) -> int:
     expected = expected._replace(outcomes={case: x for case, x in known if case not in left_out})
     mode, runs = regression.compare(expected, outcomes, made_with, args.within / 100)
     directories = committed_directories(args.results)
-    stale = pages.stale_pages(pages.committed_pages()) if args.results == RESULTS else []
+    stale = stale_pages(committed_pages()) if args.results == RESULTS else []
     found = {
         f"runs compared {mode}": runs,
         f"tables of {len(directories)} results directories rendered again": [

@@ -1,19 +1,27 @@
-"""Committed results: their tables equal a fresh rendering, and their rows can be traced."""
+"""Committed results: tables and pages equal a fresh rendering, and rows can be traced."""
 
 import csv
 import math
-from collections.abc import Callable, Collection
+import re
+from collections.abc import Callable, Collection, Mapping
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, in_checkout
+from cvqmpt_lab.files import read_text
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
+from paper_tables import pages
+from paper_tables.claims import evidence_below, judged_claims
+from paper_tables.quoted import Quoted
 from paper_tables.statements import PUBLISHED
 from paper_tables.suites import rendered_tables
+from paper_tables.table_engine import by_planner
 
 RESULTS = PUBLISHED.parent / "results"
+README = PUBLISHED.parent.parent / "README.md"
+DOCS = README.parent / "docs"
 
 
 def require_checkout(command: str, instead: str) -> None:
@@ -109,3 +117,56 @@ def _cells(line: str, suffix: str) -> list[str]:
     quoting: Any = csv.QUOTE_MINIMAL if suffix == ".csv" else csv.QUOTE_NONE
     cells = next(csv.reader([line], delimiter=delimiter, quoting=quoting), [])
     return [cell.strip() for cell in cells]
+
+
+# ---------------------------------------------------------------- pages and pictures of all of them
+
+
+def with_part(text: str, part: str, table: str) -> str:
+    """A README with the table between the marks of a part replaced; InvalidInputError without."""
+    begin, end = f"<!-- {part}: written by cvqmpt claims -->", f"<!-- end of {part} -->"
+    found = re.compile(f"{re.escape(begin)}\n.*?{re.escape(end)}", re.DOTALL)
+    if not found.search(text):
+        raise InvalidInputError(
+            f"README has no lines {begin!r} and {end!r}: put them where the table goes"
+        )
+    return found.sub(lambda _: f"{begin}\n{table}{end}", text)
+
+
+def committed_pages() -> dict[Path, str]:
+    """The committed page and, in a checkout, the README, rendered from rows."""
+    found = evidence_below(RESULTS)
+    claims = judged_claims(found)
+    texts = {pages.PAGE: pages.page_text(found, claims, pages.PAGE.parent)}
+    if in_checkout():
+        quoted = Quoted(found)
+        texts[DOCS / "results.md"] = pages.rendered("results.md.j2", quoted=quoted)
+        parts = {
+            "verdicts": pages.headline_text(claims),
+            "planners": pages.rendered("readme.md.j2", quoted=quoted),
+        }
+        text = read_text(README)
+        for part, written in parts.items():
+            text = with_part(text, part, written)
+        texts[README] = text
+    return texts
+
+
+def committed_pictures() -> dict[Path, bytes]:
+    """Pictures of the committed rows: every comparison of the claims, and the cost of a check."""
+    from paper_tables import plots  # matplotlib takes a second to import
+
+    found = evidence_below(RESULTS)
+    verdicts = [verdict for item in judged_claims(found) for verdict in item.verdicts]
+    task = by_planner(found["place-task"].rows, ())
+    drawn = {"forest.png": plots.forest(verdicts), "cost.png": plots.cost_curves(task)}
+    return {DOCS / name: picture for name, picture in drawn.items()}
+
+
+def stale_pages(texts: Mapping[Path, str]) -> list[str]:
+    """A line for each page that differs from its rendering."""
+    return [
+        f"{path}: not what the rows say; write it with: cvqmpt claims --write"
+        for path, text in texts.items()
+        if not path.is_file() or read_text(path) != text
+    ]

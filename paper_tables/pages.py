@@ -4,7 +4,6 @@ Words stand in `templates/`, and those about claims in `published/claims.toml`.
 """
 
 import base64
-import re
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -14,8 +13,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cvqmpt_lab.errors import InvalidInputError, in_checkout
-from cvqmpt_lab.files import read_text
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
 from cvqmpt_lab.results.row import ResultRow
 from paper_tables.claims import (
@@ -27,7 +25,6 @@ from paper_tables.claims import (
     price_lines,
     read_evidence,
 )
-from paper_tables.committed import RESULTS
 from paper_tables.judging import LEVEL, NOTHING, POWER, REACHED, Word, verdict_lines
 from paper_tables.measures import (
     NEWTON_STEP_COST,
@@ -42,13 +39,13 @@ from paper_tables.measures import (
     paired,
     work,
 )
+from paper_tables.quoted import short
 from paper_tables.statements import BECAUSE, CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
 from paper_tables.suites import Suite, suite_of, table_of
 from paper_tables.table_engine import by_planner
 from paper_tables.writers import Lines, change, markdown_table
 
 PAGE = PUBLISHED.parent / "README.md"
-README = PUBLISHED.parent.parent / "README.md"
 COMPARED = {"time [%]": "known_time", "work [%]": "work", "length [%]": "path_length"}
 KITCHENS = {"place-task": "known", "place-task-mirrored": "new"}
 ROW_COLUMNS = ("problem", "seed", "solved", "time [s]", "work", "vertices", "length [rad]", "what")
@@ -69,7 +66,7 @@ def rendered(template: str, **data: Any) -> str:
         trim_blocks=not html,
         keep_trailing_newline=not html,
     )
-    environment.filters |= {"table": markdown_table, "verdicts": verdict_lines}
+    environment.filters |= {"table": markdown_table, "verdicts": verdict_lines, "short": short}
     return environment.get_template(template).render(**data)
 
 
@@ -210,47 +207,6 @@ def wall_clock(evidence: Evidence) -> str:
         if not seconds:
             return "wall-clock not recorded"
     return f"{what} {seconds:.0f} s" if seconds < 90.0 else f"{what} {seconds / 60.0:.0f} min"
-
-
-def with_part(text: str, part: str, table: str) -> str:
-    """A README with the table between the marks of a part replaced; InvalidInputError without."""
-    begin, end = f"<!-- {part}: written by cvqmpt claims -->", f"<!-- end of {part} -->"
-    found = re.compile(f"{re.escape(begin)}\n.*?{re.escape(end)}", re.DOTALL)
-    if not found.search(text):
-        raise InvalidInputError(
-            f"README has no lines {begin!r} and {end!r}: put them where the table goes"
-        )
-    return found.sub(lambda _: f"{begin}\n{table}{end}", text)
-
-
-def committed_pages() -> dict[Path, str]:
-    """The committed page and, in a checkout, the README, rendered from rows."""
-    found = evidence_below(RESULTS)
-    claims = judged_claims(found)
-    pages = {PAGE: page_text(found, claims, PAGE.parent)}
-    if in_checkout():
-        pages[README] = with_part(read_text(README), "verdicts", headline_text(claims))
-    return pages
-
-
-def committed_pictures() -> dict[Path, bytes]:
-    """Pictures of the committed rows: every comparison of the claims, and the cost of a check."""
-    from paper_tables import plots  # matplotlib takes a second to import
-
-    found = evidence_below(RESULTS)
-    verdicts = [verdict for item in judged_claims(found) for verdict in item.verdicts]
-    task = by_planner(found["place-task"].rows, ())
-    drawn = {"forest.png": plots.forest(verdicts), "cost.png": plots.cost_curves(task)}
-    return {README.parent / "docs" / name: picture for name, picture in drawn.items()}
-
-
-def stale_pages(pages: Mapping[Path, str]) -> list[str]:
-    """A line for each page that differs from its rendering."""
-    return [
-        f"{path}: not what the rows say; write it with: cvqmpt claims --write"
-        for path, text in pages.items()
-        if not path.is_file() or read_text(path) != text
-    ]
 
 
 # ---------------------------------------------------------------- the html report

@@ -17,7 +17,7 @@ from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
-from paper_tables import pages
+from paper_tables import committed, pages
 from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.committed import RESULTS
 from paper_tables.judging import Word
@@ -126,11 +126,11 @@ def by_title(results):
 
 
 def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows():
-    assert pages.stale_pages(pages.committed_pages()) == []
+    assert committed.stale_pages(committed.committed_pages()) == []
 
 
 def test_a_readme_without_marks_is_refused():
-    refused("put them where", pages.with_part, "a README without marks", "verdicts", "")
+    refused("put them where", committed.with_part, "a README without marks", "verdicts", "")
 
 
 def test_a_claim_is_judged_against_all_planners_named(tmp_path):
@@ -179,11 +179,11 @@ def test_the_opening_counts_every_word_and_the_page_has_it():
     assert sum(int(number) for number, _ in numbers) == len(claims)
     words = ["replicated", "smaller", "no difference", "opposite", "inconclusive"]
     assert [word for _, word in numbers][:5] == words
-    assert pages.opening(claims) in pages.README.read_text(encoding="utf-8")
+    assert pages.opening(claims) in committed.README.read_text(encoding="utf-8")
 
 
 def test_pictures_of_the_committed_rows_are_drawn_without_a_display():
-    for path, picture in pages.committed_pictures().items():
+    for path, picture in committed.committed_pictures().items():
         assert path.is_file() and picture.startswith(b"\x89PNG") and len(picture) > 20_000
 
 
