@@ -141,7 +141,7 @@ def decomposition_lines(evidence: Evidence) -> Lines:
 def kitchen_lines(found: Mapping[str, Evidence]) -> Lines:
     """Every planner against `birrt`, in the known kitchen and in one never seen."""
     kitchens = {word: by_planner(found[suite].rows, ()) for suite, word in KITCHENS.items()}
-    planners = (CVQ, OPT, "cvq-wide", "roadmap", "roadmap-cvq", CBIRRT)
+    planners = (CVQ, OPT, "birrt-printed", "cvq-tuned", "roadmap", "roadmap-cvq", CBIRRT)
     pairs = product(planners, kitchens.items())
     rows = [([name, word], groups, name, REFERENCE) for name, (word, groups) in pairs]
     return _change_lines(["planner", "kitchen"], rows)

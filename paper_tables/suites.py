@@ -37,6 +37,7 @@ QUICK = ("birrt", "birrt-printed", "cells", "ompl-projected", *LEARNED, "roadmap
 SLOW = ("atlas-rrt", "tb-rrt", "ompl-bkpiece")  # most of their time goes into runs that time out
 ALL = (*QUICK[:4], *SLOW, *QUICK[4:])
 SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
+TUNED = (*SOME, "birrt-printed", "cvq-tuned")
 BENCHED = ("birrt", "roadmap", "ompl-projected")  # the last is RRTConnect where nothing is bound
 UNIFORM_ROADMAPS = ("roadmap-uniform-0", "roadmap-uniform-1", "roadmap-uniform-2")
 # what nothing learned gives `cvq-tuned`, and its bound
@@ -50,8 +51,8 @@ CONTROLLED = (
 )
 # with the controls that say what helps in scenes of other families
 FAMILY = (
-    *("birrt", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "roadmap", "roadmap-cvq"),
-    *(LINES, *UNIFORM_ROADMAPS),
+    *("birrt", "birrt-printed", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned"),
+    *("roadmap", "roadmap-cvq", LINES, *UNIFORM_ROADMAPS),
 )
 FREE_NOTES = (
     "Problems 0 to 59 of the place task (kitchen), and of the seven held-out families in turn, "
@@ -136,7 +137,7 @@ SUITES: Mapping[str, Suite] = {
     ),
     "place-task-mirrored": Suite(
         title="Place task in a kitchen that no tuning has seen",
-        planners=(*SOME[:4], "cvq-wide", "roadmap", "roadmap-cvq"),
+        planners=(*TUNED, "cvq-wide", "roadmap"),
         amounts=(Amount(),),
     ),
     "family-cubes-spheres": _family("scenes of cubes and balls"),
@@ -150,7 +151,7 @@ SUITES: Mapping[str, Suite] = {
     "family-cage": _family("cages of bars"),
     "constraints": Suite(
         title="Eight kinds of constraints, zero-shot, in held-out scenes",
-        planners=SOME,
+        planners=TUNED,
         amounts=(Amount(cutoff=5.0), Amount(profile="small", problems=8, cutoff=2.0)),
         table=group_table,
     ),
