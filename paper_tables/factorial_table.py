@@ -28,10 +28,9 @@ from paper_tables.measures import (
 from paper_tables.statements import PublishedValue
 from paper_tables.table_engine import Column, SuiteTable
 
-# in their order in the table; no planner has predictor graph any more, but committed rows do
-PREDICTORS = (
+PREDICTORS = (  # in their order in the table
     *("uniform", "nearest-lines", "transformer-lines"),
-    *("transformer", "published", "graph", "random", "oracle", "solved"),
+    *("transformer", "published", "random", "oracle", "solved"),
 )
 # the words whose products these tables compare
 GAUSSIANS, UPDATES, CLOUDS = (
@@ -82,11 +81,6 @@ WIDE: Mapping[str, object] = {"gaussians": "wide"}
 SEEING: Mapping[str, object] = {"predictor": "transformer"}
 SEEING_DECODED, SEEING_WIDE = {**SEEING, **DECODED}, {**SEEING, **WIDE}
 SAME: Mapping[str, object] = {"uniform_share": 0.15}
-BEFORE_PROJECTED_DRAWS = (
-    "By name: cvq-mpt is transformer, decoded, none, likeliest, opt-cvq-mpt is transformer, "
-    "decoded, algorithm-2, likeliest, cvq-published is published, decoded, none, likeliest, "
-    "cvq-wide is transformer, wide, projected, all-beams."
-)
 NOTES = (
     f"Work ({WORK}), projections, length and G: over those of {REFERENCE}, "
     "geometric mean of the ratio over problems that both solved, bootstrap interval [95 %]. "
@@ -101,9 +95,15 @@ NOTES = (
     "paired by problem and seed, and a problem counts once. Intervals are not corrected for "
     "their number. Wide and decoded are compared at 15 % uniform samples. Runs that one side "
     "failed are left out, which flatters the side that fails more.",
-    "The transformer also chooses the three goals that Gaussians lie around; graph and random "
+    "The transformer also chooses the three goals that Gaussians lie around; random "
     "codes have the nearest. The oracle's work includes the path without constraint that its "
     "codes are of.",
+    "By name: "
+    + "; ".join(
+        f"{name} is {', '.join(f'{value}' for value in asdict(choice).values())}"
+        for name, choice in NAMED.items()
+    )
+    + ".",
 )
 
 
@@ -158,8 +158,6 @@ CONTRASTS = (
     ),
     Contrast("transformer / random codes, decoded", "predictor", "transformer", "random", DECODED),
     Contrast("transformer / random codes, wide", "predictor", "transformer", "random", WIDE),
-    Contrast("transformer / graph, decoded", "predictor", "transformer", "graph", DECODED),
-    Contrast("transformer / graph, wide", "predictor", "transformer", "graph", WIDE),
     Contrast("own / other cloud, decoded", "cloud", "own-cloud", "other-cloud", SEEING_DECODED),
     Contrast("own / other cloud, wide", "cloud", "own-cloud", "other-cloud", SEEING_WIDE),
     Contrast("own / no cloud, decoded", "cloud", "own-cloud", "no-cloud", SEEING_DECODED),
@@ -203,7 +201,7 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
     for item in contrasts:
         pairs = str(item.measured["work"].n)
         compared_lines.append([item.planner, pairs, *map(item.cell, COMPARED)])
-    notes = [*NOTES, _named(runs.rows), *table.seed_notes(runs)]
+    notes = [*NOTES, *table.seed_notes(runs)]
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
     caption = f"{size}: products of choices of a learned sampler. {NOTES[0]}"
     return SuiteTable(
@@ -213,18 +211,6 @@ def factorial_table(rows: Iterable[ResultRow], published: Sequence[PublishedValu
         {"Products": lines, "Contrasts": compared_lines, **table.counted(found), "Notes": notes},
         table.latex_groups(caption, suite, lines),
     )
-
-
-def _named(rows: Sequence[ResultRow]) -> str:
-    """What the planners' names stood for when these rows were made."""
-    # rows of before draws were projected have no such columns
-    if not any(row.draws for row in rows):
-        return BEFORE_PROJECTED_DRAWS
-    named = (
-        f"{name} is {', '.join(f'{value}' for value in asdict(choice).values())}"
-        for name, choice in NAMED.items()
-    )
-    return f"By name: {'; '.join(named)}."
 
 
 def _place(row: ResultRow) -> tuple[int, ...]:

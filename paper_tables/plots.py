@@ -59,7 +59,6 @@ COLOURS = {  # of planners
     "opt-cvq-mpt": "#c8452d",
     "cvq-wide": "#2e8b57",
     "cvq-tuned": "#6b1d3c",
-    "graph-cvq": "#b8336a",
     "roadmap": "#1b3fa0",
     "roadmap-cvq": "#4f9fd9",
 }
