@@ -158,13 +158,13 @@ SUITES: Mapping[str, Suite] = {
     "factorial": Suite(
         title="Factorial: every choice of a learned sampler, place task",
         planners=PRODUCTS,
-        amounts=(Amount(seeds=3, cutoff=3.0),),
+        amounts=(Amount(cutoff=3.0),),
         table=factorial_table,
     ),
     "factorial-constraints": Suite(
         title="Factorial: every choice of a learned sampler, eight kinds of constraints",
         planners=PRODUCTS,
-        amounts=(Amount(cutoff=2.0),),
+        amounts=(Amount(problems=40, cutoff=2.0),),
         table=factorial_table,
     ),
     # no shipped weights fit the arm with the door as its eighth joint
@@ -255,7 +255,7 @@ SUITES: Mapping[str, Suite] = {
         title="Multi-sequence task: open the shelf, take the can, stand it on the counter",
         amounts=(
             Amount(seeds=2, planners=QUICK),
-            Amount(problems=30, late=True),
+            Amount(problems=20, late=True),
             # without ompl-projected, which took half of the profile's time (see the table's note)
             Amount(profile="small", problems=2, cutoff=2.0, planners=(SOME[0], *SOME[2:])),
         ),
