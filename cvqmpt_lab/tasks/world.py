@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.inverse_kinematics import INSIDE
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.poses import pose, rotation_vectors
@@ -59,7 +60,9 @@ class World:
             case Slide():
                 T_world_hand = robot.pose(self.q)
                 Bw = np.zeros((6, 2))
+                # samples end INSIDE bounds, and so must start and goal
                 Bw[:3] = np.sort([(0.0, along) for along in phase.way])
+                Bw[:3][phase.way != 0.0] += (-INSIDE, INSIDE)
                 constraint = (TaskSpaceRegion(T_world_hand, np.eye(4), Bw),)
                 there = T_world_hand @ pose(phase.way)
                 goal = TaskSpaceRegion(there, np.eye(4), np.zeros((6, 2)))
