@@ -34,8 +34,9 @@ from paper_tables.table_engine import Column, SuiteTable, rows_of_one_suite
 
 LEARNED = ("mpnet", "mpnet-bridged", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned")
 QUICK = ("birrt", "birrt-printed", "cells", "ompl-projected", *LEARNED, "roadmap", "roadmap-cvq")
-SLOW = ("atlas-rrt", "tb-rrt", "ompl-bkpiece")  # most of their time goes into runs that time out
-ALL = (*QUICK[:4], *SLOW, *QUICK[4:])
+SLOW = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
+KPIECE = ("ompl-bkpiece",)
+ALL = (*QUICK[:4], *SLOW, *KPIECE, *QUICK[4:])
 SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 TUNED = (*SOME, "birrt-printed", "cvq-tuned")
 BENCHED = ("birrt", "roadmap", "ompl-projected")  # the last is RRTConnect where nothing is bound
@@ -117,7 +118,8 @@ SUITES: Mapping[str, Suite] = {
         amounts=(
             Amount(seeds=5, planners=QUICK),
             Amount(problems=60, cutoff=5.0, planners=CONTROLLED, folder="controls"),
-            Amount(late=True),
+            Amount(planners=SLOW, late=True),
+            Amount(problems=30, planners=KPIECE, late=True),
             Amount(profile="small", problems=10, cutoff=2.0),
             Amount(profile="small", problems=3, cutoff=2.0, planners=CONTROLLED, folder="controls"),
         ),
@@ -158,7 +160,7 @@ SUITES: Mapping[str, Suite] = {
     "factorial": Suite(
         title="Factorial: every choice of a learned sampler, place task",
         planners=PRODUCTS,
-        amounts=(Amount(cutoff=3.0),),
+        amounts=(Amount(problems=30, cutoff=3.0),),
         table=factorial_table,
     ),
     "factorial-constraints": Suite(
@@ -170,13 +172,13 @@ SUITES: Mapping[str, Suite] = {
     # no shipped weights fit the arm with the door as its eighth joint
     "open-door": Suite(
         title="Open the shelf's door, the hand on its handle",
-        planners=("birrt", "ompl-projected", *SLOW, "roadmap"),
+        planners=("birrt", "ompl-projected", *SLOW, *KPIECE, "roadmap"),
         amounts=(Amount(),),
     ),
     "robots": Suite(
         title="Nine arms of seven makers in held-out scenes, hand upright",
         planners=("birrt", "ompl-projected", "roadmap"),
-        amounts=(Amount(seeds=3, cutoff=5.0), Amount(profile="small", problems=20, cutoff=2.0)),
+        amounts=(Amount(cutoff=5.0), Amount(profile="small", problems=20, cutoff=2.0)),
         table=partial(group_table, what="arm", notes=ARM_NOTES),
     ),
     # the last five planners are entry points, see `experiments.peers`; not everybody has them
@@ -219,7 +221,7 @@ SUITES: Mapping[str, Suite] = {
         title="Scanned scenes, hand upright: planned in the map, judged in truth",
         amounts=(
             Amount(seeds=3, planners=QUICK),
-            Amount(late=True),
+            Amount(planners=SLOW, late=True),
             Amount(profile="small", problems=2, cutoff=2.0),
         ),
         table=partial(place_table, sensed=True),
@@ -255,7 +257,7 @@ SUITES: Mapping[str, Suite] = {
         title="Multi-sequence task: open the shelf, take the can, stand it on the counter",
         amounts=(
             Amount(seeds=2, planners=QUICK),
-            Amount(problems=20, late=True),
+            Amount(problems=20, planners=SLOW, late=True),
             # without ompl-projected, which took half of the profile's time (see the table's note)
             Amount(profile="small", problems=2, cutoff=2.0, planners=(SOME[0], *SOME[2:])),
         ),
