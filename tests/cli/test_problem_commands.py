@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from cvqmpt_lab.benchmarks.templates import problem_template
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import read_source
@@ -23,11 +22,6 @@ def mine(tmp_path, cvqmpt):
     path = tmp_path / "mine.json"
     assert f"cvqmpt plan --problem-file {path}" in cvqmpt("problems new", path)
     return path
-
-
-@pytest.mark.parametrize("robot", ["ur10-limited", "two-dof"])
-def test_a_new_problem_suits_arms_with_narrow_limits_and_few_joints(robot):
-    check_problem(PlanningProblem.from_dict(problem_template({"name": robot})))
 
 
 def test_motions_of_a_new_problem_and_task_need_no_limits_on_the_command_line(tmp_path, cvqmpt):

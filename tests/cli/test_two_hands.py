@@ -101,11 +101,3 @@ def test_a_start_off_the_chain_is_refused_with_F_or_projected(cvqmpt, capsys, tr
     assert f"start breaks `pose` by {OFF:g} rad" in line and "|F| = 0.0" in line
     assert "--project-start" in line
     assert "certificate valid" in cvqmpt("plan --project-start --problem-file", path)
-
-
-@pytest.mark.parametrize("planner", ["opt-cvq-mpt", "mpnet"])
-def test_weights_of_one_arm_are_refused_by_name(capsys, tray, tmp_path, planner):
-    path = tmp_path / "mine.json"
-    path.write_text(tray)
-    line = refused(capsys, "plan", "--problem-file", path, "--planner", planner)
-    assert line.startswith(f"cvqmpt: {planner}: weights are for robot 'panda', not 'baxter'")

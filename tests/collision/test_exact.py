@@ -15,7 +15,6 @@ from cvqmpt_lab.collision.motion_proof import prove_free
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import coal_distance
-from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance, transform
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
@@ -126,24 +125,6 @@ def test_what_is_carried_is_compared_with_every_link_but_the_hand(panda, which, 
         elif room > CONTACT:
             assert not carrying.in_collision(q)
     assert before > 0
-
-
-@pytest.mark.parametrize("name", ["panda", "tiago-no-hand"])
-def test_only_pairs_whose_balls_are_close_are_measured_and_none_is_missed(name):
-    robot = robot_from_source({"name": name})
-    bar = Attachment("bar", Box((0.02, 0.02, 0.3)), pose((0.1, 0.0, 0.1)))
-    checker, rng = CollisionChecker(robot, NOTHING, (bar,)), np.random.default_rng(4)
-    states = robot.random_configurations(rng, 400)
-    hulls = states[:, None] + rng.normal(0.0, 0.02, (400, 2, robot.dof))
-    geometry, data = checker._geometry, robot.model.createData()
-    moved, results, expected = checker._sweep.between(states, hulls), pin.GeometryData(geometry), []
-    for q, gaps in zip(states, moved, strict=True):
-        pin.computeDistances(robot.model, data, geometry, results, q)
-        room = [result.min_distance for result in results.distanceResults]
-        expected.append((room > gaps + 2e-6).all())
-    free, _ = checker.clear_of_itself(states, hulls, np.zeros(400, dtype=int))
-    assert (free == checker.pairs).tolist() == expected
-    assert 20 < sum(expected) < 380
 
 
 def test_what_is_never_paired(panda):
@@ -273,18 +254,3 @@ def test_no_sampled_state_is_closer_than_proven(panda, open_kitchen, seed):
             assert min(least.distance, 0.1) - closest <= max(1e-3, 0.2 * least.distance) + 1e-6
             assert least.bound <= max(1e-3, 0.2 * least.distance, least.distance - 0.08) + 1e-9
     assert judged > 5
-
-
-def test_the_nearest_of_many_obstacles_is_found_group_by_group(panda):
-    """As coal finds it among all pairs; also below a distance that is given."""
-    rng = np.random.default_rng(4)
-    places = rng.uniform(-1.0, 1.0, (400, 3))
-    boxes = (SceneObject(f"box{i}", Box((0.02,) * 3), pose(p)) for i, p in enumerate(places))
-    checker = CollisionChecker(panda, scene_of(*boxes))
-    for q in panda.random_configurations(rng, 20):
-        checker._pose(q)
-        moving, objects = checker._moving, checker._world(0.0)[1]
-        every = min(coal_distance(piece, box) for piece in moving for box in objects)
-        assert checker.nearest_obstacle(q).distance == every
-        assert checker.nearest_obstacle(q, every + 0.01).distance == every
-        assert checker.nearest_obstacle(q, every - 1e-9).pair is None

@@ -10,7 +10,7 @@ from cvqmpt_lab.benchmarks.door_task import BAR, GRIP, bar_pose, door_problem, d
 from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import CvqmptError, InvalidProblemError, UnknownChoiceError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import planner_named
@@ -23,7 +23,7 @@ from cvqmpt_lab.scene.articulation import DEEPEST, take_out
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
+from cvqmpt_lab.scene.shapes import Box, PointCloud
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -174,36 +174,6 @@ def test_bad_objects_are_refused(panda, world):
 NOTHING = Scene("nothing", ())
 ENOUGH = Budget(iterations=20_000)
 TOOL_BOX = 'size="0.02 0.06 0.02"'
-
-
-def at_height(z, half=0.02):
-    """The tool keeps its height [m]; all else is free."""
-    bounds = np.array([(-np.inf, np.inf)] * 6)
-    bounds[2] = (-half, half)
-    return TaskSpaceRegion(pose((0.0, 0.0, z)), np.eye(4), bounds)
-
-
-@pytest.fixture(scope="module")
-def slider_problem(slider_arm):
-    """Past a ball at one height; slider and hinges must move together."""
-    region = at_height(0.6)
-    middle_of_it = RegionConstraint(slider_arm, (at_height(0.6, 0.0),))
-    rough = np.array([[-0.4, 1.3, 0.6, -1.6], [0.6, -1.8, -1.2, -2.1]])
-    start, goal = (middle_of_it.project(q) for q in rough)
-    middle = slider_arm.pose(0.5 * (start + goal))[:3, 3]
-    ball = SceneObject("ball", Sphere(0.06), pose(middle))
-    scene = Scene("ball", (ball,))
-    return PlanningProblem("slide", slider_arm, scene, start, goal[None], (region,))
-
-
-@pytest.mark.parametrize("name", ["birrt", "guided-birrt", "ompl-projected"])
-@pytest.mark.parametrize("backend", ["compiled", "exact"])
-def test_an_arm_with_a_slider_is_planned_past_a_ball(slider_problem, name, backend):
-    direct = np.linspace(slider_problem.start, slider_problem.goals[0], 50)
-    assert slider_problem.collision_checker().in_collision_batch(direct).any()
-    solution = solve(slider_problem, planner_named(name), ENOUGH, seed=0, backend=backend)
-    assert solution.certificate.reasons == () and solution.solved
-    assert np.ptp(solution.path.states[:, 0]) > 0.1, "the slider took part"
 
 
 ONE_JOINT = """<robot name="one"><link name="base"/><link name="arm">\

@@ -76,7 +76,7 @@ def test_adding_and_removing():
 
 
 SCENE = small_scene()
-WALL, DOOR, DRAWER = SCENE["wall"], SCENE.articulation("door"), SCENE.articulation("drawer")
+WALL, DOOR = SCENE["wall"], SCENE.articulation("door")
 OTHER = Articulation("other", "hinge", pose((0.0, 0.0, 0.0)), 0.0, 1.0, 0.0, ("door/panel",))
 FLAT = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 1e-9]])
 ENDS = np.array([[0.0, 0.0, 0.0], [1e3, 1e3, 1e3]])

@@ -9,7 +9,7 @@ from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.search.planner_interface import Observation, Query, search, uniform
-from cvqmpt_lab.search.result import Budget, Counters, PlanStatus
+from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.roadmap import Roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -56,19 +56,8 @@ def test_the_same_seed_leads_to_the_same_path_whatever_the_clock_says(tuning, ch
         assert first.counters == other.counters
 
 
-def test_a_budget_of_iterations_ends_it(tuning):
-    short = plan(tuning, Budget(iterations=5), first=2, turns=(1.0, 1.0))
-    assert short.status is PlanStatus.ITERATION_LIMIT and short.path is None
-    assert short.counters.iterations == 5
-
-
 def test_without_a_roadmap_trees_and_cells_search(tuning):
     none = Roadmap(np.empty((0, 7)), np.empty((0, 1), dtype=np.int32))
     found = plan(tuning, roadmap=none, first=1)
     assert found.path is not None and found.fallback == "birrt: 0 nodes are no roadmap"
     assert found.counters.clearances == 0
-
-
-def test_three_clearances_count_as_a_state_check():
-    counted = Counters(projections=5, state_checks=7, clearances=6)
-    assert counted.work == pytest.approx(14.0)

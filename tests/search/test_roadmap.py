@@ -13,7 +13,7 @@ from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planners import Method
 from cvqmpt_lab.results.store import states_hash
-from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path, keep_informed
+from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path
 from cvqmpt_lab.search.edge_costs import reading, readings
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.planner_interface import Deadline, GaussianMixture, Uniform
@@ -104,25 +104,6 @@ def test_edges_cost_more_the_less_likely_they_are_free(tuning, roadmap):
     assert np.exp(-nll).mean() == pytest.approx(free.mean(), abs=0.08)
 
 
-def test_added_nodes_are_linked_both_ways_and_verdicts_stay(tuning, roadmap):
-    _, query, deadline = query_of(tuning, roadmap)
-    query.next_path(deadline)
-    before, count = query.graph, len(roadmap.nodes)
-    added = tuning.robot.random_configurations(np.random.default_rng(1), 40)
-    query.add_nodes(added)
-    after = query.graph
-    np.testing.assert_array_equal(after.nodes[:count], before.nodes[:count])
-    np.testing.assert_array_equal(after.nodes[count : count + 40], added)
-    np.testing.assert_array_equal(after.node[:count], before.node[:count])
-    for kept in ("edge", "clearance", "lowest", "known"):
-        np.testing.assert_array_equal(getattr(after, kept)[:count], getattr(before, kept)[:count])
-    links = after.neighbours[count : count + 40]
-    assert (links >= 0).all() and (links != np.arange(count, count + 40)[:, None]).all()
-    assert ((links < count).sum(axis=1) == 20).all()
-    known = links[0][links[0] < count]
-    assert any(count in after.neighbours[node] for node in known)
-
-
 def test_more_nodes_free_a_start_that_no_code_is_near(roadmap):
     tuning = single_goal_problem(1002)
     far = np.argsort(np.linalg.norm(roadmap.nodes - tuning.start, axis=1))[-300:]
@@ -153,14 +134,6 @@ def test_a_simplified_path_is_shorter_and_certified(problem, solution, space, se
     assert result.path.length < raw.length
     assert certify(problem, result.path).reasons == ()
     np.testing.assert_array_equal(result.path.states[[0, -1]], raw.states[[0, -1]])
-
-
-def test_every_round_is_at_most_as_long(solution, space):
-    path = solution.plan.path
-    for seed in range(30):
-        shorter = simplified(space, path, seed, attempts=16, patience=4).path
-        assert shorter.length <= path.length
-        path = shorter
 
 
 def test_one_seed_gives_one_path_with_either_backend(problem, solution):
@@ -227,22 +200,6 @@ def test_informed_samples_keep_detours_to_one_of_the_goals_short(lengths):
 def first(problem):
     """A path of `birrt`, shortened."""
     return solve(problem, "birrt", ENOUGH, 0, clearance=False).path
-
-
-def test_draws_kept_are_free_on_the_manifold_and_in_the_informed_set(problem, first):
-    space, length = ConstrainedSpace(problem), 1.2 * first.length
-    spaced = first.spaced(0.02)
-    draws = spaced + np.random.default_rng(0).normal(scale=0.3, size=spaced.shape)
-    draws = np.clip(draws, problem.robot.lower, problem.robot.upper)
-    expected = []
-    for q in draws.copy():
-        on = space.project(q)
-        to_goal = np.linalg.norm(problem.goals - q, axis=1).min()
-        if on and np.linalg.norm(q - problem.start) + to_goal < length and space.valid(q):
-            expected.append(q)
-    kept = keep_informed(space.arrays, draws, problem.start, problem.goals, length)
-    assert 0 < kept < len(draws)
-    np.testing.assert_array_equal(draws[:kept], expected)
 
 
 def test_paths_that_cost_more_than_asked_are_not_looked_for(problem, roadmap):

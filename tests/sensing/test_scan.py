@@ -10,10 +10,8 @@ from scipy.spatial import cKDTree
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.depth import read_capture
-from cvqmpt_lab.sensing.filters import BoxCrop, near_robot
+from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
-
-CROP = BoxCrop((-0.3, -0.9, -0.2), (1.2, 0.9, 1.2))
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
 from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.planners import PLANNERS, Method
+from cvqmpt_lab.planners import Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, OccupancyMap, Sphere
@@ -214,13 +214,3 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
     rows = phase_rows(RUN, solution)
     assert [row.solved for row in rows] == [True] * 4 + [False]
     assert rows[-1].fail_reason == "no_goal" and "inverse kinematics" in rows[-1].detail
-
-
-def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
-    problems = {outcome.phase.name: outcome.solution.problem for outcome in task_solution.outcomes}
-    for name in ("mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"):
-        for served in ("carry", "reach-can"):
-            assert PLANNERS[name].incompatibility(problems[served]) == ""
-        assert "weights are for" in PLANNERS[name].incompatibility(problems["open-door"])
-    for name in ("birrt", "ompl-projected", "atlas-rrt", "tb-rrt"):
-        assert all(PLANNERS[name].incompatibility(problem) == "" for problem in problems.values())

@@ -21,7 +21,6 @@ from cvqmpt_lab.vqmpt.weights import weights_digest
 from experiments.figures import paper
 from experiments.figures.code_update import (
     UpdateSettings,
-    exceedance_rows,
     histogram_rows,
     squared_residual,
     update_codes,
@@ -76,19 +75,6 @@ def test_rows_and_bins_count_every_draw_and_figures_repeat_byte_for_byte(update)
     assert first == again and b"<svg" in first
     near = [np.sqrt(update.g("after")) < row["to"] for row in bins[:1]]
     assert bins[len(bins) // 2]["after"] == 2 * near[0].sum()
-
-
-def test_shares_of_draws_above_delta_and_their_bound(update):
-    for row in exceedance_rows([update, update], (0.05, 0.5)):
-        count = len(update.codes if row["of"] == "codes" else update.before.means)
-        for when in ("before", "after"):
-            draws = np.concatenate([update.draws(when, i) for i in range(count)])
-            residual = update.problem.manifold.residual(draws)
-            violated = np.linalg.norm(residual, axis=1) > np.sqrt(row["delta"])
-            assert row[when] == pytest.approx(violated.mean()) and 0.0 < row[when] < 1.0
-            mean = np.square(residual).sum() / len(draws)
-            assert row[f"bound_{when}"] == pytest.approx(min(1.0, mean / row["delta"]))
-            assert row[when] <= row[f"bound_{when}"]
 
 
 def test_a_problem_counts_once_in_the_claim(tmp_path):
