@@ -1,17 +1,13 @@
 """Regions by name: their bounds and errors."""
 
-import re
-
 import numpy as np
 import pytest
 from constraints.test_task_space_region import displacement
-from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import upright, upright_box
-from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.poses import pose
 
 
@@ -104,15 +100,3 @@ def test_a_pose_may_leave_the_yaw_free():
     assert not inside(data, there @ turned((0, 0, 0), [0.1, 0, 0]))
     assert not inside(data, pose((0.0, 0.001, 0.0)) @ there)
     assert len(region({"pose": {"at": {"xyz": [0.4, 0, 0.6]}}}).bounded_rows) == 6
-
-
-def test_wrong_regions_are_refused_by_their_path():
-    for data, told in (
-        ({"uprigth": 0.1}, ".uprigth is unknown; did you mean 'upright'?; fields: T0_w, Tw_e, Bw,"),
-        ({"upright": "0.1"}, ".upright.tilt is '0.1'; it must be a finite float"),
-        ({"upright": {"axis": "w"}}, ".upright.axis 'w'; valid choices: x, -x"),
-        ({"upright": 0.1, "plane": {}}, " has upright, plane; a region by name stands alone"),
-        ({"plane": {"point": [0, 0, 0], "normal": [0] * 3}}, ".plane: the direction is 0, 0, 0"),
-        ({"plane": {"point": [0, 0, 0]}}, ".plane.normal is missing; fields: normal, point, tol"),
-    ):
-        refused(re.escape(f"constraint{told}"), region, data, error=CvqmptError)

@@ -88,27 +88,11 @@ def test_spent_budgets_are_named_and_give_no_path(problem, name, seconds, iterat
         assert result.counters.iterations == 1
 
 
-def test_unknown_names_and_settings_of_the_tree_search_are_refused(problem):
+def test_unknown_settings_of_the_tree_search_are_refused():
     choices = "draws of a tree search 'some'; valid choices: raw, projected, free"
-    for told, call, *given, settings in (
-        (
-            r"'rtt'; valid choices: package.module:planner, birrt.*tb-rrt",
-            planner_named,
-            "rtt",
-            {},
-        ),
-        (
-            "backend 'bullet'; valid choices: compiled, exact",
-            ConstrainedSpace,
-            problem,
-            "bullet",
-            {},
-        ),
-        (choices, BiRRT, {"draws": "some"}),
-        ("reach 0.0: give the longest extension", BiRRT, {"reach": 0.0}),
-        ("reach nan: give the longest extension", BiRRT, {"reach": float("nan")}),
-    ):
-        refused(told, call, *given, error=CvqmptError, **settings)
+    refused(choices, BiRRT, draws="some", error=CvqmptError)
+    for reach in (0.0, float("nan")):
+        refused(f"reach {reach}: give the longest extension", BiRRT, reach=reach)
 
 
 def searched(space, budget, distribution=None, goals=None, **settings):

@@ -6,7 +6,6 @@ import sys
 
 import numpy as np
 import pytest
-from command_line import refused
 
 from cli.main import main
 from cvqmpt_lab.codec import to_plain
@@ -88,14 +87,6 @@ def test_a_scene_transformer_for_another_arm(tmp_path, request):
     predictor = SceneTransformerPredictor(load_vq_mpt(robot, out), robot)
     found = predicted(predictor, robot, 3)
     assert all(one[0].finished and len(one[0].codes) > 0 for one in found)
-
-
-def test_hints_for_another_arm_lead_to_a_transformer(capsys):
-    """Each refusal names the command before it in the chain, with the options that are missing."""
-    generate = "data generate --robot ur5 --scenes 4 --dictionary d --out paths"
-    assert "--dictionary is for --labels roadmap" in refused(capsys, *generate.split())
-    said = refused(capsys, *["plan", "robots", "--problem", "20", "--planner", "cvq-mpt"])
-    assert "cvqmpt data generate --robot ur5 --out DATA, then cvqmpt train stage1" in said
 
 
 BLOCKED = """

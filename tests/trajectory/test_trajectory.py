@@ -1,7 +1,6 @@
 """Timing of paths: against toppra, against the limits themselves; motions that are refused."""
 
 import json
-import os
 import pickle
 from dataclasses import replace
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 from command_line import refused as command_refused
 from properties.test_differential import tuning_problems
-from refusals import refused
+from refusals import refused, table
 
 from cli.main import main
 from cvqmpt_lab.certificate import FaultKind
@@ -216,45 +215,8 @@ def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, sl
     assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0
 
 
-TIMED = '{"points": [{"positions": [1], "time_from_start": %s}]}'
-POINT = '{"positions": [1], "accelerations": [%s], "time_from_start": {"sec": 0}}'
-STAMPS = {
-    '{"sec": true}': "sec True: give a whole number",
-    '{"sec": 0.5}': "sec 0.5: give a whole number",
-    '{"sec": -1}': "sec -1: give a whole number",
-    '{"nanosec": 1}': "sec None: give a whole number",
-    '{"sec": 1, "nanosec": 5e9}': "point 0: nanosec 5000000000.0: give a",
-    '{"sec": 1, "nanosec": 5000000000}': "from 0 to 999999999",
-    '{"sec": 1, "nanosec": -5}': "nanosec -5: give a whole number from 0",
-    '{"sec": 1, "nsecs": 5}': "key of time_from_start of point 0 'nsecs'",
-    "1.5": "time_from_start of point 0 is 1.5",
-}
-NUMBERS = {"0.0_9,1\n1,2\n": "0.0_9", "q1,q2\n1,1_0\n": "1_0", "0.1,\u0663\n1,2\n": "\u0663"}
-NUMBERS |= {"1,2\n1,0x1\n": "0x1"}
-STATES = ('[["x"]]', "[[1, 2], [3]]", '[["0.1", 2], [3, 4]]', "[[true, 2], [3, 4]]", "[" * 100_000)
-
-
-def test_what_is_no_motion_is_one_line(tmp_path, capsys):
-    os.mkfifo(tmp_path / "pipe.csv")
-    (tmp_path / "device.csv").symlink_to("/dev/zero")
-    for name, text, words in (
-        *((name, None, "not a regular file") for name in ("pipe.csv", "device.csv")),
-        ("a.csv", "", "empty"),
-        ("a.csv", "1,2\n3\n", "not understood"),
-        ("a.csv", "q1,q2\n1,2\n3,4\n", "the robot has panda_joint1"),
-        ("a.csv", "time,q1_position,force\n1,2,3\n", "column 'force'"),
-        *(("a.csv", text, f"'{bad}': give a decimal number") for text, bad in NUMBERS.items()),
-        ("a.json", "{", "not json"),
-        ("a.json", "{}", "no 'states', 'path' or 'points'"),
-        *(("a.json", text, "not understood") for text in (*STATES, '{"points": 7}')),
-        *(("a.json", TIMED % stamp, words) for stamp, words in STAMPS.items()),
-        ("a.json", '{"points": [{"position": [1]}]}', "key of point 0 'position'"),
-        ("a.json", '{"points": [], "joint_name": ["a"]}', "key of the trajectory 'joint_name'"),
-        ("a.json", '{"joint_names": 3, "states": []}', "list of names"),
-        ("a.json", '{"points": [{"time_from_start": 3}]}', "no 'positions'"),
-        ("a.json", f'{{"points": [{POINT % 0}, {POINT % ""}]}}', "point 1 has no 'accelerations'"),
-        ("a.txt", "", "'.txt'"),
-    ):
-        if text is not None:
-            (tmp_path / name).write_text(text)
-        assert words in command_refused(capsys, "certify", tmp_path / name, "place-task"), text
+@pytest.mark.parametrize("row", table("wrong_motions"), ids=lambda row: row["line"])
+def test_what_is_no_motion_is_one_line(tmp_path, capsys, row):
+    file = tmp_path / row["name"]
+    file.write_text(row["text"])
+    assert row["line"] in command_refused(capsys, "certify", file, "place-task")
