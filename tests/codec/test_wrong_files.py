@@ -62,3 +62,13 @@ def test_one_line_names_the_field_and_the_cure(row, good, capsys, tmp_path, monk
 def test_the_good_file_is_good_and_a_list_is_no_problem():
     PlanningProblem.from_dict(GOOD)
     refused("must be an object with schema, name, robot", PlanningProblem.from_dict, [])
+
+
+def test_a_start_off_the_chain_is_refused_with_F_or_projected(good, cvqmpt, capsys, tmp_path):
+    data, path = json.loads(json.dumps(good["tray"])), tmp_path / "mine.json"
+    data["start"][6] += 0.05
+    path.write_text(json.dumps(data))
+    line = refused_command(capsys, "plan", "--problem-file", path)
+    assert "start breaks `pose` by 0.05 rad" in line and "|F| = 0.0" in line
+    assert "--project-start" in line
+    assert "certificate valid" in cvqmpt("plan --project-start --problem-file", path)
