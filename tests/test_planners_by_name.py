@@ -38,11 +38,6 @@ def test_weights_of_the_panda_are_refused_for_another_arm(other, name):
     )
 
 
-def test_methods_without_weights_serve_it(other):
-    assert planner_named("birrt").weights is planner_named("guided-birrt").weights is None
-    assert solve(other, "guided-birrt", Budget(iterations=2000), seed=0).solved
-
-
 @pytest.mark.parametrize(
     ("name", "reach", "same"),
     [

@@ -4,17 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from properties.random_arms import ARMS, arm
-from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.constraints.between_states import _between, evenly_spaced, largest_violation
+from cvqmpt_lab.constraints.between_states import evenly_spaced, largest_violation
 from cvqmpt_lab.constraints.report import bound_usage, displacements
 from cvqmpt_lab.constraints.task_space_region import (
     RegionConstraint,
     TaskSpaceRegion,
-    TaskSpaceRegionChain,
     symmetric_region,
     upright,
     upright_box,
@@ -48,45 +43,6 @@ def test_the_bound_holds_and_is_close(panda, slider_arm, kind, tolerance):
         assert max(found.radians, found.metres) <= max(truth, 0.0) + 2e-3
         if truth <= 0.5 * tolerance:
             assert found.largest <= tolerance
-
-
-@given(
-    robot=st.integers(0, ARMS - 1).map(arm),
-    tilt=st.floats(0.0, np.pi) | st.sampled_from([0.0, 0.5 * np.pi, np.pi]),
-    step=st.sampled_from([0.03, 0.3, 1.0]),
-    about=st.sampled_from([None, "link1"]),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_the_bound_on_the_tilt_between_states_holds(robot, tilt, step, about, seed):
-    """Steps of one joint or all, past tilts of 0 and pi, and seen from a link that moves.
-
-    The hand leans most in the middle: there its z axis moves along the edge of the cone.
-    """
-    rng = np.random.default_rng(seed)
-    middle = robot.random_configurations(rng, 1)[0]
-    for joints in (*np.eye(robot.dof), rng.standard_normal(robot.dof)):
-        half = 0.5 * step * joints
-        states = np.array([middle - half, middle + half])
-        dense = states[0] + np.linspace(0.0, 1.0, 501)[:, None] * (2.0 * half)
-        T = robot.poses(dense)
-        if about is not None:
-            T = np.linalg.inv(robot.poses(dense, about)) @ T
-        z, rate = T[250, :3, 2], T[251, :3, 2] - T[249, :3, 2]
-        across = np.cross(z, rate) if np.linalg.norm(rate) > 1e-6 else T[250, :3, 0]
-        for side in (-1.0, 1.0):
-            # frame w leans from the middle by the tilt
-            T0_w = T[250].copy()
-            axis = np.cross(z, side * across)
-            lean = Rotation.from_rotvec(tilt * axis / np.linalg.norm(axis))
-            T0_w[:3, :3] = lean.as_matrix() @ T0_w[:3, :3]
-            bounds = np.tile((-np.inf, np.inf), (6, 1))
-            region = TaskSpaceRegion(T0_w, np.eye(4), bounds, tilt=1e-3)
-            if about is not None:
-                region = TaskSpaceRegionChain(T0_w, np.eye(4), bounds, about, tilt=1e-3)
-            x = displacements(robot, region, dense)
-            assert x[250, 6] == pytest.approx(tilt, abs=1e-7)
-            more, _ = _between(robot, region, states, x[[0, -1]])
-            assert x[:, 6].max() <= x[[0, -1], 6].max() + more[0] + 1e-9
 
 
 def test_a_kink_between_two_good_states_is_found(panda):

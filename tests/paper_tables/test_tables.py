@@ -24,7 +24,7 @@ from paper_tables.judging import Word
 from paper_tables.layouts import place_table
 from paper_tables.plots import COLOURS, OURS, line_style
 from paper_tables.statements import read_published
-from paper_tables.suites import render_directory, table_of
+from paper_tables.suites import render_directory
 from paper_tables.writers import latex_table
 
 
@@ -249,41 +249,3 @@ def test_every_planner_has_a_colour_of_its_own_and_ours_a_thick_line():
     styles = [line_style(name) for name in ("birrt", "birrt improved", OURS, "peer")]
     assert styles[0]["color"] == styles[1]["color"] != styles[2]["color"]
     assert styles[2]["linewidth"] > styles[0]["linewidth"] and styles[3] == line_style("peer")
-
-
-def test_problems_that_have_no_start_or_goal_are_left_out_of_motion_benchs_table_and_counted():
-    made = [
-        a_row(f"{k}/1-panda", planner, suite="motion-bench", t_total_s=0.5 + k)
-        for planner, k in product(("birrt", "roadmap"), range(2))
-    ]
-    failed = [
-        a_failure("700/2-ur5", planner, suite="motion-bench", fail_reason="invalid_goal")
-        for planner in ("birrt", "roadmap")
-    ]
-    slow = [a_failure("701/2-ur5", "birrt", suite="motion-bench")]
-    found = table_of([*made, *failed, *slow])
-    assert found.size == "5 runs of 3 problems, 1 left out"
-    counts = {line[0]: line[1:] for line in found.sections["Problems"]}
-    assert counts["panda"] == ["2", "2", "0", "0", "0", "0"]
-    assert counts["ur5"] == ["2", "1", "0", "1", "0", "0"]
-    lines = {tuple(line[:2]): line[2:] for line in found.sections["By robot"]}
-    assert lines["ur5", "birrt"][0] == "1" and ("ur5", "roadmap") not in lines
-    assert [lines["panda", "birrt"][k].split()[0] for k in (0, 1, -1)] == ["2", "100", "50.0"]
-    assert "699 of 700" in found.markdown
-    assert table_of(failed).size == "0 runs of 0 problems, 1 left out"
-
-
-def test_two_arms_are_grouped_by_robot_and_kind_with_times():
-    groups = "baxter tray-over-table", "tiago-pro box-into-shelf"
-    made = [
-        make(f"{k + 30 * g}/{g + 1}-{group}", planner, suite="two-arms", t_total_s=time)
-        for g, group in enumerate(groups)
-        for k in range(10)
-        for planner, time, make in (("birrt", 0.05, a_row), ("ompl-projected", 2.0, a_failure))
-    ]
-    found = table_of(made)
-    first = {tuple(line[:2]): line[2:] for line in found.sections["By group"]}
-    assert first["group", "planner"][:3] == ["problems", "time [s]", "solved [%]"]
-    assert first[groups[0], "birrt"][:2] == ["10", "0.0500 [0.0500, 0.0500]"]
-    assert "∞" in first[groups[0], "ompl-projected"][1]
-    assert found.size == "20 problems, 2 groups" and "closed chain" in found.markdown

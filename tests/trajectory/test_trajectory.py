@@ -14,10 +14,8 @@ from cli.main import main
 from cvqmpt_lab.certificate import FaultKind
 from cvqmpt_lab.motion_check import certified_motion, dry_run
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot, panda, robot_from_source
 from cvqmpt_lab.robot.robot import JointLimits
-from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.piecewise import extremes
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
@@ -199,20 +197,6 @@ def test_plan_writes_the_motion_of_a_certified_path(capsys, tmp_path):
     assert float(line.split()[1]) == pytest.approx(last["sec"] + 1e-9 * last["nanosec"], abs=0.01)
     fastest = np.abs([point["velocities"] for point in message["points"]]).max(axis=0)
     assert (fastest / panda().joint_limits.velocity).max() == pytest.approx(0.5, rel=0.01)
-
-
-def test_an_arm_of_ones_own_needs_accelerations(capsys, tmp_path, slider_arm, slider_arm_urdf):
-    file, out = tmp_path / "arm.json", tmp_path / "motion.csv"
-    goal = [[0.3, 0.2, -0.4, 1.0]]
-    PlanningProblem("reach", slider_arm, Scene("empty", ()), [0.0] * 4, goal).save(file)
-    words = f"--problem-file {file} --urdf {slider_arm_urdf} --end-effector tool".split()
-    words += ["--trajectory", str(out)]
-    assert "--acceleration" in command_refused(capsys, "plan", *words) and not out.exists()
-    softly = ("--acceleration", "1,2,2,3", "--jerk", "20")
-    text = planned(capsys, *words, *softly, "--speed", "1")
-    assert out.read_text().startswith("time,rail_position,lift_position,")
-    # 1 rad at 1 rad/s, from rest to rest
-    assert float(text.partition("trajectory  ")[2].split()[0]) > 1.0
 
 
 @pytest.mark.parametrize("row", table("wrong_motions"), ids=lambda row: row["line"])

@@ -26,7 +26,7 @@ from experiments.figures.code_update import (
     update_codes,
 )
 from experiments.figures.drawing import figure_bytes
-from experiments.figures.paper import HandPoses, histogram_figure
+from experiments.figures.paper import histogram_figure
 from paper_tables.claims import updated_codes
 from paper_tables.statements import PREDICTED, Claim
 
@@ -83,16 +83,6 @@ def test_a_problem_counts_once_in_the_claim(tmp_path):
     effect = updated_codes(Claim("g", ("a",), "", "", "", (PREDICTED,)), tmp_path)
     assert effect.gains == pytest.approx([math.log(2.0)] * 2)
     assert effect.means == pytest.approx(math.log((4.0 + 1.0) / (2.5 + 0.5)))
-
-
-def test_hands_by_another_kinematics(update, problem):
-    after = HandPoses.of(problem.robot, update.draws("after", 1)[:20])
-    for i, q in enumerate(after.q):
-        T = problem.robot.pose(q)
-        np.testing.assert_allclose(after.positions[i], T[:3, 3], atol=1e-9)
-        assert np.cos(after.tilt[i]) == pytest.approx(T[2, 0], abs=1e-9)
-    upright = HandPoses.of(problem.robot, problem.start[None])
-    assert upright.tilt[0] < 1e-4
 
 
 def test_no_codes_and_no_samples_are_refused(problem, panda, tmp_path):
