@@ -1,7 +1,5 @@
 """The place task, the constraint and family tasks: a sound problem for every index."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from refusals import refused
@@ -12,7 +10,6 @@ from cvqmpt_lab.benchmarks.constraint_task import MOVED, NAMES, constraint_probl
 from cvqmpt_lab.benchmarks.family_task import (
     ROBOTS,
     family_problem,
-    held_out_problem,
     other_robot_problem,
 )
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
@@ -165,16 +162,6 @@ def test_a_robot_gets_the_first_scene_of_its_family_that_holds_a_problem(
     np.testing.assert_array_equal(problem.start, expected.start)
     np.testing.assert_array_equal(problem.goal_region.T0_w, problem.robot.pose(expected.goals[0]))
     assert not any(map(holds_problem(family, source), range(2000 + index, number, 20)))
-
-
-@pytest.mark.parametrize(("index", "number"), [(0, 0), (1, 8001), (34, 8084)])
-def test_a_family_problem_is_of_its_own_scene_or_of_the_first_spare_one_that_holds_one(
-    index, number
-):
-    expected = family_problem("kitchen-like", number)
-    assert held_out_problem("kitchen-like", index) == replace(expected, name=str(index))
-    earlier = [k for k in (index, *range(8000 + index, number, 50)) if k != number]
-    assert not any(map(holds_problem("kitchen-like"), earlier))
 
 
 def holds_problem(family, *source):

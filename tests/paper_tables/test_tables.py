@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from itertools import product
 
 import pytest
@@ -14,7 +13,6 @@ from refusals import refused
 from cli.main import main
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.planners import PLANNERS
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
 from paper_tables import pages
@@ -89,31 +87,6 @@ def run(planner, problem, time=None, **values):
     return make(f"p{problem}", planner, **{"suite": "place-task", "t_total_s": time, **values})
 
 
-def some_rows():
-    counts = [{"path_length_rad": 5.0 + i, "vertices": 10 + i} for i in range(10)]
-    rows = [run("birrt", i, 0.1 * (i + 1), **values) for i, values in enumerate(counts)]
-    values = {"path_length_rad": 8.0, "vertices": 40}
-    rows += [run("ompl-projected", i, 0.4 * (i + 1), **values) for i in range(8)]
-    rows.append(run("ompl-projected", 8, detail="no path"))
-    return [*rows, run("ompl-projected", 9, fail_reason="uncertified_goal")]
-
-
-def found(rows):
-    return {item.planner: item for item in place_table(rows, PAPER).found}
-
-
-def test_the_same_runs_again_under_other_seeds_make_nothing_surer():
-    once = [replace(row, n_state_checks=i, n_projections=1) for i, row in enumerate(some_rows())]
-    five_times = [replace(row, seed=seed) for seed in range(5) for row in once]
-    for one, five in zip(found(once).values(), found(five_times).values(), strict=True):
-        assert five.n_runs == 5 * one.n_runs
-        for name, interval in one.measured.items():
-            same = five.measured[name]
-            assert same.n == interval.n
-            bounds = interval.estimate, interval.low, interval.high
-            assert (same.estimate, same.low, same.high) == pytest.approx(bounds), name
-
-
 def test_a_table_is_of_one_suite_and_names_are_escaped():
     for rows in ([], [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")]):
         refused("one suite", place_table, rows, PAPER)
@@ -156,30 +129,6 @@ def test_claims_without_rows_say_so_and_what_cannot_be_tested_too(tmp_path):
     assert {found[title].word for title in titles} == {Word.NO_ROWS}, "or not of all planners"
     assert found["complete"].word is Word.UNTESTABLE and found["complete"].deciding is None
     assert found["Opt: shorter paths"].verdicts[0].word is Word.SAME, "all paths are 6 rad"
-
-
-def test_a_small_profile_is_named(tmp_path):
-    others = dict.fromkeys(("ompl_projected", "atlas_rrt", "tb_rrt"), 3.0)
-    results = a_results_folder(tmp_path, opt_cvq_mpt=1.0, **others)
-    path = next(results.glob(f"*/{PROVENANCE_FILE}"))
-    record = json.loads(path.read_text())
-    for profile, word in (("small", Word.OPEN), ("full", Word.REPLICATED)):
-        command = ["cvqmpt", "reproduce", "all", "--profile", profile]
-        path.write_text(json.dumps({**record, "command": command}))
-        found = evidence_below(results)
-        assert by_title(results)["Opt: twice as fast"].word is word
-        report = pages.report_html(pages.evidence_of(results))
-        for page in (pages.page_text(found, judged_claims(found), results), report):
-            assert ("--profile small" in page) is (profile == "small")
-
-
-def test_the_opening_counts_every_word_and_the_page_has_it():
-    claims = judged_claims(evidence_below(RESULTS))
-    numbers = re.findall(r"(\d+) ([a-z ]+?)[,.]", pages.opening(claims).split("**")[1])
-    assert sum(int(number) for number, _ in numbers) == len(claims)
-    words = ["replicated", "smaller", "no difference", "opposite", "inconclusive"]
-    assert [word for _, word in numbers][:5] == words
-    assert pages.opening(claims) in pages.README.read_text(encoding="utf-8")
 
 
 def test_pictures_of_the_committed_rows_are_drawn_without_a_display():
