@@ -131,25 +131,6 @@ def test_a_door_stays_on_its_hinge():
 
 
 @pytest.mark.parametrize(
-    ("robot", "joints", "sliders"), [("ur5", 6, 0), ("xarm7", 7, 0), ("tiago", 8, 1)]
-)
-def test_an_arm_moves_upright_between_two_hand_poses(robot, joints, sliders):
-    suite, index = suite_named("robots"), 20 * list(ROBOTS).index(robot) + 6
-    problem, again = suite.solvable(index), suite.solvable(index)
-    assert problem.name == f"{index}/{index // 20 + 1}-{robot}"
-    np.testing.assert_array_equal(problem.start, again.start)
-    assert problem.robot.dof == joints and problem.robot.kinematics.prismatic.sum() == sliders
-    check_problem(problem)
-    solution = solve(problem, "birrt", Budget(iterations=20_000), seed=0)
-    assert solution.solved and solution.certificate.reasons == ()
-    ends = solution.path.states[[0, -1]]
-    np.testing.assert_array_equal(ends[0], problem.start)
-    np.testing.assert_allclose(problem.robot.pose(ends[1]), problem.goal_region.T0_w, atol=1e-4)
-    upright = [problem.robot.pose(q)[2, 0] for q in solution.path.states]
-    assert min(upright) > np.cos(0.2)
-
-
-@pytest.mark.parametrize(
     ("robot", "index", "family", "number"),
     [("panda", 1, "table", 2001), ("z1", 5, "table", 2105), ("panda", 19, "kitchen-like", 2039)],
 )

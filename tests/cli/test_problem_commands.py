@@ -82,13 +82,6 @@ def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, c
         assert not problem.manifold.residual(q).any()
 
 
-def test_files_that_a_problem_names_lie_beside_it(mine, cvqmpt):
-    data = json.loads(mine.read_text())
-    (mine.parent / "room.json").write_text(json.dumps(data["scene"]))
-    mine.write_text(json.dumps({**data, "scene": "room.json"}))
-    cvqmpt(IK, mine, "--seed", 0)
-
-
 def test_a_pose_out_of_reach_has_no_configuration(mine, cvqmpt):
     told = cvqmpt("ik --pose '5 0 0 0 0 0' --problem-file", mine, code=1)
     assert "0 of 1 configurations; of 100 poses, 100 without inverse kinematics" in told

@@ -32,9 +32,6 @@ FINGERS = """<link name="left"/><link name="right"/>
 </robot>"""
 
 
-TOOL = {"end_effector": "tool"}
-
-
 def binary_stl(*triangles):
     """A binary STL file of triangles (3, 3)."""
     rows = (struct.pack("<12fH", 0, 0, 0, *np.ravel(corners), 0) for corners in triangles)
@@ -42,15 +39,6 @@ def binary_stl(*triangles):
 
 
 def test_unusable_options_and_files_are_named(slider_arm_urdf, edited, tmp_path, panda):
-    for source, pattern in (
-        ({"end_effector": "gripper"}, "frame 'gripper'.*wrist, tool"),
-        ({"locked": {"slide": 0.0}}, "lock 'slide'.*rail, lift"),
-        ({"locked": {"mount": 0.0}}, "mount"),
-        *(({"locked": {"rail": value}}, "rail") for value in (np.nan, "wide")),
-        ({"srdf": "none.srdf"}, "none.srdf"),
-        ({"base": np.eye(4) * 2}, r"robot\.base is no rigid pose"),
-    ):
-        refused(pattern, load_robot, slider_arm_urdf, error=CvqmptError, **TOOL | source)
     refused("no frame 'gripper'", panda.pose, HOME, "gripper")
     refused(r"none\.urdf.*No such file", load_robot, tmp_path / "none.urdf", "tool")
     refused(f"{tmp_path.name}.*directory", load_robot, tmp_path, "tool")

@@ -52,19 +52,6 @@ def test_arrays_inside_shapes_are_read_only_copies():
     assert mesh == ConvexMesh(TETRAHEDRON) and not mesh.vertices.flags.writeable
 
 
-def test_hinges_and_sliders_move_their_parts_and_nothing_else():
-    closed = small_scene()
-    opened = closed.with_joint("door", 1.2)
-    expected = pose((1.0 - 0.2 * math.sin(1.2), 0.2 * math.cos(1.2), 0.0), 1.2)
-    np.testing.assert_allclose(opened["door/panel"].T_world_object, expected, atol=1e-12)
-    assert opened.articulation("door").value == 1.2
-    assert all(opened[name] == closed[name] for name in ("wall", "drawer/tray", "floor"))
-    pulled = closed.with_joint("drawer", 0.4)
-    np.testing.assert_allclose(
-        pulled["drawer/tray"].T_world_object, pose((0.9, 0.8, 0.0)), atol=1e-12
-    )
-
-
 def test_adding_and_removing():
     scene = small_scene()
     more = scene.with_objects(SceneObject("cup", Sphere(0.1), pose((0.0, 0.0, 0.0))))

@@ -213,19 +213,13 @@ def test_beams_in_a_batch_are_searched_by_the_rules_of_the_published_code(sequen
 def test_config_names_the_wrong_field():
     for path, value, message in (
         ("kind", "tiny", "unknown model.kind 'tiny'"),
-        ("joint_dim", "7", "model.joint_dim is '7'; it must be int"),
-        ("joint_dim", -7, "cannot be negative"),
         ("joint_dim", 0, "joint_dim is 0; it must be 1 to 65536"),
         ("dictionary.n_position", 10**400, r"n_position is 1000\S+; it must be 1 to 65536"),
         ("sequence.transformer.n_layers", 10**6, "n_layers is 1000000; it must be 1 to 64"),
         ("sequence.transformer.dropout", 1.5, "dropout is 1.5; it must be 0 or more"),
         ("point_cloud.sa1.radius", -0.2, "radius is -0.2; it must be a positive length"),
-        ("speed", 3, "model.speed is unknown"),
-        ("dictionary.n_codes", None, "model.dictionary.n_codes is None"),
-        ("point_cloud.sa1.widths", [3], "must be a list of 2"),
         ("point_cloud.sa1.ratio", 1.5, "ratio is 1.5; it must be more than 0, at most 1"),
         ("sequence", None, "give both point_cloud and sequence, or set both to null"),
-        ("point_cloud", 3, "must be an object"),
         ("feature_dim", 24, "kind 'published' has no feature_dim"),
         ("sequence.transformer.d_model", 8, "one latent width"),
     ):
