@@ -1,39 +1,64 @@
-"""Scenes: added and removed objects, random environments; refusals apart from problem files."""
+"""Shapes, scene objects, articulations and scenes: validation, motion and JSON."""
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 from refusals import refused
 
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.scene import SceneObject
-from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Sphere, shape_vertices
+from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import (
+    Box,
+    ConvexMesh,
+    OccupancyMap,
+    PointCloud,
+    Sphere,
+    shape_vertices,
+)
 
-SCENE = kitchen()
-CUP = SceneObject("cup", Sphere(0.1), pose((0.0, 0.0, 0.0)))
-ENDS = np.array([[0.0, 0.0, 0.0], [1e3, 1e3, 1e3]])
-WHOLE = "give a whole number from 0 to 4294967295"
+TETRAHEDRON = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]])
+HINGE = pose((1.0, 0.0, 0.0), 0.3)
+
+
+def small_scene(hinge_value=0.0):
+    """A wall, a door hinged at (1, 0), a drawer that slides along -x, and a visible floor."""
+    T_slider = np.array([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    return Scene(
+        "small",
+        (
+            SceneObject("wall", Box((0.1, 2.0, 2.0)), pose((2.0, 0.0, 0.0))),
+            SceneObject("door/panel", Box((0.02, 0.4, 0.7)), pose((1.0, 0.2, 0.0))),
+            SceneObject("drawer/tray", Box((0.5, 0.4, 0.1)), pose((1.2, 0.8, 0.0))),
+            SceneObject("floor", Box((9.0, 9.0, 0.1)), pose((0.0, 0.0, -1.0)), obstacle=False),
+        ),
+        (
+            Articulation("door", "hinge", HINGE, 0.0, 1.57, hinge_value, ("door/panel",)),
+            Articulation("drawer", "slider", T_slider, 0.0, 0.4, 0.1, ("drawer/tray",)),
+        ),
+    )
 
 
 def test_arrays_inside_shapes_are_read_only_copies():
-    points = np.eye(4, 3)
+    points = TETRAHEDRON.copy()
     mesh = ConvexMesh(points)
     points[0] = 9.0
-    assert mesh == ConvexMesh(np.eye(4, 3)) and not mesh.vertices.flags.writeable
+    assert mesh == ConvexMesh(TETRAHEDRON) and not mesh.vertices.flags.writeable
 
 
 def test_adding_and_removing():
-    more = SCENE.with_objects(CUP)
-    assert more.names == (*SCENE.names, "cup")
-    assert more.without("cup") == SCENE
-    doors = {joint.name: joint.moves for joint in SCENE.articulations}
-    less = SCENE.without(*doors["dagger_door_left"])
-    assert {joint.name for joint in less.articulations} == doors.keys() - {"dagger_door_left"}
+    scene = small_scene()
+    more = scene.with_objects(SceneObject("cup", Sphere(0.1), pose((0.0, 0.0, 0.0))))
+    assert more.names == (*scene.names, "cup")
+    assert more.without("cup") == scene
+    less = scene.without("door/panel")
+    assert [joint.name for joint in less.articulations] == ["drawer"]
 
 
 def test_an_environment_is_the_published_one():
@@ -47,16 +72,52 @@ def test_an_environment_is_the_published_one():
     assert (cube.shape, ball.shape) == (Box((0.2, 0.2, 0.2)), Sphere(0.15))
 
 
+SCENE = small_scene()
+WALL, DOOR = SCENE["wall"], SCENE.articulation("door")
+OTHER = Articulation("other", "hinge", pose((0.0, 0.0, 0.0)), 0.0, 1.0, 0.0, ("door/panel",))
+FLAT = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 1e-9]])
+ENDS = np.array([[0.0, 0.0, 0.0], [1e3, 1e3, 1e3]])
+WHOLE = "give a whole number from 0 to 4294967295"
+
+
+def read_with_door(**change):
+    """The scene from json with a changed door."""
+    data = to_plain(SCENE)
+    data["articulations"][0] |= change
+    return from_plain(Scene, data, "scene")
+
+
 WRONG = [
+    (partial(ConvexMesh, TETRAHEDRON[:3]), "got 3 points"),
+    # hulls that crashed collision code
+    (partial(ConvexMesh, FLAT), "not in one plane"),
+    (partial(ConvexMesh, 1e5 * TETRAHEDRON), "m off: give metres"),
+    (partial(PointCloud, np.zeros((0, 3)), 0.1), r"PointCloud\.points is empty"),
     (partial(shape_vertices, Sphere(1.0)), "Sphere"),
+    (partial(OccupancyMap, [[0.5, 0, 0]]), "holds 0.5; give whole numbers"),
+    (partial(OccupancyMap, [[10_000_000, 0, 0]]), "whole numbers from -1000000"),
+    (partial(OccupancyMap, []), r"must be \(any, 3\)"),
+    (partial(OccupancyMap, np.empty((0, 3))), "is empty"),
+    (partial(OccupancyMap, [[0, 0, 0]], resolution=1e-5), "give 0.001 m or more"),
+    (partial(OccupancyMap, [[0, 0, 0]], padding=-0.01), "0 or more"),
     # before any cells are made
     (partial(map_of_points, ENDS, 1e-9), r"resolution is 1e-09 m; give 0\.001 m or more"),
-    (partial(SceneObject, "cup", Sphere(0.1), np.eye(3)), "'cup': T_world_object"),
-    (partial(SCENE.with_joint, "hitman_drawer_top", math.nan), r"\[0\.0, 0\.\d+\] m"),
-    (partial(SCENE.with_joint, "lid", 0.0), "'lid'; valid choices: .*dagger_door_left"),
-    (partial(SCENE.__getitem__, "window"), "'window'; valid choices: "),
+    *(
+        (partial(SceneObject, "cup", Sphere(0.1), T), "'cup': T_world_object")
+        for T in (np.eye(3), 2.0 * np.eye(4), "upright", np.diag([1.0, 1.0, -1.0, 1.0]))
+    ),
+    (partial(SCENE.with_joint, "door", 1.6), r"1\.6.*'door'.*\[0\.0, 1\.57\] rad"),
+    (partial(SCENE.with_joint, "drawer", math.nan), r"\[0\.0, 0\.4\] m"),
+    (partial(SCENE.with_joint, "lid", 0.0), "'lid'; valid choices: door, drawer"),
+    (partial(SCENE.__getitem__, "window"), "'window'; valid choices: wall, door/panel"),
     (partial(SCENE.without, "window"), "'window'; valid choices"),
-    (partial(SCENE.with_objects, CUP, CUP), "'cup' occurs twice"),
+    (partial(SCENE.with_objects, WALL), "'wall' occurs twice"),
+    (partial(replace, DOOR, value=2.0), r"2\.0"),
+    (partial(replace, SCENE, articulations=(DOOR, DOOR)), "'door' occurs twice"),
+    (partial(replace, SCENE, objects=(WALL,), articulations=(DOOR,)), "moves 'door/panel'"),
+    (partial(replace, SCENE, articulations=(DOOR, OTHER)), "'door/panel' occurs twice"),
+    (partial(read_with_door, value=9.0), r"scene\.articulations\[0\]: value 9\.0 of hinge"),
+    (partial(read_with_door, moves=["lid"]), "articulation 'door' moves 'lid'"),
     (partial(random_scene, -1), WHOLE),
     (partial(random_scene, 0.5), WHOLE),
     (partial(random_scene, True), WHOLE),
