@@ -1,10 +1,20 @@
-"""Calls that must be refused."""
+"""Calls that must be refused, and tables of them."""
+
+import csv
+from pathlib import Path
 
 import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 
 REFUSALS = (InvalidInputError, UnknownChoiceError)  # their lines tell them apart
+
+
+def table(name):
+    """Rows of `tests/data/NAME.csv`, by the names in its first line."""
+    path = Path(__file__).parent / "data" / f"{name}.csv"
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
 def refused(pattern, call, *args, error=REFUSALS, **kwargs):

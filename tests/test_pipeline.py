@@ -122,12 +122,6 @@ def test_near_goals_are_tried_first_where_joints_turn_more_than_once():
         assert np.abs(problem.goals[10:] - states[-1]).max(axis=1).min() < 1e-9
 
 
-def test_a_run_without_a_clock_takes_no_seconds(problem):
-    how = {"seed": 0, "optimize": Budget(seconds=0.05)}
-    told = r"optimize: 0\.05 s in a run of 20000 iterations"
-    refused(told, solve, problem, "birrt", ENOUGH, **how)
-
-
 @pytest.mark.parametrize(
     ("number", "planner", "backend"), [(0, "birrt", "exact"), (1, "ompl-projected", "compiled")]
 )

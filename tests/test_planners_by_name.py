@@ -9,7 +9,6 @@ from refusals import refused
 from cvqmpt_lab import warm_up
 from cvqmpt_lab.benchmarks.door_task import door_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
-from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import CONTROLS, PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
@@ -39,20 +38,6 @@ def test_weights_of_the_panda_are_refused_for_another_arm(other, name):
     )
 
 
-def test_methods_without_weights_serve_it(other):
-    assert planner_named("birrt").weights is planner_named("guided-birrt").weights is None
-    assert solve(other, "guided-birrt", Budget(iterations=2000), seed=0).solved
-
-
-def test_what_was_removed_is_refused_with_what_replaces_it():
-    for find, name, instead in (
-        (planner_named, "graph-cvq", "roadmap-cvq"),
-        (planner_named, "cvq-no-cloud", "cvq:transformer+decoded+no-cloud"),
-        (suite_named, "sensor-robustness", "suite sensor"),
-    ):
-        assert instead in refused("was removed", find, name)
-
-
 @pytest.mark.parametrize(
     ("name", "reach", "same"),
     [
@@ -68,12 +53,6 @@ def test_another_reach_is_the_planner_that_has_it(name, reach, same):
     one, other = counted(planner_named(name, reach=reach)), counted(planner_named(same))
     assert one["vertices"] == other["vertices"] != counted(planner_named(name))["vertices"]
     assert vars(one["counters"]) == vars(other["counters"])
-
-
-def test_reach_is_for_searches_that_have_one():
-    for name in ("ompl-projected", "mpnet", "search.test_planners:plan"):
-        refused("leave --reach out", planner_named, name, reach=1.0)
-    refused("above 0", planner_named, "birrt", reach=0.0)
 
 
 @pytest.mark.parametrize("name", PLANNERS)

@@ -1,7 +1,5 @@
 """The place task, the constraint and family tasks: a sound problem for every index."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from refusals import refused
@@ -12,7 +10,6 @@ from cvqmpt_lab.benchmarks.constraint_task import MOVED, NAMES, constraint_probl
 from cvqmpt_lab.benchmarks.family_task import (
     ROBOTS,
     family_problem,
-    held_out_problem,
     other_robot_problem,
 )
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
@@ -80,15 +77,7 @@ def test_the_mirrored_kitchen_is_the_same_modules_on_the_other_side():
 @pytest.mark.parametrize("suite", SUITES)
 def test_suites_know_their_problems(suite):
     last = len(suite_named(suite).problems) - 1
-    sizes = dict.fromkeys(("place-task", "place-task-with-can"), 150)
-    sizes |= dict.fromkeys(("place-task-single-goal", "peers"), 30)
-    sizes |= dict.fromkeys(("place-task-mirrored", "factorial"), 60)
-    sizes |= {"multi-sequence": 66, "open-door": 10, "sensor": 98}
-    sizes |= {"constraints": 160, "factorial-constraints": 80, "robots": 180, "two-arms": 180}
-    sizes |= {"unconstrained": 120, "peers-two-arms": 20}
-    sizes |= dict.fromkeys(("motion-bench", "motion-bench-upright"), 2100)
-    assert last + 1 == sizes.get(suite, 50)
-    if sizes.get(suite) == 2100:
+    if suite.startswith("motion-bench"):
         return  # needs an archive, see test_motion_bench
     assert suite_named(suite).item(last).name.partition("/")[0] == str(last)
     for index in (-1, last + 1, 1000):
@@ -142,25 +131,6 @@ def test_a_door_stays_on_its_hinge():
 
 
 @pytest.mark.parametrize(
-    ("robot", "joints", "sliders"), [("ur5", 6, 0), ("xarm7", 7, 0), ("tiago", 8, 1)]
-)
-def test_an_arm_moves_upright_between_two_hand_poses(robot, joints, sliders):
-    suite, index = suite_named("robots"), 20 * list(ROBOTS).index(robot) + 6
-    problem, again = suite.solvable(index), suite.solvable(index)
-    assert problem.name == f"{index}/{index // 20 + 1}-{robot}"
-    np.testing.assert_array_equal(problem.start, again.start)
-    assert problem.robot.dof == joints and problem.robot.kinematics.prismatic.sum() == sliders
-    check_problem(problem)
-    solution = solve(problem, "birrt", Budget(iterations=20_000), seed=0)
-    assert solution.solved and solution.certificate.reasons == ()
-    ends = solution.path.states[[0, -1]]
-    np.testing.assert_array_equal(ends[0], problem.start)
-    np.testing.assert_allclose(problem.robot.pose(ends[1]), problem.goal_region.T0_w, atol=1e-4)
-    upright = [problem.robot.pose(q)[2, 0] for q in solution.path.states]
-    assert min(upright) > np.cos(0.2)
-
-
-@pytest.mark.parametrize(
     ("robot", "index", "family", "number"),
     [("panda", 1, "table", 2001), ("z1", 5, "table", 2105), ("panda", 19, "kitchen-like", 2039)],
 )
@@ -173,16 +143,6 @@ def test_a_robot_gets_the_first_scene_of_its_family_that_holds_a_problem(
     np.testing.assert_array_equal(problem.start, expected.start)
     np.testing.assert_array_equal(problem.goal_region.T0_w, problem.robot.pose(expected.goals[0]))
     assert not any(map(holds_problem(family, source), range(2000 + index, number, 20)))
-
-
-@pytest.mark.parametrize(("index", "number"), [(0, 0), (1, 8001), (34, 8084)])
-def test_a_family_problem_is_of_its_own_scene_or_of_the_first_spare_one_that_holds_one(
-    index, number
-):
-    expected = family_problem("kitchen-like", number)
-    assert held_out_problem("kitchen-like", index) == replace(expected, name=str(index))
-    earlier = [k for k in (index, *range(8000 + index, number, 50)) if k != number]
-    assert not any(map(holds_problem("kitchen-like"), earlier))
 
 
 def holds_problem(family, *source):

@@ -25,6 +25,7 @@ REFUSED = {  # and what their refusal says
     "romeo-left": "its 7 joints bring l_wrist",
     "romeo-right": "its 7 joints bring r_wrist",
 }
+REFUSED |= {name: "has several end effectors" for name, arm in ARMS.items() if arm.end_effectors}
 
 
 def template(name, what="drawer"):

@@ -44,17 +44,6 @@ def test_published_folders_are_converted_and_predict(
     assert "is there and not empty; choose another --out" in refused(capsys, *words.split())
 
 
-def test_damaged_and_foreign_folders(panda, tmp_path, capsys):
-    save_checkpoint(tmp_path / "model", random_checkpoint(panda))
-    folder, words = tmp_path / "model", ("model", "info", "--model", tmp_path / "model")
-    file = folder / "dictionary.safetensors"
-    file.write_bytes(file.read_bytes()[:-4] + b"\0\0\0\1")
-    assert "dictionary.safetensors is damaged" in refused(capsys, *words)
-    config = folder / "config.json"
-    config.write_text(config.read_text().replace('"vq-mpt"', '"rrt"'))
-    assert "'rrt'; valid choices: vq-mpt, mpnet" in refused(capsys, *words)
-
-
 def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path):
     assert resolve_model() == resolve_model("vq_mpt") == WEIGHTS / "vq_mpt"
     found = resolve_model(architecture="mpnet", robot=robot_signature(panda))

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from cvqmpt_lab.benchmarks.templates import problem_template
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import read_source
@@ -23,11 +22,6 @@ def mine(tmp_path, cvqmpt):
     path = tmp_path / "mine.json"
     assert f"cvqmpt plan --problem-file {path}" in cvqmpt("problems new", path)
     return path
-
-
-@pytest.mark.parametrize("robot", ["ur10-limited", "two-dof"])
-def test_a_new_problem_suits_arms_with_narrow_limits_and_few_joints(robot):
-    check_problem(PlanningProblem.from_dict(problem_template({"name": robot})))
 
 
 def test_motions_of_a_new_problem_and_task_need_no_limits_on_the_command_line(tmp_path, cvqmpt):
@@ -86,13 +80,6 @@ def test_configurations_reach_the_pose_free_of_collision_on_the_manifold(mine, c
         np.testing.assert_allclose(problem.robot.pose(q)[:3, 3], (-0.3, 0.5, 0.3), atol=1e-5)
         assert not problem.collision_checker().in_collision(q)
         assert not problem.manifold.residual(q).any()
-
-
-def test_files_that_a_problem_names_lie_beside_it(mine, cvqmpt):
-    data = json.loads(mine.read_text())
-    (mine.parent / "room.json").write_text(json.dumps(data["scene"]))
-    mine.write_text(json.dumps({**data, "scene": "room.json"}))
-    cvqmpt(IK, mine, "--seed", 0)
 
 
 def test_a_pose_out_of_reach_has_no_configuration(mine, cvqmpt):

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import SCAN_START, refused, run_here
+from command_line import SCAN_START, run_here
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from cvqmpt_lab.scene.cloud_files import read_cloud, write_cloud
+from cvqmpt_lab.scene.cloud_files import read_cloud
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.sensing.filters import near_robot
 from cvqmpt_lab.sensing.scan import ScanSettings, scan
@@ -90,19 +90,3 @@ def test_a_network_may_be_shown_the_scan_beside_a_suite(scan_folder, camera, cap
     words = ["--cloud", scan_folder / "depth.png", *camera, "--iterations", 1]
     run_here(["plan", "place-task", *words], code=2)
     assert "roadmap uses no cloud" in capsys.readouterr().err.splitlines()[-1]
-
-
-def test_a_wall_is_no_table(tmp_path, capsys):
-    """Where a larger wall is seen, and where nothing else is; a floor out of the arm's reach."""
-    rng, file = np.random.default_rng(0), tmp_path / "office.pcd"
-    wall = rng.uniform((-3.0, -1.5, 5.05), (3.0, 1.5, 5.05), (6000, 3))
-    wall[:, 2] += 0.05 * wall[:, 1]
-    write_cloud(file, wall)
-    words = ["--cloud", file, "--level", "table", "--start", START, "--goal", GOAL]
-    for command in (["scan", file, "--level", "table"], ["plan", *words]):
-        line = refused(capsys, *command)
-        assert "no table: the largest plane, of 100% of the points, is 53 deg off level" in line
-    floor = rng.uniform((-2.0, 1.6, 1.0), (2.0, 1.6, 5.0), (2000, 3))
-    write_cloud(file, np.concatenate([wall, floor]))
-    line = refused(capsys, "scan", file, "--level", "table", "--down", 10)
-    assert "the camera is 1.60 m above the largest plane" in line and "1.44 m (the arm's" in line

@@ -1,22 +1,16 @@
 """The compiled checker and its pairs of shapes against coal: never optimistic, seldom strict."""
 
-import coal
 import numpy as np
 import pytest
-from compiled_kernels import from_python
 from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.benchmarks.door_task import door_problem, door_world
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, carried_can
-from cvqmpt_lab.collision import arrays, separation
+from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.covers import cut_into_pieces
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.collision.geometry import ShapeSpec, pack_shapes
-from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, IDENTITY, SPHERE
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.robot.hulls import coal_distance, convex_hull
 from cvqmpt_lab.scene.cells import MOST_BALLS
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.kitchen import kitchen
@@ -235,77 +229,6 @@ def test_a_robots_arrays_are_made_once_and_the_same_from_disk(slider_arm, tmp_pa
         np.testing.assert_array_equal(one, other)
         assert np.asarray(one).dtype == np.asarray(other).dtype
     assert len(longer.sphere) > len(first.sphere)
-
-
-distance, separating_gap = map(from_python, (separation.distance, separation.separating_gap))
-MARGIN = 1e-4
-KINDS = HULL, BOX, CYLINDER, SPHERE
-NO_VERTICES = np.empty((0, 3))
-
-
-def placed(R=None, t=(0.0, 0.0, 0.0)):
-    T = np.eye(4)
-    T[:3, :3] = np.eye(3) if R is None else R
-    T[:3, 3] = t
-    return T
-
-
-def random_spec(rng, kind, spread=0.25, longest=0.2):
-    T = placed(Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), spread * rng.normal(size=3))
-    if kind == HULL:
-        points = rng.normal(size=(rng.integers(4, 80), 3))
-        points *= rng.uniform(0.2, 1.0, 3) * longest / np.linalg.norm(points, axis=1)[:, None]
-        return ShapeSpec(HULL, (), points, T)
-    a, b, c = rng.uniform(0.02, longest, 3)
-    size = {BOX: (a, b, c), CYLINDER: (a, a, b), SPHERE: (a,)}[kind]
-    return ShapeSpec(kind, size, NO_VERTICES, T)
-
-
-def coal_object(spec):
-    T, size = spec.T_owner_shape, spec.size
-    make = {
-        BOX: lambda: coal.Box(*size),
-        CYLINDER: lambda: coal.Cylinder(size[0], size[2]),
-        SPHERE: lambda: coal.Sphere(size[0]),
-        HULL: lambda: convex_hull(spec.vertices),
-    }
-    return make[spec.kind](), coal.Transform3s(T[:3, :3], T[:3, 3])
-
-
-@pytest.mark.parametrize("kind_a", KINDS)
-@pytest.mark.parametrize("kind_b", KINDS)
-def test_pairs_agree_with_coal(kind_a, kind_b):
-    """Random pairs, half of them slid to within a millimetre of contact."""
-    rng = np.random.default_rng(10 * kind_a + kind_b)
-    for k in range(240):
-        a, b = random_spec(rng, kind_a), random_spec(rng, kind_b)
-        objects = coal_object(a), coal_object(b)
-        if k % 2:
-            result = coal.DistanceResult()
-            apart = coal.distance(*objects[0], *objects[1], coal.DistanceRequest(), result)
-            if apart > 0.0:
-                gap = result.getNearestPoint1() - result.getNearestPoint2()
-                shift = gap * (1.0 - rng.uniform(-1e-3, 1e-3) / apart)
-                b = b._replace(T_owner_shape=placed(t=shift) @ b.T_owner_shape)
-                objects = objects[0], coal_object(b)
-        exact = coal_distance(*objects[0], *objects[1])
-        packed = pack_shapes([a, b])
-        axis = tuple(a.T_owner_shape[:3, 3] - b.T_owner_shape[:3, 3])
-        gap = separating_gap(packed, 0, packed, 1, IDENTITY, axis, MARGIN, MARGIN, 1e-9)
-        assert not (gap > MARGIN and exact <= MARGIN - 2e-6), (k, gap, exact)
-        assert not (gap <= MARGIN and exact > 2e-4), (k, gap, exact)
-        certified = distance(packed, 0, packed, 1, IDENTITY, axis, 1e-7)
-        assert certified <= max(exact, 0.0) + 2e-6
-        assert certified >= exact - 2e-5
-
-
-def test_a_touching_pair_is_a_collision_and_a_degenerate_axis_is_harmless():
-    box = ShapeSpec(BOX, (0.2, 0.2, 0.2), NO_VERTICES, placed())
-    for offset, free in ((0.2, False), (0.2 + 0.5 * MARGIN, False), (0.2 + 2 * MARGIN, True)):
-        shapes = pack_shapes([box, box._replace(T_owner_shape=placed(t=(0.0, offset, 0.0)))])
-        for axis in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (np.nan, 0.0, 0.0)):
-            gap = separating_gap(shapes, 0, shapes, 1, IDENTITY, axis, MARGIN, MARGIN, 1e-9)
-            assert (gap > MARGIN) == free
 
 
 def test_flat_shapes_are_cut_too():

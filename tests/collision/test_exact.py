@@ -8,15 +8,13 @@ import pinocchio as pin
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.door_task import door_world
 from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.motion_proof import prove_free
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import coal_distance
-from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance, transform
+from cvqmpt_lab.scene.coal_shapes import transform
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
@@ -96,54 +94,6 @@ def test_the_clearance_is_the_least_of_all_pairs_whatever_was_asked_before(panda
     assert [near.distance for near in found] == pytest.approx(least, abs=2e-6)
     assert {near.distance > 0.0 for near in found} == {True, False}
     assert [checker.nearest(q) for q in states[::-1]] == found[::-1]
-
-
-@pytest.mark.parametrize("which", ["arm", "arm and door"])
-@pytest.mark.parametrize("xyz", [(0.06, 0.0, -0.05), (0.0, 0.07, -0.1)])
-def test_what_is_carried_is_compared_with_every_link_but_the_hand(panda, which, xyz):
-    """A bar along the hand, also with the link before the last joint: both checkers by pair."""
-    robot = panda if which == "arm" else door_world()[1]
-    bar = Attachment("bar", Box((0.02, 0.02, 0.5)), pose(xyz))
-    rng, shape = np.random.default_rng(2), coal_shape(bar.shape)
-    states = np.concatenate([robot.random_configurations(rng, 300), np.tile(robot.lower, (300, 1))])
-    states[300:, :7] = HOME + 0.4 * rng.standard_normal((300, 7))
-    states = np.clip(states, robot.lower + 1e-3, robot.upper)
-    empty, carrying = (CollisionChecker(robot, NOTHING, items) for items in ((), (bar,)))
-    problem = PlanningProblem("test", robot, NOTHING, states[0], states[:1], attachments=(bar,))
-    space = ConstrainedSpace(problem)
-    data, found = robot.model.createData(), pin.GeometryData(robot.collision_model)
-    pieces = enumerate(robot.collision_model.geometryObjects)
-    others = [(n, piece) for n, piece in pieces if piece.parentJoint != 7]
-    before = 0
-    for q in states[~empty.in_collision_batch(states)]:
-        pin.updateGeometryPlacements(robot.model, data, robot.collision_model, found, q)
-        T_bar = robot.pose(q) @ bar.T_hand_object
-        links = ((g, found.oMg[n].homogeneous) for n, g in others)
-        room, nearest = min((shape_distance(shape, T_bar, g.geometry, T), g.name) for g, T in links)
-        before += room < -CONTACT and "link6" in nearest
-        if room < -CONTACT:
-            assert carrying.in_collision(q) and not space.valid(q)
-        elif room > CONTACT:
-            assert not carrying.in_collision(q)
-    assert before > 0
-
-
-@pytest.mark.parametrize("name", ["panda", "tiago-no-hand"])
-def test_only_pairs_whose_balls_are_close_are_measured_and_none_is_missed(name):
-    robot = robot_from_source({"name": name})
-    bar = Attachment("bar", Box((0.02, 0.02, 0.3)), pose((0.1, 0.0, 0.1)))
-    checker, rng = CollisionChecker(robot, NOTHING, (bar,)), np.random.default_rng(4)
-    states = robot.random_configurations(rng, 400)
-    hulls = states[:, None] + rng.normal(0.0, 0.02, (400, 2, robot.dof))
-    geometry, data = checker._geometry, robot.model.createData()
-    moved, results, expected = checker._sweep.between(states, hulls), pin.GeometryData(geometry), []
-    for q, gaps in zip(states, moved, strict=True):
-        pin.computeDistances(robot.model, data, geometry, results, q)
-        room = [result.min_distance for result in results.distanceResults]
-        expected.append((room > gaps + 2e-6).all())
-    free, _ = checker.clear_of_itself(states, hulls, np.zeros(400, dtype=int))
-    assert (free == checker.pairs).tolist() == expected
-    assert 20 < sum(expected) < 380
 
 
 def test_what_is_never_paired(panda):
@@ -273,18 +223,3 @@ def test_no_sampled_state_is_closer_than_proven(panda, open_kitchen, seed):
             assert min(least.distance, 0.1) - closest <= max(1e-3, 0.2 * least.distance) + 1e-6
             assert least.bound <= max(1e-3, 0.2 * least.distance, least.distance - 0.08) + 1e-9
     assert judged > 5
-
-
-def test_the_nearest_of_many_obstacles_is_found_group_by_group(panda):
-    """As coal finds it among all pairs; also below a distance that is given."""
-    rng = np.random.default_rng(4)
-    places = rng.uniform(-1.0, 1.0, (400, 3))
-    boxes = (SceneObject(f"box{i}", Box((0.02,) * 3), pose(p)) for i, p in enumerate(places))
-    checker = CollisionChecker(panda, scene_of(*boxes))
-    for q in panda.random_configurations(rng, 20):
-        checker._pose(q)
-        moving, objects = checker._moving, checker._world(0.0)[1]
-        every = min(coal_distance(piece, box) for piece in moving for box in objects)
-        assert checker.nearest_obstacle(q).distance == every
-        assert checker.nearest_obstacle(q, every + 0.01).distance == every
-        assert checker.nearest_obstacle(q, every - 1e-9).pair is None

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cvqmpt_lab.constraints.inverse_kinematics import first_guesses, solve_poses
 from cvqmpt_lab.constraints.task_space_region import (
     TOLERANCE,
     RegionConstraint,
@@ -85,18 +84,3 @@ def test_an_unreachable_region_and_what_is_not_a_number_fail(panda):
     assert manifold.project(samples[0], max_iterations=0) is None
     there = manifold.project(samples[0])
     np.testing.assert_array_equal(manifold.project(there, max_iterations=0), there)
-
-
-def test_inverse_kinematics_reaches_the_pose(panda):
-    rng, region = np.random.default_rng(4), region_at(np.zeros(3), 0.1)
-    solved = 0
-    for q in 0.8 * panda.random_configurations(rng, 20) + 0.1 * (panda.lower + panda.upper):
-        T = panda.pose(q)
-        solutions = solve_poses(panda, region, T[None], first_guesses(panda, rng, 1))[0]
-        solved += len(solutions) > 0
-        for solution in solutions:
-            np.testing.assert_allclose(panda.pose(solution), T, atol=2e-6)
-            assert panda.joint_outside_limits(solution) is None
-    assert solved >= 18
-    guesses = first_guesses(panda, rng, 1)
-    assert len(solve_poses(panda, UNREACHABLE, UNREACHABLE.T0_w[None], guesses)[0]) == 0

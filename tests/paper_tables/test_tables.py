@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from itertools import product
 
 import pytest
@@ -14,7 +13,6 @@ from refusals import refused
 from cli.main import main
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.planners import PLANNERS
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
 from paper_tables import committed, pages
@@ -24,7 +22,7 @@ from paper_tables.judging import Word
 from paper_tables.layouts import place_table
 from paper_tables.plots import COLOURS, OURS, line_style
 from paper_tables.statements import read_published
-from paper_tables.suites import render_directory, table_of
+from paper_tables.suites import render_directory
 from paper_tables.writers import latex_table
 
 
@@ -89,31 +87,6 @@ def run(planner, problem, time=None, **values):
     return make(f"p{problem}", planner, **{"suite": "place-task", "t_total_s": time, **values})
 
 
-def some_rows():
-    counts = [{"path_length_rad": 5.0 + i, "vertices": 10 + i} for i in range(10)]
-    rows = [run("birrt", i, 0.1 * (i + 1), **values) for i, values in enumerate(counts)]
-    values = {"path_length_rad": 8.0, "vertices": 40}
-    rows += [run("ompl-projected", i, 0.4 * (i + 1), **values) for i in range(8)]
-    rows.append(run("ompl-projected", 8, detail="no path"))
-    return [*rows, run("ompl-projected", 9, fail_reason="uncertified_goal")]
-
-
-def found(rows):
-    return {item.planner: item for item in place_table(rows, PAPER).found}
-
-
-def test_the_same_runs_again_under_other_seeds_make_nothing_surer():
-    once = [replace(row, n_state_checks=i, n_projections=1) for i, row in enumerate(some_rows())]
-    five_times = [replace(row, seed=seed) for seed in range(5) for row in once]
-    for one, five in zip(found(once).values(), found(five_times).values(), strict=True):
-        assert five.n_runs == 5 * one.n_runs
-        for name, interval in one.measured.items():
-            same = five.measured[name]
-            assert same.n == interval.n
-            bounds = interval.estimate, interval.low, interval.high
-            assert (same.estimate, same.low, same.high) == pytest.approx(bounds), name
-
-
 def test_a_table_is_of_one_suite_and_names_are_escaped():
     for rows in ([], [run("birrt", 0, 1.0), run("birrt", 0, 1.0, suite="random")]):
         refused("one suite", place_table, rows, PAPER)
@@ -156,30 +129,6 @@ def test_claims_without_rows_say_so_and_what_cannot_be_tested_too(tmp_path):
     assert {found[title].word for title in titles} == {Word.NO_ROWS}, "or not of all planners"
     assert found["complete"].word is Word.UNTESTABLE and found["complete"].deciding is None
     assert found["Opt: shorter paths"].verdicts[0].word is Word.SAME, "all paths are 6 rad"
-
-
-def test_a_small_profile_is_named(tmp_path):
-    others = dict.fromkeys(("ompl_projected", "atlas_rrt", "tb_rrt"), 3.0)
-    results = a_results_folder(tmp_path, opt_cvq_mpt=1.0, **others)
-    path = next(results.glob(f"*/{PROVENANCE_FILE}"))
-    record = json.loads(path.read_text())
-    for profile, word in (("small", Word.OPEN), ("full", Word.REPLICATED)):
-        command = ["cvqmpt", "reproduce", "all", "--profile", profile]
-        path.write_text(json.dumps({**record, "command": command}))
-        found = evidence_below(results)
-        assert by_title(results)["Opt: twice as fast"].word is word
-        report = pages.report_html(pages.evidence_of(results))
-        for page in (pages.page_text(found, judged_claims(found), results), report):
-            assert ("--profile small" in page) is (profile == "small")
-
-
-def test_the_opening_counts_every_word_and_the_page_has_it():
-    claims = judged_claims(evidence_below(RESULTS))
-    numbers = re.findall(r"(\d+) ([a-z ]+?)[,.]", pages.opening(claims).split("**")[1])
-    assert sum(int(number) for number, _ in numbers) == len(claims)
-    words = ["replicated", "smaller", "no difference", "opposite", "inconclusive"]
-    assert [word for _, word in numbers][:5] == words
-    assert pages.opening(claims) in committed.README.read_text(encoding="utf-8")
 
 
 def test_pictures_of_the_committed_rows_are_drawn_without_a_display():
@@ -249,41 +198,3 @@ def test_every_planner_has_a_colour_of_its_own_and_ours_a_thick_line():
     styles = [line_style(name) for name in ("birrt", "birrt improved", OURS, "peer")]
     assert styles[0]["color"] == styles[1]["color"] != styles[2]["color"]
     assert styles[2]["linewidth"] > styles[0]["linewidth"] and styles[3] == line_style("peer")
-
-
-def test_problems_that_have_no_start_or_goal_are_left_out_of_motion_benchs_table_and_counted():
-    made = [
-        a_row(f"{k}/1-panda", planner, suite="motion-bench", t_total_s=0.5 + k)
-        for planner, k in product(("birrt", "roadmap"), range(2))
-    ]
-    failed = [
-        a_failure("700/2-ur5", planner, suite="motion-bench", fail_reason="invalid_goal")
-        for planner in ("birrt", "roadmap")
-    ]
-    slow = [a_failure("701/2-ur5", "birrt", suite="motion-bench")]
-    found = table_of([*made, *failed, *slow])
-    assert found.size == "5 runs of 3 problems, 1 left out"
-    counts = {line[0]: line[1:] for line in found.sections["Problems"]}
-    assert counts["panda"] == ["2", "2", "0", "0", "0", "0"]
-    assert counts["ur5"] == ["2", "1", "0", "1", "0", "0"]
-    lines = {tuple(line[:2]): line[2:] for line in found.sections["By robot"]}
-    assert lines["ur5", "birrt"][0] == "1" and ("ur5", "roadmap") not in lines
-    assert [lines["panda", "birrt"][k].split()[0] for k in (0, 1, -1)] == ["2", "100", "50.0"]
-    assert "699 of 700" in found.markdown
-    assert table_of(failed).size == "0 runs of 0 problems, 1 left out"
-
-
-def test_two_arms_are_grouped_by_robot_and_kind_with_times():
-    groups = "baxter tray-over-table", "tiago-pro box-into-shelf"
-    made = [
-        make(f"{k + 30 * g}/{g + 1}-{group}", planner, suite="two-arms", t_total_s=time)
-        for g, group in enumerate(groups)
-        for k in range(10)
-        for planner, time, make in (("birrt", 0.05, a_row), ("ompl-projected", 2.0, a_failure))
-    ]
-    found = table_of(made)
-    first = {tuple(line[:2]): line[2:] for line in found.sections["By group"]}
-    assert first["group", "planner"][:3] == ["problems", "time [s]", "solved [%]"]
-    assert first[groups[0], "birrt"][:2] == ["10", "0.0500 [0.0500, 0.0500]"]
-    assert "∞" in first[groups[0], "ompl-projected"][1]
-    assert found.size == "20 problems, 2 groups" and "closed chain" in found.markdown

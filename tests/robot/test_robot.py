@@ -39,12 +39,6 @@ def test_kernel_poses_equal_pinocchio_s(name, request):
             np.testing.assert_allclose(found, expected, atol=1e-12, err_msg=piece.name)
 
 
-def test_four_threads_get_the_poses_of_one(panda, four_threads):
-    configurations = random_configurations(panda, 2000)
-    alone = panda.poses(configurations)
-    assert all((poses == alone).all() for poses in four_threads(panda.poses, 64 * [configurations]))
-
-
 def test_finger_opening_moves_the_fingers_within_its_range():
     robot = load_panda(0.013)
     for finger, sign in (("panda_leftfinger", 1.0), ("panda_rightfinger", -1.0)):

@@ -1,20 +1,15 @@
 """Robots with several end effectors: joints of all, poses of each, from names, URDFs and json."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
-from properties.random_arms import ARMS, two_armed
 
 from cvqmpt_lab.collision.solids import carried_pairs
 from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.source import ARMS as NAMED
 from cvqmpt_lab.robot.source import example_robots
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.scene.shapes import Box
-
-DUAL = [name for name, arm in NAMED.items() if arm.end_effectors]
 
 
 @pytest.mark.parametrize("name", ["baxter", pytest.param("tiago-pro", marks=pytest.mark.slow)])
@@ -32,35 +27,6 @@ def test_planned_joints_are_those_of_both_hands(name):
     for hand, names in zip(robot.end_effectors, alone, strict=True):
         moves = robot.kinematics.moves[:, robot.hand(hand)[0]]
         assert set(np.array(robot.joint_names)[moves]) == set(names)
-
-
-def test_every_named_robot_of_two_hands_says_which():
-    assert {"baxter", "tiago-pro", "tiago-dual", "pr2", "talos", "g1"} <= set(DUAL)
-    for name in DUAL:
-        assert NAMED[name].end_effector == "" and len(NAMED[name].end_effectors) == 2
-
-
-@pytest.mark.parametrize("number", range(ARMS))
-def test_poses_of_each_hand_are_pinocchio_s(number):
-    robot = two_armed(number)
-    states = robot.random_configurations(np.random.default_rng(0), 20)
-    rotations, translations = link_poses(robot.kinematics, states)
-    data = robot.model.createData()
-    for hand in ("tool", "other_tool"):
-        link, T_link_hand = robot.hand(hand)
-        frame = robot.model.getFrameId(hand, pin.FrameType.BODY)
-        for q, R, t, found in zip(
-            states,
-            rotations[:, link],
-            translations[:, link],
-            robot.poses(states, hand),
-            strict=True,
-        ):
-            pin.framesForwardKinematics(robot.model, data, q)
-            expected = data.oMf[frame].homogeneous
-            np.testing.assert_allclose(found, expected, atol=1e-12)
-            at = np.block([[R, t[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
-            np.testing.assert_allclose(at @ T_link_hand, expected, atol=1e-12)
 
 
 def test_hands_of_a_name_or_a_urdf_are_chosen_on_the_command_line(cvqmpt):

@@ -17,7 +17,6 @@ from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import (
     Box,
     ConvexMesh,
-    Cylinder,
     OccupancyMap,
     PointCloud,
     Sphere,
@@ -53,19 +52,6 @@ def test_arrays_inside_shapes_are_read_only_copies():
     assert mesh == ConvexMesh(TETRAHEDRON) and not mesh.vertices.flags.writeable
 
 
-def test_hinges_and_sliders_move_their_parts_and_nothing_else():
-    closed = small_scene()
-    opened = closed.with_joint("door", 1.2)
-    expected = pose((1.0 - 0.2 * math.sin(1.2), 0.2 * math.cos(1.2), 0.0), 1.2)
-    np.testing.assert_allclose(opened["door/panel"].T_world_object, expected, atol=1e-12)
-    assert opened.articulation("door").value == 1.2
-    assert all(opened[name] == closed[name] for name in ("wall", "drawer/tray", "floor"))
-    pulled = closed.with_joint("drawer", 0.4)
-    np.testing.assert_allclose(
-        pulled["drawer/tray"].T_world_object, pose((0.9, 0.8, 0.0)), atol=1e-12
-    )
-
-
 def test_adding_and_removing():
     scene = small_scene()
     more = scene.with_objects(SceneObject("cup", Sphere(0.1), pose((0.0, 0.0, 0.0))))
@@ -75,8 +61,19 @@ def test_adding_and_removing():
     assert [joint.name for joint in less.articulations] == ["drawer"]
 
 
+def test_an_environment_is_the_published_one():
+    """The last cube and ball of number 0: their places depend on all draws before."""
+    scene = random_scene(0)
+    assert len(scene.objects) == len(scene.obstacles) == 16
+    cube, ball = scene["cube_7"], scene["sphere_7"]
+    there = pose((0.177543, -0.914188, -0.110277), 4.864654)
+    np.testing.assert_allclose(cube.T_world_object, there, atol=1e-6)
+    np.testing.assert_allclose(ball.T_world_object[:3, 3], (0.443136, 0.711137, -0.107952), 1e-5)
+    assert (cube.shape, ball.shape) == (Box((0.2, 0.2, 0.2)), Sphere(0.15))
+
+
 SCENE = small_scene()
-WALL, DOOR, DRAWER = SCENE["wall"], SCENE.articulation("door"), SCENE.articulation("drawer")
+WALL, DOOR = SCENE["wall"], SCENE.articulation("door")
 OTHER = Articulation("other", "hinge", pose((0.0, 0.0, 0.0)), 0.0, 1.0, 0.0, ("door/panel",))
 FLAT = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.03, 0.03, 1e-9]])
 ENDS = np.array([[0.0, 0.0, 0.0], [1e3, 1e3, 1e3]])
@@ -91,20 +88,11 @@ def read_with_door(**change):
 
 
 WRONG = [
-    (partial(Box, (0.1, 0.0, 0.2)), r"Box\.size\[1\] is 0.0"),
-    (partial(Box, (0.1, 0.2)), r"Box\.size"),
-    (partial(Box, (0.1, math.nan, 0.2)), "nan"),
-    (partial(Cylinder, -0.1, 0.2), r"Cylinder\.radius"),
-    (partial(Cylinder, 0.1, math.inf), r"Cylinder\.height"),
-    (partial(Sphere, "big"), "'big'"),
-    (partial(ConvexMesh, [*TETRAHEDRON[:3], (0, 0, math.nan)]), r"vertices\[3, 2\]"),
     (partial(ConvexMesh, TETRAHEDRON[:3]), "got 3 points"),
     # hulls that crashed collision code
     (partial(ConvexMesh, FLAT), "not in one plane"),
     (partial(ConvexMesh, 1e5 * TETRAHEDRON), "m off: give metres"),
     (partial(PointCloud, np.zeros((0, 3)), 0.1), r"PointCloud\.points is empty"),
-    (partial(PointCloud, np.zeros((4, 2)), 0.1), r"\(4, 2\)"),
-    (partial(PointCloud, np.zeros((4, 3)), 0.0), r"PointCloud\.radius"),
     (partial(shape_vertices, Sphere(1.0)), "Sphere"),
     (partial(OccupancyMap, [[0.5, 0, 0]]), "holds 0.5; give whole numbers"),
     (partial(OccupancyMap, [[10_000_000, 0, 0]]), "whole numbers from -1000000"),
@@ -125,10 +113,6 @@ WRONG = [
     (partial(SCENE.without, "window"), "'window'; valid choices"),
     (partial(SCENE.with_objects, WALL), "'wall' occurs twice"),
     (partial(replace, DOOR, value=2.0), r"2\.0"),
-    (partial(replace, DOOR, kind="screw"), "screw.*hinge, slider"),
-    (partial(replace, DOOR, lower=2.0), "lower 2.0"),
-    (partial(replace, DOOR, upper=math.inf), "upper"),
-    (partial(replace, DOOR, moves="door/panel"), "moves"),
     (partial(replace, SCENE, articulations=(DOOR, DOOR)), "'door' occurs twice"),
     (partial(replace, SCENE, objects=(WALL,), articulations=(DOOR,)), "moves 'door/panel'"),
     (partial(replace, SCENE, articulations=(DOOR, OTHER)), "'door/panel' occurs twice"),

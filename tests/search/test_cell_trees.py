@@ -5,7 +5,6 @@ import pytest
 
 from cvqmpt_lab.benchmarks.passages import cage_problem, maze_problem, slot_problem
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.search.cell_grids import empty_grids, free_rows
 from cvqmpt_lab.search.cell_trees import CellTrees
@@ -49,11 +48,6 @@ def test_slices_of_work_change_nothing(maze):
     assert growth.trees.size.sum() > 1000
 
 
-def test_an_iteration_limit_ends_a_search(maze):
-    plan = solve(maze, "cells", Budget(iterations=70), seed=0).plan
-    assert plan.status is PlanStatus.ITERATION_LIMIT and plan.counters.iterations == 70
-
-
 def test_motions_of_the_trees_are_free_and_on_the_manifold(maze):
     """Every motion of both trees passes the fine check of paths."""
     _, growth, space = grown(maze, np.inf)
@@ -83,7 +77,3 @@ def test_the_width_of_a_passage_is_the_gap():
         np.testing.assert_array_equal(one.start, again.start)
         assert not np.array_equal(one.start, other.start)
         assert len(with_sampled_goals(one)[0].goals) > 0
-
-
-def test_cells_has_no_reach():
-    assert not planner_named("cells").grows

@@ -1,4 +1,4 @@
-"""Roadmaps of random nodes in the real kitchen; shorter paths: shortcuts, the informed set."""
+"""Roadmaps of random nodes, planner `roadmap`; shorter paths: shortcuts, the informed set."""
 
 from dataclasses import replace
 from functools import partial
@@ -11,12 +11,20 @@ from cvqmpt_lab.benchmarks.place_task import place_problem, single_goal_problem
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import Method
+from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.results.store import states_hash
-from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path, keep_informed
+from cvqmpt_lab.search.anytime import InformedSamples, improve, informed_roadmap_path
 from cvqmpt_lab.search.edge_costs import reading, readings
 from cvqmpt_lab.search.motion import motion_free
-from cvqmpt_lab.search.planner_interface import Deadline, GaussianMixture, Uniform
+from cvqmpt_lab.search.planner_interface import (
+    Deadline,
+    GaussianMixture,
+    Observation,
+    Query,
+    Uniform,
+    search,
+    uniform,
+)
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.roadmap import (
     Roadmap,
@@ -104,25 +112,6 @@ def test_edges_cost_more_the_less_likely_they_are_free(tuning, roadmap):
     assert np.exp(-nll).mean() == pytest.approx(free.mean(), abs=0.08)
 
 
-def test_added_nodes_are_linked_both_ways_and_verdicts_stay(tuning, roadmap):
-    _, query, deadline = query_of(tuning, roadmap)
-    query.next_path(deadline)
-    before, count = query.graph, len(roadmap.nodes)
-    added = tuning.robot.random_configurations(np.random.default_rng(1), 40)
-    query.add_nodes(added)
-    after = query.graph
-    np.testing.assert_array_equal(after.nodes[:count], before.nodes[:count])
-    np.testing.assert_array_equal(after.nodes[count : count + 40], added)
-    np.testing.assert_array_equal(after.node[:count], before.node[:count])
-    for kept in ("edge", "clearance", "lowest", "known"):
-        np.testing.assert_array_equal(getattr(after, kept)[:count], getattr(before, kept)[:count])
-    links = after.neighbours[count : count + 40]
-    assert (links >= 0).all() and (links != np.arange(count, count + 40)[:, None]).all()
-    assert ((links < count).sum(axis=1) == 20).all()
-    known = links[0][links[0] < count]
-    assert any(count in after.neighbours[node] for node in known)
-
-
 def test_more_nodes_free_a_start_that_no_code_is_near(roadmap):
     tuning = single_goal_problem(1002)
     far = np.argsort(np.linalg.norm(roadmap.nodes - tuning.start, axis=1))[-300:]
@@ -153,14 +142,6 @@ def test_a_simplified_path_is_shorter_and_certified(problem, solution, space, se
     assert result.path.length < raw.length
     assert certify(problem, result.path).reasons == ()
     np.testing.assert_array_equal(result.path.states[[0, -1]], raw.states[[0, -1]])
-
-
-def test_every_round_is_at_most_as_long(solution, space):
-    path = solution.plan.path
-    for seed in range(30):
-        shorter = simplified(space, path, seed, attempts=16, patience=4).path
-        assert shorter.length <= path.length
-        path = shorter
 
 
 def test_one_seed_gives_one_path_with_either_backend(problem, solution):
@@ -229,22 +210,6 @@ def first(problem):
     return solve(problem, "birrt", ENOUGH, 0, clearance=False).path
 
 
-def test_draws_kept_are_free_on_the_manifold_and_in_the_informed_set(problem, first):
-    space, length = ConstrainedSpace(problem), 1.2 * first.length
-    spaced = first.spaced(0.02)
-    draws = spaced + np.random.default_rng(0).normal(scale=0.3, size=spaced.shape)
-    draws = np.clip(draws, problem.robot.lower, problem.robot.upper)
-    expected = []
-    for q in draws.copy():
-        on = space.project(q)
-        to_goal = np.linalg.norm(problem.goals - q, axis=1).min()
-        if on and np.linalg.norm(q - problem.start) + to_goal < length and space.valid(q):
-            expected.append(q)
-    kept = keep_informed(space.arrays, draws, problem.start, problem.goals, length)
-    assert 0 < kept < len(draws)
-    np.testing.assert_array_equal(draws[:kept], expected)
-
-
 def test_paths_that_cost_more_than_asked_are_not_looked_for(problem, roadmap):
     def length_within(longest):
         _, query, deadline = query_of(problem, roadmap, longest, greed=1.0, searches=2000)
@@ -269,3 +234,47 @@ def test_informed_roadmaps_find_shorter_paths_that_repeat(problem, first):
     assert max(np.abs(space.residual_and_jacobian(q)[0]).max() for q in path.states) < 1e-3
     nearest = problem.goals[np.linalg.norm(problem.goals - problem.start, axis=1).argmin()]
     assert better(JointPath(np.stack([problem.start, nearest])))[1].searches == 0
+
+
+def turns(problem, budget=None, seed=0, **changes):
+    """The result of `roadmap` with changes to its turns."""
+    method = replace(planner_named("roadmap").stages(problem).search, **changes)
+    query = Query.of(
+        ConstrainedSpace(problem),
+        budget or Budget(iterations=20_000),
+        np.random.default_rng(seed),
+    )
+    return search(method, query, uniform(query, Observation()))
+
+
+def test_a_path_comes_from_whoever_finds_one_first(tuning):
+    early = turns(tuning, first=10_000)
+    assert (early.sampler, early.fallback, early.counters.clearances) == ("uniform", "", 0)
+    roadmap = turns(tuning, first=1)
+    assert (roadmap.sampler, roadmap.fallback) == ("roadmap", "")
+    assert roadmap.counters.clearances > 0 and roadmap.vertices > roadmap.trees[0].nodes.shape[0]
+    late = turns(tuning, first=1, turns=(1.0, 1.0))
+    assert late.sampler in ("uniform", "cells") and "no roadmap path after" in late.fallback
+
+
+def test_cells_take_turns_after_some_work(tuning):
+    cells = turns(tuning, first=1, turns=(1.0, 1.0), between=1.0, alone=1.0)
+    assert cells.path is not None and cells.sampler in ("uniform", "cells")
+    only_trees = turns(tuning, first=1, turns=(1.0, 1.0), between=1.0, alone=1e9)
+    assert only_trees.sampler == "uniform" and only_trees.counters != cells.counters
+
+
+@pytest.mark.parametrize("changes", [{}, {"turns": (50.0, 50.0), "between": 50.0, "alone": 100.0}])
+def test_the_same_seed_leads_to_the_same_path_whatever_the_clock_says(tuning, changes):
+    budgets = (Budget(iterations=20_000), Budget(seconds=1e4, iterations=20_000), Budget(1e4))
+    first, *others = (turns(tuning, budget, seed=3, **changes) for budget in budgets)
+    for other in others:
+        assert np.array_equal(first.path.states, other.path.states)
+        assert first.counters == other.counters
+
+
+def test_without_a_roadmap_trees_and_cells_search(tuning):
+    none = Roadmap(np.empty((0, 7)), np.empty((0, 1), dtype=np.int32))
+    found = turns(tuning, roadmap=none, first=1)
+    assert found.path is not None and found.fallback == "birrt: 0 nodes are no roadmap"
+    assert found.counters.clearances == 0

@@ -1,25 +1,13 @@
 """Maps hold what was seen; unknown space is crossed by no ray; the truth may differ from both."""
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 
-from cvqmpt_lab.certificate import FaultKind, certify
-from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.poses import pose
-from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cloud_files import Cloud
-from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.scene.shapes import Box, Sphere
-from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
 from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
 from cvqmpt_lab.sensing.scan import Arm
-from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
 
 EYE = np.array([-1.0, 0.05, 0.45])
-WALL = Box((0.1, 0.6, 0.4))
 ROOM = MapSettings(unknown="occupied", lower=(-0.5, -0.5, 0.0), upper=(1.0, 0.5, 0.8))
 
 
@@ -70,29 +58,3 @@ def test_rays_cross_what_fine_samples_of_them_are_in():
     box = np.prod(np.round(np.subtract(ROOM.upper, ROOM.lower) / 0.02))
     few = len(np.unique(np.floor(walked[inside] / 0.02), axis=0))
     assert 0.97 * few <= box - len(scanned.cells) <= 1.1 * few
-
-
-@pytest.fixture(scope="module")
-def truth():
-    """A wall beside the arm, and a ball behind it that the camera does not see."""
-    wall = SceneObject("wall", WALL, pose((0.55, 0.0, 0.2)))
-    return Scene("truth", (wall, SceneObject("ball", Sphere(0.08), pose((0.75, 0.0, 0.3)))))
-
-
-def test_what_is_free_in_a_map_is_certified_in_it_and_in_the_truth(panda, truth):
-    """Planned in the map of one camera, then checked in the true scene."""
-    camera = Camera(Intrinsics.from_fov(near=0.1), look_at((-1.0, -0.3, 0.9), (0.5, 0.0, 0.2)))
-    settings = CameraSettings(cameras=(camera,), voxel=None)
-    points = visible_points(truth, settings, np.random.default_rng(0))
-    scanned = occupancy_map(points, MapSettings(padding=0.01))
-    left, right = (np.array([s * 0.9, 0.5, 0.0, -1.9, 0.0, 2.3, 0.8]) for s in (1.0, -1.0))
-    seen = Scene("map", (SceneObject("map", scanned, np.eye(4)),))
-    problem = PlanningProblem("over the wall", panda, seen, left, right[None])
-    solution = solve(problem, "birrt", Budget(iterations=20_000), seed=0)
-    assert solution.solved
-    path = solution.path
-    assert certify(replace(problem, scene=truth), path).valid
-    tip = panda.pose(path.states[len(path.states) // 2])[:3, 3]
-    hidden = truth.with_objects(SceneObject("lamp", Sphere(0.05), pose(tip)))
-    faults = certify(replace(problem, scene=hidden), path).faults
-    assert FaultKind.COLLISION in [fault.kind for fault in faults]

@@ -1,6 +1,5 @@
 """Tasks: json, sequences that must be refused; planned whole, every phase certified."""
 
-import json
 import time
 from dataclasses import replace
 
@@ -12,14 +11,14 @@ from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
 from cvqmpt_lab.benchmarks.place_task import carried_can
 from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.planners import PLANNERS, Method
+from cvqmpt_lab.planners import Method
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, OccupancyMap, Sphere
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.tasks.solve import solve_task
-from cvqmpt_lab.tasks.task import Grasp, Release, Task
+from cvqmpt_lab.tasks.task import Grasp, Release
 from cvqmpt_lab.tasks.world import World
 from experiments.experiment import Experiment
 from experiments.rows import phase_rows
@@ -49,27 +48,6 @@ def grasping_a_map(task):
 def grasping_twice(task):
     again = Grasp("again", "mustard_bottle", {})
     return replace(task, phases=(*task.phases[:7], again, *task.phases[7:]))
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "message"),
-    [
-        ((7, "goal"), None, r"phases\[7\].goal is missing"),
-        ((7, "kind"), None, r"phases\[7\].kind is missing; one of move, slide, turn"),
-        ((7, "kind"), [], r"unknown phases\[7\].kind \[\]; valid choices: move, slide"),
-        ((5, "distance"), "far", r"phases\[5\].distance is 'far'"),
-        (("start",), [0.0] * 6, r"start has shape \(6,\), robot panda needs \(7,\)"),
-    ],
-)
-def test_a_wrong_field_is_named(task, tmp_path, path, value, message):
-    data, (*which, field), file = task.to_dict(), path, tmp_path / "task.json"
-    place = data["phases"][which[0]] if which else data
-    if value is None:
-        del place[field]
-    else:
-        place[field] = value
-    file.write_text(json.dumps(data))
-    assert str(file) in refused(message, Task.load, file)
 
 
 SPOILT = {
@@ -214,13 +192,3 @@ def test_a_goal_out_of_reach_names_phase_and_cause(task):
     rows = phase_rows(RUN, solution)
     assert [row.solved for row in rows] == [True] * 4 + [False]
     assert rows[-1].fail_reason == "no_goal" and "inverse kinematics" in rows[-1].detail
-
-
-def test_methods_that_cannot_serve_a_phase_say_why(task_solution):
-    problems = {outcome.phase.name: outcome.solution.problem for outcome in task_solution.outcomes}
-    for name in ("mpnet", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq"):
-        for served in ("carry", "reach-can"):
-            assert PLANNERS[name].incompatibility(problems[served]) == ""
-        assert "weights are for" in PLANNERS[name].incompatibility(problems["open-door"])
-    for name in ("birrt", "ompl-projected", "atlas-rrt", "tb-rrt"):
-        assert all(PLANNERS[name].incompatibility(problem) == "" for problem in problems.values())

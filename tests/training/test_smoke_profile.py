@@ -6,7 +6,6 @@ import sys
 
 import numpy as np
 import pytest
-from command_line import refused
 
 from cli.main import main
 from cvqmpt_lab.codec import to_plain
@@ -14,8 +13,8 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.training.profiles import PROFILES
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
 from cvqmpt_lab.vqmpt.codebook import Codebook
-from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor, SceneTransformerPredictor
-from cvqmpt_lab.vqmpt.weights import load_vq_mpt, robot_signature
+from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor
+from cvqmpt_lab.vqmpt.weights import robot_signature
 
 
 @pytest.mark.parametrize("robot_options", ["", "--robot tiago-no-hand --base 0,0,-0.6"])
@@ -61,41 +60,6 @@ def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_pat
         assert f"validation_{metric}" in said
     assert main(["plan", "place-task", "--planner", "cvq-published", "--model", str(out)]) == 0
     assert "solved" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_a_scene_transformer_for_another_arm(tmp_path, request):
-    """UR5 from nothing: dictionary, labels on its roadmap, transformer, sequences; 1.5 minutes."""
-    if not request.config.getoption("--long"):
-        pytest.skip("needs --long")
-    data, words, labels, out = (tmp_path / name for name in ("data", "words", "labels", "out"))
-    profile = to_plain(PROFILES["compact"], complete=True)
-    profile["model"]["dictionary"]["n_codes"] = 256
-    profile["stage1"] |= {"batch": 8, "restart_epochs": 3}
-    profile["stage1"]["optimizer"]["warmup"] = 20
-    tiny = tmp_path / "tiny.json"
-    tiny.write_text(json.dumps(profile))
-    scenes = "--robot ur5-limited --family table,shelves --scenes 8 --jobs 1"
-    smoke = "--profile smoke --epochs 1 --device cpu"
-    for command in (
-        f"data generate {scenes} --paths-per-scene 20 --out {data}",
-        f"train stage1 --config {tiny} --epochs 4 --device cpu --data {data} --out {words}",
-        f"data generate --labels roadmap {scenes} --dictionary {words} --out {labels}",
-        f"train transformer {smoke} --data {labels} --dictionary {words} --out {out}",
-    ):
-        assert main(command.split()) == 0
-    robot = robot_from_source({"name": "ur5-limited"})
-    predictor = SceneTransformerPredictor(load_vq_mpt(robot, out), robot)
-    found = predicted(predictor, robot, 3)
-    assert all(one[0].finished and len(one[0].codes) > 0 for one in found)
-
-
-def test_hints_for_another_arm_lead_to_a_transformer(capsys):
-    """Each refusal names the command before it in the chain, with the options that are missing."""
-    generate = "data generate --robot ur5 --scenes 4 --dictionary d --out paths"
-    assert "--dictionary is for --labels roadmap" in refused(capsys, *generate.split())
-    said = refused(capsys, *["plan", "robots", "--problem", "20", "--planner", "cvq-mpt"])
-    assert "cvqmpt data generate --robot ur5 --out DATA, then cvqmpt train stage1" in said
 
 
 BLOCKED = """

@@ -254,9 +254,6 @@ def test_damaged_and_missing_files_and_descriptions_that_do_not_fit_are_named(da
                 "delete it and generate again",
             ),
             ("shards/000000.npz", None, "lacks shard 000000 but has 000001.npz: generate"),
-            ("dataset.json", lambda b: b"[]", "one json object"),
-            ("dataset.json", lambda b: b'{"schema": 1}', "dataset.json"),
-            ("dataset.json", lambda b: b'{"schema": 1, "schema": 1}', "occurs twice"),
         )
     ):
         shutil.copytree(data, tmp_path / f"{k}")

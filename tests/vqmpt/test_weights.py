@@ -164,25 +164,6 @@ def test_weights_and_models_that_do_not_fit_are_named(panda):
         refused(message, Codebook, stored(replace(checkpoint, **change)), panda)
 
 
-def test_published_folders_become_a_model_that_runs(published, published_states, tmp_path):
-    imported = import_published(*published(), ROBOT)
-    modules = imported.modules
-    network, dictionary = modules["sequence_model"], modules["dictionary"]
-    assert imported.metadata["epochs"] == [7, 7]
-    for name, tensor in published_states["context_state"].items():
-        assert torch.equal(network.context.state_dict()[name], tensor)
-    codes = dictionary.encode(torch.rand(1, 4, 7))
-    scene = network.encode_scene([torch.rand(30, 3)])
-    context = network.encode_context(scene, torch.rand(1, 7), torch.rand(1, 7))
-    logits = network.prefix_logits(context, codes, dictionary.quantizer)
-    assert logits.shape == (1, 2050) and torch.isfinite(logits).all()
-    save_checkpoint(tmp_path / "ours", imported)
-    after = load_checkpoint(tmp_path / "ours", ROBOT).modules["sequence_model"]
-    assert after.state_dict().keys() == network.state_dict().keys()
-    for name, tensor in network.state_dict().items():
-        assert torch.equal(after.state_dict()[name], tensor)
-
-
 def without(state, name):
     return {key: tensor for key, tensor in state.items() if key != name}
 

@@ -21,13 +21,12 @@ from cvqmpt_lab.vqmpt.weights import weights_digest
 from experiments.figures import paper
 from experiments.figures.code_update import (
     UpdateSettings,
-    exceedance_rows,
     histogram_rows,
     squared_residual,
     update_codes,
 )
 from experiments.figures.drawing import figure_bytes
-from experiments.figures.paper import HandPoses, histogram_figure
+from experiments.figures.paper import histogram_figure
 from paper_tables.claims import updated_codes
 from paper_tables.statements import PREDICTED, Claim
 
@@ -78,35 +77,12 @@ def test_rows_and_bins_count_every_draw_and_figures_repeat_byte_for_byte(update)
     assert bins[len(bins) // 2]["after"] == 2 * near[0].sum()
 
 
-def test_shares_of_draws_above_delta_and_their_bound(update):
-    for row in exceedance_rows([update, update], (0.05, 0.5)):
-        count = len(update.codes if row["of"] == "codes" else update.before.means)
-        for when in ("before", "after"):
-            draws = np.concatenate([update.draws(when, i) for i in range(count)])
-            residual = update.problem.manifold.residual(draws)
-            violated = np.linalg.norm(residual, axis=1) > np.sqrt(row["delta"])
-            assert row[when] == pytest.approx(violated.mean()) and 0.0 < row[when] < 1.0
-            mean = np.square(residual).sum() / len(draws)
-            assert row[f"bound_{when}"] == pytest.approx(min(1.0, mean / row["delta"]))
-            assert row[when] <= row[f"bound_{when}"]
-
-
 def test_a_problem_counts_once_in_the_claim(tmp_path):
     lines = ["problem,code,g_before,g_after", "a,1,4,1", "a,2,4,4", "a,goal,1,100", "b,3,1,0.5"]
     (tmp_path / "values.csv").write_text("\n".join(lines))
     effect = updated_codes(Claim("g", ("a",), "", "", "", (PREDICTED,)), tmp_path)
     assert effect.gains == pytest.approx([math.log(2.0)] * 2)
     assert effect.means == pytest.approx(math.log((4.0 + 1.0) / (2.5 + 0.5)))
-
-
-def test_hands_by_another_kinematics(update, problem):
-    after = HandPoses.of(problem.robot, update.draws("after", 1)[:20])
-    for i, q in enumerate(after.q):
-        T = problem.robot.pose(q)
-        np.testing.assert_allclose(after.positions[i], T[:3, 3], atol=1e-9)
-        assert np.cos(after.tilt[i]) == pytest.approx(T[2, 0], abs=1e-9)
-    upright = HandPoses.of(problem.robot, problem.start[None])
-    assert upright.tilt[0] < 1e-4
 
 
 def test_no_codes_and_no_samples_are_refused(problem, panda, tmp_path):
