@@ -26,7 +26,7 @@ from cli.problem_options import (
     problem_asked,
     refuse_robot,
 )
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_choice
 from cvqmpt_lab.execution.controllers import CONTROLLERS, Controller
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES,
@@ -60,10 +60,8 @@ def run(args: argparse.Namespace) -> int:
         return _suite(args)
     if args.film is not None and args.film.suffix != FILM:
         raise UnknownChoiceError(f"--film {args.film}: suffix", args.film.suffix, (FILM,))
-    if args.hold not in HOLDS:
-        raise UnknownChoiceError("--hold", args.hold, HOLDS)
-    if args.controller not in CONTROLLERS:
-        raise UnknownChoiceError("controller", args.controller, CONTROLLERS)
+    require_choice("--hold", args.hold, HOLDS)
+    require_choice("controller", args.controller, CONTROLLERS)
     times = CONTACT_TIMES if args.contact_time is None else (args.contact_time,)
     item = _asked(args)
     executions = _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.files import finite, require_regular_file
 
 # By names of options (`-v --verbose`), arguments of argparse's add_argument; by a title, a group.
@@ -74,8 +74,7 @@ def one_of(
     def read(text: str) -> str:
         if text in removed:
             raise InvalidInputError(f"{what} {text} was removed: {removed[text]}")
-        if text not in known:
-            raise UnknownChoiceError(what, text, known)
+        require_choice(what, text, known)
         return text
 
     return read

@@ -37,7 +37,7 @@ from cli.problem_options import (
 )
 from cli.scan_command import SCAN
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.pipeline import Solution
@@ -245,8 +245,7 @@ def _savable(name: str) -> Path:
             f"--save {path}: mp4 was removed; save {path.stem}.gif and convert it: "
             f"ffmpeg -i {path.stem}.gif {path.name}"
         )
-    if path.suffix not in known:
-        raise UnknownChoiceError(f"--save {path}: suffix", path.suffix, known)
+    require_choice(f"--save {path}: suffix", path.suffix, known)
     return path
 
 

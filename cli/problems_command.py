@@ -12,7 +12,7 @@ from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.motion_bench_archive import ARCHIVE, ROBOTS, fetch
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_choice
 from cvqmpt_lab.files import json_text, make_folder, read_text, write_text
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
@@ -91,8 +91,7 @@ def _import(args: argparse.Namespace) -> int:
 
 def _fetch(args: argparse.Namespace) -> int:
     """MotionBenchMaker's problems, into the cache."""
-    if args.what != "motion-bench":
-        raise UnknownChoiceError("set of problems", args.what, ["motion-bench"])
+    require_choice("set of problems", args.what, ["motion-bench"])
     print(f"{fetch()}: 700 problems each of {', '.join(ROBOTS)}")
     print(f"MotionBenchMaker, from {ARCHIVE} on the package index, Apache-2.0")
     print("list them, with those that collide: cvqmpt problems list motion-bench")

@@ -19,7 +19,7 @@ from cli.options import (
 )
 from cli.problem_options import ROBOT, chosen_robot, configuration
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.files import json_text, write_text
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
@@ -201,8 +201,7 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
 def _cloud_or_scene(name: str) -> Path:
     """A file that --out can write."""
     path, known = writable_file(name), (".json", *HEADERS)
-    if path.suffix not in known:
-        raise UnknownChoiceError(f"--out {path}: suffix", path.suffix, known)
+    require_choice(f"--out {path}: suffix", path.suffix, known)
     return path
 
 

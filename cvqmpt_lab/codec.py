@@ -25,6 +25,7 @@ from cvqmpt_lab.errors import (
     located,
     mapping,
     nearest,
+    require_choice,
     shown,
 )
 from cvqmpt_lab.files import json_text, read_json_object, write_text
@@ -264,8 +265,7 @@ def _made(kind: Any, fields: dict[str, Any]) -> Any:
 
 
 def _choice(choices: tuple, value: Any, where: str) -> Any:
-    if value not in choices:
-        raise UnknownChoiceError(where, value, choices)
+    require_choice(where, value, choices)
     return value
 
 

@@ -7,7 +7,7 @@ The command line prints the message and exits with code 2. That a planner finds 
 import contextlib
 import importlib.util
 import reprlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from numbers import Integral
 from pathlib import Path
 from typing import Any
@@ -95,6 +95,12 @@ def require_kind(what: str, value: object, kind: type, cure: str = "") -> None:
     if not isinstance(value, kind):
         found = f"{what} is a {type(value).__name__}, {shown(value)}"
         raise InvalidInputError(f"{found}; it must be a {kind.__name__}{cure and f': {cure}'}")
+
+
+def require_choice(what: str, value: object, choices: Collection[object]) -> None:
+    """Refuse a value that is not in a table of choices; UnknownChoiceError calls it `what`."""
+    if value not in choices:
+        raise UnknownChoiceError(what, value, choices)
 
 
 @contextlib.contextmanager

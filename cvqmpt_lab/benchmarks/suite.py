@@ -19,7 +19,7 @@ from cvqmpt_lab.benchmarks.place_task import (
     place_problem,
     single_goal_problem,
 )
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.scene.families import FAMILIES
@@ -162,6 +162,5 @@ def suite_named(name: str) -> Suite:
             "suite sensor-robustness was removed, its last table is in docs/training_log.md; "
             "suite sensor plans from noisy cameras"
         )
-    if name not in SUITES:
-        raise UnknownChoiceError("suite", name, SUITES)
+    require_choice("suite", name, SUITES)
     return SUITES[name]

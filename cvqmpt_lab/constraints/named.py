@@ -17,10 +17,10 @@ from cvqmpt_lab.constraints.task_space_region import (
 )
 from cvqmpt_lab.errors import (
     InvalidInputError,
-    UnknownChoiceError,
     at,
     mapping,
     nearest,
+    require_choice,
     shown,
 )
 from cvqmpt_lab.poses import Placement, Pose, pose
@@ -143,8 +143,7 @@ def region(name: str, **fields: Any) -> TaskSpaceRegion:
 
     Names and fields: see `NAMED`; UnknownChoiceError or InvalidInputError for others.
     """
-    if name not in NAMED:
-        raise UnknownChoiceError("region", name, NAMED)
+    require_choice("region", name, NAMED)
     return from_plain(Region, {name: fields})
 
 

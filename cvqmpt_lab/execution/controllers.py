@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.execution.mjcf import ARMATURE, DAMPING
 from cvqmpt_lab.robot.dynamics import Dynamics, Load, without_effort_limit
 from cvqmpt_lab.robot.robot import Robot
@@ -32,8 +32,7 @@ class Controller:
 
     def __init__(self, name: str, robot: Robot) -> None:
         """robot: the arm with its gripper closed; InvalidInputError where efforts are not known."""
-        if name not in CONTROLLERS:
-            raise UnknownChoiceError("controller", name, CONTROLLERS)
+        require_choice("controller", name, CONTROLLERS)
         if why := without_effort_limit(robot):
             raise InvalidInputError(
                 f"robot {robot.name} cannot be executed: {why}; give a URDF with masses, and "

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.codec import Checked, to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, unique
+from cvqmpt_lab.errors import InvalidInputError, require_choice, unique
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume
 from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, kinematics_arrays
@@ -133,5 +133,4 @@ def _check_names(robot: Robot, item: ArticulatedObject) -> None:
             )
     for pair in item.may_touch:
         for what, name, names in zip(("robot piece", "part"), pair, (pieces, parts), strict=True):
-            if name not in names:
-                raise UnknownChoiceError(f"{what} in 'may_touch' of {item.name!r}", name, names)
+            require_choice(f"{what} in 'may_touch' of {item.name!r}", name, names)

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
@@ -74,8 +74,7 @@ def _dimensions(changes: Mapping[str, float]) -> SimpleNamespace:
     """The dimensions and what follows from them; InvalidInputError: they do not fit together."""
     p = SimpleNamespace(**PUBLISHED)
     for name, value in changes.items():
-        if name not in PUBLISHED:
-            raise UnknownChoiceError("dimension of the kitchen", name, PUBLISHED)
+        require_choice("dimension of the kitchen", name, PUBLISHED)
         kind = float if name.endswith(("_x", "_y", "_z")) else Length
         setattr(p, name, from_plain(kind, value, f"kitchen dimension {name}"))
     p.base_width = 2.0 * p.cabinet_width

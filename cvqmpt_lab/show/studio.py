@@ -24,6 +24,7 @@ from cvqmpt_lab.errors import (
     InvalidInputError,
     UnknownChoiceError,
     install_command,
+    require_choice,
     require_kind,
 )
 from cvqmpt_lab.files import json_text
@@ -124,8 +125,7 @@ class Studio:
 
     def set_constraint(self, name: str) -> int:
         """Keep another one of `constraints`."""
-        if name not in self.constraints:
-            raise UnknownChoiceError("constraint", name, self.constraints)
+        require_choice("constraint", name, self.constraints)
         return self.ask(constraint=name)
 
     def ask(self, **changes: Any) -> int:

@@ -31,7 +31,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, whole_number
+from cvqmpt_lab.errors import InvalidInputError, require_choice, whole_number
 from cvqmpt_lab.files import (
     differences,
     locked,
@@ -322,8 +322,7 @@ def _ignore_interrupt(worker: int) -> None:
 
 
 def _device(name: str) -> torch.device:
-    if name not in ("auto", "cpu", "cuda"):
-        raise UnknownChoiceError("device", name, ("auto", "cpu", "cuda"))
+    require_choice("device", name, ("auto", "cpu", "cuda"))
     if name == "cuda" and not torch.cuda.is_available():
         raise InvalidInputError("device cuda: torch finds no GPU here; use cpu")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

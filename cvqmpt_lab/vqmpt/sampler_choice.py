@@ -36,7 +36,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_choice
 
 PREFIX = "cvq:"
 CHOICES = {
@@ -80,8 +80,7 @@ class SamplerChoice:
 
     def __post_init__(self) -> None:
         for name, known in CHOICES.items():
-            if getattr(self, name) not in known:
-                raise UnknownChoiceError(f"{name} of a learned sampler", getattr(self, name), known)
+            require_choice(f"{name} of a learned sampler", getattr(self, name), known)
         along, every = self.gaussians == "along", self.reading == "every-waypoint"
         if self.sequences == "all-beams" and self.predictor != "transformer":
             raise InvalidInputError(
