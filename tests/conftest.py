@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from command_line import SCAN_START, run_here
 
-from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
-from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, place_problem
+from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, multi_sequence_task, place_problem
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.load import load_robot, robot_from_source

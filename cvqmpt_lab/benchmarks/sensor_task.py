@@ -14,8 +14,7 @@ import numpy as np
 
 from cvqmpt_lab.benchmarks.family_task import PANDA, upright_problem
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
-from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE
+from cvqmpt_lab.benchmarks.place_task import CAN, CRACKER_BOX, DOOR, DOOR_ANGLE, MUSTARD_BOTTLE
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason

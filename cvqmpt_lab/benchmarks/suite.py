@@ -15,7 +15,9 @@ from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import (
     ENVIRONMENTS,
     carried_can,
+    door_problem,
     mirrored_problem,
+    multi_sequence_task,
     place_problem,
     single_goal_problem,
 )
@@ -66,30 +68,19 @@ class Suite:
 
 def _item(suite: str, index: int) -> SuiteItem:
     """Problem or task of a suite whose module is imported when its first item is made."""
-    from cvqmpt_lab.benchmarks import (
-        constraint_task,
-        door_task,
-        family_task,
-        motion_bench,
-        multi_sequence,
-        sensor_task,
-        two_arms,
-        unconstrained_task,
-    )
+    from cvqmpt_lab.benchmarks import family_task, motion_bench, sensor_task, two_arms
 
     if suite.startswith("family-"):
         return family_task.held_out_problem(suite.removeprefix("family-"), index)
     makers: Mapping[str, Callable[[int], SuiteItem]] = {
-        "constraints": constraint_task.constraint_problem,
+        "constraints": family_task.constraint_problem,
         "motion-bench": motion_bench.motion_bench_problem,
         "motion-bench-upright": motion_bench.level_problem,
-        "open-door": door_task.door_problem,
         "peers-two-arms": two_arms.peers_problem,
         "robots": family_task.robots_problem,
         "sensor": sensor_task.sensor_problem,
         "two-arms": two_arms.two_arms_problem,
-        "unconstrained": unconstrained_task.unconstrained_problem,
-        "multi-sequence": multi_sequence.multi_sequence_task,
+        "unconstrained": family_task.unconstrained_problem,
     }
     return makers[suite](index)
 
@@ -107,7 +98,7 @@ SUITES: Mapping[str, Suite] = {
         Suite("constraints", range(160), _CONSTRAINED),
         Suite("factorial", range(60), place_problem),
         Suite("factorial-constraints", range(80), _CONSTRAINED),
-        Suite("open-door", range(10), partial(_item, "open-door"), new_scenes=False),
+        Suite("open-door", range(10), door_problem, new_scenes=False),
         Suite("robots", range(180), partial(_item, "robots")),
         Suite("peers", range(30), single_goal_problem, _CAN, new_scenes=False),
         Suite("peers-two-arms", range(20), partial(_item, "peers-two-arms")),
@@ -121,7 +112,7 @@ SUITES: Mapping[str, Suite] = {
         Suite(
             "multi-sequence",
             range(66),
-            partial(_item, "multi-sequence"),
+            multi_sequence_task,
             new_scenes=False,
             settings={"speed": SLOW},
         ),

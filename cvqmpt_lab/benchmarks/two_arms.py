@@ -25,7 +25,7 @@ from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, symmetric_region
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.poses import pose, rigid
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -209,11 +209,8 @@ def _grasp(
     # columns of R_item_hand: the outward axis along x, the next ones along y and across both
     R = np.empty((3, 3))
     R[:, k], R[:, (k + 1) % 3], R[:, (k + 2) % 3] = sign * x, y, np.cross(sign * x, y)
-    T = np.eye(4)
-    T[:3, :3] = R
     edge = np.array([0.0, side * 0.5 * size[1], 0.0])
-    T[:3, 3] = edge - (tip - 0.01) * x
-    return T
+    return rigid(R, edge - (tip - 0.01) * x)
 
 
 def two_arms_problem(index: int) -> PlanningProblem | UnsolvableProblem:

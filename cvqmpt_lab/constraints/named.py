@@ -23,7 +23,7 @@ from cvqmpt_lab.errors import (
     require_choice,
     shown,
 )
-from cvqmpt_lab.poses import Placement, Pose, pose
+from cvqmpt_lab.poses import Placement, Pose, pose, rigid
 from cvqmpt_lab.values import Angle, Condition, Name, frozen
 
 Vector = tuple[float, float, float]
@@ -156,9 +156,7 @@ def _along(point: Vector, direction: Vector) -> np.ndarray:
     z /= np.linalg.norm(z)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
-    T = pose(point)
-    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-    return T
+    return rigid(np.stack([x, np.cross(z, x), z], axis=1), point)
 
 
 class RegionForm:

@@ -9,6 +9,7 @@ import numpy as np
 from cvqmpt_lab.errors import InvalidInputError, install_command
 from cvqmpt_lab.execution.controllers import PERIOD, Controller
 from cvqmpt_lab.execution.mjcf import HAND, LOAD, Physics, mjcf_of
+from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.robot.load import with_gripper
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import read_source
@@ -115,7 +116,7 @@ class Simulation:
     def T_world_hand(self) -> np.ndarray:
         """Pose (4, 4) of the hand."""
         site = self.data.site(HAND)
-        return _pose(site.xmat, site.xpos)
+        return rigid(site.xmat.reshape(3, 3), site.xpos)
 
     @property
     def T_world_load(self) -> np.ndarray | None:
@@ -123,7 +124,7 @@ class Simulation:
         if self.physics.free is None and self.physics.welded is None:
             return None
         body = self.data.body(LOAD)
-        return _pose(body.xmat, body.xpos)
+        return rigid(body.xmat.reshape(3, 3), body.xpos)
 
     @property
     def doors(self) -> dict[str, float]:
@@ -185,9 +186,3 @@ def _fingers(arm: Robot, robot: Robot) -> Mapping[str, str]:
         )
     joints = read_urdf(Path(read_source(arm.source).urdf)).joints
     return {name: joints[name].mimics or "" for name in names}
-
-
-def _pose(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R.reshape(3, 3), p
-    return T

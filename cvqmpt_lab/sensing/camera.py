@@ -13,6 +13,7 @@ import numpy as np
 
 from cvqmpt_lab.codec import Checked
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.values import Condition, FloatArray, Length
 
 Pixels = Annotated[int, Condition(int, lambda n: 1 <= n <= 2**14, f"1 to {2**14} pixels")]
@@ -105,9 +106,7 @@ def look_at(
     ahead = ahead / np.linalg.norm(ahead)
     right = np.cross(ahead, (0.0, 0.0, 1.0) if abs(ahead[2]) < 1.0 - 1e-9 else (1.0, 0.0, 0.0))
     right /= np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = np.stack([right, np.cross(ahead, right), ahead], axis=1), eye
-    return T
+    return rigid(np.stack([right, np.cross(ahead, right), ahead], axis=1), eye)
 
 
 def cameras_on_sphere(

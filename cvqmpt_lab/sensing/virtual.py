@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -144,9 +145,7 @@ def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
     )
     objects = []
     for piece in robot.links:
-        T_world_link = np.eye(4)
-        T_world_link[:3, :3] = rotations[0, piece.link]
-        T_world_link[:3, 3] = translations[0, piece.link]
+        T_world_link = rigid(rotations[0, piece.link], translations[0, piece.link])
         T = T_world_link @ piece.T_link_geometry
         objects.append(SceneObject(f"robot/{piece.name}", ConvexMesh(piece.vertices), T))
     return tuple(objects)

@@ -8,8 +8,7 @@ import pinocchio as pin
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.door_task import door_world
-from cvqmpt_lab.benchmarks.place_task import carried_can
+from cvqmpt_lab.benchmarks.place_task import carried_can, door_world
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.motion_proof import prove_free
 from cvqmpt_lab.poses import pose

@@ -13,7 +13,7 @@ from refusals import refused
 from cli.main import main
 from cvqmpt_lab import planners as table
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
+from cvqmpt_lab.benchmarks.place_task import multi_sequence_task
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.certificate import Fault, FaultKind
 from cvqmpt_lab.pipeline import solve, with_sampled_goals

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.objects import CAN
+from cvqmpt_lab.benchmarks.place_task import CAN
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.load import panda

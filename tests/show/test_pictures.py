@@ -8,8 +8,7 @@ from matplotlib.image import imread
 from PIL import Image
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
-from cvqmpt_lab.benchmarks.place_task import DOOR
+from cvqmpt_lab.benchmarks.place_task import CAN_NAME, DOOR
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import upright, upright_box

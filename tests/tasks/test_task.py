@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
-from cvqmpt_lab.benchmarks.place_task import carried_can
+from cvqmpt_lab.benchmarks.place_task import CAN_NAME, carried_can
 from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planners import PLANNERS, Method
