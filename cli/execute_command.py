@@ -27,7 +27,6 @@ from cli.problem_options import (
     refuse_robot,
 )
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_choice
-from cvqmpt_lab.execution.controllers import CONTROLLERS, Controller
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES,
     Execution,
@@ -37,7 +36,7 @@ from cvqmpt_lab.execution.execute import (
     execute_task,
     require_simulated,
 )
-from cvqmpt_lab.execution.simulation import mujoco_module
+from cvqmpt_lab.execution.simulation import CONTROLLERS, Controller, mujoco_module
 from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.motion_check import certified_motion, dry_run

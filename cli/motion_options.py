@@ -18,9 +18,8 @@ from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.files import json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Scene, refuse_far, report_out_of_reach
 from cvqmpt_lab.scene.scene_files import read_scene
-from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach
 from cvqmpt_lab.sensing.scan import Arm, Scan, refuse_touching
 
 MOTION: Options = {

@@ -27,9 +27,17 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.sensing.filters import BoxCrop
-from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
 from cvqmpt_lab.sensing.plane import CAMERA_UP
-from cvqmpt_lab.sensing.scan import RESOLUTION, Arm, Scan, ScanSettings, refuse_touching, scan
+from cvqmpt_lab.sensing.scan import (
+    RESOLUTION,
+    Arm,
+    MapSettings,
+    Scan,
+    ScanSettings,
+    occupancy_map,
+    refuse_touching,
+    scan,
+)
 
 CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
 USUAL = ScanSettings()

@@ -154,7 +154,7 @@ def check_tables(args: argparse.Namespace) -> int:
 def _check_folder(args: argparse.Namespace) -> int:
     """Run planners on a folder of problem files; compare with the expectations, or write them."""
     from cvqmpt_lab.warm_up import compile_kernels
-    from experiments.guard import Guarded, guarded_by
+    from experiments.regression import Guarded, guarded_by
     from experiments.run import default_jobs
 
     if args.all or args.results != RESULTS:

@@ -55,9 +55,15 @@ from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.coal_shapes import loads_of
-from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
+from cvqmpt_lab.scene.scene import (
+    Attachment,
+    NamedScene,
+    Scene,
+    refuse_far,
+    refuse_far_poses,
+    report_out_of_reach,
+)
 from cvqmpt_lab.scene.scene_files import with_files_read
-from cvqmpt_lab.scene.units import refuse_far, refuse_far_poses, report_out_of_reach
 from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name, frozen
 
 

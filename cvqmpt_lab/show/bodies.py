@@ -22,11 +22,12 @@ from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show.curves import Plot, plots_along, plots_over
-from cvqmpt_lab.show.marks import axes_marks, constraint_marks
 from cvqmpt_lab.show.meshes import (
     Colour,
     Mesh,
+    axes_marks,
     beads,
+    constraint_marks,
     hull_mesh,
     joined,
     shape_mesh,

@@ -11,8 +11,7 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.scan import Arm, Scan
 from cvqmpt_lab.show.bodies import Body, robot_bodies, scene_bodies, whole
-from cvqmpt_lab.show.marks import axes_marks
-from cvqmpt_lab.show.meshes import hull_mesh, shape_mesh
+from cvqmpt_lab.show.meshes import axes_marks, hull_mesh, shape_mesh
 from cvqmpt_lab.show.picture import legend_of, strip, write_png
 from cvqmpt_lab.show.raster import Stage, framed
 

@@ -20,9 +20,8 @@ from cvqmpt_lab.pipeline import Solution, no_plan
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.solution_report import solution_data
-from cvqmpt_lab.tasks.phase_goals import phase_goals, prepare
 from cvqmpt_lab.tasks.task import Move, Phase, PlannedPhase, Task
-from cvqmpt_lab.tasks.world import World
+from cvqmpt_lab.tasks.world import World, phase_goals, prepare
 from cvqmpt_lab.trajectory.timing import TimingSettings
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 

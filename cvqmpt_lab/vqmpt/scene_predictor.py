@@ -17,7 +17,7 @@ import numpy as np
 from cvqmpt_lab.caches import LruCache
 from cvqmpt_lab.errors import require_torch
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.sensing.virtual import CameraSettings, thinned
+from cvqmpt_lab.sensing.observation import CameraSettings, thinned
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence, beam_search, log_softmax
 from cvqmpt_lab.vqmpt.codebook import ModelConfigurations, require_own_dictionary
 from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, NOWHERE, WORST, Ends, softplus

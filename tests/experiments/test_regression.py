@@ -27,7 +27,7 @@ from cvqmpt_lab.vqmpt import scene_predictor
 from experiments import regression
 from experiments.experiment import Experiment
 from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, sample
-from experiments.rows import failed_rows, outcome_of, result_row
+from experiments.run import failed_rows, outcome_of, result_row
 from paper_tables.committed import committed_directories, differing_cells, untraceable
 from paper_tables.suites import SUITES, render_directory
 

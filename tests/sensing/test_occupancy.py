@@ -14,9 +14,8 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
-from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
-from cvqmpt_lab.sensing.scan import Arm
-from cvqmpt_lab.sensing.virtual import CameraSettings, visible_points
+from cvqmpt_lab.sensing.observation import CameraSettings, visible_points
+from cvqmpt_lab.sensing.scan import Arm, MapSettings, occupancy_map
 
 EYE = np.array([-1.0, 0.05, 0.45])
 WALL = Box((0.1, 0.6, 0.4))

@@ -18,10 +18,14 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.sensing.camera import KINECT, Intrinsics, cameras_on_sphere, look_at
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
-from cvqmpt_lab.sensing.observation import Observer
-from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
-from cvqmpt_lab.sensing.scan import ScanSettings, scan
-from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, camera_cloud, visible_points
+from cvqmpt_lab.sensing.observation import (
+    CameraSettings,
+    Observer,
+    arm_objects,
+    camera_cloud,
+    visible_points,
+)
+from cvqmpt_lab.sensing.scan import MapSettings, ScanSettings, occupancy_map, scan
 
 
 def test_the_published_kitchen_cloud(open_kitchen):

@@ -27,8 +27,7 @@ from cvqmpt_lab.show.bodies import (
     seen_of_problem,
     whole,
 )
-from cvqmpt_lab.show.marks import constraint_marks
-from cvqmpt_lab.show.meshes import hull_mesh
+from cvqmpt_lab.show.meshes import constraint_marks, hull_mesh
 from cvqmpt_lab.show.picture import draw_solution, draw_task, film_solution, save_film, strip
 from cvqmpt_lab.show.raster import Stage, Viewpoint
 from cvqmpt_lab.show.recording import log_solution

@@ -21,7 +21,7 @@ from cvqmpt_lab.tasks.solve import solve_task
 from cvqmpt_lab.tasks.task import Grasp, Release, Task
 from cvqmpt_lab.tasks.world import World
 from experiments.experiment import Experiment
-from experiments.rows import phase_rows
+from experiments.run import phase_rows
 
 
 def changed(task, which, **fields):
