@@ -75,7 +75,6 @@ SHORT = {
 # Small networks are several times slower on many threads, and runs share the cores already.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
-CLOSED_PIPE = 141  # exit code of a command whose reader has gone, as shells give it
 
 EXAMPLES = """examples:
   cvqmpt plan place-task --problem 7 --planner birrt --seed 0
@@ -220,7 +219,7 @@ def main(argv: list[str] | None = None) -> int:
         return 130
     except BrokenPipeError:  # nobody reads on: not what a certificate says, so not 0
         _silence()
-        return CLOSED_PIPE
+        return 141  # as shells give it
     except OSError as error:
         print(f"cvqmpt: {error}", file=sys.stderr)
         _silence()

@@ -19,9 +19,6 @@ from cvqmpt_lab.vqmpt.weights import (
     weights_digest,
 )
 
-# metadata that it shows
-SUMMARY = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
-
 
 def run(args: argparse.Namespace) -> int:
     """Report on weights, or convert them and report."""
@@ -89,7 +86,8 @@ def _summary(found: dict[str, Any]) -> list[str]:
     lines += ["", f"{'file':28} {'bytes':>12} {'numbers':>12}"]
     for name, part in found["parts"].items():
         lines.append(f"{name:28} {part['bytes']:>12,} {part['numbers']:>12,}")
-    shown = {name: metadata[name] for name in SUMMARY if name in metadata}
+    told = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
+    shown = {name: metadata[name] for name in told if name in metadata}
     losses = metadata.get("losses")
     shown |= losses if isinstance(losses, dict) else {}
     lines.append("")

@@ -11,6 +11,7 @@ import numpy as np
 from cli.options import (
     REPEATED,
     Options,
+    file_of_kind,
     not_negative,
     numbers,
     option,
@@ -19,7 +20,7 @@ from cli.options import (
 )
 from cli.problem_options import ROBOT, chosen_robot, configuration
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, require_choice
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import json_text, write_text
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
@@ -206,13 +207,6 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
         )
 
 
-def _cloud_or_scene(name: str) -> Path:
-    """A file that --out can write."""
-    path, known = writable_file(name), (".json", *HEADERS)
-    require_choice(f"--out {path}: suffix", path.suffix, known)
-    return path
-
-
 def run(args: argparse.Namespace) -> int:
     """Read, clean, report, write."""
     robot = chosen_robot(args)
@@ -249,7 +243,7 @@ OPTIONS: Options = {
     ),
     "--out": option(
         "the cleaned cloud, or as json a scene for plan --scene; repeatable",
-        type=_cloud_or_scene,
+        type=partial(file_of_kind, "--out", (".json", *HEADERS)),
         metavar="OUT.pcd|ply|npy|json",
         **REPEATED,
     ),

@@ -147,12 +147,12 @@ def _found(results: Path) -> dict[str, Evidence]:
 
 
 def check_tables(args: argparse.Namespace) -> int:
-    """Run a little again and compare it with what is expected; 1 if it differs."""
-    return _check_ours(args) if args.folder is None else _check_folder(args)
+    """Run a little again and compare it with what is expected, or write that; 1 if it differs.
 
-
-def _check_folder(args: argparse.Namespace) -> int:
-    """Run planners on a folder of problem files; compare with the expectations, or write them."""
+    Runs are those of `regression`, or of planners on a folder of problem files.
+    """
+    if args.folder is None:
+        return _check_ours(args)
     from cvqmpt_lab.warm_up import compile_kernels
     from experiments.regression import Guarded, guarded_by
     from experiments.run import default_jobs

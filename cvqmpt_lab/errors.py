@@ -97,10 +97,11 @@ def require_kind(what: str, value: object, kind: type, cure: str = "") -> None:
         raise InvalidInputError(f"{found}; it must be a {kind.__name__}{cure and f': {cure}'}")
 
 
-def require_choice(what: str, value: object, choices: Collection[object]) -> None:
-    """Refuse a value that is not in a table of choices; UnknownChoiceError calls it `what`."""
+def require_choice(what: str, value: Any, choices: Collection[object]) -> Any:
+    """Return a value that is in a table of choices; UnknownChoiceError calls it `what`."""
     if value not in choices:
         raise UnknownChoiceError(what, value, choices)
+    return value
 
 
 @contextlib.contextmanager

@@ -24,7 +24,6 @@ from cvqmpt_lab.processes import end_with_parent, limit_memory
 from cvqmpt_lab.results.row import FailReason
 
 CONNECT_S = 10  # for a scheduler to answer [s]
-STDERR = 2  # its file descriptor
 STOPPED = (
     "the executor of the runs has stopped; what was finished is kept, the same command continues"
 )
@@ -188,7 +187,7 @@ def dask_cluster(
 
 def _limited(limit_s: float, function: Callable[..., Any], *args: Any) -> Any:
     """Call a function; end this process when that takes longer than limit_s [s]."""
-    faulthandler.dump_traceback_later(limit_s, exit=True, file=STDERR)
+    faulthandler.dump_traceback_later(limit_s, exit=True, file=2)  # standard error
     try:
         return function(*args)
     finally:

@@ -40,7 +40,6 @@ COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256", "g_sampled"
 WITHIN = 0.02
 FORKING = ("tb-rrt",)  # whose sums are not compared on another processor
 # packages whose versions may change results
-NUMERICAL_PACKAGES = ("coal", "example-robot-data", "numba", "numpy", "ompl", "pin", "scipy")
 
 
 class Case(NamedTuple):
@@ -140,6 +139,7 @@ class Expectations(NamedTuple):
 def made_with() -> dict[str, str | None]:
     """What must be equal for bit-for-bit equal results: processor, system, Python, packages."""
     record = provenance()
+    packages = ("coal", "example-robot-data", "numba", "numpy", "ompl", "pin", "scipy")
     return {
         "system": platform.system(),
         "machine": platform.machine(),
@@ -148,7 +148,7 @@ def made_with() -> dict[str, str | None]:
         "cpu_ids": " ".join(cpu_facts(r"^(?:cpu family|model|stepping)\s*: (\d+)")[:3]),
         "instructions": " ".join(np.show_config(mode="dicts")["SIMD Extensions"]["found"]),
         "python": ".".join(platform.python_version_tuple()[:2]),
-        **{name: record["versions"][name] for name in NUMERICAL_PACKAGES},
+        **{name: record["versions"][name] for name in packages},
     }
 
 

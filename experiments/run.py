@@ -34,9 +34,6 @@ from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Executor, Lost, dask_cluster, local_processes
 from experiments.experiment import Experiment, Run, externals_of, weights_of
 
-SUMMED = (*(column for column in COLUMNS if column.startswith(("t_", "n_"))), "vertices")
-"""Columns of a phase that count all of its attempts."""
-
 
 class Outcome(NamedTuple):
     """The results of a run that are stored."""
@@ -203,7 +200,8 @@ def _phase_row(run: Run, problem: str, outcome: PhaseOutcome) -> ResultRow:
     last = attempts[-1]
     untimed = last.solved and not outcome.solved
     sums: dict[str, Any] = {}
-    for column in SUMMED:
+    # columns of a phase that count all of its attempts
+    for column in (*(name for name in COLUMNS if name.startswith(("t_", "n_"))), "vertices"):
         values = [value for row in attempts if (value := getattr(row, column)) is not None]
         sums[column] = sum(values) if values else None
     return replace(

@@ -119,14 +119,6 @@ ROBOTS: Mapping[str, Mapping[str, Any]] = {
 PROBLEMS = 30  # of each kind and robot
 
 
-class Carried(NamedTuple):
-    """What two hands hold, and how."""
-
-    item: Attachment  # held by the first hand; its T_hand_object is in that hand's frame
-    size: np.ndarray  # of the item (3,) [m]
-    constraint: tuple[TaskSpaceRegion, ...]  # held by both, and level
-
-
 @lru_cache(maxsize=8)
 def shoulders(robot: Robot) -> tuple[np.ndarray, float]:
     """The middle (3,) between both shoulders, and how far a hand gets from its own [m].
@@ -148,10 +140,13 @@ def shoulders(robot: Robot) -> tuple[np.ndarray, float]:
 
 
 @lru_cache(maxsize=8)
-def hold(robot: Robot, kind: str, poses: int = 12) -> Carried:
+def hold(
+    robot: Robot, kind: str, poses: int = 12
+) -> tuple[Attachment, np.ndarray, tuple[TaskSpaceRegion, ...]]:
     """The grasps at both sides of what is carried that inverse kinematics reaches most often.
 
-    Hands point forward, to each other, or down, turned about that by quarters.
+    Hands point forward, to each other, or down, turned about that by quarters. Returned are the
+    item as the first hand holds it, its size (3,) [m], and regions: held by both hands, and level.
 
     Args:
         robot: with two end effectors.
@@ -191,7 +186,7 @@ def hold(robot: Robot, kind: str, poses: int = 12) -> Carried:
         kind.split("-")[0], Box(tuple(size.tolist())), np.linalg.inv(first), also_held_by=(right,)
     )
     closed = relative_pose(left, np.linalg.inv(first) @ second).changed(end_effector=right)
-    return Carried(item, size, (closed, symmetric_region(np.eye(4), first, [FREE] * 6, TILT)))
+    return item, size, (closed, symmetric_region(np.eye(4), first, [FREE] * 6, TILT))
 
 
 def _grasp(

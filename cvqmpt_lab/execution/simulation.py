@@ -25,7 +25,6 @@ PERIOD = 1e-3  # [s] of control
 # [1/rad], [s]: Kp = STIFFNESS x effort limit, 3000 Nm/rad at the Panda's shoulder as in libfranka's
 # setDefaultBehavior; Kd = TIME_CONSTANT Kp damps joints of 0.1 to 3 kg m^2 by 0.5 to 1.2
 STIFFNESS, TIME_CONSTANT = 35.0, 0.04
-SERVO_STIFFNESS, SERVO_TIME_CONSTANT = 50.0, 0.1  # as in MuJoCo Menagerie's Panda
 CONTROLLERS = {
     "computed-torque": "tau = RNEA(q_d, q_d', q_d'') + Kp (q_d - q) + Kd (q_d' - q'); masses of "
     "arm and load, rotors and damping are known",
@@ -60,8 +59,8 @@ class Controller:
         off = wanted.positions - q
         if self.name == "position-servo":
             gravity = self._dynamics.gravity(q[None])[0]
-            Kp = SERVO_STIFFNESS * self.limits
-            tau = gravity + Kp * (off - SERVO_TIME_CONSTANT * v)
+            # as in MuJoCo Menagerie's Panda
+            tau = gravity + 50.0 * self.limits * (off - 0.1 * v)
         else:
             Kp = STIFFNESS * self.limits
             tau = self._dynamics.efforts(*(x[None] for x in wanted))[0]
@@ -72,7 +71,6 @@ class Controller:
 
 
 GRIP, OPEN = -50.0, 30.0  # force that closes and opens each finger [N]
-AT_REST = 0.02  # [m] from where a load is grasped or put down: it may touch what it stands on
 EVERY = 10  # periods between two states that are kept
 
 
@@ -221,7 +219,8 @@ class Simulation:
             return
         if LOAD in (first, second):
             place = self.data.body(LOAD).xpos
-            if any(np.linalg.norm(place - rest) < AT_REST for rest in self.rests):
+            # [m] from where it is grasped or put down it may touch what it stands on
+            if any(np.linalg.norm(place - rest) < 0.02 for rest in self.rests):
                 return
         pair = min(first, second), max(first, second)
         if pair not in self.touched or depth > self.touched[pair].depth_m:

@@ -219,6 +219,10 @@ def constraint_marks(
                 yield rod(T[:3, 3], T[:3, 3] + length * reach * T[:3, turning[0]], radius)
 
 
-def axes_marks(reach: float, length: float = 0.08, radius: float = 0.004) -> list[Mesh]:
-    """Rods along a frame's x, y, z; length and radius are shares of the robot's reach [m]."""
-    return [rod(np.zeros(3), end, radius * reach) for end in length * reach * np.eye(3)]
+def axes_marks(
+    reach: float, length: float = 0.08, radius: float = 0.004
+) -> Iterator[tuple[str, Colour, Mesh]]:
+    """Names, colours and rods of a frame's axes; length and radius are shares of a reach [m]."""
+    colours = (0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85)  # red, green, blue
+    for name, colour, end in zip("xyz", colours, length * reach * np.eye(3), strict=True):
+        yield name, colour, rod(np.zeros(3), end, radius * reach)

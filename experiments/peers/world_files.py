@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from trimesh import Trimesh
 
-from cvqmpt_lab.execution.mjcf import Body, bodies_of, unchecked_pairs
+from cvqmpt_lab.execution.mjcf import Body, bodies_of, numbers_text, unchecked_pairs
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
@@ -89,20 +89,16 @@ def _joint(
     # R = Rz(yaw) Ry(pitch) Rx(roll); scipy warns at a pitch of +-90 degrees that it sets yaw to 0
     with warnings.catch_warnings(action="ignore"):
         rpy = Rotation.from_matrix(rotation).as_euler("xyz")
-    SubElement(joint, "origin", xyz=_numbers(translation), rpy=_numbers(rpy))
+    SubElement(joint, "origin", xyz=numbers_text(translation), rpy=numbers_text(rpy))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)
     return joint
 
 
-def _numbers(values: np.ndarray) -> str:
-    return " ".join(repr(float(value)) for value in values)
-
-
 def _urdf_shape(geometry: Element, body: Body, folder: Path) -> None:
     match body.shape:
         case Box(size):
-            SubElement(geometry, "box", size=_numbers(np.array(size)))
+            SubElement(geometry, "box", size=numbers_text(np.array(size)))
         case Cylinder(radius, height):
             SubElement(geometry, "cylinder", radius=repr(radius), length=repr(height))
         case Sphere(radius):
