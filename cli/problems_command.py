@@ -9,7 +9,7 @@ import cvqmpt_lab
 from cli.options import FLAG, Options, ProgressBar, one_of, option, positive_int, writable_file
 from cli.problem_options import ROBOT, robot_source
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.motion_bench_archive import ARCHIVE, ROBOTS, fetch
+from cvqmpt_lab.benchmarks.motion_bench import ARCHIVE, ROBOTS, fetch
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_choice

@@ -31,7 +31,7 @@ from paper_tables.committed import (
     require_checkout,
     untraceable,
 )
-from paper_tables.suites import render_directory
+from paper_tables.suites import directory_rows, render_directory
 from paper_tables.writers import text_lines
 
 
@@ -68,7 +68,6 @@ def write_report(directory: Path, out: Path | None = None) -> Path:
 def compare(args: argparse.Namespace) -> int:
     """Pair two runs of the same problems and print what changed."""
     from paper_tables.compare_runs import clear, compared, comparison_lines, planners_of_one
-    from paper_tables.suites import directory_rows
 
     before, after = directory_rows(args.before), directory_rows(args.after)
     found, alone = compared(before, after), planners_of_one(before, after)
@@ -154,7 +153,6 @@ def check_tables(args: argparse.Namespace) -> int:
     if args.folder is None:
         return _check_ours(args)
     from cvqmpt_lab.warm_up import compile_kernels
-    from experiments.regression import Guarded, guarded_by
     from experiments.run import default_jobs
 
     if args.all or args.results != RESULTS:
@@ -164,14 +162,16 @@ def check_tables(args: argparse.Namespace) -> int:
         writable_file(path)
         if not planners:
             raise InvalidInputError("--update needs --planners A,B: those to be guarded")
-        guarded = Guarded(planners, range(args.seeds or 1), args.iterations or 20_000)
+        guarded = regression.Guarded(planners, range(args.seeds or 1), args.iterations or 20_000)
     elif args.seeds or args.iterations:
         raise InvalidInputError(
             f"--seeds and --iterations go with --update; otherwise they are those of {path}"
         )
     else:
         command = f"cvqmpt check-tables {args.folder} --planners A,B --update"
-        guarded, expected = guarded_by(regression.Expectations.load(path, command), planners)
+        guarded, expected = regression.guarded_by(
+            regression.Expectations.load(path, command), planners
+        )
     compile_kernels(log)
     jobs = args.jobs or default_jobs()
     outcomes = guarded.measure(args.folder, jobs, ProgressBar("check-tables"))

@@ -19,10 +19,9 @@ from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
+from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at, view_of
 from cvqmpt_lab.sensing.depth import write_view
 from cvqmpt_lab.sensing.observation import arm_objects, solids_of
-from cvqmpt_lab.sensing.render import view_of
 from cvqmpt_lab.tasks.solve import solve_task
 
 DATA = Path(__file__).parent / "data"

@@ -23,8 +23,7 @@ from cvqmpt_lab.scene.cloud_files import (
     read_by_suffix,
     read_cloud,
 )
-from cvqmpt_lab.sensing.camera import Intrinsics
-from cvqmpt_lab.sensing.render import View
+from cvqmpt_lab.sensing.camera import Intrinsics, View
 from cvqmpt_lab.values import Array, FloatArray
 
 

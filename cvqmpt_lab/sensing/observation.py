@@ -17,10 +17,19 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import seen_points
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, Sphere
-from cvqmpt_lab.sensing.camera import Camera, Intrinsics, cameras_on_sphere
+from cvqmpt_lab.sensing.camera import (
+    Camera,
+    Intrinsics,
+    Solid,
+    View,
+    ball,
+    cameras_on_sphere,
+    cuboid,
+    cylinder,
+    view_of,
+)
 from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
-from cvqmpt_lab.sensing.render import Solid, View, ball, cuboid, cylinder, view_of
 from cvqmpt_lab.values import FloatArray, frozen
 
 

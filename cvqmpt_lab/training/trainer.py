@@ -11,7 +11,6 @@ Random numbers of a batch depend on its seed, epoch and number alone, so that a 
 stopped and continued takes the same steps as one that was not.
 """
 
-import csv
 import io
 import json
 import logging
@@ -33,6 +32,7 @@ from torch.utils.data import DataLoader
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.errors import InvalidInputError, require_choice, whole_number
 from cvqmpt_lab.files import (
+    csv_table,
     differences,
     locked,
     make_folder,
@@ -256,12 +256,9 @@ class Trainer:
         progress.rows.append(row)
         progress.epoch, progress.batch, progress.sums = progress.epoch + 1, 0, {}
         progress.best = self._keep_if_best(row, progress.epoch)
-        text = io.StringIO()
         columns = list(dict.fromkeys(name for row in progress.rows for name in row))
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(progress.rows)
-        write_text(self.folder / "curves.csv", text.getvalue())
+        lines = [[row.get(name) for name in columns] for row in progress.rows]
+        write_text(self.folder / "curves.csv", csv_table([columns, *lines]))
         self._save()
 
     def _validate(self) -> dict[str, float | None]:

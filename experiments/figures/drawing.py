@@ -1,6 +1,5 @@
 """Write figures and their tables to files."""
 
-import csv
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,7 +7,7 @@ from pathlib import Path
 import matplotlib
 from matplotlib.figure import Figure
 
-from cvqmpt_lab.files import write_bytes, write_text
+from cvqmpt_lab.files import csv_table, write_bytes, write_text
 
 
 def figure_bytes(figure: Figure, kind: str) -> bytes:
@@ -37,10 +36,6 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
         rows: one or more, each with its cells by name of the column; the first one gives the
             order of the columns. Floats are written with 6 significant digits.
     """
-    text = io.StringIO()
-    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({k: f"{x:.6g}" if isinstance(x, float) else x for k, x in row.items()})
-    write_text(path, text.getvalue())
+    cells = [[f"{x:.6g}" if isinstance(x, float) else x for x in row.values()] for row in rows]
+    write_text(path, csv_table([rows[0], *cells]))
     return path

@@ -8,10 +8,9 @@ import pytest
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
+from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at, view_of
 from cvqmpt_lab.sensing.noise import DepthNoise, measured
 from cvqmpt_lab.sensing.observation import solids_of
-from cvqmpt_lab.sensing.render import view_of
 
 CAMERA = Camera(KINECT, look_at((-1.0, 0.0, 0.0)))
 OTHERS = ("lateral", "offset", "scale", "multipath", "edge_lost", "edge_flying", "quantum")
