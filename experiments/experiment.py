@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -71,12 +72,8 @@ class Experiment:
     @property
     def runs(self) -> "list[Run]":
         """All runs; planners of one problem follow each other."""
-        found = []
-        for seed in self.seeds:
-            for problem in self.problems:
-                for planner in self.planners:
-                    found.append(Run(self, problem, planner, seed))
-        return found
+        every = product(self.seeds, self.problems, self.planners)
+        return [Run(self, problem, planner, seed) for seed, problem, planner in every]
 
     @property
     def digests(self) -> dict[str, str]:

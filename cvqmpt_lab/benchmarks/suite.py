@@ -130,14 +130,12 @@ def folder_suite(folder: Path) -> Suite:
     """
     from cvqmpt_lab.benchmarks.problem_folder import read_folder
 
-    found, path = read_folder(folder), folder.resolve()
+    (problems, digests), path = read_folder(folder), folder.resolve()
     if path.name in SUITES or not path.name:
         raise InvalidInputError(
             f"folder {path}: its rows would be called {path.name!r}, as a suite of ours; give it "
             "another name"
         )
-    problems = {name: filed.problem for name, filed in found.items()}
-    digests = {name: filed.digest for name, filed in found.items()}
     _FOLDERS[str(path)] = suite = Suite(
         path.name, tuple(problems), problems.__getitem__, digests=digests
     )

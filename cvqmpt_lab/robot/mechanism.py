@@ -6,6 +6,7 @@ Planners and kernels treat the door as part of the arm: its pieces are links, it
 from __future__ import annotations  # so `help` shows forms by their names
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Annotated, Literal
 
 import numpy as np
@@ -90,16 +91,17 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     objects = geometry.geometryObjects
     parts = range(len(arm), len(arm) + len(item.parts))
     casing = range(parts.stop, len(objects))
-    pairs = []
-    for k in parts:
-        pairs += [(i, k) for i in arm if (objects[i].name, objects[k].name) not in item.may_touch]
-    for k in casing:
-        pairs += [(i, k) for i in arm if objects[i].parentJoint != 0]
+    pairs = [
+        (i, k)
+        for k, i in product(parts, arm)
+        if (objects[i].name, objects[k].name) not in item.may_touch
+    ]
+    pairs += [(i, k) for k, i in product(casing, arm) if objects[i].parentJoint != 0]
     for i, k in pairs:
         geometry.addCollisionPair(pin.CollisionPair(i, k))
     left_out = [LeftOut(*names, "may touch") for names in item.may_touch]
-    for part in item.parts:
-        left_out += [LeftOut(part.name, fixed.name, "casing") for fixed in item.casing]
+    both = product(item.parts, item.casing)
+    left_out += [LeftOut(part.name, fixed.name, "casing") for part, fixed in both]
     frames = axis_frames(model)
     limits = {
         kind: np.append(values, item.acceleration if kind == "acceleration" else np.inf)
