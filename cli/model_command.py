@@ -7,7 +7,7 @@ from typing import Any
 
 from cli.options import FLAG, Options, one_of, option
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, require_torch
+from cvqmpt_lab.errors import InvalidInputError, require_installed
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.vqmpt.weights import (
     SHIPPED,
@@ -36,7 +36,7 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
     """Convert published folders, weights of the Panda."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InvalidInputError(f"{out} is there and not empty; choose another --out")
-    require_torch("cvqmpt model import")
+    require_installed("torch", "cvqmpt model import", "train")
     from cvqmpt_lab.vqmpt.checkpoint import import_published, save_checkpoint
 
     robot = robot_signature(robot_from_source({"name": "panda"}))

@@ -154,9 +154,9 @@ def install_command(extra: str) -> str:
     return f"pip install {' '.join(asked)}"
 
 
-def require_torch(what: str) -> None:
-    """Raise InvalidInputError if torch, which `what` needs, is not installed; do not import it."""
-    if importlib.util.find_spec("torch") is None:
+def require_installed(module: str, what: str, extra: str) -> None:
+    """Raise InvalidInputError if a module of an extra, which `what` needs, is not installed."""
+    if importlib.util.find_spec(module) is None:
         raise InvalidInputError(
-            f"{what} needs torch, which is not installed: {install_command('train')}"
+            f"{what} needs {module}, which is not installed: {install_command(extra)}"
         )

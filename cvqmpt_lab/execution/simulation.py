@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, install_command, require_choice
+from cvqmpt_lab.errors import InvalidInputError, require_choice, require_installed
 from cvqmpt_lab.execution.mjcf import ARMATURE, DAMPING, HAND, LOAD, Physics, mjcf_of
 from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.robot.dynamics import Dynamics, Load, without_effort_limit
@@ -96,12 +96,9 @@ class Sample(NamedTuple):
 
 def mujoco_module() -> Any:
     """MuJoCo; InvalidInputError where it is not installed."""
-    try:
-        import mujoco
-    except ImportError as error:
-        raise InvalidInputError(
-            f"executing needs MuJoCo, which is not installed: {install_command('physics')}"
-        ) from error
+    require_installed("mujoco", "executing", "physics")
+    import mujoco
+
     return mujoco
 
 
