@@ -5,6 +5,7 @@ import json
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -132,14 +133,12 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = zip(files, intrinsics, extrinsics, strict=True)
     captures = [read_capture(file, lens, pose, args.scale) for file, lens, pose in cameras]
-    changes: dict = {}
-    if args.crop:
-        x, y, z, *upper = args.crop
-        changes["crop"] = BoxCrop((x, y, z), (upper[0], upper[1], upper[2]))
-    if args.front:
-        changes["front"] = tuple(args.front)
-    if args.down is not None:
-        changes["down"] = args.down
+    crop: Any = args.crop
+    changes: dict[str, Any] = {
+        "crop": crop and BoxCrop(tuple(crop[:3]), tuple(crop[3:])),
+        "front": args.front and tuple(args.front),
+        "down": args.down,
+    }
     settings = ScanSettings(
         level=args.level is not None,
         highest=robot.reach,
@@ -147,7 +146,7 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
         robot_margin=args.robot_margin,
         neighbours=args.neighbours,
         plane=args.plane,
-        **changes,
+        **{name: value for name, value in changes.items() if value is not None},
     )
     return scan(captures, settings, np.random.default_rng(0), arm)
 
