@@ -234,7 +234,7 @@ KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]]
 def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
     """The kitchen without a door of the shelf: the hand holds it firmly and carries it on an arc.
 
-    Unlike in `door_task` the door is carried by seven joints and is not a joint itself.
+    Unlike in `door_problem` the door is carried by seven joints and is not a joint itself.
     """
     # [rad] between which the door is moved, and how far at least
     ajar, wide, swung = 0.15, 1.5, 0.6
