@@ -149,7 +149,7 @@ def execute_motion(
     Args:
         problem: that it solves.
         motion: of its robot.
-        controller: a name of `controllers.CONTROLLERS`.
+        controller: a name of `simulation.CONTROLLERS`.
         contact_time: of the simulation [s].
         friction: whether fingers hold the load, else it is welded to the hand.
     """
