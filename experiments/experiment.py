@@ -8,12 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cvqmpt_lab.benchmarks.suite import Suite, suite_named
-from cvqmpt_lab.errors import (
-    InvalidInputError,
-    located,
-    require_choice,
-    whole_number,
-)
+from cvqmpt_lab.errors import InvalidInputError, located, require_choice, whole_number
 from cvqmpt_lab.external import is_external
 from cvqmpt_lab.planners import PLANNERS, Method, is_removed, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
