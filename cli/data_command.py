@@ -16,8 +16,7 @@ from cli.options import (
 )
 from cli.problem_options import ROBOT, robot_source
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.labels.generation import PANDA, SceneRecipe, Shard, generate
-from cvqmpt_lab.labels.path_labels import PathRecipe
+from cvqmpt_lab.labels.generation import PANDA, PathRecipe, SceneRecipe, Shard, generate
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.scene.families import FAMILIES
 from cvqmpt_lab.warm_up import compile_kernels

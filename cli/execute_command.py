@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from cli.options import (
     Options,
     ProgressBar,
     as_json,
+    file_of_kind,
+    one_of,
     option,
     positive,
-    writable_file,
 )
 from cli.plan_command import FILM, MARGIN
 from cli.problem_options import (
@@ -22,12 +24,9 @@ from cli.problem_options import (
     PROBLEM,
     ROBOT,
     budget,
-    name_file,
     problem_asked,
-    refuse_robot,
 )
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.execution.controllers import CONTROLLERS, Controller
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES,
     Execution,
@@ -37,7 +36,7 @@ from cvqmpt_lab.execution.execute import (
     execute_task,
     require_simulated,
 )
-from cvqmpt_lab.execution.simulation import mujoco_module
+from cvqmpt_lab.execution.simulation import CONTROLLERS, Controller, mujoco_module
 from cvqmpt_lab.files import make_folder
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.motion_check import certified_motion, dry_run
@@ -58,14 +57,8 @@ def run(args: argparse.Namespace) -> int:
     mujoco_module()  # refused before anything is planned
     if args.suite == EXECUTED or args.out is not None:
         return _suite(args)
-    if args.film is not None and args.film.suffix != FILM:
-        raise UnknownChoiceError(f"--film {args.film}: suffix", args.film.suffix, (FILM,))
-    if args.hold not in HOLDS:
-        raise UnknownChoiceError("--hold", args.hold, HOLDS)
-    if args.controller not in CONTROLLERS:
-        raise UnknownChoiceError("controller", args.controller, CONTROLLERS)
     times = CONTACT_TIMES if args.contact_time is None else (args.contact_time,)
-    item = _asked(args)
+    item = problem_asked(args)
     executions = _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
     outcome, why = agreed(executions)
     if args.json:
@@ -126,16 +119,6 @@ def _suite(args: argparse.Namespace) -> int:
     run_executed(make_folder(args.out), progress=ProgressBar(EXECUTED))
     print((args.out / TABLE).read_text(encoding="utf-8"), end="")
     return 0
-
-
-def _asked(args: argparse.Namespace) -> PlanningProblem | Task:
-    name_file(args)
-    if args.task_file is None:
-        return problem_asked(args)
-    if args.suite is not None or args.problem_file is not None:
-        raise InvalidInputError("--task-file goes without a suite and --problem-file")
-    refuse_robot(args)
-    return Task.load(args.task_file)
 
 
 def _task(args: argparse.Namespace, task: Task, times: tuple[float, ...]) -> list[Execution]:
@@ -203,11 +186,14 @@ OPTIONS: Options = {
         metavar="M.json|M.csv",
     ),
     "--controller": option(
-        f"one of {', '.join(CONTROLLERS)} (computed-torque)", default="computed-torque"
+        f"one of {', '.join(CONTROLLERS)} (computed-torque)",
+        type=one_of("controller", CONTROLLERS),
+        default="computed-torque",
     ),
     "--hold": option(
         "how the hand holds the load of a problem: weld or friction (weld); in a task it is "
         "friction",
+        type=one_of("--hold", HOLDS),
         default="weld",
     ),
     "--speed": option(
@@ -224,7 +210,9 @@ OPTIONS: Options = {
     **MARGIN,
     **SEED,
     **BUDGET,
-    "--film": option("a film of what happened", type=writable_file, metavar="RUN.gif"),
+    "--film": option(
+        "a film of what happened", type=partial(file_of_kind, "--film", (FILM,)), metavar="RUN.gif"
+    ),
     "--out": option("with the suite 'executed': folder of its rows", type=Path, metavar="DIR"),
     "--json": option("print one json object instead of the report", **FLAG),
 }

@@ -20,14 +20,14 @@ COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     "execute": ("execute", "execute a motion or task in a physics simulation"),
     "studio": ("studio", "drag start, goal and obstacles in the browser; the path follows"),
     "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),
-    "figure": ("figure", "make a figure of the paper, with its numbers"),
+    "figure": ("reproduce", "make a figure of the paper, with its numbers"),
     "claims": ("tables", "judge every claim of the paper by rows, and write the page that says so"),
     "report": ("tables", "write one html file about results: verdicts, tables, plots, rows"),
     "compare": ("tables", "say what changed between two runs of the same problems"),
     "table": ("tables", "render the tables of a results directory"),
     "problems": ("problems", "list or export the problems of a suite, or write one to start from"),
     "scan": ("scan", "make a clean cloud or a scene of depth images or clouds"),
-    "ik": ("ik", "find configurations for a pose or region, for a problem file"),
+    "ik": ("problems", "find configurations for a pose or region, for a problem file"),
     "robot": (
         "robot",
         "show what is understood of a robot's description, or list the arms that have a name",
@@ -75,7 +75,6 @@ SHORT = {
 # Small networks are several times slower on many threads, and runs share the cores already.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
-CLOSED_PIPE = 141  # exit code of a command whose reader has gone, as shells give it
 
 EXAMPLES = """examples:
   cvqmpt plan place-task --problem 7 --planner birrt --seed 0
@@ -220,7 +219,7 @@ def main(argv: list[str] | None = None) -> int:
         return 130
     except BrokenPipeError:  # nobody reads on: not what a certificate says, so not 0
         _silence()
-        return CLOSED_PIPE
+        return 141  # as shells give it
     except OSError as error:
         print(f"cvqmpt: {error}", file=sys.stderr)
         _silence()

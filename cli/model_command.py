@@ -7,7 +7,7 @@ from typing import Any
 
 from cli.options import FLAG, Options, one_of, option
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, require_torch
+from cvqmpt_lab.errors import InvalidInputError, require_installed
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.vqmpt.weights import (
     SHIPPED,
@@ -18,9 +18,6 @@ from cvqmpt_lab.vqmpt.weights import (
     robot_signature,
     weights_digest,
 )
-
-# metadata that it shows
-SUMMARY = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -39,7 +36,7 @@ def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
     """Convert published folders, weights of the Panda."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InvalidInputError(f"{out} is there and not empty; choose another --out")
-    require_torch("cvqmpt model import")
+    require_installed("torch", "cvqmpt model import", "train")
     from cvqmpt_lab.vqmpt.checkpoint import import_published, save_checkpoint
 
     robot = robot_signature(robot_from_source({"name": "panda"}))
@@ -89,7 +86,8 @@ def _summary(found: dict[str, Any]) -> list[str]:
     lines += ["", f"{'file':28} {'bytes':>12} {'numbers':>12}"]
     for name, part in found["parts"].items():
         lines.append(f"{name:28} {part['bytes']:>12,} {part['numbers']:>12,}")
-    shown = {name: metadata[name] for name in SUMMARY if name in metadata}
+    told = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
+    shown = {name: metadata[name] for name in told if name in metadata}
     losses = metadata.get("losses")
     shown |= losses if isinstance(losses, dict) else {}
     lines.append("")

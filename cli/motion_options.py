@@ -14,13 +14,12 @@ from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.files import json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Scene, refuse_far, report_out_of_reach
 from cvqmpt_lab.scene.scene_files import read_scene
-from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach
 from cvqmpt_lab.sensing.scan import Arm, Scan, refuse_touching
 
 MOTION: Options = {
@@ -119,8 +118,7 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
     if text.lstrip().startswith("{"):
         return from_plain(Region, json_object(text, "--constraint"), "--constraint")
     name, _, value = text.partition("=")
-    if name not in NAMED:
-        raise UnknownChoiceError("--constraint", name, NAMED)
+    require_choice("--constraint", name, NAMED)
     fields: dict[str, Any] = {}
     if name in ("upright", "upright-box"):
         fields["axis"] = upper_axis(robot.pose(start))
@@ -135,10 +133,7 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
                 f"--constraint {text}: robot {robot.name} has one end effector; name two, "
                 "--end-effectors LEFT RIGHT"
             )
-        if value not in robot.end_effectors:
-            raise UnknownChoiceError(
-                "--constraint relative-pose=HAND", value, list(robot.end_effectors)
-            )
+        require_choice("--constraint relative-pose=HAND", value, robot.end_effectors)
         at = np.linalg.inv(robot.pose(start, value)) @ robot.pose(start, hand)
         held = {name: {"base": value, "at": at.tolist()}, "end_effector": hand}
         return from_plain(Region, held, "--constraint")

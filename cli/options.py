@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.files import finite, require_regular_file
 
 # By names of options (`-v --verbose`), arguments of argparse's add_argument; by a title, a group.
@@ -50,7 +50,6 @@ def _number(
 positive_int = _number(int, lambda x: x >= 1, "a whole number of 1 or more")
 not_negative_int = _number(int, lambda x: x >= 0, "a whole number of 0 or more")
 positive = _number(float, lambda x: x > 0, "a positive number")
-_positive_or_inf = _number(float, lambda x: x > 0, "a positive number or inf", math.inf)
 not_negative = _number(float, lambda x: x >= 0, "a number of 0 or more")
 SEED: Options = {
     "--seed": option("seed of all randomness (0)", type=not_negative_int, default=0, metavar="S")
@@ -60,7 +59,7 @@ SEED: Options = {
 REACH: Options = {
     "--reach": option(
         "longest extension of trees towards a sample [rad], inf: none (the planner's own)",
-        type=_positive_or_inf,
+        type=_number(float, lambda x: x > 0, "a positive number or inf", math.inf),
         metavar="RAD",
     )
 }
@@ -74,9 +73,7 @@ def one_of(
     def read(text: str) -> str:
         if text in removed:
             raise InvalidInputError(f"{what} {text} was removed: {removed[text]}")
-        if text not in known:
-            raise UnknownChoiceError(what, text, known)
-        return text
+        return require_choice(what, text, known)
 
     return read
 
@@ -124,6 +121,13 @@ def writable_file(name: Path | str) -> Path:
         raise InvalidInputError(
             f"cannot write {path}: {error.strerror}; choose a writable folder"
         ) from error
+    return path
+
+
+def file_of_kind(option: str, suffixes: Sequence[str], name: Path | str) -> Path:
+    """A `writable_file` with one of these suffixes."""
+    path = writable_file(name)
+    require_choice(f"{option} {path}: suffix", path.suffix, suffixes)
     return path
 
 

@@ -19,6 +19,7 @@ from cli.options import (
     Options,
     ProgressBar,
     as_json,
+    file_of_kind,
     log,
     option,
     writable_file,
@@ -32,12 +33,11 @@ from cli.problem_options import (
     optimize_budget,
     optimize_option,
     problem_asked,
-    refuse_robot,
     with_clearance,
 )
 from cli.scan_command import SCAN
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import make_folder, write_text
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.pipeline import Solution
@@ -175,10 +175,7 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
             f"name a suite ({', '.join(SUITES)}), or give --problem-file or --task-file, or "
             "--start and --goal with --cloud or --scene: one of the four"
         )
-    if args.task_file is None:
-        return problem_asked(args)
-    refuse_robot(args)
-    return with_clearance(args, Task.load(args.task_file))
+    return problem_asked(args)
 
 
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
@@ -239,15 +236,13 @@ def _not_limited(robot: Robot) -> str:
 
 def _savable(name: str) -> Path:
     """The path of a file that --save can write, by its suffix."""
-    path, known = writable_file(name), (PAGE, RECORDING, FILM)
+    path = Path(name)
     if path.suffix == ".mp4":
         raise InvalidInputError(
             f"--save {path}: mp4 was removed; save {path.stem}.gif and convert it: "
             f"ffmpeg -i {path.stem}.gif {path.name}"
         )
-    if path.suffix not in known:
-        raise UnknownChoiceError(f"--save {path}: suffix", path.suffix, known)
-    return path
+    return file_of_kind("--save", (PAGE, RECORDING, FILM), path)
 
 
 def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list[str]:

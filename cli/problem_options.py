@@ -209,16 +209,19 @@ def name_file(args: argparse.Namespace) -> None:
 
 
 def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
-    """The problem of a suite or file, or the task of a suite."""
+    """The problem or task of a suite or file."""
     name_file(args)
-    if (args.suite is None) == (args.problem_file is None):
-        raise InvalidInputError(
-            f"name a suite ({', '.join(SUITES)}) or give --problem-file, one of the two"
-        )
+    files = [name for name in ("problem_file", "task_file") if hasattr(args, name)]
+    if sum(getattr(args, name) is not None for name in ("suite", *files)) != 1:
+        options = " or ".join(f"--{name.replace('_', '-')}" for name in files)
+        either = "one of the two" if len(files) == 1 else "one of the three"
+        raise InvalidInputError(f"name a suite ({', '.join(SUITES)}) or give {options}, {either}")
     if args.problem_file is not None:
         robot = robot_source(args, args.problem_file)
         return PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
     refuse_robot(args)
+    if args.suite is None:
+        return Task.load(args.task_file)
     return with_clearance(args, suite_named(args.suite).solvable(args.problem))
 
 

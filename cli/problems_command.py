@@ -1,21 +1,56 @@
-"""`cvqmpt problems`: list or write a suite's problems, write a template, import or fetch others."""
+"""`cvqmpt problems`: list or write a suite's problems, write a template, import or fetch others.
+
+`cvqmpt ik`: free configurations on the manifold for a pose or region, for a problem file.
+"""
 
 import argparse
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 import cvqmpt_lab
-from cli.options import FLAG, Options, ProgressBar, one_of, option, positive_int, writable_file
-from cli.problem_options import ROBOT, robot_source
+from cli.options import (
+    EXACTLY_ONE_OF,
+    FLAG,
+    SEED,
+    Options,
+    ProgressBar,
+    one_of,
+    option,
+    positive_int,
+    writable_file,
+)
+from cli.problem_options import ROBOT, pose_region, robot_source
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.motion_bench_archive import ARCHIVE, ROBOTS, fetch
+from cvqmpt_lab.benchmarks.motion_bench import ARCHIVE, ROBOTS, fetch
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
-from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.files import json_text, make_folder, read_text, write_text
+from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, find_in_region
+from cvqmpt_lab.constraints.named import Region
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.errors import (
+    InvalidInputError,
+    UnknownChoiceError,
+    located,
+    mapping,
+    require_choice,
+)
+from cvqmpt_lab.files import (
+    json_object,
+    json_text,
+    make_folder,
+    read_json_object,
+    read_text,
+    write_text,
+)
 from cvqmpt_lab.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.tasks.task import Task
 
@@ -91,8 +126,7 @@ def _import(args: argparse.Namespace) -> int:
 
 def _fetch(args: argparse.Namespace) -> int:
     """MotionBenchMaker's problems, into the cache."""
-    if args.what != "motion-bench":
-        raise UnknownChoiceError("set of problems", args.what, ["motion-bench"])
+    require_choice("set of problems", args.what, ["motion-bench"])
     print(f"{fetch()}: 700 problems each of {', '.join(ROBOTS)}")
     print(f"MotionBenchMaker, from {ARCHIVE} on the package index, Apache-2.0")
     print("list them, with those that collide: cvqmpt problems list motion-bench")
@@ -163,4 +197,71 @@ OPTIONS: Options = {
     "--door": option("the same with a door (with new)", **FLAG),
     "robot of the new problem (the panda)": ROBOT,
 }
-COMMANDS = {"problems": (run, OPTIONS)}
+
+
+def ik(args: argparse.Namespace) -> int:
+    """Sample, print; exit code 1 when there is none."""
+    data = read_json_object(args.problem_file, "problem file")
+    region = _region(args, data)
+    with located(str(args.problem_file)):
+        data = PlanningProblem.with_named_files(data, args.problem_file.parent)
+        robot = robot_from_source(mapping(data.get("robot"), "robot"))
+        middle = 0.5 * (robot.lower + robot.upper)  # stands for a start that may still be missing
+        given = {**data, "start": middle, "start_region": None, "goals": [], "goal_region": region}
+        problem = PlanningProblem.from_dict(given)
+    found = find_in_region(
+        problem.robot,
+        region,
+        problem.collision_checker(SAMPLE_MARGIN),
+        np.random.default_rng(args.seed),
+        args.count,
+        max_poses=max(100, 10 * args.count),
+        within=problem.constraint,
+    )
+    configurations = found.configurations.tolist()
+    if args.json:
+        print(
+            json_text({"joints": list(problem.robot.joint_names), "configurations": configurations})
+        )
+    else:
+        print("\n".join(json.dumps(q) for q in configurations))
+        print(f"{len(configurations)} of {args.count} configurations; {found.outcome}")
+        if not configurations:
+            print(replace(problem, goal_region=region).why_no_goal())
+    return 0 if configurations else 1
+
+
+def _region(args: argparse.Namespace, data: dict) -> TaskSpaceRegion:
+    """The region asked for."""
+    if args.pose is not None:
+        return args.pose
+    if args.region in ("goal_region", "start_region"):
+        if args.region not in data:
+            raise InvalidInputError(
+                f"{args.problem_file} has no {args.region!r}; write one after --region"
+            )
+        with located(f"{args.problem_file}"):
+            return from_plain(Region, data[args.region], args.region)
+    return from_plain(Region, json_object(args.region, "--region"), "--region")
+
+
+IK: Options = {
+    "--problem-file": option(
+        "robot, scene, constraint and attachments; start and goals may still be missing",
+        type=Path,
+        metavar="P.json",
+        required=True,
+    ),
+    EXACTLY_ONE_OF: {
+        "--pose": option(
+            "end-effector pose in the world: [m], roll, pitch, yaw [rad]",
+            type=partial(pose_region, "--pose"),
+            metavar="'X Y Z R P Y'",
+        ),
+        "--region": option("as in a problem file; or goal_region or start_region of the file"),
+    },
+    "--count": option("how many at most (1)", type=positive_int, default=1, metavar="N"),
+    **SEED,
+    "--json": option("print one json object", **FLAG),
+}
+COMMANDS = {"problems": (run, OPTIONS), "ik": (ik, IK)}

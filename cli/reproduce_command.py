@@ -1,4 +1,7 @@
-"""`cvqmpt reproduce`: run suites or folders of problems; rows, tables, verdicts and a report."""
+"""`cvqmpt reproduce`: run suites or folders of problems; `cvqmpt figure`: a figure of the paper.
+
+Runs give rows, tables, verdicts and a report, figures their numbers.
+"""
 
 import argparse
 import time
@@ -8,10 +11,12 @@ from pathlib import Path
 from cli.options import (
     ONE_OF,
     REACH,
+    SEED,
     WEIGHTS,
     Options,
     ProgressBar,
     log,
+    one_of,
     option,
     own_command,
     positive_int,
@@ -26,7 +31,8 @@ from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.experiment import PROFILES, Experiment, parts_of, planners_of
-from experiments.figures.paper import reproduce_figure
+from experiments.figures.code_update import UpdateSettings
+from experiments.figures.paper import FIGURES, reproduce_figure, summary
 from experiments.run import default_jobs, executor_for, run_experiment
 from paper_tables.suites import render_directory
 
@@ -167,4 +173,42 @@ OPTIONS: Options = {
     },
     "--out": option("where results go (runs/SUITE)", type=Path, metavar="DIR"),
 }
-COMMANDS = {"reproduce": (run, OPTIONS)}
+
+LOG = "its last numbers are in docs/training_log.md"
+REMOVED = {  # figures by name, and what is there instead of them
+    "cost": "cvqmpt claims --write draws it of the committed rows, and table RUNS has its ends",
+    "training": "curves.csv in the folder of a training has its curves; plot its columns",
+    "equal-time": f"{LOG}; cvqmpt plan --optimize improves a path until the time is up",
+    "difficulty": f"{LOG}; cvqmpt report lists the rows of a run problem by problem",
+    "robustness": f"{LOG}; cvqmpt reproduce sensor measures planning from noisy cameras",
+}
+
+
+def figure(args: argparse.Namespace) -> int:
+    """Make the figure and print a summary."""
+    out = args.out or Path("runs") / args.figure
+    settings = UpdateSettings(seed=args.seed)
+    compile_kernels(log)
+    problems = range(args.problems) if args.figure == "histogram" else (args.problem,)
+    updates, written = reproduce_figure(
+        args.figure, out, own_command(), problems, args.model, settings
+    )
+    print("\n".join(summary(updates)))
+    for path in written:
+        print(f"written {path}")
+    return 0
+
+
+FIGURE: Options = {
+    "figure": option(f"one of {', '.join(FIGURES)}", type=one_of("figure", FIGURES, REMOVED)),
+    "--problem": option(
+        "of concept: index of the place task's problem (0)", type=int, default=0, metavar="I"
+    ),
+    "--problems": option(
+        "of histogram: the first N problems (30)", type=positive_int, default=30, metavar="N"
+    ),
+    **WEIGHTS,
+    **SEED,
+    "--out": option("where results go (runs/FIGURE)", type=Path, metavar="DIR"),
+}
+COMMANDS = {"reproduce": (run, OPTIONS), "figure": (figure, FIGURE)}

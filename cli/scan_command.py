@@ -5,12 +5,14 @@ import json
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cli.options import (
     REPEATED,
     Options,
+    file_of_kind,
     not_negative,
     numbers,
     option,
@@ -19,7 +21,7 @@ from cli.options import (
 )
 from cli.problem_options import ROBOT, chosen_robot, configuration
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import json_text, write_text
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
@@ -27,9 +29,17 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.sensing.filters import BoxCrop
-from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
 from cvqmpt_lab.sensing.plane import CAMERA_UP
-from cvqmpt_lab.sensing.scan import RESOLUTION, Arm, Scan, ScanSettings, refuse_touching, scan
+from cvqmpt_lab.sensing.scan import (
+    RESOLUTION,
+    Arm,
+    MapSettings,
+    Scan,
+    ScanSettings,
+    occupancy_map,
+    refuse_touching,
+    scan,
+)
 
 CORNERS = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
 USUAL = ScanSettings()
@@ -123,14 +133,12 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = zip(files, intrinsics, extrinsics, strict=True)
     captures = [read_capture(file, lens, pose, args.scale) for file, lens, pose in cameras]
-    changes: dict = {}
-    if args.crop:
-        x, y, z, *upper = args.crop
-        changes["crop"] = BoxCrop((x, y, z), (upper[0], upper[1], upper[2]))
-    if args.front:
-        changes["front"] = tuple(args.front)
-    if args.down is not None:
-        changes["down"] = args.down
+    crop: Any = args.crop
+    changes: dict[str, Any] = {
+        "crop": crop and BoxCrop(tuple(crop[:3]), tuple(crop[3:])),
+        "front": args.front and tuple(args.front),
+        "down": args.down,
+    }
     settings = ScanSettings(
         level=args.level is not None,
         highest=robot.reach,
@@ -138,7 +146,7 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
         robot_margin=args.robot_margin,
         neighbours=args.neighbours,
         plane=args.plane,
-        **changes,
+        **{name: value for name, value in changes.items() if value is not None},
     )
     return scan(captures, settings, np.random.default_rng(0), arm)
 
@@ -198,14 +206,6 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
         )
 
 
-def _cloud_or_scene(name: str) -> Path:
-    """A file that --out can write."""
-    path, known = writable_file(name), (".json", *HEADERS)
-    if path.suffix not in known:
-        raise UnknownChoiceError(f"--out {path}: suffix", path.suffix, known)
-    return path
-
-
 def run(args: argparse.Namespace) -> int:
     """Read, clean, report, write."""
     robot = chosen_robot(args)
@@ -242,7 +242,7 @@ OPTIONS: Options = {
     ),
     "--out": option(
         "the cleaned cloud, or as json a scene for plan --scene; repeatable",
-        type=_cloud_or_scene,
+        type=partial(file_of_kind, "--out", (".json", *HEADERS)),
         metavar="OUT.pcd|ply|npy|json",
         **REPEATED,
     ),

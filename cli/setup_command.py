@@ -141,13 +141,9 @@ def bench(args: argparse.Namespace) -> int:
     return 0
 
 
-BENCH: Options = {
+OPTIONS: Options = {
     "bench": option(", ".join(BENCHES), type=one_of("bench", BENCHES, REMOVED)),
     "--problems": option("of stages: problems (20)", type=positive_int, default=20, metavar="N"),
     "--json": option("write the figures as json too", type=writable_file, metavar="F"),
 }
-COMMANDS = {
-    "doctor": (doctor, {}),
-    "warmup": (warmup, {}),
-    "bench": (bench, BENCH),
-}
+COMMANDS = {"doctor": (doctor, {}), "warmup": (warmup, {}), "bench": (bench, OPTIONS)}

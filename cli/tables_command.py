@@ -34,7 +34,7 @@ from paper_tables.committed import (
     stale_pages,
     untraceable,
 )
-from paper_tables.suites import render_directory
+from paper_tables.suites import directory_rows, render_directory
 from paper_tables.writers import text_lines
 
 
@@ -71,7 +71,6 @@ def write_report(directory: Path, out: Path | None = None) -> Path:
 def compare(args: argparse.Namespace) -> int:
     """Pair two runs of the same problems and print what changed."""
     from paper_tables.compare_runs import clear, compared, comparison_lines, planners_of_one
-    from paper_tables.suites import directory_rows
 
     before, after = directory_rows(args.before), directory_rows(args.after)
     found, alone = compared(before, after), planners_of_one(before, after)
@@ -150,14 +149,13 @@ def _found(results: Path) -> dict[str, Evidence]:
 
 
 def check_tables(args: argparse.Namespace) -> int:
-    """Run a little again and compare it with what is expected; 1 if it differs."""
-    return _check_ours(args) if args.folder is None else _check_folder(args)
+    """Run a little again and compare it with what is expected, or write that; 1 if it differs.
 
-
-def _check_folder(args: argparse.Namespace) -> int:
-    """Run planners on a folder of problem files; compare with the expectations, or write them."""
+    Runs are those of `regression`, or of planners on a folder of problem files.
+    """
+    if args.folder is None:
+        return _check_ours(args)
     from cvqmpt_lab.warm_up import compile_kernels
-    from experiments.guard import Guarded, guarded_by
     from experiments.run import default_jobs
 
     if args.all or args.results != RESULTS:
@@ -167,14 +165,16 @@ def _check_folder(args: argparse.Namespace) -> int:
         writable_file(path)
         if not planners:
             raise InvalidInputError("--update needs --planners A,B: those to be guarded")
-        guarded = Guarded(planners, range(args.seeds or 1), args.iterations or 20_000)
+        guarded = regression.Guarded(planners, range(args.seeds or 1), args.iterations or 20_000)
     elif args.seeds or args.iterations:
         raise InvalidInputError(
             f"--seeds and --iterations go with --update; otherwise they are those of {path}"
         )
     else:
         command = f"cvqmpt check-tables {args.folder} --planners A,B --update"
-        guarded, expected = guarded_by(regression.Expectations.load(path, command), planners)
+        guarded, expected = regression.guarded_by(
+            regression.Expectations.load(path, command), planners
+        )
     compile_kernels(log)
     jobs = args.jobs or default_jobs()
     outcomes = guarded.measure(args.folder, jobs, ProgressBar("check-tables"))

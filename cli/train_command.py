@@ -18,7 +18,7 @@ from cli.options import (
     positive_int,
 )
 from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, require_torch
+from cvqmpt_lab.errors import InvalidInputError, require_installed
 from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
 
@@ -34,7 +34,7 @@ PROFILE_NAMES = ("smoke", "compact", "published")
 
 def run(args: argparse.Namespace) -> int:
     """Train, showing loss and time left."""
-    require_torch("cvqmpt train")
+    require_installed("torch", "cvqmpt train", "train")
     from cvqmpt_lab.training.profiles import Profile, profile_named
     from cvqmpt_lab.training.trainer import run_training
 

@@ -25,6 +25,7 @@ from cvqmpt_lab.errors import (
     located,
     mapping,
     nearest,
+    require_choice,
     shown,
 )
 from cvqmpt_lab.files import json_text, read_json_object, write_text
@@ -217,7 +218,7 @@ def _reader(kind: Any, complete: bool) -> Reader:
         given = _reader(parts[0], complete)
         return lambda value, where: None if value is None else given(value, where)
     if origin is Literal:
-        return partial(_choice, parts)
+        return lambda value, where: require_choice(where, value, parts)
     if origin is tuple:
         return _tuple(parts, complete)
     if origin is Mapping:
@@ -261,12 +262,6 @@ def _made(kind: Any, fields: dict[str, Any]) -> Any:
     made = object.__new__(kind)
     vars(made).update(fields)
     return made
-
-
-def _choice(choices: tuple, value: Any, where: str) -> Any:
-    if value not in choices:
-        raise UnknownChoiceError(where, value, choices)
-    return value
 
 
 def _tuple(parts: tuple[Any, ...], complete: bool) -> Reader:

@@ -7,7 +7,7 @@ The command line prints the message and exits with code 2. That a planner finds 
 import contextlib
 import importlib.util
 import reprlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from numbers import Integral
 from pathlib import Path
 from typing import Any
@@ -97,6 +97,13 @@ def require_kind(what: str, value: object, kind: type, cure: str = "") -> None:
         raise InvalidInputError(f"{found}; it must be a {kind.__name__}{cure and f': {cure}'}")
 
 
+def require_choice(what: str, value: Any, choices: Collection[object]) -> Any:
+    """Return a value that is in a table of choices; UnknownChoiceError calls it `what`."""
+    if value not in choices:
+        raise UnknownChoiceError(what, value, choices)
+    return value
+
+
 @contextlib.contextmanager
 def located(where: str) -> Iterator[None]:
     """Put `where` in front of the message of an error raised inside."""
@@ -147,9 +154,9 @@ def install_command(extra: str) -> str:
     return f"pip install {' '.join(asked)}"
 
 
-def require_torch(what: str) -> None:
-    """Raise InvalidInputError if torch, which `what` needs, is not installed; do not import it."""
-    if importlib.util.find_spec("torch") is None:
+def require_installed(module: str, what: str, extra: str) -> None:
+    """Raise InvalidInputError if a module of an extra, which `what` needs, is not installed."""
+    if importlib.util.find_spec(module) is None:
         raise InvalidInputError(
-            f"{what} needs torch, which is not installed: {install_command('train')}"
+            f"{what} needs {module}, which is not installed: {install_command(extra)}"
         )

@@ -1,12 +1,14 @@
 """Read and write files: a written file is complete or not there, and errors name the path."""
 
 import contextlib
+import csv
 import fcntl
+import io
 import json
 import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -185,6 +187,13 @@ def _is_row(plain: Any) -> bool:
         all(isinstance(row, list) and _is_row(row) for row in rows) and sum(map(len, rows)) <= 16
     )
     return not rows or (small and len(rows) == len(plain))
+
+
+def csv_table(lines: Iterable[Iterable[object]]) -> str:
+    """Csv text of lines of cells; None is an empty cell."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(lines)
+    return text.getvalue()
 
 
 def yaml_value(text: str) -> Any:

@@ -40,14 +40,17 @@ def with_margin(problem: PlanningProblem, margin: Margin) -> tuple[PlanningProbl
 
     problem: with its goals.
     """
-    why, rooms, slacks = [], [], []
+    why, rooms, slacks, checker = [], [], [], problem.collision_checker()
     for what, states in (("start", problem.start[None]), ("best goal", problem.goals)):
-        room, pair = _room(problem, states)
+        # distance from obstacles [m] and slack in bounds [rad, m] of the best state
+        found = (checker.nearest_obstacle(q) for q in states)
+        nearest = max(found, key=lambda it: it.distance)
+        room = max(nearest.distance - 1e-4, 0.0)  # 0.1 mm for rounding of the kernels
         slack = _slack(problem, states)
         rooms.append(room)
         slacks.append(slack)
         if room < margin.metres:
-            why.append(f"the {what} is {1e3 * room:.1f} mm from {pair}")
+            why.append(f"the {what} is {1e3 * room:.1f} mm from {nearest.pair}")
         if slack[0] < margin.radians or slack[1] < margin.metres:
             why.append(f"the {what} is near a bound")
     radians, moved = np.minimum(np.min(slacks, axis=0), (margin.radians, margin.metres)).tolist()
@@ -57,14 +60,6 @@ def with_margin(problem: PlanningProblem, margin: Margin) -> tuple[PlanningProbl
         constraint=tuple(region.inset(moved, radians) for region in problem.constraint),
     )
     return inner, Margin(min(room, moved), radians), "; ".join(why)
-
-
-def _room(problem: PlanningProblem, states: np.ndarray) -> tuple[float, str]:
-    """The distance from obstacles [m] of the best of states (k, n), and from what; inf: of none."""
-    checker = problem.collision_checker()
-    nearest = max((checker.nearest_obstacle(q) for q in states), key=lambda found: found.distance)
-    # 0.1 mm for rounding of the kernels
-    return max(nearest.distance - 1e-4, 0.0), str(nearest.pair)
 
 
 def _slack(problem: PlanningProblem, states: np.ndarray) -> tuple[float, float]:

@@ -165,20 +165,14 @@ def _roadmap(
     return Method(name, build, weights)
 
 
-def _portfolio(name: str) -> Method:
+def _portfolio(problem: PlanningProblem, model: str) -> Stages:
     """Trees, an evenly spread roadmap and cells in turns."""
-
-    def build(problem: PlanningProblem, model: str) -> Stages:
-        # hardly any evenly spread node lies near a closed chain
-        roadmap = (
-            None if problem.closed_chain else spread_roadmap(problem.robot, problem.attachments)
-        )
-        return Stages(
-            search=Portfolio(roadmap=roadmap, name=name),
-            path_source=partial(informed_roadmap_path, scene_costs),
-        )
-
-    return Method(name, build)
+    # hardly any evenly spread node lies near a closed chain
+    roadmap = None if problem.closed_chain else spread_roadmap(problem.robot, problem.attachments)
+    return Stages(
+        search=Portfolio(roadmap=roadmap, name="roadmap"),
+        path_source=partial(informed_roadmap_path, scene_costs),
+    )
 
 
 def _product(name: str, choice: SamplerChoice) -> Method:
@@ -208,7 +202,7 @@ PLANNERS = _by_name(
     _mpnet("mpnet", bridged=False),  # the paper's MPNet (w/ proj)
     _mpnet("mpnet-bridged", bridged=True),
     *(_product(name, choice) for name, choice in NAMED.items() if choice.predictor != "published"),
-    _portfolio("roadmap"),
+    Method("roadmap", _portfolio),
     _roadmap("roadmap-cvq", VQ_MPT),
 )
 

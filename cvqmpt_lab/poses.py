@@ -23,6 +23,13 @@ def pose(xyz: Iterable[float], yaw: float = 0.0) -> FloatArray:
     return T
 
 
+def rigid(R: np.ndarray | list[list[float]], xyz: Iterable[float] = (0.0, 0.0, 0.0)) -> FloatArray:
+    """Return the (4, 4) pose of a rotation R (3, 3) at position `xyz` [m]."""
+    T = pose(xyz)
+    T[:3, :3] = R
+    return T
+
+
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
     """Rotations (k, 3, 3) of rotation vectors (k, 3) [rad], as scipy's to the last bit."""
     R = np.empty((len(vectors), 3, 3))

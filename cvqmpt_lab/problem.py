@@ -55,9 +55,15 @@ from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.coal_shapes import loads_of
-from cvqmpt_lab.scene.scene import Attachment, NamedScene, Scene
+from cvqmpt_lab.scene.scene import (
+    Attachment,
+    NamedScene,
+    Scene,
+    refuse_far,
+    refuse_far_poses,
+    report_out_of_reach,
+)
 from cvqmpt_lab.scene.scene_files import with_files_read
-from cvqmpt_lab.scene.units import refuse_far, refuse_far_poses, report_out_of_reach
 from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name, frozen
 
 
@@ -85,7 +91,6 @@ class GoalsForm(Array):
         )
 
 
-RobotOfSource = Annotated[Robot, RobotForm()]
 States = Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")]
 Regions = Annotated[tuple[Region, ...], OneOrMore(Region)]
 Clearance = Annotated[
@@ -102,7 +107,7 @@ class PlanningProblem(Document):
     with_named_files = staticmethod(with_files_read)
 
     name: Name  # What it is called in results
-    robot: RobotOfSource  # What moves; n is the number of its joints
+    robot: Annotated[Robot, RobotForm()]  # What moves; n is the number of its joints
     scene: NamedScene  # What it must not touch
     # (n,) [rad or m], drawn from `start_region` if empty
     start: State = field(default_factory=lambda: np.empty(0))

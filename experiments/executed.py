@@ -23,7 +23,7 @@ from cvqmpt_lab.execution.execute import (
     execute_motion,
     execute_task,
 )
-from cvqmpt_lab.files import read_text, write_text
+from cvqmpt_lab.files import csv_table, read_text, write_text
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.motion_check import certified_motion
 from cvqmpt_lab.results.provenance import provenance
@@ -84,7 +84,7 @@ def run_executed(
                 if not missing:
                     continue
                 rows += _rows(name, index, speed, missing)
-                write_text(out / FILE, _csv(rows))
+                write_text(out / FILE, csv_table([Row._fields, *rows]))
                 progress(len(rows), total)
     write_text(out / TABLE, table(rows))
     return rows
@@ -135,14 +135,6 @@ def _planned(item: Any, speed: float) -> tuple[Callable[[str, float], Execution]
 
 def _worst(values: Iterator[float]) -> float:
     return round(max(values, default=np.nan), 6)
-
-
-def _csv(rows: Sequence[Row]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(Row._fields)
-    writer.writerows(["" if value is None else value for value in row] for row in rows)
-    return text.getvalue()
 
 
 _NUMBERS: dict[str, Callable[[str], Any]] = {

@@ -4,7 +4,6 @@ A cluster is `dask scheduler` on one machine and `dask worker --nthreads 1` on m
 """
 
 import faulthandler
-import importlib.util
 import multiprocessing
 import os
 import signal
@@ -19,12 +18,11 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, install_command
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError, require_installed
 from cvqmpt_lab.processes import end_with_parent, limit_memory
 from cvqmpt_lab.results.row import FailReason
 
 CONNECT_S = 10  # for a scheduler to answer [s]
-STDERR = 2  # its file descriptor
 STOPPED = (
     "the executor of the runs has stopped; what was finished is kept, the same command continues"
 )
@@ -146,10 +144,7 @@ def dask_cluster(
     InvalidInputError: Dask is not installed, nothing answers at the address, or a worker has
     several threads or something else installed.
     """
-    if importlib.util.find_spec("distributed") is None:
-        raise InvalidInputError(
-            f"--dask needs Dask, which is not installed: {install_command('dask')}"
-        )
+    require_installed("distributed", "--dask", "dask")
     from distributed import Client, KilledWorker
 
     try:
@@ -188,7 +183,7 @@ def dask_cluster(
 
 def _limited(limit_s: float, function: Callable[..., Any], *args: Any) -> Any:
     """Call a function; end this process when that takes longer than limit_s [s]."""
-    faulthandler.dump_traceback_later(limit_s, exit=True, file=STDERR)
+    faulthandler.dump_traceback_later(limit_s, exit=True, file=2)  # standard error
     try:
         return function(*args)
     finally:

@@ -3,11 +3,12 @@
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from cvqmpt_lab.benchmarks.suite import Suite, suite_named
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, whole_number
+from cvqmpt_lab.errors import InvalidInputError, located, require_choice, whole_number
 from cvqmpt_lab.external import is_external
 from cvqmpt_lab.planners import PLANNERS, Method, is_removed, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
@@ -56,8 +57,7 @@ class Experiment:
             whole_number("seed", seed)
         for what, budget in (("budget", self.budget), ("optimize", self.optimize or self.budget)):
             Budget.require(budget, what)
-        if self.backend not in BACKENDS:
-            raise UnknownChoiceError("backend", self.backend, BACKENDS)
+        require_choice("backend", self.backend, BACKENDS)
         if self.optimize is not None:
             check_units(self.budget, self.optimize)
         for what in ("problems", "planners", "seeds"):
@@ -67,12 +67,8 @@ class Experiment:
     @property
     def runs(self) -> "list[Run]":
         """All runs; planners of one problem follow each other."""
-        found = []
-        for seed in self.seeds:
-            for problem in self.problems:
-                for planner in self.planners:
-                    found.append(Run(self, problem, planner, seed))
-        return found
+        every = product(self.seeds, self.problems, self.planners)
+        return [Run(self, problem, planner, seed) for seed, problem, planner in every]
 
     @property
     def digests(self) -> dict[str, str]:
@@ -192,8 +188,7 @@ def planners_of(suite: Suite) -> tuple[str, ...]:
 
 def parts_of(profile: str) -> list[Part]:
     """What a profile runs, in order; UnknownChoiceError lists the profiles."""
-    if profile not in PROFILES:
-        raise UnknownChoiceError("profile", profile, PROFILES)
+    require_choice("profile", profile, PROFILES)
     chosen = [(name, amount) for name, suite in SUITES.items() for amount in suite.amounts]
     chosen = [(name, amount) for name, amount in chosen if amount.profile == profile]
     parts = []

@@ -1,11 +1,13 @@
 """Regression test of result rows: a few short runs are compared with committed values.
 
 Budgets are iterations, not seconds, so that results depend only on the code, the versions of
-packages and the processor that runs the compiled kernels.
+packages and the processor that runs the compiled kernels. `Guarded` is the same for planners on a
+folder of problem files.
 """
 
 import json
 import platform
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from numbers import Real
@@ -14,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError, require_kind, whole_number
 from cvqmpt_lab.files import read_json_object, write_text
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
@@ -23,7 +25,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import cpu_facts, provenance
 from cvqmpt_lab.search.result import Budget
 from experiments.experiment import Experiment
-from experiments.rows import result_row
+from experiments.run import executor_for, result_row, run_experiment
 from paper_tables.measures import grouped
 from paper_tables.statements import PUBLISHED
 
@@ -38,7 +40,6 @@ COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256", "g_sampled"
 WITHIN = 0.02
 FORKING = ("tb-rrt",)  # whose sums are not compared on another processor
 # packages whose versions may change results
-NUMERICAL_PACKAGES = ("coal", "example-robot-data", "numba", "numpy", "ompl", "pin", "scipy")
 
 
 class Case(NamedTuple):
@@ -138,6 +139,7 @@ class Expectations(NamedTuple):
 def made_with() -> dict[str, str | None]:
     """What must be equal for bit-for-bit equal results: processor, system, Python, packages."""
     record = provenance()
+    packages = ("coal", "example-robot-data", "numba", "numpy", "ompl", "pin", "scipy")
     return {
         "system": platform.system(),
         "machine": platform.machine(),
@@ -146,7 +148,7 @@ def made_with() -> dict[str, str | None]:
         "cpu_ids": " ".join(cpu_facts(r"^(?:cpu family|model|stepping)\s*: (\d+)")[:3]),
         "instructions": " ".join(np.show_config(mode="dicts")["SIMD Extensions"]["found"]),
         "python": ".".join(platform.python_version_tuple()[:2]),
-        **{name: record["versions"][name] for name in NUMERICAL_PACKAGES},
+        **{name: record["versions"][name] for name in packages},
     }
 
 
@@ -230,3 +232,55 @@ def _out_of_bounds(pairs: Sequence[tuple[Case, Values, Values]], within: float) 
                     f"{planner}, {column} of {len(both)} runs: was {before:g}, is {after:g}"
                 )
     return found
+
+
+class Guarded(NamedTuple):
+    """What is run on every problem of a folder."""
+
+    planners: Sequence[str]
+    seeds: Sequence[int]
+    iterations: int  # budget of a run
+
+    def measure(
+        self, folder: Path, jobs: int, on_progress: Callable[[int, int, str], None]
+    ) -> dict[Case, Values]:
+        """Run it, `jobs` runs at a time; no rows are kept."""
+        suite = folder_suite(folder)
+        experiment = Experiment(
+            suite=str(folder.resolve()),
+            problems=tuple(suite.problems),
+            planners=tuple(self.planners),
+            seeds=tuple(self.seeds),
+            budget=Budget(iterations=self.iterations),
+        )
+        with tempfile.TemporaryDirectory() as out, executor_for(experiment, jobs) as executor:
+            rows = run_experiment(experiment, Path(out), executor, (), on_progress)
+        return {
+            # a folder may be called otherwise on another machine
+            Case(row.planner, row.problem, row.seed, self.iterations, "the folder"): {
+                column: getattr(row, column) for column in COLUMNS
+            }
+            for row in rows
+        }
+
+
+def guarded_by(
+    expected: Expectations, planners: Sequence[str] = ()
+) -> tuple[Guarded, Expectations]:
+    """What was run for expectations, and what is expected of it.
+
+    planners: some of those of the expectations; all if empty. InvalidInputError names one of which
+    nothing is expected.
+    """
+    known = list(dict.fromkeys(case.planner for case in expected.outcomes))
+    for name in planners:
+        if name not in known:
+            raise InvalidInputError(
+                f"nothing is expected of planner {name!r}, only of {', '.join(known)}; name all "
+                "that are guarded with --update"
+            )
+    chosen = planners or known
+    kept = {case: values for case, values in expected.outcomes.items() if case.planner in chosen}
+    seeds = sorted({case.seed for case in kept})
+    iterations = max(case.iterations for case in kept)
+    return Guarded(chosen, seeds, iterations), expected._replace(outcomes=kept)

@@ -1,27 +1,220 @@
-"""Run planners over a suite, in parallel and resumable; every outcome gives rows."""
+"""Run planners over a suite, in parallel and resumable; every outcome gives rows.
+
+A problem gives one row, a task one for each planned phase.
+"""
 
 import hashlib
+import math
 import os
+import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
+from cvqmpt_lab.certificate import Clearance, FaultKind, certify
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.external import external_planner
-from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.pipeline import Solution, solve, with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
-from cvqmpt_lab.results.row import FailReason, ResultRow
-from cvqmpt_lab.results.store import RunStore
+from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, one_line, phase_problem
+from cvqmpt_lab.results.store import RunStore, states_hash
 from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task
+from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
 from cvqmpt_lab.warm_up import compile_kernels
 from experiments.executors import Executor, Lost, dask_cluster, local_processes
 from experiments.experiment import Experiment, Run, externals_of, weights_of
-from experiments.rows import Outcome, failed_rows, outcome_of
+
+
+class Outcome(NamedTuple):
+    """The results of a run that are stored."""
+
+    rows: list[ResultRow]  # one, or one a planned phase
+    # states (m, n) of the paths whose hashes stand in the rows [rad or m]
+    paths: Sequence[np.ndarray] = ()
+
+
+def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
+    """Solve an item; goal_seconds [s], of a problem, is charged to the planner.
+
+    The path of a problem in a map is also judged in the scene that the map is of.
+    """
+    setup = run.experiment
+    if isinstance(item, UnsolvableProblem):
+        return Outcome(failed_rows(run, item, item.kind, item.reason))
+    if isinstance(item, Task):
+        task = solve_task(item, run.method, setup.budget, run.seed, backend=setup.backend)
+        return Outcome(
+            phase_rows(run, task), _states([outcome.solution for outcome in task.outcomes])
+        )
+    began, new = time.perf_counter(), suite_named(setup.suite).new_scenes
+    solution = solve(
+        item.problem if isinstance(item, SensedProblem) else item,
+        run.method,
+        setup.budget,
+        run.seed,
+        backend=setup.backend,
+        optimize=setup.optimize,
+        use_cache=not new,
+    )
+    row = result_row(run, solution, goal_seconds)
+    if isinstance(item, SensedProblem):
+        whole = item.seconds + time.perf_counter() - began
+        row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
+        if solution.path is not None:
+            truth = certify(item.true_problem, solution.path)
+            doubts = {FaultKind.COLLISION, FaultKind.NOT_PROVEN} & {
+                fault.kind for fault in truth.faults
+            }
+            row = replace(
+                row, true_free=not doubts, true_clearance_m=_defined(truth.min_clearance_m)
+            )
+    return Outcome([replace(row, scene_new=new)], _states([solution]))
+
+
+def _states(solutions: Sequence[Solution]) -> list[np.ndarray]:
+    return [solution.path.states for solution in solutions if solution.path]
+
+
+def failed_rows(run: Run, item: SuiteItem, reason: FailReason, detail: str) -> list[ResultRow]:
+    """Rows of an item that was not solved at all; later phases of a task were not reached."""
+    names = _phase_problems(item) if isinstance(item, Task) else [item.name]
+    return [
+        run.row(name, FailReason.NOT_REACHED if later else reason, detail)
+        for later, name in enumerate(names)
+    ]
+
+
+def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
+    """The row of a solution; undefined values stay empty."""
+    plan, shorter, certificate = solution.plan, solution.simplified, solution.certificate
+    work = None if plan.as_is else plan.counters
+    timings, search, more = plan.timings, plan.search_seconds, solution.improvement
+    simplified = (shorter.seconds if shorter else 0.0) + (more.seconds if more else 0.0)
+    reasons = certificate.reasons if certificate else ()
+    return run.row(
+        solution.problem.name,
+        _fail_reason(solution),
+        "; ".join(filter(None, (*reasons, plan.detail, *solution.left_out))),
+        sampler_used=one_line(plan.sampler),
+        fallback=one_line(plan.fallback),
+        certified=certificate.valid if certificate else None,
+        t_total_s=goal_seconds + timings.total + search + simplified,
+        t_goals_s=goal_seconds,
+        t_encode_s=timings.encode,
+        t_predict_s=timings.predict,
+        t_optimize_s=timings.optimize,
+        t_plan_s=search,
+        t_simplify_s=shorter.seconds if shorter and not plan.as_is else None,
+        n_projections=work and work.projections,
+        n_newton_iterations=work and work.newton_iterations,
+        n_state_checks=work and work.state_checks,
+        n_iterations=work and work.iterations,
+        n_clearances=work and work.clearances,
+        n_extensions=(work and work.extensions) or None,
+        n_draw_projections=(work and work.draw_projections) or None,
+        n_draw_newton_iterations=(
+            work.draw_newton_iterations if work and work.draw_projections else None
+        ),
+        vertices=None if plan.as_is else plan.vertices,
+        path_length_raw_rad=plan.path.length if plan.path and not plan.as_is else None,
+        path_length_rad=shorter.path.length if shorter else None,
+        max_violation_rad=_defined(certificate.max_violation_rad) if certificate else None,
+        max_violation_m=_defined(certificate.max_violation_m) if certificate else None,
+        min_clearance_m=_defined(certificate.min_clearance_m) if certificate else None,
+        obstacle_clearance_m=_distance(certificate.obstacle_clearance if certificate else None),
+        self_clearance_m=_distance(certificate.self_clearance if certificate else None),
+        path_sha256=states_hash(shorter.path.states) if shorter else None,
+        t_improve_s=more.seconds if more else None,
+        n_restarts=more.searches if more else None,
+        path_length_first_rad=more.lengths[0][1] if more else None,
+        g_sampled=_sampled_g(solution),
+        t_wall_s=solution.wall_seconds,
+        **_sampler_columns(run.method.sampler),
+    )
+
+
+def _sampler_columns(choice: SamplerChoice | None) -> dict[str, Any]:
+    """The columns of a learned sampler; `reach` is empty without a limit, as csv has no inf."""
+    if choice is None:
+        return {}
+    return asdict(choice) | {"reach": choice.reach if math.isfinite(choice.reach) else None}
+
+
+def _distance(clearance: Clearance | None) -> float | None:
+    return _defined(clearance.distance_m) if clearance else None
+
+
+def _sampled_g(solution: Solution, draws: int = 256) -> float | None:
+    """Mean `G(q) = F(q)^T F(q)` of draws (Algorithm 2); None without samples or constraint."""
+    problem = solution.problem
+    if solution.distribution is None or not problem.constraint:
+        return None
+    drawn = solution.distribution.sample(np.random.default_rng(0), draws)
+    residual = problem.manifold.residual(np.clip(drawn, problem.robot.lower, problem.robot.upper))
+    return float(np.square(residual).sum(axis=1).mean())
+
+
+def _fail_reason(solution: Solution) -> FailReason | None:
+    """The first violation of the path, or why the planner found none."""
+    if solution.solved:
+        return None
+    if solution.certificate is not None:
+        return FailReason(f"uncertified_{solution.certificate.faults[0].kind}")
+    return FailReason(solution.plan.status)
+
+
+def _defined(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _phase_problems(task: Task) -> list[str]:
+    """Names, in rows, of a task's planned phases."""
+    return [
+        phase_problem(task.name, number, phase.name)
+        for number, (_, phase) in enumerate(task.planned, start=1)
+    ]
+
+
+def phase_rows(run: Run, solution: TaskSolution) -> list[ResultRow]:
+    """Rows of all planned phases; those after a failed one are failures too."""
+    names = _phase_problems(solution.task)
+    rows = [_phase_row(run, *pair) for pair in zip(names, solution.outcomes, strict=False)]
+    return rows + [
+        run.row(name, FailReason.NOT_REACHED, solution.failure) for name in names[len(rows) :]
+    ]
+
+
+def _phase_row(run: Run, problem: str, outcome: PhaseOutcome) -> ResultRow:
+    """The row of the last attempt, with time and work of all attempts."""
+    attempts = [result_row(run, attempt, attempt.goal_seconds) for attempt in outcome.attempts]
+    last = attempts[-1]
+    untimed = last.solved and not outcome.solved
+    sums: dict[str, Any] = {}
+    # columns of a phase that count all of its attempts
+    for column in (*(name for name in COLUMNS if name.startswith(("t_", "n_"))), "vertices"):
+        values = [value for row in attempts if (value := getattr(row, column)) is not None]
+        sums[column] = sum(values) if values else None
+    return replace(
+        last,
+        problem=problem,
+        solved=outcome.solved,
+        fail_reason=FailReason.NOT_TIMED if untimed else last.fail_reason,
+        detail=one_line(outcome.reason) or last.detail,
+        fallback=last.fallback or one_line(outcome.fallback),
+        execution_time_s=outcome.trajectory.duration if outcome.trajectory else None,
+        **sums,
+    )
+
 
 WARM_UP_S = 5.0  # given to a planner to warm up [s]
 

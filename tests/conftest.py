@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from command_line import SCAN_START, run_here
 
-from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
-from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, place_problem
+from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, multi_sequence_task, place_problem
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
@@ -20,10 +19,9 @@ from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at
+from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at, view_of
 from cvqmpt_lab.sensing.depth import write_view
-from cvqmpt_lab.sensing.render import view_of
-from cvqmpt_lab.sensing.virtual import arm_objects, solids_of
+from cvqmpt_lab.sensing.observation import arm_objects, solids_of
 from cvqmpt_lab.tasks.solve import solve_task
 
 DATA = Path(__file__).parent / "data"

@@ -7,8 +7,7 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab import warm_up
-from cvqmpt_lab.benchmarks.door_task import door_problem
-from cvqmpt_lab.benchmarks.place_task import place_problem
+from cvqmpt_lab.benchmarks.place_task import door_problem, place_problem
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.planners import CONTROLS, PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem

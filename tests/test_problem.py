@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.door_task import door_problem
-from cvqmpt_lab.benchmarks.place_task import place_problem
+from cvqmpt_lab.benchmarks.place_task import door_problem, place_problem
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
 from cvqmpt_lab.errors import InvalidProblemError

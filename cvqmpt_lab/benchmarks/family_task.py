@@ -1,21 +1,37 @@
-"""Upright paths between random upright hand poses, in held-out scenes of the training families."""
+"""Problems in held-out scenes of the training families, of the Panda and of other arms.
 
-from collections.abc import Mapping, Sequence
+Upright: between random upright hand poses. Zero-shot over constraints: problem k has kind k modulo
+8; start and goal, a pose of the hand, lie on one manifold. A short search without obstacles solves
+the problem; the straight motion on the manifold does not, if a few tries found such a problem.
+Unconstrained: the place task and held-out families without a constraint.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright_box
-from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.benchmarks.place_task import GRIP, carried_can, handle_region, place_problem
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.named import line, plane
+from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright_box
+from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import phase_problem
-from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.robot.load import panda, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.families import family_scene
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.families import FAMILIES, family_scene
+from cvqmpt_lab.scene.kitchen import kitchen
+from cvqmpt_lab.scene.scene import Attachment, Scene
+from cvqmpt_lab.scene.shapes import Box
+from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.motion import motion_free
-from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.search.planner_interface import Observation, Query, search, uniform
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion
 
 PANDA = {"name": "panda"}
 SCENES_DRAWN = 20  # for a problem, until one holds two states with a blocked straight motion
@@ -141,3 +157,186 @@ def other_robot_problem(robot: str, index: int) -> PlanningProblem | UnsolvableP
         return found
     there = TaskSpaceRegion(found.robot.pose(found.goals[0]), np.eye(4), np.zeros((6, 2)))
     return replace(found, goals=np.empty((0, found.robot.dof)), goal_region=there)
+
+
+def unconstrained_problem(index: int) -> PlanningProblem | UnsolvableProblem:
+    """Problem `index` of the place task (below 60), or of the families in turn (from 60 on).
+
+    Its rows are named by index and group: kitchen or families.
+    """
+    if index < 60:
+        group, found = (1, "kitchen"), place_problem(index)
+    else:
+        turn, family = divmod(index - 60, len(FAMILIES))
+        group, found = (2, "families"), held_out_problem(tuple(FAMILIES)[family], turn)
+    if isinstance(found, PlanningProblem):
+        found = found.changed(constraint=())
+    return replace(found, name=phase_problem(str(index), *group))
+
+
+MOVED = 0.25  # [m] from the hand's start to its goal at least
+TURN = 0.1  # [rad] that an orientation may be off
+LEVEL = 0.02  # [rad] that a tray may tilt
+EXACT = 0.002  # [m] off a plane, line or arc
+
+
+class HandConstraint(NamedTuple):
+    """Constraint, start and goal of the hand, and what it carries."""
+
+    region: TaskSpaceRegion  # where it must stay
+    attachments: tuple[Attachment, ...] = ()  # what it carries
+    start: TaskSpaceRegion | None = None  # where it begins; None: somewhere in its region
+    goal: TaskSpaceRegion | None = None  # where it ends; likewise
+
+
+def _turned_like(T: np.ndarray, about_z: float) -> TaskSpaceRegion:
+    """Orientation of T (4, 4) up to a turn about its z axis [rad], at any position."""
+    there = T.copy()
+    there[:3, 3] = 0.0
+    bound = np.array([FREE] * 3 + [TURN] * 2 + [about_z])
+    return TaskSpaceRegion(there, np.eye(4), np.stack([-bound, bound], axis=1))
+
+
+def _arc(T: np.ndarray, rng: np.random.Generator) -> HandConstraint:
+    """Rotation about a random axis; the hand turns with it as with a crank."""
+    axis = line(_direction(rng), (0.0, 0.0, 0.0)).T0_w.copy()
+    axis[:3, 3] = T[:3, 3] + rng.uniform(0.15, 0.4) * axis[:3, 0]
+    return HandConstraint(_about(axis, T, 2.5))
+
+
+def _about(axis: np.ndarray, T: np.ndarray, turn: float) -> TaskSpaceRegion:
+    """The hand at T (4, 4), turned about the z axis of a frame (4, 4) by at most +-turn [rad]."""
+    bound = np.array([EXACT] * 3 + [LEVEL] * 2 + [turn])
+    return TaskSpaceRegion(axis, np.linalg.inv(axis) @ T, np.stack([-bound, bound], axis=1))
+
+
+def _direction(rng: np.random.Generator) -> tuple[float, float, float]:
+    """Unit vector, uniform on the sphere."""
+    x, y, z = rng.standard_normal(3)
+    return float(x), float(y), float(z)
+
+
+KINDS: Mapping[str, Callable[[np.ndarray, np.random.Generator], HandConstraint]] = {
+    "upright": lambda T, rng: HandConstraint(upright_box()),
+    "fixed-orientation": lambda T, rng: HandConstraint(_turned_like(T, TURN)),
+    "plane": lambda T, rng: HandConstraint(plane(_direction(rng), tuple(T[:3, 3]), EXACT)),
+    "line": lambda T, rng: HandConstraint(line(_direction(rng), tuple(T[:3, 3]), EXACT)),
+    "arc": _arc,
+    "tray": lambda T, rng: HandConstraint(
+        upright_box(LEVEL), (Attachment("tray", Box((0.02, 0.24, 0.18)), pose((0.0, 0.0, 0.19))),)
+    ),
+    # a can is tipped about the axis along which the fingers reach, which keeps its direction
+    "pouring": lambda T, rng: HandConstraint(_turned_like(T, FREE), (carried_can(),)),
+}
+"""Makers of a constraint that a hand at a pose T (4, 4) meets; the door's is `held_door`."""
+
+
+def held_door(rng: np.random.Generator) -> tuple[Scene, HandConstraint]:
+    """The kitchen without a door of the shelf: the hand holds it firmly and carries it on an arc.
+
+    Unlike in `door_problem` the door is carried by seven joints and is not a joint itself.
+    """
+    # [rad] between which the door is moved, and how far at least
+    ajar, wide, swung = 0.15, 1.5, 0.6
+    scene, door = kitchen(), str(rng.choice(("dagger_door_left", "dagger_door_right")))
+    hinge = scene.articulation(door)
+    sign = 1.0 if hinge.upper > 0.0 else -1.0
+    first = rng.uniform(ajar, wide - swung)
+    angles = sign * rng.permutation((first, rng.uniform(first + swung, wide)))
+    # the hand may be turned about the handle, either way
+    in_bar = pose((0.0, 0.0, 0.0), rng.uniform(-0.6, 0.6)) @ handle_region().Tw_e
+    hands = [
+        scene.with_joint(door, a)[f"{door}/handle_bar"].T_world_object @ in_bar for a in angles
+    ]
+    begun = scene.with_joint(door, angles[0])
+    parts = tuple(_carried(begun, name, hands[0]) for name in hinge.moves)
+    start, goal = (TaskSpaceRegion(T, np.eye(4), np.zeros((6, 2))) for T in hands)
+    hand = _about(hinge.T_world_joint, hands[0], wide)
+    return scene.without(*hinge.moves), HandConstraint(hand, parts, start, goal)
+
+
+def _carried(scene: Scene, name: str, T: np.ndarray, trim: float = 0.02) -> Attachment:
+    """A part of the door in the frame of the hand at a pose (4, 4).
+
+    trim: cut off all round its panel [m], which fits its casing to half a millimetre.
+    """
+    item = scene[name]
+    shape = item.shape
+    if isinstance(shape, Box):
+        thin, wide, high = shape.size
+        shape = Box((thin, wide - 2 * trim, high - 2 * trim))
+    T_hand_object = np.linalg.inv(T) @ item.T_world_object
+    return Attachment(name.rpartition("/")[2], shape, T_hand_object, item.mass)
+
+
+NAMES = (*KINDS, "door")
+
+
+def constraint_problem(index: int) -> PlanningProblem | UnsolvableProblem:
+    """Problem `index` with its goals; indices from 160 on are for tuning."""
+    number, kind = divmod(index, len(NAMES))
+    name = phase_problem(str(index), kind + 1, NAMES[kind])
+    rng = np.random.default_rng([index, 11])
+    easy = None
+    # constraints drawn for one whose goals are within reach, none of them straight ahead
+    for _ in range(12):
+        posed = _posed(NAMES[kind], number, name, rng)
+        if posed is None or not len(posed.goals) or not _within_reach(posed):
+            continue
+        if not trivial(posed):
+            return posed
+        easy = easy or posed
+    return easy or UnsolvableProblem(
+        name, "no two free states far enough apart that keep the constraint"
+    )
+
+
+def trivial(problem: PlanningProblem) -> bool:
+    """Whether a straight motion on the manifold leads from the start to a goal."""
+    space = ConstrainedSpace(problem)
+    return any(direct_motion(space, problem.start, goal) is not None for goal in problem.goals)
+
+
+def _within_reach(problem: PlanningProblem) -> bool:
+    """Whether a short search without obstacles finds a path: joint limits may cut goals off."""
+    alone = ConstrainedSpace(replace(problem, scene=Scene("empty", ())))
+    query = Query.of(alone, Budget(iterations=300), np.random.default_rng(0))
+    return search(BiRRT(), query, uniform(query, Observation())).path is not None
+
+
+def _posed(kind: str, number: int, name: str, rng: np.random.Generator) -> PlanningProblem | None:
+    """A constraint of a kind, a free start that meets it, and goals; None if none is found."""
+    scene, robot, hand = _drawn(kind, number, rng)
+    middle = 0.5 * (robot.lower + robot.upper)
+    problem = PlanningProblem(
+        name, robot, scene, middle, middle[None], (hand.region,), attachments=hand.attachments
+    )
+    if hand.start is not None:
+        checker = problem.collision_checker(SAMPLE_MARGIN)
+        start = next(
+            iter(sample_region(robot, hand.start, checker, rng, count=1).configurations), None
+        )
+        goal = hand.goal
+    else:
+        start, end = blocked_pair(problem, rng, SAMPLE_MARGIN, MOVED, draws=600) or (None, None)
+        goal = (
+            None if end is None else TaskSpaceRegion(robot.pose(end), np.eye(4), np.zeros((6, 2)))
+        )
+    if start is None:
+        return None
+    problem = replace(problem, start=start, goals=np.empty((0, robot.dof)), goal_region=goal)
+    return with_sampled_goals(problem)[0]
+
+
+def _drawn(kind: str, number: int, rng: np.random.Generator) -> tuple[Scene, Robot, HandConstraint]:
+    """A scene, the arm, and what a hand keeps there at a pose in which the arm is free."""
+    if kind == "door":
+        scene, hand = held_door(rng)
+        return scene, panda(GRIP), hand
+    families, robot = tuple(FAMILIES), panda()
+    # numbers that no other suite uses begin at 2500
+    scene = family_scene(families[number % len(families)], 2500 + number)
+    checker = shared_checker(robot, scene, (), SAMPLE_MARGIN)
+    drawn = robot.random_configurations(rng, 100)
+    free = next((q for q in drawn if not checker.in_collision(q)), drawn[0])
+    return scene, robot, KINDS[kind](robot.pose(free), rng)

@@ -9,6 +9,7 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import Axis
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.robot.hulls import convex_hull
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -135,8 +136,8 @@ def _bars(source: Mapping[str, Any], opened: Mapping[str, Any], play: float = 0.
     robot, found = robot_from_source({**source, **opened}), []
     pieces, axis = pieces_of(robot), outward(robot)
     for turned in (False, True):
-        T = np.eye(4)
-        T[:3, :3] = R = _frame(axis, turned)
+        R = _frame(axis, turned)
+        T = rigid(R)
         corners = np.concatenate(list(pieces.values())) @ R
         tip, length = corners[:, 0].max(), round(2.0 * np.abs(corners[:, 1]).max() + 0.06, 2)
         at = tip + BAR
@@ -160,8 +161,7 @@ def _knob(robot: Robot, half: float = 0.015, gap: float = 0.002) -> Grip:
     R = _frame(axis, False)
     corners = np.concatenate(list(pieces.values())) @ R
     tip = corners[:, 0].max()
-    T = np.eye(4)
-    T[:3, :3] = R
+    T = rigid(R)
     box, at = Box((0.1, 2 * half, 2 * half)), tip
     for at in np.arange(tip + gap, tip - 0.1, -0.0005):
         T[:3, 3] = (at - 0.0005 + 0.05) * R[:, 0]

@@ -1,9 +1,24 @@
 """MotionBenchMaker: 700 problems each of a Panda, a UR5 and a Fetch, in scenes that others made.
 
 Robots are those of the set: the UR5 stands 0.91 m up with a gripper, and the Fetch, whose torso
-lifts, is in no package of ours. See `motion_bench_archive`.
+lifts, is in no package of ours.
+
+Their archive is fetched, checked by digest and unpacked into the cache. It is the source archive of
+`vamp-planner` (Apache-2.0) on the package index that pip is set up with: problems as yaml of
+MoveIt, and the robots that they were made with. Nothing in it is run or unpickled by us; pip makes
+sure of its digest before it asks a build tool for its metadata.
 """
 
+import hashlib
+import io
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import zlib
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
@@ -12,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.benchmarks.motion_bench_archive import problem_texts, robot_file
+from cvqmpt_lab.caches import cache_folder, trusted_cache, written_by_owner_only
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.task_space_region import (
@@ -22,13 +37,155 @@ from cvqmpt_lab.constraints.task_space_region import (
     upright,
 )
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import yaml_value
+from cvqmpt_lab.files import make_folder, read_bytes, write_bytes, yaml_value
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason, phase_problem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.moveit_scenes import scene_of_yaml
+
+PACKAGE, VERSION = "vamp-planner", "0.6.4"
+# sha256 of the archive, and of the problems of each robot in it
+DIGESTS: Mapping[str, str] = {
+    "vamp_planner-0.6.4.tar.gz": "d3150c6b67ff941af9ad56480b31d3fb73b12211ea21dc684f7737b059f6daba",
+    "panda": "4e1509e99c53da769ee6a338cf1173ecf601e4ec16f24081d3894ef358243b69",
+    "ur5": "576c199b30a0150d176362207494e6f3e409eb74c55f5225e671a00decfcb5b0",
+    "fetch": "8f5d7a38acbd56326ba75b48c2a0058abc8ec7eaf0f5ea9786a881d1efbfacce",
+}
+ARCHIVE, *ROBOTS = DIGESTS
+
+
+def fetch() -> Path:
+    """Download the archive, unless it is in the cache, check it and unpack it; its folder.
+
+    InvalidInputError says why there is none, or names the digest of another file.
+    """
+    folder = bench_folder()
+    archive = folder / ARCHIVE
+    if not archive.exists():
+        _download(archive)
+    require_digest(read_bytes(archive, "archive"), ARCHIVE, archive)
+    unpack(archive, folder / "robots")
+    return folder
+
+
+def bench_folder() -> Path:
+    """The folder of archive and robots in this user's cache."""
+    folder = trusted_cache(cache_folder() / "motion-bench")
+    if folder is None:
+        raise InvalidInputError(
+            f"no folder for {ARCHIVE}: set XDG_CACHE_HOME to a folder that only you can write"
+        )
+    return folder
+
+
+def require_digest(data: bytes, name: str, path: Path) -> None:
+    """Refuse data that are not those of a name in `DIGESTS`."""
+    found = hashlib.sha256(data).hexdigest()
+    if found != DIGESTS[name]:
+        raise InvalidInputError(
+            f"{path} is changed or cut: its sha256 is {found}, not {DIGESTS[name]}; delete it, "
+            "then: cvqmpt problems fetch motion-bench"
+        )
+
+
+def _download(archive: Path) -> None:
+    """Let pip download the archive; it asks for the metadata, but builds nothing."""
+    with tempfile.TemporaryDirectory(dir=archive.parent) as place:
+        wanted = Path(place, "wanted.txt")
+        wanted.write_text(f"{PACKAGE}=={VERSION} --hash=sha256:{DIGESTS[ARCHIVE]}\n", "utf-8")
+        options = ["--no-deps", "--no-binary", PACKAGE, "--disable-pip-version-check"]
+        words = [sys.executable, "-m", "pip", "download", *options, "-r", str(wanted), "-d", place]
+        done = subprocess.run(words, capture_output=True, text=True, errors="replace")
+        found = Path(place, ARCHIVE)
+        if done.returncode or not found.is_file():
+            raise InvalidInputError(
+                f"pip cannot download {PACKAGE} {VERSION}: {_reason(done.stderr)}; or put "
+                f"{ARCHIVE} into {archive.parent}"
+            )
+        found.replace(archive)
+
+
+def _reason(said: str) -> str:
+    """What pip said that matters: digests that differ, or its last error."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    digests = [line for line in lines if re.match(r"(Expected sha256|Got) ", line)]
+    errors = [line for line in lines if line.startswith("ERROR")] or lines or ["it says nothing"]
+    return ", ".join(digests) or errors[-1].removeprefix("ERROR: ")
+
+
+def unpack(archive: Path, folder: Path, most: int = 2**26) -> None:
+    """Write descriptions and problems of `ROBOTS` into a folder; other members are left out.
+
+    Args:
+        archive: as `ARCHIVE`.
+        folder: that is replaced.
+        most: bytes of one file.
+
+    InvalidInputError if the archive cannot be read, or lacks a robot.
+    """
+    wanted = re.compile(
+        rf"[^/]+/resources/((?:{'|'.join(ROBOTS)})/(?:[\w-]+/)*[\w-]+"
+        r"\.(?:urdf|srdf|stl|obj|dae|tar\.bz2))",
+        re.IGNORECASE | re.ASCII,
+    )
+    with written_by_owner_only(), tempfile.TemporaryDirectory(dir=folder.parent) as place:
+        try:
+            with tarfile.open(archive, "r:gz") as tar:
+                for member in tar:
+                    found = wanted.fullmatch(member.name)
+                    data = tar.extractfile(member) if found and member.isfile() else None
+                    if found is None or data is None:
+                        continue
+                    if member.size > most:
+                        raise InvalidInputError(f"{archive}: {member.name} is too large")
+                    path = Path(place, found[1])
+                    write_bytes(make_folder(path.parent) / path.name, data.read())
+        except (tarfile.TarError, EOFError, OSError, zlib.error) as error:
+            raise InvalidInputError(f"{archive} is changed or cut: {error}") from error
+        for robot in ROBOTS:
+            for name in (f"{robot}.urdf", f"{robot}.srdf", "problems.tar.bz2"):
+                if not Path(place, robot, name).is_file():
+                    raise InvalidInputError(f"{archive} lacks resources/{robot}/{name}")
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(place, folder)
+
+
+@lru_cache(maxsize=8)
+def problem_texts(robot: str) -> Mapping[str, str]:
+    """The yaml texts of a robot's problems, by "SET/scene0001" and "SET/request0001".
+
+    InvalidInputError if they were not fetched, or are not those of the archive.
+    """
+    path = robot_file(robot, "problems.tar.bz2")
+    data = read_bytes(path, "problems")
+    require_digest(data, robot, path)
+    return read_texts(data, robot)
+
+
+def read_texts(data: bytes, robot: str) -> dict[str, str]:
+    """The texts in a ``problems.tar.bz2``, whose members are problems/SET_ROBOT/scene0001.yaml."""
+    named = re.compile(rf"problems/(\w+)_{robot}/((?:scene|request)\d{{4}})\.yaml")
+    texts = {}
+    with tarfile.open(fileobj=io.BytesIO(data), mode="r:bz2") as tar:
+        for member in tar:
+            found = named.fullmatch(member.name)
+            text = tar.extractfile(member) if found and member.isfile() else None
+            if found and text:
+                texts[f"{found[1]}/{found[2]}"] = text.read().decode("utf-8")
+    return texts
+
+
+def robot_file(robot: str, name: str) -> Path:
+    """A file of a robot in the cache; InvalidInputError if the archive was not fetched."""
+    path = bench_folder() / "robots" / robot / name
+    if not path.is_file():
+        raise InvalidInputError(
+            f"no {path}: first fetch the problems with: cvqmpt problems fetch motion-bench"
+        )
+    return path
+
 
 HANDS = {"panda": "panda_hand", "ur5": "tool0", "fetch": "gripper_link"}  # end effectors
 SETS = (

@@ -4,16 +4,14 @@ Problems are a function of a width and an index; no suite contains them (see doc
 """
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.benchmarks.place_task import problem_between
 from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright_box
-from cvqmpt_lab.poses import pose
-from cvqmpt_lab.problem import PlanningProblem, shared_checker
-from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.poses import pose, rigid
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 
@@ -50,7 +48,8 @@ def maze_problem(width: float, index: int) -> PlanningProblem | UnsolvableProble
         corner = middle @ pose((side * pitch, side * 0.5 * (length - width), 0.0))
         turn = [[0.0, 0.0]] * 3 + [[-0.03, 0.03]] * 2 + [[-math.pi, math.pi]]
         ends.append(TaskSpaceRegion(corner, tip, np.array(turn)))
-    return _between(f"maze-{width:g}-{index}", walls, plane, (pen,), ends, rng)
+    name = f"maze-{width:g}-{index}"
+    return problem_between(name, Scene(name, tuple(walls)), ends, plane, rng, (pen,))
 
 
 def cage_problem(opening: float, index: int) -> PlanningProblem | UnsolvableProblem:
@@ -70,7 +69,8 @@ def cage_problem(opening: float, index: int) -> PlanningProblem | UnsolvableProb
     side = rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 1.1)  # [rad] of the start about the base
     outside = (0.65 * math.cos(side), 0.65 * math.sin(side), 0.4)
     ends = [_upright_at(outside, math.pi), _upright_at((*centre, 0.4), 0.6)]
-    return _between(f"cage-{opening:g}-{index}", bars, upright_box(), (), ends, rng)
+    name = f"cage-{opening:g}-{index}"
+    return problem_between(name, Scene(name, tuple(bars)), ends, upright_box(), rng)
 
 
 def slot_problem(width: float, index: int) -> PlanningProblem | UnsolvableProblem:
@@ -87,38 +87,11 @@ def slot_problem(width: float, index: int) -> PlanningProblem | UnsolvableProble
     side = rng.choice([-1.0, 1.0])
     before, behind = (x - 0.2, side * 0.35, 0.4), (x + 0.2, y, 0.4)
     ends = [_upright_at(before, math.pi), _upright_at(behind, math.pi)]
-    return _between(f"slot-{width:g}-{index}", boards, upright_box(), (), ends, rng)
+    name = f"slot-{width:g}-{index}"
+    return problem_between(name, Scene(name, tuple(boards)), ends, upright_box(), rng)
 
 
 def _upright_at(place: tuple[float, ...], turn: float) -> TaskSpaceRegion:
     """Upright hand poses within 5 mm of a place, turned by up to +-turn [rad]."""
-    Tw_e = np.eye(4)
-    Tw_e[:3, :3] = UPRIGHT_ROTATION
     Bw = np.array([[-0.005, 0.005]] * 3 + [[0.0, 0.0]] * 2 + [[-turn, turn]])
-    return TaskSpaceRegion(pose(place), Tw_e, Bw)
-
-
-def _between(
-    name: str,
-    objects: Sequence[SceneObject],
-    region: TaskSpaceRegion,
-    attachments: tuple[Attachment, ...],
-    ends: Sequence[TaskSpaceRegion],
-    rng: np.random.Generator,
-) -> PlanningProblem | UnsolvableProblem:
-    """The problem from one region to another, inside of a third."""
-    robot, scene = robot_from_source({"name": "panda"}), Scene(name, tuple(objects))
-    checker = shared_checker(robot, scene, attachments, SAMPLE_MARGIN)
-    starts = sample_region(robot, ends[0], checker, rng, count=1)
-    if len(starts.configurations) == 0:
-        return UnsolvableProblem(name, f"no start: {starts.outcome}")
-    return PlanningProblem(
-        name=name,
-        robot=robot,
-        scene=scene,
-        start=starts.configurations[0],
-        goals=np.empty((0, robot.dof)),
-        constraint=(region,),
-        attachments=attachments,
-        goal_region=ends[1],
-    )
+    return TaskSpaceRegion(pose(place), rigid(UPRIGHT_ROTATION), Bw)

@@ -1,31 +1,89 @@
-"""The place task: carry a can from the kitchen counter to the shelf without tilting it.
+"""The paper's tasks in the kitchen: a can is carried, a door is opened, and both in sequence.
 
-As published, environment e in 0..149 puts the can at x = 0.4 + 0.3 u1, y = -0.6 + 1.0 u2, z =
-0.171, u1 and u2 the first uniforms of numpy's legacy generator seeded by e. The start is a
-collision-free grasp of that can, the goals are up to 20 grasps of a can on the shelf, yaw within
-+-90 degrees; the hand stays upright on the way.
+Place task: carry a can from the counter to the shelf without tilting it. As published, environment
+e in 0..149 puts the can at x = 0.4 + 0.3 u1, y = -0.6 + 1.0 u2, z = 0.171, u1 and u2 the first
+uniforms of numpy's legacy generator seeded by e. The start is a collision-free grasp of that can,
+the goals are up to 20 grasps of a can on the shelf, yaw within +-90 degrees; the hand stays upright
+on the way.
 
 Settings of planners were chosen in the published kitchen, on TUNING_ENVIRONMENTS.
 `mirrored_problem` asks the same in a kitchen that no tuning has seen: the same modules, measured
 differently and mirrored left to right.
+
+Door: as published, the hand frame stands 0.10 m in front of the bar of the handle, its x axis down,
+and the door goes from closed to -0.45 pi. Here the motion is planned: the door is the robot's
+eighth joint, the constraint a region about the bar.
+
+Multi-sequence task: open the shelf's door, take a can out, stand it upright on the counter. As
+published, task k starts free of collision (seed 100 + k), the can is carried to within a decimetre
+of (0.25, -0.45), and two obstacles stand on the counter. Unlike published, opening the door is
+planned, not replayed; the can's final pose is drawn for every task; the can is an obstacle until it
+is grasped, then it collides like the robot, and is put down LIFT above the published height.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.benchmarks.objects import CAN
+from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
-from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright_box
-from cvqmpt_lab.pipeline import drawn_goals
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.constraints.task_space_region import (
+    FREE,
+    UPRIGHT_ROTATION,
+    TaskSpaceRegion,
+    TaskSpaceRegionChain,
+    upright_box,
+)
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.pipeline import drawn_goals, with_sampled_goals
+from cvqmpt_lab.poses import pose, rigid
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
-from cvqmpt_lab.results.row import FailReason
-from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.results.row import PAPER_PHASES, FailReason
+from cvqmpt_lab.robot.load import FINGER_OPENING, panda, robot_from_source
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.kitchen import kitchen
-from cvqmpt_lab.scene.scene import Attachment, Scene
+from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
+from cvqmpt_lab.scene.shapes import Box, Cylinder
+from cvqmpt_lab.tasks.task import Grasp, Hold, Move, Release, Slide, Task, Turn
+
+
+@dataclass(frozen=True)
+class ObjectModel:
+    """The collision shape of an object, and poses of shape and centre of mass in the link frame."""
+
+    shape: Box | Cylinder  # centred on its own frame, parallel to the link frame
+    shape_centre: tuple[float, float, float]  # middle of the shape in the link frame [m]
+    com: tuple[float, float, float]  # centre of mass in the link frame [m]
+    mass: float  # [kg]
+
+    def at_com(self, name: str, position_com: Sequence[float], yaw: float = 0.0) -> SceneObject:
+        """Return the object with centre of mass at `position_com` (3,) [m] and a `yaw` [rad]."""
+        T_world_link = pose(position_com, yaw) @ pose(-np.array(self.com))
+        T_world_object = T_world_link @ pose(self.shape_centre)
+        return SceneObject(name, self.shape, T_world_object, mass=self.mass)
+
+
+# Masses of box and bottle: YCB Object and Model Set, Calli et al. 2015, table III.
+# YcbChipsCan as scaled in the published experiment code; the mass of a full drinks can.
+CAN = ObjectModel(
+    Cylinder(0.0373, 0.242),
+    shape_centre=(-0.005, 0.012, 0.1265),
+    com=(-0.005, 0.010, 0.100),
+    mass=0.35,
+)
+# YcbCrackerBox.
+CRACKER_BOX = ObjectModel(
+    Box((0.0616, 0.1575, 0.2068)), (0.028, -0.011, -0.005), com=(0.030, -0.010, -0.020), mass=0.411
+)
+# YcbMustardBottle; the horizontal middle of its box is taken to be the centre of mass's.
+MUSTARD_BOTTLE = ObjectModel(
+    Box((0.0589, 0.0986, 0.1905)), (0.005, 0.005, 0.0125), (0.005, 0.005, -0.015), mass=0.603
+)
 
 ENVIRONMENTS = range(150)
 TUNING_ENVIRONMENTS = range(1000, 1060)  # same distribution, never reported
@@ -39,8 +97,7 @@ LIFT = 0.005
 
 def grasp_region(com: np.ndarray) -> TaskSpaceRegion:
     """Grasps of a can with centre of mass com (3,) [m]: from the side, yaw within +-90 degrees."""
-    Tw_e = pose((-0.11, 0.0, 0.05))
-    Tw_e[:3, :3] = UPRIGHT_ROTATION
+    Tw_e = rigid(UPRIGHT_ROTATION, (-0.11, 0.0, 0.05))
     Bw = np.zeros((6, 2))
     Bw[5] = (-np.pi / 2, np.pi / 2)
     return TaskSpaceRegion(pose(com), Tw_e, Bw)
@@ -125,20 +182,153 @@ def _problem(
     attachments: tuple[Attachment, ...] = (),
 ) -> PlanningProblem | UnsolvableProblem:
     """Problem from a grasp of the can at com (3,) [m] to grasps of the one on the shelf."""
-    name = str(environment)
+    rng, ends = np.random.default_rng([environment, 0]), (grasp_region(com), shelf)
+    constraint = upright_box()
+    return problem_between(
+        str(environment), scene, ends, constraint, rng, attachments, "start grasp"
+    )
+
+
+def problem_between(
+    name: str,
+    scene: Scene,
+    ends: Sequence[TaskSpaceRegion],
+    constraint: TaskSpaceRegion,
+    rng: np.random.Generator,
+    attachments: tuple[Attachment, ...] = (),
+    what: str = "start",
+) -> PlanningProblem | UnsolvableProblem:
+    """The Panda's problem from a state drawn in one region to another one, inside of a third.
+
+    what: is drawn, in words.
+    """
     robot = robot_from_source({"name": "panda"})
     checker = shared_checker(robot, scene, attachments, SAMPLE_MARGIN)
-    rng = np.random.default_rng([environment, 0])
-    start = sample_region(robot, grasp_region(com), checker, rng, count=1)
-    if len(start.configurations) == 0:
-        return UnsolvableProblem(name, f"no start grasp: {start.outcome}")
+    starts = sample_region(robot, ends[0], checker, rng, count=1)
+    if len(starts.configurations) == 0:
+        return UnsolvableProblem(name, f"no {what}: {starts.outcome}")
     return PlanningProblem(
         name=name,
         robot=robot,
         scene=scene,
-        start=start.configurations[0],
-        goals=np.empty((0, robot.dof)),
-        constraint=(upright_box(),),
+        start=starts.configurations[0],
+        constraint=(constraint,),
         attachments=attachments,
-        goal_region=shelf,
+        goal_region=ends[1],
+    )
+
+
+OPEN = -0.45 * np.pi  # [rad]
+BAR = f"{DOOR}/handle_bar"
+GRIP = 0.0075  # [m] opening of each finger: the bar's radius
+PADS = ("panda_leftfinger_3", "panda_rightfinger_3")  # pieces of the fingers that close on the bar
+TURN = 0.4  # [rad] about the bar: goals lie within +- this, so that the fingers can open there
+
+
+def handle_region(turn: float = FREE) -> TaskSpaceRegionChain:
+    """Hand poses that hold the bar, turned about it by at most +-turn [rad]."""
+    # hand z along x, hand x down
+    R = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
+    Tw_e = rigid(R, (-0.10, 0.0, 0.0))
+    Bw = np.zeros((6, 2))
+    Bw[5] = -turn, turn
+    return TaskSpaceRegionChain(np.eye(4), Tw_e, Bw, BAR)
+
+
+@lru_cache(maxsize=2)
+def door_world(finger_opening: float = GRIP) -> tuple[Scene, Robot]:
+    """The kitchen without the door, and the Panda with it; only finger pads may touch the bar."""
+    scene, door = take_out(kitchen(), DOOR, may_touch=[(pad, BAR) for pad in PADS])
+    return scene, robot_from_source({**panda(finger_opening).source, "articulated": to_plain(door)})
+
+
+def bar_pose(angle: float) -> np.ndarray:
+    """T_world_bar (4, 4) with the door at an angle [rad]; InvalidInputError outside its range."""
+    return kitchen().with_joint(DOOR, angle)[BAR].T_world_object
+
+
+def door_problem(seed: int, goals_needed: int = 10) -> PlanningProblem | UnsolvableProblem:
+    """Open the door, from a grasp of the closed one; goals are sampled by `pipeline.solve`.
+
+    Args:
+        seed: of the start grasp.
+        goals_needed: in whose posture so many of `pipeline.MAX_GOALS` are found; one that reaches
+            fewer stands at a limit and may get stuck.
+    """
+    scene, robot = door_world()
+    # a closed door is only 1 mm from its neighbour
+    checker = CollisionChecker(robot, scene, margin=5e-4)
+    grasp = handle_region(turn=0.0)
+    goal = handle_region(TURN).at(bar_pose(OPEN))
+    rng = np.random.default_rng([seed, 1])
+    starts = sample_region(robot, grasp.at(bar_pose(0.0)), checker, rng, count=20, within=(grasp,))
+    for start in starts.configurations:
+        problem = PlanningProblem(
+            name=str(seed),
+            robot=robot,
+            scene=scene,
+            start=start,
+            goals=np.empty((0, robot.dof)),
+            constraint=(handle_region(),),
+            goal_region=goal,
+        )
+        if len(with_sampled_goals(problem)[0].goals) >= goals_needed:
+            return problem
+    return UnsolvableProblem(
+        str(seed), f"no start grasp whose posture reaches the goal: {starts.outcome}"
+    )
+
+
+CAN_NAME = "can"
+
+
+@lru_cache(maxsize=1)
+def sequence_world() -> Scene:
+    """The kitchen, door closed, with the two obstacles on the counter and the can on the shelf."""
+    centre = np.add(SHELF_LINK, CAN.com) + (0.0, 0.0, CAN.shape_centre[2] - CAN.com[2])
+    return kitchen().with_objects(
+        CRACKER_BOX.at_com("cracker_box", (0.600, -0.623, 0.287), -np.pi / 4),
+        MUSTARD_BOTTLE.at_com("mustard_bottle", (0.550, -0.303, 0.262)),
+        # its axis through its centre of mass
+        SceneObject(CAN_NAME, CAN.shape, pose(centre), mass=CAN.mass),
+    )
+
+
+def multi_sequence_task(number: int) -> Task:
+    """Task `number`; 0 to 9 are the paper's, others follow the same distribution."""
+    if number < 0:
+        raise InvalidInputError(
+            f"multi-sequence task {number}: give 0 or more, the paper's are 0 to 9"
+        )
+    robot = robot_from_source({"name": "panda"})
+    rng = np.random.default_rng(100 + number)
+    checker = CollisionChecker(robot, sequence_world(), margin=SAMPLE_MARGIN)
+    start = robot.random_configurations(rng, 1)[0]
+    while checker.in_collision(start):
+        start = robot.random_configurations(rng, 1)[0]
+    # where the can's centre of mass goes: within a square of a decimetre
+    target = np.array((0.25, -0.45, 0.271 + LIFT))
+    target[:2] += 0.1 * rng.uniform(size=2)
+    grasp = grasp_region(np.add(SHELF_LINK, CAN.com))
+    approach = 0.08  # [m] straight to the can: depth of the fingers, and 3 mm of play
+    pregrasp = TaskSpaceRegion(grasp.T0_w, grasp.Tw_e @ pose((0.0, 0.0, -approach)), grasp.Bw)
+    reach_handle, reach_can, carry = PAPER_PHASES
+    can_grip = CAN.shape.radius  # type: ignore[union-attr]
+    open_fingers, grip = {"finger_opening": FINGER_OPENING}, {"finger_opening": GRIP}
+    return Task(
+        name=str(number),
+        robot=robot.source,
+        scene=sequence_world(),
+        start=start,
+        phases=(
+            Move(reach_handle, handle_region(turn=0.0).at(bar_pose(0.0))),
+            Hold("hold-handle", DOOR, grip, tuple((pad, handle_region().base) for pad in PADS)),
+            Turn("open-door", OPEN, handle_region(), handle_region(turn=TURN)),
+            Release("let-go", open_fingers),
+            Move(reach_can, pregrasp),
+            Slide("approach", approach),
+            Grasp("grasp-can", CAN_NAME, {"finger_opening": can_grip}),
+            Move(carry, grasp_region(target), (upright_box(),)),
+            Release("put-down", open_fingers),
+        ),
     )

@@ -3,7 +3,7 @@
 import hashlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import read_json_object
@@ -13,17 +13,10 @@ from cvqmpt_lab.robot.source import content_digest
 from cvqmpt_lab.scene.scene_files import named_files
 
 
-class FiledProblem(NamedTuple):
-    """A problem of a file."""
+def read_folder(folder: Path) -> tuple[dict[str, PlanningProblem], dict[str, str]]:
+    """All problems of a folder by their names in rows, and their digests.
 
-    problem: PlanningProblem  # named as its rows are
-    path: Path
-    # sha256 over the file and all files that it names: scene, clouds, meshes, URDF, SRDF
-    digest: str
-
-
-def read_folder(folder: Path) -> dict[str, FiledProblem]:
-    """All problems of a folder by their names in rows.
+    A digest is the sha256 over the file and all that it names: scene, clouds, meshes, URDF, SRDF.
 
     Left out are hidden files, json schemas for editors, expectations of `cvqmpt check-tables`, and
     scenes that a problem of the folder names. InvalidInputError names the file that is no problem,
@@ -32,7 +25,8 @@ def read_folder(folder: Path) -> dict[str, FiledProblem]:
     contents = _contents(folder)
     named = [data["scene"] for data in contents.values() if isinstance(data.get("scene"), str)]
     scenes = {(folder / scene).resolve() for scene in named}
-    found: dict[str, FiledProblem] = {}
+    problems: dict[str, PlanningProblem] = {}
+    digests, paths = dict[str, str](), dict[str, Path]()
     for path, data in contents.items():
         if path.resolve() in scenes or str(data.get("schema")).startswith("cvqmpt-expectations/"):
             continue
@@ -45,9 +39,9 @@ def read_folder(folder: Path) -> dict[str, FiledProblem]:
                 "around or in a row"
             )
         problem = problem if name == problem.name else replace(problem, name=name)
-        if name in found:
+        if name in paths:
             raise InvalidInputError(
-                f"{found[name].path} and {path} are both named {name!r}, and rows "
+                f"{paths[name]} and {path} are both named {name!r}, and rows "
                 "go by names: give one of them another 'name'"
             )
         digest = hashlib.sha256(content_digest(str(path)).encode())
@@ -55,13 +49,13 @@ def read_folder(folder: Path) -> dict[str, FiledProblem]:
             digest.update(content_digest(str(other)).encode())
         for _, content in problem.robot.files:
             digest.update(content.encode())
-        found[name] = FiledProblem(problem, path, digest.hexdigest())
-    if not found:
+        problems[name], digests[name], paths[name] = problem, digest.hexdigest(), path
+    if not problems:
         raise InvalidInputError(
             f"{folder} holds no problem files (*.json); write one with: cvqmpt problems new "
             f"{folder / 'mine.json'}"
         )
-    return found
+    return problems, digests
 
 
 def _contents(folder: Path) -> dict[Path, dict[str, Any]]:

@@ -14,8 +14,7 @@ import numpy as np
 
 from cvqmpt_lab.benchmarks.family_task import PANDA, upright_problem
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.objects import CAN, CRACKER_BOX, MUSTARD_BOTTLE
-from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE
+from cvqmpt_lab.benchmarks.place_task import CAN, CRACKER_BOX, DOOR, DOOR_ANGLE, MUSTARD_BOTTLE
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason
@@ -27,9 +26,8 @@ from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.depth import read_capture, write_view
 from cvqmpt_lab.sensing.filters import BallCrop
 from cvqmpt_lab.sensing.noise import DepthNoise
-from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
-from cvqmpt_lab.sensing.scan import Arm, ScanSettings, scan
-from cvqmpt_lab.sensing.virtual import CameraSettings, arm_objects, views_of
+from cvqmpt_lab.sensing.observation import CameraSettings, arm_objects, views_of
+from cvqmpt_lab.sensing.scan import Arm, MapSettings, ScanSettings, occupancy_map, scan
 
 ROOM = 0.06  # [m] that start and goal keep from obstacles
 THINGS = {

@@ -15,11 +15,13 @@ from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import (
     ENVIRONMENTS,
     carried_can,
+    door_problem,
     mirrored_problem,
+    multi_sequence_task,
     place_problem,
     single_goal_problem,
 )
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.scene.families import FAMILIES
@@ -66,30 +68,19 @@ class Suite:
 
 def _item(suite: str, index: int) -> SuiteItem:
     """Problem or task of a suite whose module is imported when its first item is made."""
-    from cvqmpt_lab.benchmarks import (
-        constraint_task,
-        door_task,
-        family_task,
-        motion_bench,
-        multi_sequence,
-        sensor_task,
-        two_arms,
-        unconstrained_task,
-    )
+    from cvqmpt_lab.benchmarks import family_task, motion_bench, sensor_task, two_arms
 
     if suite.startswith("family-"):
         return family_task.held_out_problem(suite.removeprefix("family-"), index)
     makers: Mapping[str, Callable[[int], SuiteItem]] = {
-        "constraints": constraint_task.constraint_problem,
+        "constraints": family_task.constraint_problem,
         "motion-bench": motion_bench.motion_bench_problem,
         "motion-bench-upright": motion_bench.level_problem,
-        "open-door": door_task.door_problem,
         "peers-two-arms": two_arms.peers_problem,
         "robots": family_task.robots_problem,
         "sensor": sensor_task.sensor_problem,
         "two-arms": two_arms.two_arms_problem,
-        "unconstrained": unconstrained_task.unconstrained_problem,
-        "multi-sequence": multi_sequence.multi_sequence_task,
+        "unconstrained": family_task.unconstrained_problem,
     }
     return makers[suite](index)
 
@@ -107,7 +98,7 @@ SUITES: Mapping[str, Suite] = {
         Suite("constraints", range(160), _CONSTRAINED),
         Suite("factorial", range(60), place_problem),
         Suite("factorial-constraints", range(80), _CONSTRAINED),
-        Suite("open-door", range(10), partial(_item, "open-door"), new_scenes=False),
+        Suite("open-door", range(10), door_problem, new_scenes=False),
         Suite("robots", range(180), partial(_item, "robots")),
         Suite("peers", range(30), single_goal_problem, _CAN, new_scenes=False),
         Suite("peers-two-arms", range(20), partial(_item, "peers-two-arms")),
@@ -121,7 +112,7 @@ SUITES: Mapping[str, Suite] = {
         Suite(
             "multi-sequence",
             range(66),
-            partial(_item, "multi-sequence"),
+            multi_sequence_task,
             new_scenes=False,
             settings={"speed": SLOW},
         ),
@@ -139,14 +130,12 @@ def folder_suite(folder: Path) -> Suite:
     """
     from cvqmpt_lab.benchmarks.problem_folder import read_folder
 
-    found, path = read_folder(folder), folder.resolve()
+    (problems, digests), path = read_folder(folder), folder.resolve()
     if path.name in SUITES or not path.name:
         raise InvalidInputError(
             f"folder {path}: its rows would be called {path.name!r}, as a suite of ours; give it "
             "another name"
         )
-    problems = {name: filed.problem for name, filed in found.items()}
-    digests = {name: filed.digest for name, filed in found.items()}
     _FOLDERS[str(path)] = suite = Suite(
         path.name, tuple(problems), problems.__getitem__, digests=digests
     )
@@ -162,6 +151,5 @@ def suite_named(name: str) -> Suite:
             "suite sensor-robustness was removed, its last table is in docs/training_log.md; "
             "suite sensor plans from noisy cameras"
         )
-    if name not in SUITES:
-        raise UnknownChoiceError("suite", name, SUITES)
+    require_choice("suite", name, SUITES)
     return SUITES[name]

@@ -18,7 +18,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import (
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.margins import Margin
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.poses import pose, rigid
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import solve_task
@@ -131,9 +131,8 @@ def _task(
     pull = 0.2 * size if what == "drawer" else -0.6 * place.side
     approach = round(max(0.08 * size, hold.beyond + 0.03), 3)
     x, y, z = hold.robot.kinematics.translation[0]
-    T_room_hand = np.eye(4)
-    T_room_hand[:3, :3] = Rotation.from_euler("x", place.roll).as_matrix()
-    T_room_hand = T_room_hand @ hold.T_handle_hand
+    roll = Rotation.from_euler("x", place.roll).as_matrix()
+    T_room_hand = rigid(roll) @ hold.T_handle_hand
     forward = place.ahead * reach - T_room_hand[0, 3]
     up = max(z + place.up * reach, 0.15 * size)
     at = (x + forward * np.cos(place.yaw), y + forward * np.sin(place.yaw), up)
@@ -266,9 +265,7 @@ def _furniture(
     else:
         objects[f"{what}/knob"] = ((far, 0.03, 0.03), (0.5 * far, 0.0, 0.0))
     if what == "drawer":
-        hinge = np.eye(4)
-        hinge[:3, :3] = Rotation.from_euler("y", -np.pi / 2).as_matrix()
-        return objects, hinge
+        return objects, rigid(Rotation.from_euler("y", -np.pi / 2).as_matrix())
     return objects, pose((far + 0.5 * front, beside + side * 0.5 * wide, 0.0))
 
 

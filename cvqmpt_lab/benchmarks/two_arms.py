@@ -25,7 +25,7 @@ from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, symmetric_region
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.poses import pose, rigid
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.kinematics import link_poses
@@ -119,14 +119,6 @@ ROBOTS: Mapping[str, Mapping[str, Any]] = {
 PROBLEMS = 30  # of each kind and robot
 
 
-class Carried(NamedTuple):
-    """What two hands hold, and how."""
-
-    item: Attachment  # held by the first hand; its T_hand_object is in that hand's frame
-    size: np.ndarray  # of the item (3,) [m]
-    constraint: tuple[TaskSpaceRegion, ...]  # held by both, and level
-
-
 @lru_cache(maxsize=8)
 def shoulders(robot: Robot) -> tuple[np.ndarray, float]:
     """The middle (3,) between both shoulders, and how far a hand gets from its own [m].
@@ -148,10 +140,13 @@ def shoulders(robot: Robot) -> tuple[np.ndarray, float]:
 
 
 @lru_cache(maxsize=8)
-def hold(robot: Robot, kind: str, poses: int = 12) -> Carried:
+def hold(
+    robot: Robot, kind: str, poses: int = 12
+) -> tuple[Attachment, np.ndarray, tuple[TaskSpaceRegion, ...]]:
     """The grasps at both sides of what is carried that inverse kinematics reaches most often.
 
-    Hands point forward, to each other, or down, turned about that by quarters.
+    Hands point forward, to each other, or down, turned about that by quarters. Returned are the
+    item as the first hand holds it, its size (3,) [m], and regions: held by both hands, and level.
 
     Args:
         robot: with two end effectors.
@@ -191,7 +186,7 @@ def hold(robot: Robot, kind: str, poses: int = 12) -> Carried:
         kind.split("-")[0], Box(tuple(size.tolist())), np.linalg.inv(first), also_held_by=(right,)
     )
     closed = relative_pose(left, np.linalg.inv(first) @ second).changed(end_effector=right)
-    return Carried(item, size, (closed, symmetric_region(np.eye(4), first, [FREE] * 6, TILT)))
+    return item, size, (closed, symmetric_region(np.eye(4), first, [FREE] * 6, TILT))
 
 
 def _grasp(
@@ -209,11 +204,8 @@ def _grasp(
     # columns of R_item_hand: the outward axis along x, the next ones along y and across both
     R = np.empty((3, 3))
     R[:, k], R[:, (k + 1) % 3], R[:, (k + 2) % 3] = sign * x, y, np.cross(sign * x, y)
-    T = np.eye(4)
-    T[:3, :3] = R
     edge = np.array([0.0, side * 0.5 * size[1], 0.0])
-    T[:3, 3] = edge - (tip - 0.01) * x
-    return T
+    return rigid(R, edge - (tip - 0.01) * x)
 
 
 def two_arms_problem(index: int) -> PlanningProblem | UnsolvableProblem:

@@ -17,13 +17,13 @@ from cvqmpt_lab.constraints.task_space_region import (
 )
 from cvqmpt_lab.errors import (
     InvalidInputError,
-    UnknownChoiceError,
     at,
     mapping,
     nearest,
+    require_choice,
     shown,
 )
-from cvqmpt_lab.poses import Placement, Pose, pose
+from cvqmpt_lab.poses import Placement, Pose, pose, rigid
 from cvqmpt_lab.values import Angle, Condition, Name, frozen
 
 Vector = tuple[float, float, float]
@@ -143,8 +143,7 @@ def region(name: str, **fields: Any) -> TaskSpaceRegion:
 
     Names and fields: see `NAMED`; UnknownChoiceError or InvalidInputError for others.
     """
-    if name not in NAMED:
-        raise UnknownChoiceError("region", name, NAMED)
+    require_choice("region", name, NAMED)
     return from_plain(Region, {name: fields})
 
 
@@ -157,9 +156,7 @@ def _along(point: Vector, direction: Vector) -> np.ndarray:
     z /= np.linalg.norm(z)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
-    T = pose(point)
-    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-    return T
+    return rigid(np.stack([x, np.cross(z, x), z], axis=1), point)
 
 
 class RegionForm:

@@ -13,7 +13,7 @@ from cvqmpt_lab.codec import Checked
 from cvqmpt_lab.constraints.project import project, projection_scratch
 from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.errors import InvalidInputError, shown
-from cvqmpt_lab.poses import Pose, rotation_matrices, tilts
+from cvqmpt_lab.poses import Pose, rigid, rotation_matrices, tilts
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.values import TURN, Angle, FloatArray, Name, frozen, numbers
 
@@ -261,20 +261,17 @@ def upright_box(tilt: Angle = 0.1, axis: Axis = "x") -> TaskSpaceRegion:
         tilt: bound of both entries [rad].
         axis: of the end-effector frame.
     """
-    T0_w = np.eye(4)
-    T0_w[:3, :3] = UPRIGHT_ROTATION
+    T0_w = rigid(UPRIGHT_ROTATION)
     return symmetric_region(T0_w, T0_w.T @ _standing(axis), [FREE] * 4 + [tilt] * 2)
 
 
 def _standing(axis: Axis) -> np.ndarray:
     """A pose (4, 4) of the hand, at the origin, in which an axis of it points up."""
-    T = np.eye(4)
     # the axis of e is x of the upright orientation, ...
-    T[:3, :3] = np.roll(np.eye(3), -"xyz".index(axis[-1]), axis=0)
+    R = np.roll(np.eye(3), -"xyz".index(axis[-1]), axis=0)
     if axis[0] == "-":
-        T[:3, :3] = np.diag([-1.0, -1.0, 1.0]) @ T[:3, :3]  # ... or opposite to it
-    T[:3, :3] = UPRIGHT_ROTATION @ T[:3, :3]
-    return T
+        R = np.diag([-1.0, -1.0, 1.0]) @ R  # ... or opposite to it
+    return rigid(UPRIGHT_ROTATION @ R)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,8 @@ import numpy as np
 from cvqmpt_lab.certificate import TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.execution.controllers import Controller
 from cvqmpt_lab.execution.mjcf import LOAD, Physics
-from cvqmpt_lab.execution.simulation import GRIP, OPEN, Contact, Sample, Simulation
+from cvqmpt_lab.execution.simulation import GRIP, OPEN, Contact, Controller, Sample, Simulation
 from cvqmpt_lab.files import finite
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
@@ -150,7 +149,7 @@ def execute_motion(
     Args:
         problem: that it solves.
         motion: of its robot.
-        controller: a name of `controllers.CONTROLLERS`.
+        controller: a name of `simulation.CONTROLLERS`.
         contact_time: of the simulation [s].
         friction: whether fingers hold the load, else it is welded to the hand.
     """

@@ -25,9 +25,6 @@ LOAD = "load"  # name of the body that is carried
 # contact bits
 FIXED, DOOR, ROBOT, OBJECT = 1, 2, 4, 8
 ARMATURE, DAMPING = 0.1, 1.0  # of every joint of the arm, as in MuJoCo Menagerie's Panda
-HINGE_DAMPING, HINGE_FRICTION = 0.5, 0.3  # of a door [Nms/rad, Nm]
-FRICTION = "0.8 0.005 0.0001"  # of rubber pads: sliding, torsional, rolling
-WOOD = 600.0  # density of doors [kg/m^3]
 
 
 class Body(NamedTuple):
@@ -100,7 +97,7 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
     for j, name in enumerate(robot.joint_names):
         link = _placed(links[arm.parent[j]], f"link_{j + 1}", arm.rotation[j], arm.translation[j])
         kind = "slide" if arm.prismatic[j] else "hinge"
-        limits = _numbers(np.r_[arm.lower[j], arm.upper[j]])
+        limits = numbers_text(np.r_[arm.lower[j], arm.upper[j]])
         joint = SubElement(link, "joint", name=name, type=kind, axis="0 0 1", range=limits)
         if physics is None:
             SubElement(link, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
@@ -124,7 +121,8 @@ def mjcf_of(robot: Robot, scene: Scene, physics: Physics | None = None) -> str:
         part = _placed(parent, body.name, T[:3, :3], T[:3, 3])
         geom = _add_shape(part, assets, body)
         if physics is not None:
-            _touching(geom, bits, density=WOOD if bits[0] == DOOR else 0.0)
+            # of wood [kg/m^3]
+            _touching(geom, bits, density=600.0 if bits[0] == DOOR else 0.0)
     row, T_link_hand = robot.end_effector_link
     _placed(links[row], HAND, T_link_hand[:3, :3], T_link_hand[:3, 3], "site")
     contact = SubElement(root, "contact")
@@ -151,8 +149,8 @@ def _add_dynamics(
     if finger:
         joint.set("solreflimit", "0.004 1")
     mass, centre, tensor = body
-    six = _numbers(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
-    SubElement(link, "inertial", pos=_numbers(centre), mass=repr(float(mass)), fullinertia=six)
+    six = numbers_text(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+    SubElement(link, "inertial", pos=numbers_text(centre), mass=repr(float(mass)), fullinertia=six)
 
 
 def _with_doors(world: Element, scene: Scene, physics: Physics) -> dict[str, Element]:
@@ -168,9 +166,10 @@ def _with_doors(world: Element, scene: Scene, physics: Physics) -> dict[str, Ele
             name=name,
             type="hinge" if door.kind == "hinge" else "slide",
             axis="0 0 1",
-            range=_numbers(np.array([door.lower, door.upper]) - door.value),
-            damping=repr(HINGE_DAMPING),
-            frictionloss=repr(HINGE_FRICTION),
+            range=numbers_text(np.array([door.lower, door.upper]) - door.value),
+            # of a door [Nms/rad, Nm]
+            damping="0.5",
+            frictionloss="0.3",
             armature="0.01",
         )
     return found
@@ -187,7 +186,8 @@ def _add_load(
 
 def _touching(geom: Element, bits: tuple[int, int], **weight: float) -> None:
     """Which geoms it touches, friction and weight."""
-    values = {"contype": bits[0], "conaffinity": bits[1], "condim": 4, "friction": FRICTION}
+    rubber = "0.8 0.005 0.0001"  # sliding, torsional and rolling friction of pads
+    values = {"contype": bits[0], "conaffinity": bits[1], "condim": 4, "friction": rubber}
     for name, value in {**values, **weight}.items():
         geom.set(name, str(value))
 
@@ -217,7 +217,8 @@ def _add_motors(root: Element, robot: Robot, physics: Physics) -> None:
             )
 
 
-def _numbers(values: np.ndarray) -> str:
+def numbers_text(values: np.ndarray) -> str:
+    """Numbers as attributes of XML state them, to the last bit."""
     return " ".join(repr(float(value)) for value in values)
 
 
@@ -229,24 +230,28 @@ def _placed(
     tag: str = "body",
 ) -> Element:
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    quaternion = _numbers(np.array([w, x, y, z]))
-    return SubElement(parent, tag, name=name, pos=_numbers(translation), quat=quaternion)
+    quaternion = numbers_text(np.array([w, x, y, z]))
+    return SubElement(parent, tag, name=name, pos=numbers_text(translation), quat=quaternion)
 
 
 def _add_shape(part: Element, assets: Element, body: Body) -> Element:
     name = f"{body.name}_geom"
     match body.shape:
         case Box(size):
-            sizes = _numbers(0.5 * np.array(size))
+            sizes = numbers_text(0.5 * np.array(size))
             return SubElement(part, "geom", name=name, type="box", size=sizes)
         case Cylinder(radius, height):
-            sizes = _numbers(np.array([radius, 0.5 * height]))
+            sizes = numbers_text(np.array([radius, 0.5 * height]))
             return SubElement(part, "geom", name=name, type="cylinder", size=sizes)
         case Sphere(radius):
             return SubElement(part, "geom", name=name, type="sphere", size=repr(radius))
         case ConvexMesh(vertices):
             SubElement(
-                assets, "mesh", name=body.name, vertex=_numbers(vertices.ravel()), inertia="convex"
+                assets,
+                "mesh",
+                name=body.name,
+                vertex=numbers_text(vertices.ravel()),
+                inertia="convex",
             )
             return SubElement(part, "geom", name=name, type="mesh", mesh=body.name)
     raise InvalidInputError(

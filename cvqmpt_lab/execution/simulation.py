@@ -1,14 +1,19 @@
-"""A robot in a scene in MuJoCo, moved by a controller at 1 kHz, and what is observed meanwhile."""
+"""A robot in a scene in MuJoCo, moved by a controller at 1 kHz, and what is observed meanwhile.
 
-from collections.abc import Mapping
+Gains are the same for any arm: a joint gives its whole effort limit at an error of 1 / STIFFNESS.
+Every controller is limited by the arm's effort limits.
+"""
+
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, install_command
-from cvqmpt_lab.execution.controllers import PERIOD, Controller
-from cvqmpt_lab.execution.mjcf import HAND, LOAD, Physics, mjcf_of
+from cvqmpt_lab.errors import InvalidInputError, require_choice, require_installed
+from cvqmpt_lab.execution.mjcf import ARMATURE, DAMPING, HAND, LOAD, Physics, mjcf_of
+from cvqmpt_lab.poses import rigid
+from cvqmpt_lab.robot.dynamics import Dynamics, Load, without_effort_limit
 from cvqmpt_lab.robot.load import with_gripper
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.robot.source import read_source
@@ -16,8 +21,56 @@ from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.trajectory.trajectory import JointState, Trajectory
 
+PERIOD = 1e-3  # [s] of control
+# [1/rad], [s]: Kp = STIFFNESS x effort limit, 3000 Nm/rad at the Panda's shoulder as in libfranka's
+# setDefaultBehavior; Kd = TIME_CONSTANT Kp damps joints of 0.1 to 3 kg m^2 by 0.5 to 1.2
+STIFFNESS, TIME_CONSTANT = 35.0, 0.04
+CONTROLLERS = {
+    "computed-torque": "tau = RNEA(q_d, q_d', q_d'') + Kp (q_d - q) + Kd (q_d' - q'); masses of "
+    "arm and load, rotors and damping are known",
+    "computed-torque-unknown-load": "the same, but load, rotors and damping are not known",
+    "position-servo": "tau = g(q) + Kp (q_d - q) - Kd q', stiffer; the load is not known",
+}
+
+
+class Controller:
+    """A controller by its name in `CONTROLLERS`."""
+
+    def __init__(self, name: str, robot: Robot) -> None:
+        """robot: the arm with its gripper closed; InvalidInputError where efforts are not known."""
+        require_choice("controller", name, CONTROLLERS)
+        if why := without_effort_limit(robot):
+            raise InvalidInputError(
+                f"robot {robot.name} cannot be executed: {why}; give a URDF with masses, and "
+                "--effort"
+            )
+        self.name, self.robot, self.limits = name, robot, robot.limits["effort"]
+        self.carry(())
+
+    def carry(self, loads: Sequence[Load]) -> None:
+        """Take up loads, or put them down."""
+        known = loads if self.name == "computed-torque" else ()
+        dynamics = Dynamics.of(self.robot, known)
+        assert dynamics is not None
+        self._dynamics = dynamics
+
+    def efforts(self, wanted: JointState, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Efforts (n,) [Nm or N] at q and q' (n,), within the limits."""
+        off = wanted.positions - q
+        if self.name == "position-servo":
+            gravity = self._dynamics.gravity(q[None])[0]
+            # as in MuJoCo Menagerie's Panda
+            tau = gravity + 50.0 * self.limits * (off - 0.1 * v)
+        else:
+            Kp = STIFFNESS * self.limits
+            tau = self._dynamics.efforts(*(x[None] for x in wanted))[0]
+            tau = tau + Kp * (off + TIME_CONSTANT * (wanted.velocities - v))
+            if self.name == "computed-torque":
+                tau = tau + ARMATURE * wanted.accelerations + DAMPING * wanted.velocities
+        return np.clip(tau, -self.limits, self.limits)
+
+
 GRIP, OPEN = -50.0, 30.0  # force that closes and opens each finger [N]
-AT_REST = 0.02  # [m] from where a load is grasped or put down: it may touch what it stands on
 EVERY = 10  # periods between two states that are kept
 
 
@@ -43,12 +96,9 @@ class Sample(NamedTuple):
 
 def mujoco_module() -> Any:
     """MuJoCo; InvalidInputError where it is not installed."""
-    try:
-        import mujoco
-    except ImportError as error:
-        raise InvalidInputError(
-            f"executing needs MuJoCo, which is not installed: {install_command('physics')}"
-        ) from error
+    require_installed("mujoco", "executing", "physics")
+    import mujoco
+
     return mujoco
 
 
@@ -115,7 +165,7 @@ class Simulation:
     def T_world_hand(self) -> np.ndarray:
         """Pose (4, 4) of the hand."""
         site = self.data.site(HAND)
-        return _pose(site.xmat, site.xpos)
+        return rigid(site.xmat.reshape(3, 3), site.xpos)
 
     @property
     def T_world_load(self) -> np.ndarray | None:
@@ -123,7 +173,7 @@ class Simulation:
         if self.physics.free is None and self.physics.welded is None:
             return None
         body = self.data.body(LOAD)
-        return _pose(body.xmat, body.xpos)
+        return rigid(body.xmat.reshape(3, 3), body.xpos)
 
     @property
     def doors(self) -> dict[str, float]:
@@ -166,7 +216,8 @@ class Simulation:
             return
         if LOAD in (first, second):
             place = self.data.body(LOAD).xpos
-            if any(np.linalg.norm(place - rest) < AT_REST for rest in self.rests):
+            # [m] from where it is grasped or put down it may touch what it stands on
+            if any(np.linalg.norm(place - rest) < 0.02 for rest in self.rests):
                 return
         pair = min(first, second), max(first, second)
         if pair not in self.touched or depth > self.touched[pair].depth_m:
@@ -185,9 +236,3 @@ def _fingers(arm: Robot, robot: Robot) -> Mapping[str, str]:
         )
     joints = read_urdf(Path(read_source(arm.source).urdf)).joints
     return {name: joints[name].mimics or "" for name in names}
-
-
-def _pose(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R.reshape(3, 3), p
-    return T

@@ -22,7 +22,7 @@ from cvqmpt_lab.errors import (
     UnknownChoiceError,
     shown,
 )
-from cvqmpt_lab.files import read_text, write_text
+from cvqmpt_lab.files import csv_table, read_text, write_text
 from cvqmpt_lab.values import scalar
 
 SCHEMA = "2"
@@ -269,14 +269,9 @@ def one_line(text: str) -> str | None:
 
 def csv_text(rows: Iterable[ResultRow], header: bool = True) -> str:
     """Rows as csv."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    if header:
-        writer.writerow(COLUMNS)
-    for row in rows:
-        cells = (getattr(row, column) for column in COLUMNS)
-        writer.writerow(str(x).lower() if isinstance(x, bool) else x for x in cells)
-    return buffer.getvalue()
+    cells = ([getattr(row, column) for column in COLUMNS] for row in rows)
+    lines = [[str(x).lower() if isinstance(x, bool) else x for x in row] for row in cells]
+    return csv_table([COLUMNS, *lines] if header else lines)
 
 
 def natural_key(text: str) -> tuple[tuple[str | int, ...], str]:

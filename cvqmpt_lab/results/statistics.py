@@ -90,7 +90,7 @@ def _median_rank(n: int) -> tuple[int, float]:
     return rank, max(0.0, float(1 - 2 * lower))
 
 
-def mean_of_solved(values: ArrayLike) -> Interval:
+def mean_of_solved(values: ArrayLike, samples: int = 2000) -> Interval:
     """Mean of the finite values with a percentile-bootstrap interval; failures (+inf) are left out.
 
     It flatters planners that fail on hard problems: print it only beside the success rate and
@@ -102,7 +102,11 @@ def mean_of_solved(values: ArrayLike) -> Interval:
     n = len(array)
     if n < 2:
         return Interval(float(array[0]), None, None, 1) if n else UNDEFINED
-    return Interval(float(array.mean()), *_bootstrap(n, lambda drawn: array[drawn].mean(axis=1)), n)
+    # values drawn again with replacement
+    drawn = np.random.default_rng(0).integers(n, size=(samples, n))
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(array[drawn].mean(axis=1), [tail, 1 - tail])
+    return Interval(float(array.mean()), float(low), float(high), n)
 
 
 def geometric_mean_interval(values: ArrayLike) -> Interval:
@@ -135,19 +139,6 @@ def student_interval(values: Sequence[float], confidence: float = CONFIDENCE) ->
     middle = fmean(values)
     half = float(stdtrit(n - 1, (1.0 + confidence) / 2.0)) * stdev(values) / math.sqrt(n)
     return Interval(middle, middle - half, middle + half, n)
-
-
-def _bootstrap(
-    n: int, statistic: Callable[[np.ndarray], np.ndarray], samples: int = 2000
-) -> tuple[float, float]:
-    """Percentile bounds of a statistic of n values, drawn again with replacement.
-
-    statistic: maps drawn indices (samples, n) to its values (samples,).
-    """
-    values = statistic(np.random.default_rng(0).integers(n, size=(samples, n)))
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(values, [tail, 1 - tail])
-    return float(low), float(high)
 
 
 def jointly_solved(rows_by_planner: Mapping[str, Iterable[ResultRow]]) -> tuple[ProblemKey, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, mapping, shown
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, mapping, require_choice, shown
 from cvqmpt_lab.robot.hulls import link_geometry, replace_meshes_by_hulls
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
@@ -290,8 +290,7 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
     if not isinstance(value, Mapping):
         return value
     for name in value:
-        if name not in robot.joint_names:
-            raise UnknownChoiceError(f"joint of {where}", name, robot.joint_names)
+        require_choice(f"joint of {where}", name, robot.joint_names)
     missing = [name for name in robot.joint_names if name not in value]
     if missing:
         raise InvalidInputError(

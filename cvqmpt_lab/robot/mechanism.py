@@ -6,13 +6,14 @@ Planners and kernels treat the door as part of the arm: its pieces are links, it
 from __future__ import annotations  # so `help` shows forms by their names
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
 
 from cvqmpt_lab.codec import Checked, to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, unique
+from cvqmpt_lab.errors import InvalidInputError, require_choice, unique
 from cvqmpt_lab.poses import Pose
 from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume
 from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, kinematics_arrays
@@ -90,16 +91,17 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
     objects = geometry.geometryObjects
     parts = range(len(arm), len(arm) + len(item.parts))
     casing = range(parts.stop, len(objects))
-    pairs = []
-    for k in parts:
-        pairs += [(i, k) for i in arm if (objects[i].name, objects[k].name) not in item.may_touch]
-    for k in casing:
-        pairs += [(i, k) for i in arm if objects[i].parentJoint != 0]
+    pairs = [
+        (i, k)
+        for k, i in product(parts, arm)
+        if (objects[i].name, objects[k].name) not in item.may_touch
+    ]
+    pairs += [(i, k) for k, i in product(casing, arm) if objects[i].parentJoint != 0]
     for i, k in pairs:
         geometry.addCollisionPair(pin.CollisionPair(i, k))
     left_out = [LeftOut(*names, "may touch") for names in item.may_touch]
-    for part in item.parts:
-        left_out += [LeftOut(part.name, fixed.name, "casing") for fixed in item.casing]
+    both = product(item.parts, item.casing)
+    left_out += [LeftOut(part.name, fixed.name, "casing") for part, fixed in both]
     frames = axis_frames(model)
     limits = {
         kind: np.append(values, item.acceleration if kind == "acceleration" else np.inf)
@@ -133,5 +135,4 @@ def _check_names(robot: Robot, item: ArticulatedObject) -> None:
             )
     for pair in item.may_touch:
         for what, name, names in zip(("robot piece", "part"), pair, (pieces, parts), strict=True):
-            if name not in names:
-                raise UnknownChoiceError(f"{what} in 'may_touch' of {item.name!r}", name, names)
+            require_choice(f"{what} in 'may_touch' of {item.name!r}", name, names)

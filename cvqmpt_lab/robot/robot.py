@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.urdf import HeldJoint
 from cvqmpt_lab.values import frozen
@@ -182,10 +182,7 @@ class Robot:
     def hand(self, end_effector: str | None = None) -> tuple[int, np.ndarray]:
         """Pose row of an end effector's link, None: the first one's, and T_link_frame (4, 4)."""
         name = end_effector or self.end_effector
-        if name not in self.end_effectors:
-            raise UnknownChoiceError(
-                f"end effector of robot {self.name}", name, list(self.end_effectors)
-            )
+        require_choice(f"end effector of robot {self.name}", name, self.end_effectors)
         return self.end_effectors[name]
 
     @property
@@ -301,8 +298,7 @@ class Robot:
 
     def link_of(self, frame: str) -> tuple[int, np.ndarray]:
         """Pose row that carries a body frame, and T_link_frame (4, 4)."""
-        if frame not in self.frame_names:
-            raise UnknownChoiceError(f"frame of robot {self.name}", frame, self.frame_names)
+        require_choice(f"frame of robot {self.name}", frame, self.frame_names)
         body = self.model.frames[self.model.getFrameId(frame, pin.FrameType.BODY)]
         return in_link(axis_frames(self.model), body.parentJoint, body.placement)
 

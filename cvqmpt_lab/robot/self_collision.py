@@ -56,7 +56,14 @@ def left_out_pairs(
         contact: [m] of an overlap; at 0 coal calls hulls free that overlap by 1.3 mm.
     """
     if srdf:
-        return read_srdf(Path(srdf))
+        return tuple(
+            LeftOut(
+                item.get("link1", ""),
+                item.get("link2", ""),
+                FROM_SRDF + item.get("reason", "left out by the SRDF"),
+            )
+            for item in srdf_root(Path(srdf)).findall("disable_collisions")
+        )
     pieces: dict[str, list[int]] = {}
     for k, item in enumerate(geometry.geometryObjects):
         pieces.setdefault(model.frames[item.parentFrame].name, []).append(k)
@@ -155,15 +162,3 @@ def srdf_root(path: Path) -> ElementTree.Element:
     if root.tag != "robot":
         raise InvalidInputError(f"SRDF file {path} has the root <{root.tag}>, not <robot>")
     return root
-
-
-def read_srdf(path: Path) -> tuple[LeftOut, ...]:
-    """The pairs that an SRDF file leaves out, with its reasons after `FROM_SRDF`."""
-    return tuple(
-        LeftOut(
-            item.get("link1", ""),
-            item.get("link2", ""),
-            FROM_SRDF + item.get("reason", "left out by the SRDF"),
-        )
-        for item in srdf_root(path).findall("disable_collisions")
-    )

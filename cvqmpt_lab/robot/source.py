@@ -106,25 +106,19 @@ def read_source(source: Mapping[str, Any]) -> RobotSource:
     unique(given.end_effectors, f"{WHERE}.end_effectors")
     if given.end_effectors:
         given = replace(given, end_effector=given.end_effectors[0])
-    given = _with_arm(given)
-    return replace(given, end_effectors=given.end_effectors or (given.end_effector,))
-
-
-def _with_arm(given: RobotSource) -> RobotSource:
-    """The source with a URDF and end effector: those of the named arm, or its own."""
     if given.name and given.urdf:
         raise InvalidInputError(f"{WHERE} has 'name' and 'urdf': give one of the two")
     if given.name:
-        return _of_arm(given)
-    if not given.urdf:
+        given = _of_arm(given)
+    elif not given.urdf:
         raise InvalidInputError(
             f"{WHERE} needs 'name' ({', '.join(ARMS)}) or 'urdf' and 'end_effector'"
         )
-    if not given.end_effector:
+    elif not given.end_effector:
         raise InvalidInputError(f"{WHERE}.end_effector is missing: a frame of {given.urdf}")
-    if given.finger_opening is not None:
+    elif given.finger_opening is not None:
         raise InvalidInputError(f"{WHERE}.finger_opening is that of 'name': 'panda'; use 'locked'")
-    return given
+    return replace(given, end_effectors=given.end_effectors or (given.end_effector,))
 
 
 def _of_arm(given: RobotSource) -> RobotSource:

@@ -15,7 +15,13 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, shown, unique
+from cvqmpt_lab.errors import (
+    InvalidInputError,
+    located,
+    require_choice,
+    shown,
+    unique,
+)
 from cvqmpt_lab.files import read_text
 from cvqmpt_lab.values import TURN, scalar
 
@@ -224,13 +230,11 @@ def held_joints(
     can be neither moved nor held (it names options that help), or if no joint is left to move.
     """
     for name in end_effectors:
-        if name not in urdf.links:
-            raise UnknownChoiceError("end-effector frame", name, urdf.links)
+        require_choice("end-effector frame", name, urdf.links)
     movable = {joint.name: joint for joint in urdf.joints.values() if joint.kind != "fixed"}
     held = {}
     for name, value in locked.items():
-        if name not in movable:
-            raise UnknownChoiceError("joint to lock", name, list(movable))
+        require_choice("joint to lock", name, movable)
         number = scalar(float, value, f"locked value [rad or m] of joint {name!r}")
         if movable[name].kind != "prismatic" and abs(number) > TURN:
             raise InvalidInputError(
@@ -333,8 +337,7 @@ def check_bodies(root: ElementTree.Element, path: Path) -> None:
                         f"it has {len(shapes)} shapes; give one <geometry> with one of "
                         f"{', '.join(SHAPES)}"
                     )
-                if shapes[0].tag not in SHAPES:
-                    raise UnknownChoiceError("shape", shapes[0].tag, SHAPES)
+                require_choice("shape", shapes[0].tag, SHAPES)
                 _check_numbers([shapes[0], *body.findall("origin")])
     for joint in root.findall("joint"):
         axes = [] if joint.get("type") == "fixed" else joint.findall("axis")

@@ -1,7 +1,6 @@
 """Taking a door or drawer out of a scene, so that it can become a joint of the robot."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,14 +18,9 @@ from cvqmpt_lab.values import FloatArray
 REST_GAP, DEEPEST = 1e-3, 1e-4
 
 
-class TakenOut(NamedTuple):
-    """A scene without a door or drawer and its casing; both as an `ArticulatedObject`."""
-
-    scene: Scene
-    articulated: ArticulatedObject
-
-
-def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ()) -> TakenOut:
+def take_out(
+    scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ()
+) -> tuple[Scene, ArticulatedObject]:
     """Take the articulation `name` out of a scene, whatever its value is.
 
     A closed door is half a millimetre from the boards of its cabinet: less than the distance that
@@ -64,7 +58,7 @@ def take_out(scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ())
         casing=tuple(_part(item, item.T_world_object) for item in casing),
         may_touch=tuple(may_touch),
     )
-    return TakenOut(scene.without(*joint.moves, *(item.name for item in casing)), articulated)
+    return scene.without(*joint.moves, *(item.name for item in casing)), articulated
 
 
 def _part(item: SceneObject, T: FloatArray) -> Part:

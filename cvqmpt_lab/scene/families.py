@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, whole_number
+from cvqmpt_lab.errors import InvalidInputError, require_choice, whole_number
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.kitchen import PUBLISHED, kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
@@ -57,8 +57,7 @@ class Family(NamedTuple):
 
 def family_scene(family: str, number: int) -> Scene:
     """Return scene `number` of a family; UnknownChoiceError lists the families."""
-    if family not in FAMILIES:
-        raise UnknownChoiceError("scene family", family, FAMILIES)
+    require_choice("scene family", family, FAMILIES)
     whole_number("number of the scene", number)
     made = FAMILIES[family]
     if made is None:

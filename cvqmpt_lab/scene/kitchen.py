@@ -17,8 +17,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.errors import InvalidInputError, require_choice
+from cvqmpt_lab.poses import pose, rigid
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 from cvqmpt_lab.values import FloatArray, Length
@@ -74,8 +74,7 @@ def _dimensions(changes: Mapping[str, float]) -> SimpleNamespace:
     """The dimensions and what follows from them; InvalidInputError: they do not fit together."""
     p = SimpleNamespace(**PUBLISHED)
     for name, value in changes.items():
-        if name not in PUBLISHED:
-            raise UnknownChoiceError("dimension of the kitchen", name, PUBLISHED)
+        require_choice("dimension of the kitchen", name, PUBLISHED)
         kind = float if name.endswith(("_x", "_y", "_z")) else Length
         setattr(p, name, from_plain(kind, value, f"kitchen dimension {name}"))
     p.base_width = 2.0 * p.cabinet_width
@@ -386,9 +385,8 @@ def cylinder(
 
 def oriented(axis: str, xyz: Iterable[float]) -> FloatArray:
     """Return the (4, 4) pose at `xyz` whose z points along a world axis: "x", "y", "z" or "-x"."""
-    T = pose(xyz)
     columns = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2), "-x": (2, 1, 0)}[axis]
-    T[:3, :3] = np.eye(3)[:, columns]
+    T = rigid(np.eye(3)[:, columns], xyz)
     if axis == "-x":
         T[:3, 2] *= -1.0
     return T

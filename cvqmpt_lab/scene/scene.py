@@ -1,5 +1,7 @@
 """A scene: named shapes with poses, and the hinges and sliders that move some of them.
 
+Scenes of users are refused where they cannot be in metres, and reported out of the arm's reach.
+
 Everything here is frozen data. Changing a scene (opening a door, adding a can) returns a new one.
 Poses are 4x4 arrays `T_world_x` that map points of frame x into the world frame, which is the robot
 base link frame. Lengths in [m], angles in [rad].
@@ -7,6 +9,8 @@ base link frame. Lengths in [m], angles in [rad].
 
 from __future__ import annotations  # so `help` shows forms by their names
 
+import logging
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,9 +19,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from cvqmpt_lab.codec import Checked, from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, shown, unique
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, at, shown, unique
 from cvqmpt_lab.poses import Pose, pose
-from cvqmpt_lab.scene.shapes import OccupancyMap, Shape
+from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Measured, OccupancyMap, Shape, bounding_radius
 from cvqmpt_lab.values import FloatArray, Mass, Name
 
 
@@ -224,3 +228,68 @@ class Attachment(Checked):
                 f"attachment {self.name!r} is an occupancy map; what is carried is a solid or a "
                 "point cloud"
             )
+
+
+_log = logging.getLogger("cvqmpt")
+
+
+def refuse_far_poses(poses: dict[str, np.ndarray], farthest: float = 100.0) -> None:
+    """Refuse a pose (4, 4) over `farthest` [m] from the world's origin, by its place in a file."""
+    for where, T in poses.items():
+        _refuse_above(farthest, float(np.abs(T[:3, 3]).max()), f"{where} is", "off")
+
+
+def _refuse_above(most: float, length: float, what: str, how: str) -> None:
+    if length > most:
+        raise InvalidInputError(
+            f"{what} {length:.4g} m {how}, more than {most:g}: no metres? Give metres"
+        )
+
+
+def refuse_far(
+    scene: Scene, where: str = "scene", farthest: float = 100.0, largest: float = 250.0
+) -> None:
+    """Refuse an obstacle larger than `largest`, or more than `farthest` off the origin [m].
+
+    Floors of 200 m are drawn.
+    """
+    for k, item in enumerate(scene.objects):
+        if not item.obstacle or isinstance(item.shape, Measured):
+            continue
+        lengths: tuple[float, ...] = ()
+        if not isinstance(item.shape, ConvexMesh):
+            lengths = tuple(np.ravel([*vars(item.shape).values()]).tolist())
+        name = f"{at(where, f'objects[{k}], {item.name!r},')} is"
+        _refuse_above(largest, max(lengths, default=0.0), name, "large")
+        _refuse_above(farthest, distance(item), name, "off")
+
+
+def distance(item: SceneObject) -> float:
+    """Distance [m] of an obstacle from the world's origin; exact for a box, else a lower bound."""
+    if isinstance(item.shape, Box):
+        T = item.T_world_object
+        origin = (T[:3, 3] @ T[:3, :3]).tolist()  # of the world, mirrored, in the box's frame
+        return math.hypot(
+            *(
+                max(abs(x) - 0.5 * size, 0.0)
+                for x, size in zip(origin, item.shape.size, strict=True)
+            )
+        )
+    return max(
+        math.dist(item.T_world_object[:3, 3], (0.0, 0.0, 0.0)) - bounding_radius(item.shape), 0.0
+    )
+
+
+def report_out_of_reach(scene: Scene, reach: float) -> None:
+    """Log a warning if a scene has obstacles and the arm of `reach` [m] can touch none of them."""
+    gaps = {item.name: distance(item) for item in scene.obstacles}
+    if gaps and min(gaps.values()) > reach:
+        name = min(gaps, key=lambda name: gaps[name])
+        _log.warning(
+            "scene %r: the arm can touch nothing of it: %r is nearest, %.3g m off, and the arm "
+            "reaches %.3g m; no metres, or in another frame than the robot's base?",
+            scene.name,
+            name,
+            gaps[name],
+            reach,
+        )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, shown, whole_number
+from cvqmpt_lab.errors import InvalidInputError, require_kind, shown, whole_number
 from cvqmpt_lab.results.row import search_work
 
 
@@ -54,11 +54,8 @@ class Budget:
     @classmethod
     def require(cls, value: Any, what: str = "budget") -> None:
         """Refuse what is no valid budget; InvalidInputError names it `what`."""
-        if not isinstance(value, cls):
-            raise InvalidInputError(
-                f"{what} {shown(value)}: give Budget(seconds=...), Budget(iterations=...) or both "
-                "in one"
-            )
+        cure = "give Budget(seconds=...), Budget(iterations=...) or both in one"
+        require_kind(what, value, cls, cure)
 
 
 @dataclass(frozen=True)

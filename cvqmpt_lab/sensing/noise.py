@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cvqmpt_lab.sensing.render import NOTHING, Solid, View, incidence
+from cvqmpt_lab.sensing.camera import NOTHING, Solid, View, incidence
 
 WEAKEST = 0.15 / 5.46**2  # [1/m^2] the light of the specified range's end
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.values import FloatArray
@@ -164,13 +165,11 @@ def level_pose(
     """
     # nearer to the camera's axis than 11 deg, "ahead" is the image's upper side
     straight_down = abs(plane.normal[2]) > np.cos(np.radians(11.0))
-    T = np.eye(4)
-    T[:3, :3] = _axes(plane.normal, CAMERA_UP if straight_down else np.array([0.0, 0.0, 1.0]))
-    table = points[on_table(points, plane)] @ T[:3, :3].T
+    R = _axes(plane.normal, CAMERA_UP if straight_down else np.array([0.0, 0.0, 1.0]))
+    table = points[on_table(points, plane)] @ R.T
     near = np.quantile(table[:, 0], edge)
     middle = np.quantile(table[:, 1], (edge, 1.0 - edge)).mean()
-    T[:3, 3] = np.array(front) - (near, middle, plane.offset)
-    return T
+    return rigid(R, np.array(front) - (near, middle, plane.offset))
 
 
 def on_table(points: FloatArray, plane: SupportingPlane, gap: float = 0.05) -> np.ndarray:
@@ -193,9 +192,7 @@ def box_around(points: FloatArray, plane: SupportingPlane) -> SceneObject:
     axes = _axes(plane.normal, np.array([1.0, 0.0, 0.0]))
     along = points @ axes.T
     low, high = along.min(axis=0), along.max(axis=0)
-    T = np.eye(4)
-    T[:3, :3] = axes.T
-    T[:3, 3] = axes.T @ (*(0.5 * (low + high))[:2], plane.offset)
+    T = rigid(axes.T, axes.T @ (*(0.5 * (low + high))[:2], plane.offset))
     length, width = np.maximum(high - low, 2.0 * TOLERANCE)[:2].tolist()
     return SceneObject("table", Box((length, width, 2.0 * TOLERANCE)), T)
 

@@ -22,11 +22,12 @@ from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show.curves import Plot, plots_along, plots_over
-from cvqmpt_lab.show.marks import axes_marks, constraint_marks
 from cvqmpt_lab.show.meshes import (
     Colour,
     Mesh,
+    axes_marks,
     beads,
+    constraint_marks,
     hull_mesh,
     joined,
     shape_mesh,
@@ -240,8 +241,7 @@ def _over(
     for k, mark in enumerate(constraint_marks(problem, states)):
         layer = f"constraint/{k}"
         yield Body("constraint", layer, "mark", mark, CONSTRAINT, opacity=0.3, behind=0.12)
-    of_axes = (0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85)  # red, green, blue
-    marks = zip("xyz", of_axes, axes_marks(problem.robot.reach), strict=True)
+    marks = axes_marks(problem.robot.reach)
     for (name, colour, mesh), (whose, T_world_hand) in product(marks, hands.items()):
         yield Body("axes of the hand", "hand", whose + name, mesh, colour, T_world_hand)
         for T in T_world_hand[[0, -1]]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_choice
 from cvqmpt_lab.files import replacing
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
@@ -342,8 +342,7 @@ def save_film(
         colours: number of colours of the gif.
         chosen: about how many pictures the colours are chosen from.
     """
-    if path.suffix != ".gif":
-        raise UnknownChoiceError(f"kind of film {path.name}: suffix", path.suffix, (".gif",))
+    require_choice(f"kind of film {path.name}: suffix", path.suffix, (".gif",))
     frames = [*frames, *[frames[-1]] * rest]
     some = frames[:: max(1, len(frames) // chosen)]
     palette = Image.fromarray(np.concatenate(some)).quantize(colours)

@@ -11,8 +11,7 @@ from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.scan import Arm, Scan
 from cvqmpt_lab.show.bodies import Body, robot_bodies, scene_bodies, whole
-from cvqmpt_lab.show.marks import axes_marks
-from cvqmpt_lab.show.meshes import hull_mesh, shape_mesh
+from cvqmpt_lab.show.meshes import axes_marks, hull_mesh, shape_mesh
 from cvqmpt_lab.show.picture import legend_of, strip, write_png
 from cvqmpt_lab.show.raster import Stage, framed
 
@@ -75,7 +74,6 @@ def scan_bodies(made: Scan, voxel: float, radius: float = 0.003) -> list[Body]:
     for T in (capture.T_world_camera for capture in made.captures):
         if not np.array_equal(T, np.eye(4)):  # else no pose is known, points are in the base frame
             found.append(Body("camera", "scan", "camera", pyramid, (0.55, 0.25, 0.70), T[None]))
-    of_axes = (0.85, 0.15, 0.15), (0.15, 0.60, 0.15), (0.15, 0.30, 0.85)
-    for name, colour, mesh in zip("xyz", of_axes, axes_marks(3.0), strict=True):
+    for name, colour, mesh in axes_marks(3.0):
         found.append(Body(f"{name} of the base frame", "scan", name, mesh, colour))
     return found

@@ -23,7 +23,8 @@ from cvqmpt_lab.errors import (
     CvqmptError,
     InvalidInputError,
     UnknownChoiceError,
-    install_command,
+    require_choice,
+    require_installed,
     require_kind,
 )
 from cvqmpt_lab.files import json_text
@@ -124,8 +125,7 @@ class Studio:
 
     def set_constraint(self, name: str) -> int:
         """Keep another one of `constraints`."""
-        if name not in self.constraints:
-            raise UnknownChoiceError("constraint", name, self.constraints)
+        require_choice("constraint", name, self.constraints)
         return self.ask(constraint=name)
 
     def ask(self, **changes: Any) -> int:
@@ -237,11 +237,9 @@ def _reached(problem: PlanningProblem, what: str, T: np.ndarray, near: np.ndarra
 
 def studio(problem: PlanningProblem, port: int = 8090) -> "StudioPage":
     """Serve a page at a local address until its `stop()`; port 0: any that is free."""
-    try:
-        import viser
-    except ImportError as error:
-        why = f"studio needs viser, which is not installed: {install_command('studio')}"
-        raise InvalidInputError(why) from error
+    require_installed("viser", "studio", "studio")
+    import viser
+
     try:  # viser would take the next port, at which the user would not look
         socket.create_server(("127.0.0.1", port)).close()
     except (OSError, OverflowError, TypeError) as error:

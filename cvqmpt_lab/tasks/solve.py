@@ -20,9 +20,8 @@ from cvqmpt_lab.pipeline import Solution, no_plan
 from cvqmpt_lab.planners import Method, planner_named
 from cvqmpt_lab.search.result import Budget, PlanStatus
 from cvqmpt_lab.solution_report import solution_data
-from cvqmpt_lab.tasks.phase_goals import phase_goals, prepare
 from cvqmpt_lab.tasks.task import Move, Phase, PlannedPhase, Task
-from cvqmpt_lab.tasks.world import World
+from cvqmpt_lab.tasks.world import World, phase_goals, prepare
 from cvqmpt_lab.trajectory.timing import TimingSettings
 from cvqmpt_lab.trajectory.trajectory import Trajectory
 
@@ -173,9 +172,7 @@ class _Run:
         """With little for slides and turns, then with the whole budget if one of them failed."""
         # of 10 s: slides of tasks 100 to 124 take birrt, roadmap or ompl-projected up to 0.24 s
         found = self._search(0.02)
-        if found.solved or not self.cut_short:
-            return found
-        return self._search(1.0)
+        return found if found.solved or not self.cut_short else self._search(1.0)
 
     def _search(self, share: float) -> TaskSolution:
         """Plan the next phase, or go back after a failure; share: of budget, slides and turns."""

@@ -28,9 +28,16 @@ from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import Axis, TaskSpaceRegionChain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, mapping, shown, unique
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
-from cvqmpt_lab.scene.scene import Articulation, Attachment, NamedScene, Scene, SceneObject
+from cvqmpt_lab.scene.scene import (
+    Articulation,
+    Attachment,
+    NamedScene,
+    Scene,
+    SceneObject,
+    refuse_far,
+    report_out_of_reach,
+)
 from cvqmpt_lab.scene.scene_files import with_files_read
-from cvqmpt_lab.scene.units import refuse_far, report_out_of_reach
 from cvqmpt_lab.values import Name
 
 

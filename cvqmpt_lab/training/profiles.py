@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset, open_labels
 from cvqmpt_lab.training.dictionary_stage import DictionaryStage, Stage1Settings
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage
@@ -78,8 +78,7 @@ class Profile:
         InvalidInputError or UnknownChoiceError: no such stage, or data, dictionary and model do not
         fit each other.
         """
-        if name not in MODELS:
-            raise UnknownChoiceError("stage", name, MODELS)
+        require_choice("stage", name, MODELS)
         if name in ("stage1", "mpnet"):
             if dictionary is not None:
                 raise InvalidInputError(f"{name} takes no dictionary; leave it out")
@@ -114,6 +113,5 @@ PROFILES = _profiles()
 
 def profile_named(name: str) -> Profile:
     """A profile; raises UnknownChoiceError."""
-    if name not in PROFILES:
-        raise UnknownChoiceError("profile", name, PROFILES)
+    require_choice("profile", name, PROFILES)
     return PROFILES[name]

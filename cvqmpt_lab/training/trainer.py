@@ -11,7 +11,6 @@ Random numbers of a batch depend on its seed, epoch and number alone, so that a 
 stopped and continued takes the same steps as one that was not.
 """
 
-import csv
 import io
 import json
 import logging
@@ -31,8 +30,9 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, whole_number
+from cvqmpt_lab.errors import InvalidInputError, require_choice, whole_number
 from cvqmpt_lab.files import (
+    csv_table,
     differences,
     locked,
     make_folder,
@@ -256,12 +256,9 @@ class Trainer:
         progress.rows.append(row)
         progress.epoch, progress.batch, progress.sums = progress.epoch + 1, 0, {}
         progress.best = self._keep_if_best(row, progress.epoch)
-        text = io.StringIO()
         columns = list(dict.fromkeys(name for row in progress.rows for name in row))
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(progress.rows)
-        write_text(self.folder / "curves.csv", text.getvalue())
+        lines = [[row.get(name) for name in columns] for row in progress.rows]
+        write_text(self.folder / "curves.csv", csv_table([columns, *lines]))
         self._save()
 
     def _validate(self) -> dict[str, float | None]:
@@ -322,8 +319,7 @@ def _ignore_interrupt(worker: int) -> None:
 
 
 def _device(name: str) -> torch.device:
-    if name not in ("auto", "cpu", "cuda"):
-        raise UnknownChoiceError("device", name, ("auto", "cpu", "cuda"))
+    require_choice("device", name, ("auto", "cpu", "cuda"))
     if name == "cuda" and not torch.cuda.is_available():
         raise InvalidInputError("device cuda: torch finds no GPU here; use cpu")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

@@ -26,8 +26,8 @@ import numpy as np
 from cvqmpt_lab.errors import (
     CvqmptError,
     InvalidInputError,
-    UnknownChoiceError,
     mapping,
+    require_choice,
     shown,
     whole_number,
 )
@@ -135,8 +135,7 @@ def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
 def file_type(path: Path | str) -> str:
     """The ending of a trajectory file, ".csv" or ".json"; anything else is refused."""
     ending = Path(path).suffix.lower()
-    if ending not in WRITERS:
-        raise UnknownChoiceError(f"trajectory file type of {path}:", ending, WRITERS)
+    require_choice(f"trajectory file type of {path}:", ending, WRITERS)
     return ending
 
 
@@ -176,8 +175,7 @@ def read_motion(path: Path) -> Motion:
     """Read a .csv or .json file; InvalidInputError names the file and what is not understood."""
     readers = {".csv": _from_csv, ".json": _from_json}
     ending = path.suffix.lower()
-    if ending not in readers:
-        raise UnknownChoiceError(f"file type of {path}:", ending, readers)
+    require_choice(f"file type of {path}:", ending, readers)
     text = read_text(path, "motion")
     try:
         motion = readers[ending](text)
@@ -288,8 +286,7 @@ def _seconds(k: int, time: Any) -> float:
 def _refuse_unknown(where: str, value: Any, known: Sequence[str]) -> None:
     """Refuse what is no object, and a key that nobody would read."""
     for key in mapping(value, where, ", ".join(known)):
-        if key not in known:
-            raise UnknownChoiceError(f"key of {where}", key, known)
+        require_choice(f"key of {where}", key, known)
 
 
 def _table(rows: list[list[float]]) -> np.ndarray:

@@ -31,8 +31,7 @@ from cvqmpt_lab.search.planner_interface import (
 )
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.roadmap import Roadmap, linked_roadmap
-from cvqmpt_lab.sensing.observation import Observer
-from cvqmpt_lab.sensing.virtual import CameraSettings
+from cvqmpt_lab.sensing.observation import CameraSettings, Observer
 from cvqmpt_lab.vqmpt.code_predictors import (
     CodePredictor,
     CodeProposal,

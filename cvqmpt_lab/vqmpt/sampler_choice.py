@@ -36,7 +36,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_choice
 
 PREFIX = "cvq:"
 CHOICES = {
@@ -58,8 +58,6 @@ NUMBERS = {
     "std": ("std", "above 0 [rad]"),
     "reach": ("reach", "above 0 [rad], or inf"),
 }
-NO_WAY = ("published", "random", "uniform")  # predictors without configurations from start to goal
-NO_CODES = ("solved", "transformer-lines", "nearest-lines")  # whose codes are read along the way
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,19 +78,21 @@ class SamplerChoice:
 
     def __post_init__(self) -> None:
         for name, known in CHOICES.items():
-            if getattr(self, name) not in known:
-                raise UnknownChoiceError(f"{name} of a learned sampler", getattr(self, name), known)
+            require_choice(f"{name} of a learned sampler", getattr(self, name), known)
         along, every = self.gaussians == "along", self.reading == "every-waypoint"
         if self.sequences == "all-beams" and self.predictor != "transformer":
             raise InvalidInputError(
                 f"all-beams goes with predictor transformer, not {self.predictor}"
             )
-        if (along or every) and self.predictor in NO_WAY:
+        # predictors without configurations from start to goal
+        if (along or every) and self.predictor in ("published", "random", "uniform"):
             word = "along" if along else "every-waypoint"
             raise InvalidInputError(
                 f"{word} needs a path or sequence: predictor {self.predictor} has none"
             )
-        if self.predictor in NO_CODES and not (along or every):
+        # codes of these are read along the way
+        of_ways = self.predictor in ("solved", "transformer-lines", "nearest-lines")
+        if of_ways and not (along or every):
             raise InvalidInputError(
                 f"predictor {self.predictor} has no codes of its own: add every-waypoint or along"
             )

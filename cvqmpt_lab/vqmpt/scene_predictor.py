@@ -15,9 +15,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cvqmpt_lab.caches import LruCache
-from cvqmpt_lab.errors import require_torch
+from cvqmpt_lab.errors import require_installed
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.sensing.virtual import CameraSettings, thinned
+from cvqmpt_lab.sensing.observation import CameraSettings, thinned
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence, beam_search, log_softmax
 from cvqmpt_lab.vqmpt.codebook import ModelConfigurations, require_own_dictionary
 from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, NOWHERE, WORST, Ends, softplus
@@ -119,7 +119,7 @@ class PublishedPredictor(SequencePredictor):
         """Copy a model's weights; InvalidInputError if they do not fit the robot or their sizes."""
         super().__init__()
         model.require_part("sequence_model")
-        require_torch("a sequence model of kind 'published'")
+        require_installed("torch", "a sequence model of kind 'published'", "train")
         from cvqmpt_lab.vqmpt.checkpoint import as_modules
 
         self._configurations, modules = ModelConfigurations(model, robot), as_modules(model).modules

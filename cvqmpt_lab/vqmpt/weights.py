@@ -20,7 +20,7 @@ from safetensors import SafetensorError
 
 import cvqmpt_lab
 from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.files import read_bytes, read_json_object, write_bytes
 from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig
 
@@ -259,8 +259,7 @@ def read_model(
     """
     description = read_description(folder, architecture, robot)
     of, listed = description["architecture"], description["sha256"]
-    if of not in ARCHITECTURES:
-        raise UnknownChoiceError(f"architecture in {Path(folder) / CONFIG_FILE}", of, ARCHITECTURES)
+    require_choice(f"architecture in {Path(folder) / CONFIG_FILE}", of, ARCHITECTURES)
     sizes, (first, *others) = ARCHITECTURES[of]
     config = from_plain(sizes, description["model"], "model", complete=True)
     names = [first, *(name for name in others if name in listed and name != left_out)]

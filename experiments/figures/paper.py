@@ -1,10 +1,12 @@
 """The paper's figures: histogram of the update and concept figure. Pictures of hands, clouds."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -16,7 +18,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.errors import RunStoreError
-from cvqmpt_lab.files import make_folder
+from cvqmpt_lab.files import csv_table, make_folder, write_bytes
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
 from cvqmpt_lab.robot.robot import Robot
@@ -32,7 +34,6 @@ from experiments.figures.code_update import (
     squared_residual,
     update_codes,
 )
-from experiments.figures.drawing import save_figure, write_csv
 
 FIGURES = ("histogram", "concept")
 PICTURE = (900, 690)  # [pixels] width and height of pictures of the scene
@@ -97,9 +98,23 @@ def reproduce_figure(
     else:
         drawn = concept_figure(updates[0])
         tables = {"concept.csv": hand_rows(updates[0])}
-    written = save_figure(drawn, out, figure)
-    written += [write_csv(out / name, rows) for name, rows in tables.items()]
-    return updates, [*written, record.path]
+    contents = {f"{figure}.{kind}": figure_bytes(drawn, kind) for kind in ("png", "svg")}
+    for name, rows in tables.items():
+        cells = [[f"{x:.6g}" if isinstance(x, float) else x for x in row.values()] for row in rows]
+        contents[name] = csv_table([rows[0], *cells]).encode()
+    for name, content in contents.items():
+        write_bytes(out / name, content)
+    return updates, [*(out / name for name in contents), record.path]
+
+
+def figure_bytes(figure: Figure, kind: str) -> bytes:
+    """A figure as the content of a file; kind: "png" or "svg". Equal figures give equal bytes."""
+    buffer = io.BytesIO()
+    # without metadata and hashsalt an svg file would contain the date and random identifiers
+    metadata = {"Date": None} if kind == "svg" else None
+    with matplotlib.rc_context({"svg.hashsalt": "cvqmpt"}):
+        figure.savefig(buffer, format=kind, dpi=160, metadata=metadata)
+    return buffer.getvalue()
 
 
 def summary(updates: Sequence[CodeUpdate]) -> list[str]:

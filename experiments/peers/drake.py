@@ -12,6 +12,7 @@ import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.execution.mjcf import Body, bodies_of, unchecked_pairs
+from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
@@ -121,8 +122,7 @@ def _world(robot: Robot, scene: Scene, region: TaskSpaceRegion) -> World:
         links.append(
             plant.AddRigidBody(f"link_{j + 1}", drake.SpatialInertia.SolidSphereWithMass(1.0, 0.1))
         )
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = arm.rotation[j], arm.translation[j]
+        T = rigid(arm.rotation[j], arm.translation[j])
         kind = drake.PrismaticJoint if arm.prismatic[j] else drake.RevoluteJoint
         parent = links[arm.parent[j]].body_frame()
         before = plant.AddFrame(drake.FixedOffsetFrame(f"before_{j}", parent, _pose(T)))

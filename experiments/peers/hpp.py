@@ -27,7 +27,6 @@ from experiments.peers import fixed_holds, upright_region, versions
 from experiments.peers.world_files import urdf_of
 
 MADE_BY = versions("hpp", "hpp-python")
-MISSING_LIBRARY = re.compile(r"(\S+): cannot open shared object file")
 
 
 def _imported(module: str) -> ModuleType:
@@ -46,7 +45,7 @@ def _with_libraries(attempt: Callable[[], Any], library: str = "") -> Any:
         try:
             return attempt()
         except (ImportError, OSError) as error:
-            missing = MISSING_LIBRARY.match(str(error))
+            missing = re.match(r"(\S+): cannot open shared object file", str(error))
             if missing is None or missing[1] in (library, str(folder / library)):
                 raise
             load = partial(ctypes.CDLL, str(folder / missing[1]), mode=ctypes.RTLD_GLOBAL)

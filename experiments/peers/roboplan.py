@@ -5,7 +5,7 @@ path. Its shortcutting ignores constraints and is not used.
 """
 
 import tempfile
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -36,11 +36,6 @@ def _world(robot: Robot, scene: Scene, region: TaskSpaceRegion) -> roboplan.core
     world.importSrdf(srdf)
     world.addGroup(GROUP, list(robot.joint_names))
     return world
-
-
-def plan_star(problem: PlanningProblem, budget: Budget, seed: int) -> np.ndarray | None:
-    """The same with `rrt_star`, which its makers advise under constraints: trees are rewired."""
-    return plan(problem, budget, seed, rewired=True)
 
 
 def plan(
@@ -85,3 +80,7 @@ def plan(
     except RuntimeError:
         # raised when no path was found within time and nodes
         return None
+
+
+# with `rrt_star`, which its makers advise under constraints
+plan_star = partial(plan, rewired=True)

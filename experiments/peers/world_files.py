@@ -14,7 +14,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from trimesh import Trimesh
 
-from cvqmpt_lab.execution.mjcf import Body, bodies_of, unchecked_pairs
+from cvqmpt_lab.execution.mjcf import Body, bodies_of, numbers_text, unchecked_pairs
+from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
@@ -44,15 +45,8 @@ def urdf_of(
     arm = robot.kinematics
     for j, name in enumerate(robot.joint_names):
         kind = "prismatic" if arm.prismatic[j] else "revolute"
-        joint = _joint(
-            root,
-            f"link_{arm.parent[j]}",
-            f"link_{j + 1}",
-            arm.rotation[j],
-            arm.translation[j],
-            kind,
-            name,
-        )
+        T = rigid(arm.rotation[j], arm.translation[j])
+        joint = _joint(root, f"link_{arm.parent[j]}", f"link_{j + 1}", T, kind, name)
         SubElement(joint, "axis", xyz="0 0 1")
         limits = {"lower": repr(float(arm.lower[j])), "upper": repr(float(arm.upper[j]))}
         # a URDF must have a velocity and an effort; planners of paths do not use them
@@ -64,12 +58,10 @@ def urdf_of(
         checking = SubElement(link, "collision_checking")
         # pinocchio: the mesh is its convex hull
         SubElement(checking, "convex", name=f"{body.name}_0")
-        T = body.T_link_body
-        _joint(root, f"link_{body.link}", body.name, T[:3, :3], T[:3, 3])
+        _joint(root, f"link_{body.link}", body.name, body.T_link_body)
     row, T_link_hand = robot.end_effector_link
     SubElement(root, "link", name=TOOL)
-    T = T_link_hand @ T_hand_tool
-    _joint(root, f"link_{row}", TOOL, T[:3, :3], T[:3, 3])
+    _joint(root, f"link_{row}", TOOL, T_link_hand @ T_hand_tool)
     srdf = Element("robot", name="arm")
     for first, second in unchecked_pairs(robot, carried):
         SubElement(srdf, "disable_collisions", link1=first, link2=second, reason="Never")
@@ -77,32 +69,22 @@ def urdf_of(
 
 
 def _joint(
-    root: Element,
-    parent: str,
-    child: str,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    kind: str = "fixed",
-    name: str = "",
+    root: Element, parent: str, child: str, T: np.ndarray, kind: str = "fixed", name: str = ""
 ) -> Element:
     joint = SubElement(root, "joint", name=name or f"{child}_joint", type=kind)
     # R = Rz(yaw) Ry(pitch) Rx(roll); scipy warns at a pitch of +-90 degrees that it sets yaw to 0
     with warnings.catch_warnings(action="ignore"):
-        rpy = Rotation.from_matrix(rotation).as_euler("xyz")
-    SubElement(joint, "origin", xyz=_numbers(translation), rpy=_numbers(rpy))
+        rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
+    SubElement(joint, "origin", xyz=numbers_text(T[:3, 3]), rpy=numbers_text(rpy))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)
     return joint
 
 
-def _numbers(values: np.ndarray) -> str:
-    return " ".join(repr(float(value)) for value in values)
-
-
 def _urdf_shape(geometry: Element, body: Body, folder: Path) -> None:
     match body.shape:
         case Box(size):
-            SubElement(geometry, "box", size=_numbers(np.array(size)))
+            SubElement(geometry, "box", size=numbers_text(np.array(size)))
         case Cylinder(radius, height):
             SubElement(geometry, "cylinder", radius=repr(radius), length=repr(height))
         case Sphere(radius):

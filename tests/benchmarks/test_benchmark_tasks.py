@@ -6,11 +6,14 @@ from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.benchmarks import family_task
-from cvqmpt_lab.benchmarks.constraint_task import MOVED, NAMES, constraint_problem, trivial
 from cvqmpt_lab.benchmarks.family_task import (
+    MOVED,
+    NAMES,
     ROBOTS,
+    constraint_problem,
     family_problem,
     other_robot_problem,
+    trivial,
 )
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import (

@@ -10,12 +10,14 @@ from command_line import refused as command_refused
 from refusals import refused
 
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.benchmarks.motion_bench import level_problem, motion_bench_problem, problem_of_texts
-from cvqmpt_lab.benchmarks.motion_bench_archive import (
+from cvqmpt_lab.benchmarks.motion_bench import (
     ARCHIVE,
     DIGESTS,
     ROBOTS,
     fetch,
+    level_problem,
+    motion_bench_problem,
+    problem_of_texts,
     problem_texts,
     read_texts,
     robot_file,

@@ -13,9 +13,9 @@ from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.sensing.virtual import solids_of
+from cvqmpt_lab.sensing.observation import solids_of
 from experiments.experiment import Experiment
-from experiments.rows import outcome_of
+from experiments.run import outcome_of
 
 ENOUGH = Budget(iterations=20_000)
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from cvqmpt_lab.benchmarks.door_task import door_problem, door_world
-from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, carried_can
+from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, carried_can, door_problem, door_world
 from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.covers import cut_into_pieces
 from cvqmpt_lab.collision.exact import CollisionChecker

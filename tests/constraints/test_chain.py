@@ -9,15 +9,15 @@ import pytest
 from constraints.test_task_space_region import of_hand
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.door_task import (
+from cvqmpt_lab.benchmarks.place_task import (
     BAR,
+    DOOR,
     OPEN,
     bar_pose,
     door_problem,
     door_world,
     handle_region,
 )
-from cvqmpt_lab.benchmarks.place_task import DOOR
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker

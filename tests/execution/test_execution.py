@@ -11,9 +11,9 @@ from refusals import refused
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.execution import execute
-from cvqmpt_lab.execution.controllers import Controller
 from cvqmpt_lab.execution.execute import Outcome, agreed, execute_motion, execute_task
 from cvqmpt_lab.execution.mjcf import ARMATURE, HAND, Physics, mjcf_of
+from cvqmpt_lab.execution.simulation import Controller
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.motion_check import certified_motion
 from cvqmpt_lab.poses import pose

@@ -13,7 +13,7 @@ from refusals import refused
 from cli.main import main
 from cvqmpt_lab import planners as table
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.benchmarks.multi_sequence import multi_sequence_task
+from cvqmpt_lab.benchmarks.place_task import multi_sequence_task
 from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.certificate import Fault, FaultKind
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
@@ -27,7 +27,7 @@ from cvqmpt_lab.vqmpt import scene_predictor
 from experiments import regression
 from experiments.experiment import Experiment
 from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, sample
-from experiments.rows import failed_rows, outcome_of, result_row
+from experiments.run import failed_rows, outcome_of, result_row
 from paper_tables.committed import committed_directories, differing_cells, untraceable
 from paper_tables.suites import SUITES, render_directory
 

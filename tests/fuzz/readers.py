@@ -38,8 +38,7 @@ from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Sphere
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
-from cvqmpt_lab.sensing.depth import read_capture
+from cvqmpt_lab.sensing.depth import read_capture, read_extrinsics, read_intrinsics
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.mpnet_stage import MPNet

@@ -13,8 +13,7 @@ from refusals import refused
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.files import locked
 from cvqmpt_lab.labels import generation
-from cvqmpt_lab.labels.generation import SceneRecipe, generate
-from cvqmpt_lab.labels.path_labels import PathRecipe
+from cvqmpt_lab.labels.generation import PathRecipe, SceneRecipe, generate
 from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import panda

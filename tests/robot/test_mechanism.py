@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.door_task import BAR, GRIP, bar_pose, door_problem, door_world
-from cvqmpt_lab.benchmarks.place_task import DOOR
+from cvqmpt_lab.benchmarks.place_task import BAR, DOOR, GRIP, bar_pose, door_problem, door_world
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion

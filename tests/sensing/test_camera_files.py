@@ -7,7 +7,7 @@ import pytest
 from refusals import refused, table
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.sensing.camera_files import read_extrinsics, read_intrinsics
+from cvqmpt_lab.sensing.depth import read_extrinsics, read_intrinsics
 
 PLAIN = {"width": 640, "height": 480, "fx": 525.0, "fy": 526.0, "cx": 319.5, "cy": 239.5}
 SIZE = {"width": 640, "height": 480}

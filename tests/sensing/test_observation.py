@@ -14,8 +14,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.sensing import observation
-from cvqmpt_lab.sensing.observation import Observer
-from cvqmpt_lab.sensing.virtual import camera_cloud
+from cvqmpt_lab.sensing.observation import Observer, camera_cloud
 
 POINTS = np.random.default_rng(0).uniform(-0.2, 0.2, (5000, 3))
 VOXEL = 0.025

@@ -4,8 +4,7 @@ import numpy as np
 
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.cloud_files import Cloud
-from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
-from cvqmpt_lab.sensing.scan import Arm
+from cvqmpt_lab.sensing.scan import Arm, MapSettings, occupancy_map
 
 EYE = np.array([-1.0, 0.05, 0.45])
 ROOM = MapSettings(unknown="occupied", lower=(-0.5, -0.5, 0.0), upper=(1.0, 0.5, 0.8))

@@ -9,10 +9,16 @@ from scipy.spatial.transform import Rotation
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
-from cvqmpt_lab.sensing.camera import KINECT, Camera, Intrinsics, cameras_on_sphere, look_at
+from cvqmpt_lab.sensing.camera import (
+    KINECT,
+    Camera,
+    Intrinsics,
+    cameras_on_sphere,
+    look_at,
+    view_of,
+)
 from cvqmpt_lab.sensing.noise import DepthNoise, measured
-from cvqmpt_lab.sensing.render import view_of
-from cvqmpt_lab.sensing.virtual import solids_of
+from cvqmpt_lab.sensing.observation import solids_of
 
 OCTAHEDRON = ConvexMesh(0.2 * np.concatenate([np.eye(3), -np.eye(3)]))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.objects import CAN
+from cvqmpt_lab.benchmarks.place_task import CAN
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.cloud_files import Cloud
 from cvqmpt_lab.scene.families import random_scene
@@ -15,10 +15,13 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.sensing.camera import Intrinsics, look_at
 from cvqmpt_lab.sensing.filters import BoxCrop, voxel_means
-from cvqmpt_lab.sensing.observation import Observer
-from cvqmpt_lab.sensing.occupancy import MapSettings, occupancy_map
-from cvqmpt_lab.sensing.scan import ScanSettings, scan
-from cvqmpt_lab.sensing.virtual import CameraSettings, camera_cloud, visible_points
+from cvqmpt_lab.sensing.observation import (
+    CameraSettings,
+    Observer,
+    camera_cloud,
+    visible_points,
+)
+from cvqmpt_lab.sensing.scan import MapSettings, ScanSettings, occupancy_map, scan
 
 
 def test_the_published_kitchen_cloud(open_kitchen):

@@ -8,8 +8,7 @@ from matplotlib.image import imread
 from PIL import Image
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
-from cvqmpt_lab.benchmarks.place_task import DOOR, carried_can
+from cvqmpt_lab.benchmarks.place_task import CAN_NAME, DOOR, carried_can
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.named import Region
@@ -30,8 +29,7 @@ from cvqmpt_lab.show.bodies import (
     whole,
 )
 from cvqmpt_lab.show.curves import plots_along
-from cvqmpt_lab.show.marks import constraint_marks
-from cvqmpt_lab.show.meshes import hull_mesh
+from cvqmpt_lab.show.meshes import constraint_marks, hull_mesh
 from cvqmpt_lab.show.picture import draw_solution, draw_task, film_solution, save_film, strip
 from cvqmpt_lab.show.raster import Stage, Viewpoint
 from cvqmpt_lab.show.recording import log_solution

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.multi_sequence import CAN_NAME
-from cvqmpt_lab.benchmarks.place_task import carried_can
+from cvqmpt_lab.benchmarks.place_task import CAN_NAME, carried_can
 from cvqmpt_lab.certificate import FaultKind, certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planners import Method
@@ -21,7 +20,7 @@ from cvqmpt_lab.tasks.solve import solve_task
 from cvqmpt_lab.tasks.task import Grasp, Release
 from cvqmpt_lab.tasks.world import World
 from experiments.experiment import Experiment
-from experiments.rows import phase_rows
+from experiments.run import phase_rows
 
 
 def changed(task, which, **fields):

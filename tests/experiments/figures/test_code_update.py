@@ -25,8 +25,7 @@ from experiments.figures.code_update import (
     squared_residual,
     update_codes,
 )
-from experiments.figures.drawing import figure_bytes
-from experiments.figures.paper import histogram_figure
+from experiments.figures.paper import figure_bytes, histogram_figure
 from paper_tables.claims import updated_codes
 from paper_tables.statements import PREDICTED, Claim
 
