@@ -1,10 +1,11 @@
-"""Narrow passages: a pen drawn through a maze on a plane, and a hand taken out of a cage.
+"""Narrow passages: a pen drawn through a maze on a plane, a hand led into a cage, through a slot.
 
-Problems are a function of a width and an index; no suite contains them (see docs/performance.md).
+Problems are a function of a width and an index; suite `passages` has some of several widths.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_regi
 from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright_box
 from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
+from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
@@ -88,6 +90,24 @@ def slot_problem(width: float, index: int) -> PlanningProblem | UnsolvableProble
     before, behind = (x - 0.2, side * 0.35, 0.4), (x + 0.2, y, 0.4)
     ends = [_upright_at(before, math.pi), _upright_at(behind, math.pi)]
     return _between(f"slot-{width:g}-{index}", boards, upright_box(), (), ends, rng)
+
+
+Passage = Callable[[float, int], PlanningProblem | UnsolvableProblem]
+# by name of the group: what makes its problems, and the width [m]
+PASSAGES: Mapping[str, tuple[Passage, float]] = {
+    **{f"maze {100 * width:g} cm": (maze_problem, width) for width in (0.05, 0.06, 0.07, 0.08, 0.1)},
+    "cage 21 cm": (cage_problem, 0.21),
+    **{f"slot {100 * width:g} cm": (slot_problem, width) for width in (0.19, 0.21)},
+}
+
+
+def passage_problem(index: int) -> PlanningProblem | UnsolvableProblem:
+    """Problem index // 8 of passage index % 8; its rows are named by index and passage."""
+    number, k = divmod(index, len(PASSAGES))
+    name, (make, width) = tuple(PASSAGES.items())[k]
+    # no tuning and no test uses numbers from 1000 on
+    found = make(width, 1000 + number)
+    return replace(found, name=phase_problem(str(index), k + 1, name))
 
 
 def _upright_at(place: tuple[float, ...], turn: float) -> TaskSpaceRegion:
