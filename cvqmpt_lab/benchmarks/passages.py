@@ -4,7 +4,7 @@ Problems are a function of a width and an index; suite `passages` has some of se
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -93,21 +93,21 @@ def slot_problem(width: float, index: int) -> PlanningProblem | UnsolvableProble
 
 
 Passage = Callable[[float, int], PlanningProblem | UnsolvableProblem]
-# by name of the group: what makes its problems, and the width [m]
-PASSAGES: Mapping[str, tuple[Passage, float]] = {
-    **{f"maze {100 * width:g} cm": (maze_problem, width) for width in (0.05, 0.06, 0.07, 0.08, 0.1)},
-    "cage 21 cm": (cage_problem, 0.21),
-    **{f"slot {100 * width:g} cm": (slot_problem, width) for width in (0.19, 0.21)},
-}
+# kind, what makes its problems, and width in centimetres
+PASSAGES: Sequence[tuple[str, Passage, float]] = (
+    *(("maze", maze_problem, width) for width in (5, 6, 7, 8, 10)),
+    ("cage", cage_problem, 21),
+    *(("slot", slot_problem, width) for width in (19, 21)),
+)
 
 
 def passage_problem(index: int) -> PlanningProblem | UnsolvableProblem:
     """Problem index // 8 of passage index % 8; its rows are named by index and passage."""
     number, k = divmod(index, len(PASSAGES))
-    name, (make, width) = tuple(PASSAGES.items())[k]
+    kind, make, width = PASSAGES[k]
     # no tuning and no test uses numbers from 1000 on
-    found = make(width, 1000 + number)
-    return replace(found, name=phase_problem(str(index), k + 1, name))
+    found = make(width / 100, 1000 + number)
+    return replace(found, name=phase_problem(str(index), k + 1, f"{kind} {width} cm"))
 
 
 def _upright_at(place: tuple[float, ...], turn: float) -> TaskSpaceRegion:

@@ -33,8 +33,8 @@ def hulls_of_meshes(
 ) -> dict[str, coal.CollisionGeometry]:
     """Convex hulls of a URDF's collision meshes by pinocchio's name of the body.
 
-    In the URDF a box stands for each, because pinocchio would read all triangles: that takes a
-    second where robots are drawn finely. Hulls are kept in the user's cache.
+    They are kept in the user's cache, and in the URDF a box stands for each mesh: pinocchio would
+    read all triangles, which takes more than a second for finely drawn robots.
 
     Args:
         root: of the URDF, with full paths of meshes; it is changed.
@@ -54,8 +54,10 @@ def hulls_of_meshes(
     made_of += [f"{digests[path]} {scale}" for path, scale in meshes]
 
     def make() -> dict[str, np.ndarray]:
-        hulls = (_hull_of(path, scale) for path, scale in meshes)
-        return {f"{k} {name}": array for k, hull in enumerate(hulls) for name, array in hull.items()}
+        arrays = {}
+        for k, (path, scale) in enumerate(meshes):
+            arrays[f"{k} points"], arrays[f"{k} corners"] = _hull_of(path, scale)
+        return arrays
 
     def fits(arrays: Mapping[str, np.ndarray]) -> bool:
         return all(
@@ -72,7 +74,7 @@ def hulls_of_meshes(
     return {name: shapes[mesh] for name, mesh in wanted.items()}
 
 
-def _hull_of(path: str, scale: Sequence[float]) -> dict[str, np.ndarray]:
+def _hull_of(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) [m] of a mesh's hull, and the corners (m, 3) of its triangles among them."""
     what = f"collision mesh {path}"
     try:
@@ -92,7 +94,7 @@ def _hull_of(path: str, scale: Sequence[float]) -> dict[str, np.ndarray]:
     hull = mesh.convex
     triangles = [hull.polygons(k) for k in range(hull.num_polygons)]
     corners = np.array([[triangle[k] for k in range(3)] for triangle in triangles], dtype=np.int32)
-    return {"points": hull_vertices(hull), "corners": corners}
+    return hull_vertices(hull), corners
 
 
 def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:
@@ -100,8 +102,8 @@ def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:
     return bool(
         points.dtype == np.float64
         and corners.dtype == np.int32
-        and points.shape == (len(points), 3)
-        and corners.shape == (len(corners), 3)
+        and points.ndim == corners.ndim == 2
+        and points.shape[1] == corners.shape[1] == 3
         and np.isfinite(points).all()
         and ((corners >= 0) & (corners < len(points))).all()
     )
