@@ -85,7 +85,7 @@ def test_suites_know_their_problems(suite):
     sizes |= dict.fromkeys(("place-task-mirrored", "factorial"), 60)
     sizes |= {"multi-sequence": 66, "open-door": 10, "sensor": 98}
     sizes |= {"constraints": 160, "factorial-constraints": 80, "robots": 180, "two-arms": 180}
-    sizes |= {"unconstrained": 120, "peers-two-arms": 20}
+    sizes |= {"unconstrained": 120, "peers-two-arms": 20, "passages": 160}
     sizes |= dict.fromkeys(("motion-bench", "motion-bench-upright"), 2100)
     assert last + 1 == sizes.get(suite, 50)
     if sizes.get(suite) == 2100:

@@ -287,3 +287,22 @@ def test_two_arms_are_grouped_by_robot_and_kind_with_times():
     assert first[groups[0], "birrt"][:2] == ["10", "0.0500 [0.0500, 0.0500]"]
     assert "∞" in first[groups[0], "ompl-projected"][1]
     assert found.size == "20 problems, 2 groups" and "closed chain" in found.markdown
+
+
+def test_passages_are_grouped_by_kind_and_width_with_what_is_solved_in_a_time():
+    made = [
+        make(f"{8 * k + g}/{g + 1}-{group}", planner, suite="passages", t_total_s=time)
+        for g, group in enumerate(("maze 5 cm", "maze 6 cm"))
+        for k in range(4)
+        for planner, time, make in (
+            ("birrt", 5.0, a_failure),
+            ("cells", (0.5, 1.5, 1.6, 3.0)[k], a_row),
+        )
+    ]
+    found = table_of(made)
+    assert found.size == "8 problems, 2 passages"
+    head, *lines = found.sections["By passage"]
+    assert head[:5] == ["passage", "planner", "problems", "solved [%]", "in 1 s [%]"]
+    cells = {tuple(line[:2]): [cell.split()[0] for cell in line[2:]] for line in lines}
+    assert cells["maze 5 cm", "cells"][:5] == ["4", "100", "25.0", "75.0", "1.55"]
+    assert cells["maze 6 cm", "birrt"][:5] == ["4", "0", "0", "0", "∞"]
