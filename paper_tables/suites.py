@@ -75,10 +75,9 @@ PASSAGE_NOTES = (
     "A Panda. Maze: a pen on a plane goes through three corridors of that width. Cage: an upright "
     "hand goes into a cage of bars with one gap of that width. Slot: an upright hand reaches "
     "through a slot of that width in a wall. No tuning has seen these problems.",
-    CONSTRAINT_NOTES[1],
-    "Time and work: medians with failures as infinite. Time is by the clock, with goal inverse "
-    "kinematics; a run has one thread, so that it is processor time with --jobs 1 on an idle "
-    f"machine. Work is {WORK}.",
+    "Solved: certified, Wilson intervals. Time and work: medians with failures as infinite. Time "
+    "is by the clock, with goal inverse kinematics; a run has one thread, so that it is processor "
+    f"time with --jobs 1 on an idle machine. Work is {WORK}.",
     "Whether a problem has a solution is not known where no planner finds one.",
 )
 
