@@ -26,7 +26,7 @@ from paper_tables.layouts import (
     peer_table,
     place_table,
 )
-from paper_tables.measures import median_of
+from paper_tables.measures import WORK, median_of, solved_within
 from paper_tables.motion_bench_table import motion_bench_table
 from paper_tables.multi_sequence_table import task_table
 from paper_tables.statements import PublishedValue, read_published
@@ -72,6 +72,15 @@ TWO_ARM_NOTES = (
     "the trays over a table of baxter alone, where its runs that fail take most of the time. "
     "Learned samplers are left out: weights are for one arm. Whether a problem has a solution "
     "is not known: both ends lie on the chain, perhaps in parts of it that are not connected.",
+)
+PASSAGE_NOTES = (
+    "A Panda. Maze: a pen on a plane goes through three corridors of that width. Cage: an upright "
+    "hand goes into a cage of bars with one gap of that width. Slot: an upright hand reaches "
+    "through a slot of that width in a wall. No tuning has seen these problems.",
+    "Solved: certified, Wilson intervals. Time and work: medians with failures as infinite. Time "
+    "is by the clock, with goal inverse kinematics; a run has one thread, so that it is processor "
+    f"time with --jobs 1 on an idle machine. Work is {WORK}.",
+    "Whether a problem has a solution is not known where no planner finds one.",
 )
 
 
@@ -174,6 +183,23 @@ SUITES: Mapping[str, Suite] = {
         title="Open the shelf's door, the hand on its handle",
         planners=("birrt", "ompl-projected", *SLOW, *KPIECE, "roadmap"),
         amounts=(Amount(),),
+    ),
+    "passages": Suite(
+        title="Narrow passages: mazes, a cage and slots",
+        planners=("birrt", "cells", "roadmap"),
+        amounts=(Amount(cutoff=5.0),),
+        table=partial(
+            group_table,
+            what="passage",
+            notes=PASSAGE_NOTES,
+            columns={
+                "solved": GROUP_COLUMNS["solved"],
+                "solved_within_1_s": Column("in 1 s [%]", "%", solved_within(1.0)),
+                "solved_within_2_s": Column("in 2 s [%]", "%", solved_within(2.0)),
+                "time_median": Column("time [s]", "s", median_of("time")),
+                "work_median": Column("work", "1", median_of("work")),
+            },
+        ),
     ),
     "robots": Suite(
         title="Nine arms of seven makers in held-out scenes, hand upright",

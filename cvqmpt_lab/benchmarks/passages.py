@@ -1,9 +1,11 @@
-"""Narrow passages: a pen drawn through a maze on a plane, and a hand taken out of a cage.
+"""Narrow passages: a pen drawn through a maze on a plane, a hand led into a cage, through a slot.
 
-Problems are a function of a width and an index; no suite contains them (see docs/performance.md).
+Problems are a function of a width and an index; suite `passages` has some of several widths.
 """
 
 import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from cvqmpt_lab.benchmarks.place_task import problem_between
 from cvqmpt_lab.constraints.task_space_region import UPRIGHT_ROTATION, TaskSpaceRegion, upright_box
 from cvqmpt_lab.poses import pose, rigid
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
 
@@ -89,6 +92,24 @@ def slot_problem(width: float, index: int) -> PlanningProblem | UnsolvableProble
     ends = [_upright_at(before, math.pi), _upright_at(behind, math.pi)]
     name = f"slot-{width:g}-{index}"
     return problem_between(name, Scene(name, tuple(boards)), ends, upright_box(), rng)
+
+
+Passage = Callable[[float, int], PlanningProblem | UnsolvableProblem]
+# kind, what makes its problems, and width in centimetres
+PASSAGES: Sequence[tuple[str, Passage, float]] = (
+    *(("maze", maze_problem, width) for width in (5, 6, 7, 8, 10)),
+    ("cage", cage_problem, 21),
+    *(("slot", slot_problem, width) for width in (19, 21)),
+)
+
+
+def passage_problem(index: int) -> PlanningProblem | UnsolvableProblem:
+    """Problem index // 8 of passage index % 8; its rows are named by index and passage."""
+    number, k = divmod(index, len(PASSAGES))
+    kind, make, width = PASSAGES[k]
+    # no tuning and no test uses numbers from 1000 on
+    found = make(width / 100, 1000 + number)
+    return replace(found, name=phase_problem(str(index), k + 1, f"{kind} {width} cm"))
 
 
 def _upright_at(place: tuple[float, ...], turn: float) -> TaskSpaceRegion:

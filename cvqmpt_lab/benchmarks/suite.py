@@ -68,7 +68,7 @@ class Suite:
 
 def _item(suite: str, index: int) -> SuiteItem:
     """Problem or task of a suite whose module is imported when its first item is made."""
-    from cvqmpt_lab.benchmarks import family_task, motion_bench, sensor_task, two_arms
+    from cvqmpt_lab.benchmarks import family_task, motion_bench, passages, sensor_task, two_arms
 
     if suite.startswith("family-"):
         return family_task.held_out_problem(suite.removeprefix("family-"), index)
@@ -76,6 +76,7 @@ def _item(suite: str, index: int) -> SuiteItem:
         "constraints": family_task.constraint_problem,
         "motion-bench": motion_bench.motion_bench_problem,
         "motion-bench-upright": motion_bench.level_problem,
+        "passages": passages.passage_problem,
         "peers-two-arms": two_arms.peers_problem,
         "robots": family_task.robots_problem,
         "sensor": sensor_task.sensor_problem,
@@ -99,6 +100,7 @@ SUITES: Mapping[str, Suite] = {
         Suite("factorial", range(60), place_problem),
         Suite("factorial-constraints", range(80), _CONSTRAINED),
         Suite("open-door", range(10), door_problem, new_scenes=False),
+        Suite("passages", range(160), partial(_item, "passages")),
         Suite("robots", range(180), partial(_item, "robots")),
         Suite("peers", range(30), single_goal_problem, _CAN, new_scenes=False),
         Suite("peers-two-arms", range(20), partial(_item, "peers-two-arms")),

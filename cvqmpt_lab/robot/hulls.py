@@ -1,12 +1,16 @@
 """Collision shapes of links as convex polytopes."""
 
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping, Sequence
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import coal
 import numpy as np
 import pinocchio as pin
 
+from cvqmpt_lab.caches import cached_arrays, sources_digest
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import LinkGeometry, in_link
 
@@ -24,23 +28,85 @@ def coal_distance(*bodies: Any) -> float:
     return float(coal.distance(*bodies, coal.DistanceRequest(), coal.DistanceResult()))
 
 
-def replace_meshes_by_hulls(geometry: pin.GeometryModel) -> None:
-    """Every collision mesh becomes its convex hull; InvalidInputError names one that has none."""
-    for item in geometry.geometryObjects:
-        shape = item.geometry
-        if not isinstance(shape, coal.BVHModelBase):
-            continue
-        what = f"collision mesh {item.meshPath or item.name}"
-        if shape.num_vertices == 0:
-            raise InvalidInputError(f"{what} is empty")
-        require_volume(np.array(shape.vertices()), what)
-        try:
-            shape.buildConvexHull(True, "Qt")
-        except RuntimeError as error:
-            # e.g. a corner with more than 255 neighbours
-            reason = str(error).rpartition("message: ")[2].strip()
-            raise InvalidInputError(f"{what} has no convex hull ({reason}): simplify it") from error
-        item.geometry = shape.convex
+def hulls_of_meshes(
+    root: ElementTree.Element, digests: Mapping[str, str]
+) -> dict[str, coal.CollisionGeometry]:
+    """Convex hulls of a URDF's collision meshes by pinocchio's name of the body.
+
+    They are kept in the user's cache, and in the URDF a box stands for each mesh: pinocchio would
+    read all triangles, which takes more than a second for finely drawn robots.
+
+    Args:
+        root: of the URDF, with full paths of meshes; it is changed.
+        digests: of the files' contents, by path.
+
+    Raises InvalidInputError, which names a mesh that cannot be read or has no hull.
+    """
+    wanted: dict[str, tuple[str, tuple[float, ...]]] = {}
+    for link in root.findall("link"):
+        for k, shape in enumerate(link.findall("collision/geometry/*")):
+            if shape.tag == "mesh":
+                scale = tuple(map(float, shape.attrib.pop("scale", "1 1 1").split()))
+                wanted[f"{link.get('name')}_{k}"] = shape.attrib.pop("filename"), scale
+                shape.tag, shape.attrib["size"] = "box", "1 1 1"
+    meshes = list(dict.fromkeys(wanted.values()))
+    made_of = [f"{sources_digest(Path(__file__))} {coal.__version__}"]
+    made_of += [f"{digests[path]} {scale}" for path, scale in meshes]
+
+    def make() -> dict[str, np.ndarray]:
+        arrays = {}
+        for k, (path, scale) in enumerate(meshes):
+            arrays[f"{k} points"], arrays[f"{k} corners"] = _hull_of(path, scale)
+        return arrays
+
+    def fits(arrays: Mapping[str, np.ndarray]) -> bool:
+        return all(
+            _are_polytope(arrays[f"{k} points"], arrays[f"{k} corners"]) for k in range(len(meshes))
+        )
+
+    found = cached_arrays("hulls", "\n".join(made_of).encode(), make, fits) if meshes else {}
+    shapes = {}
+    for k, mesh in enumerate(meshes):
+        points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+        points.extend(list(found[f"{k} points"]))
+        triangles.extend([coal.Triangle(*row) for row in found[f"{k} corners"].tolist()])
+        shapes[mesh] = coal.Convex(points, triangles)
+    return {name: shapes[mesh] for name, mesh in wanted.items()}
+
+
+def _hull_of(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) [m] of a mesh's hull, and the corners (m, 3) of its triangles among them."""
+    what = f"collision mesh {path}"
+    try:
+        mesh = coal.MeshLoader().load(path, np.array(scale))
+    except (ValueError, RuntimeError) as error:
+        said = " ".join(str(error).split())
+        raise InvalidInputError(f"{what} cannot be read: {said}") from error
+    if mesh.num_vertices == 0:
+        raise InvalidInputError(f"{what} is empty")
+    require_volume(np.array(mesh.vertices()), what)
+    try:
+        mesh.buildConvexHull(True, "Qt")
+    except RuntimeError as error:
+        # e.g. a corner with more than 255 neighbours
+        reason = str(error).rpartition("message: ")[2].strip()
+        raise InvalidInputError(f"{what} has no convex hull ({reason}): simplify it") from error
+    hull = mesh.convex
+    triangles = [hull.polygons(k) for k in range(hull.num_polygons)]
+    corners = np.array([[triangle[k] for k in range(3)] for triangle in triangles], dtype=np.int32)
+    return hull_vertices(hull), corners
+
+
+def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:
+    """Whether arrays can be those of `_hull_of`."""
+    return bool(
+        points.dtype == np.float64
+        and corners.dtype == np.int32
+        and points.ndim == corners.ndim == 2
+        and points.shape[1] == corners.shape[1] == 3
+        and np.isfinite(points).all()
+        and ((corners >= 0) & (corners < len(points))).all()
+    )
 
 
 def _require_near(points: np.ndarray, what: str, farthest: float = 1e4) -> None:

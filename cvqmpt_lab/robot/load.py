@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, mapping, require_choice, shown
-from cvqmpt_lab.robot.hulls import link_geometry, replace_meshes_by_hulls
+from cvqmpt_lab.robot.hulls import hulls_of_meshes, link_geometry
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
@@ -173,7 +173,6 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     held = held_joints(urdf, given.end_effectors, given.locked, given.base is not None)
     held = tuple(joint for joint in held if joint.name not in free)
     model, geometry, meshes = _models(urdf, given, held)
-    replace_meshes_by_hulls(geometry)
     axes = axis_frames(model)
     names = list(model.names)[1:]
     limits = {
@@ -236,6 +235,7 @@ def _models(
     root = one_coordinate_a_joint(urdf)
     meshes = find_collision_meshes(root, urdf.path, [Path(folder) for folder in given.package_dirs])
     digests = {path: content_digest(path) for path in meshes}
+    hulls = hulls_of_meshes(root, digests)
     for element in root.findall("joint"):
         element.set("name", prefix + element.get("name", ""))
     text = ElementTree.tostring(root, encoding="unicode")
@@ -249,6 +249,8 @@ def _models(
         raise InvalidInputError(
             f"cannot load {given.urdf}: its parser leaves collision bodies out; see its words above"
         )
+    for item in geometry.geometryObjects:
+        item.geometry = hulls.get(item.name, item.geometry)
     q, ids = pin.neutral(model), []
     for joint in held:
         # floating and planar joints are fixed by now

@@ -22,7 +22,7 @@ from paper_tables.judging import Word
 from paper_tables.layouts import place_table
 from paper_tables.plots import COLOURS, OURS, line_style
 from paper_tables.statements import read_published
-from paper_tables.suites import render_directory
+from paper_tables.suites import render_directory, table_of
 from paper_tables.writers import latex_table
 
 
@@ -198,3 +198,22 @@ def test_every_planner_has_a_colour_of_its_own_and_ours_a_thick_line():
     styles = [line_style(name) for name in ("birrt", "birrt improved", OURS, "peer")]
     assert styles[0]["color"] == styles[1]["color"] != styles[2]["color"]
     assert styles[2]["linewidth"] > styles[0]["linewidth"] and styles[3] == line_style("peer")
+
+
+def test_passages_are_grouped_by_kind_and_width_with_what_is_solved_in_a_time():
+    made = [
+        make(f"{8 * k + g}/{g + 1}-{group}", planner, suite="passages", t_total_s=time)
+        for g, group in enumerate(("maze 5 cm", "maze 6 cm"))
+        for k in range(4)
+        for planner, time, make in (
+            ("birrt", 5.0, a_failure),
+            ("cells", (0.5, 1.5, 1.6, 3.0)[k], a_row),
+        )
+    ]
+    found = table_of(made)
+    assert found.size == "8 problems, 2 passages"
+    head, *lines = found.sections["By passage"]
+    assert head[:5] == ["passage", "planner", "problems", "solved [%]", "in 1 s [%]"]
+    cells = {tuple(line[:2]): [cell.split()[0] for cell in line[2:]] for line in lines}
+    assert cells["maze 5 cm", "cells"][:5] == ["4", "100", "25.0", "75.0", "1.55"]
+    assert cells["maze 6 cm", "birrt"][:5] == ["4", "0", "0", "0", "∞"]

@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 
+import coal
 import numpy as np
 import pytest
 import trimesh
@@ -118,6 +119,40 @@ def test_a_floating_base_is_fixed_at_a_pose(edited):
         np.testing.assert_allclose(other.pose(q), expected, atol=1e-12)
         np.testing.assert_allclose(other.pose(q, "base"), place, atol=1e-12)
     assert robot.reach > load_robot(plain, "tool").reach + 1.0
+
+
+def test_hulls_are_the_same_from_the_cache_which_is_written_anew_if_broken(
+    edited, tmp_path, monkeypatch
+):
+    """Bit for bit, also in what distances are computed of; meshes are not read again."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    trimesh.creation.icosphere(radius=0.05).export(tmp_path / "part.stl")
+    mesh = '<mesh filename="part.stl" scale="1 1 -2"/>'
+    urdf = edited((SPHERE, mesh), (BOX, f"<geometry>{mesh}</geometry>"))
+
+    def hulls():
+        pieces = load_robot(urdf, "tool").collision_model.geometryObjects
+        shapes = [item.geometry for item in pieces if isinstance(item.geometry, coal.Convex)]
+        assert len(shapes) == 2
+        return [shape.saveToString() for shape in shapes]
+
+    made = hulls()
+    (kept,) = (tmp_path / "cache" / "cvqmpt_lab" / "hulls").iterdir()
+    whole = kept.read_bytes()
+    with monkeypatch.context() as patch:
+        patch.delattr(coal, "MeshLoader")
+        assert hulls() == made
+    with np.load(kept) as arrays:
+        known = dict(arrays)
+    points, corners = known["0 points"], known["0 corners"]
+    foreign = [{"0 points": points}, {**known, "0 points": points[:9]}, {"0 points": np.array(1.0)}]
+    foreign += [{**known, "0 corners": -corners}, {**known, "0 points": points * np.nan}]
+    for content in (b"", b"PK nothing", whole[:-900], *foreign):
+        if isinstance(content, bytes):
+            kept.write_bytes(content)
+        else:
+            np.savez(kept, **content)
+        assert hulls() == made and kept.read_bytes() == whole
 
 
 def test_a_robot_whose_files_changed_is_built_anew_and_its_pickles_are_refused(edited, tmp_path):
