@@ -91,6 +91,7 @@ class GoalsForm(Array):
         )
 
 
+RobotOfSource = Annotated[Robot, RobotForm()]
 States = Annotated[FloatArray, GoalsForm((None, None), "numbers [rad or m]")]
 Regions = Annotated[tuple[Region, ...], OneOrMore(Region)]
 Clearance = Annotated[
@@ -107,7 +108,7 @@ class PlanningProblem(Document):
     with_named_files = staticmethod(with_files_read)
 
     name: Name  # What it is called in results
-    robot: Annotated[Robot, RobotForm()]  # What moves; n is the number of its joints
+    robot: RobotOfSource  # What moves; n is the number of its joints
     scene: NamedScene  # What it must not touch
     # (n,) [rad or m], drawn from `start_region` if empty
     start: State = field(default_factory=lambda: np.empty(0))

@@ -163,7 +163,7 @@ def test_F_is_what_pinocchio_says_and_J_is_its_slope(robot, seed):
 def test_a_hand_turns_freely_about_an_axis_and_about_no_other(baxter):
     """Turned about it, F is 0; turned about another axis, F is the angle; projections spread."""
     left, right = baxter.end_effectors
-    held = hold(baxter, "tray-over-table").constraint[0]
+    _, _, (held, *_) = hold(baxter, "tray-over-table")
     manifold = RegionConstraint(baxter, (held,))
     draws = baxter.random_configurations(np.random.default_rng(0), 60)
     q = next(found for start in draws if (found := manifold.project(start)) is not None)

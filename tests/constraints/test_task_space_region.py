@@ -31,7 +31,7 @@ def robot_and_bases(request):
     """A robot and base frames of regions; an arm with a door or drawer: its parts and a link."""
     if request.param in ROBOTS[:2]:
         return request.getfixturevalue(request.param), [None]
-    item = to_plain(take_out(kitchen(), request.param).articulated)
+    item = to_plain(take_out(kitchen(), request.param)[1])
     robot = robot_from_source({"name": "panda", "articulated": item})
     parts = [frame for frame in robot.frame_names if frame.startswith(f"{request.param}/")]
     return robot, [*parts, "panda_link3"]

@@ -109,10 +109,9 @@ def given_arm(name, folder, kind=0):
 def both_hold(robot, kind):
     """What both hands hold and how: as one, with play, or turning about an axis of a hand."""
     number, freedom = divmod(kind, len(FREEDOMS))
-    one = hold(robot, [*LAYOUTS][number])
-    closed, level = one.constraint
+    item, _, (closed, level) = hold(robot, [*LAYOUTS][number])
     free = relative_pose(closed.base, closed.T0_w, **FREEDOMS[freedom])
-    return (one.item,), (free.changed(end_effector=closed.end_effector), level)
+    return (item,), (free.changed(end_effector=closed.end_effector), level)
 
 
 def arm_of(name, number, folder):

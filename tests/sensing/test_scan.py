@@ -51,7 +51,7 @@ def test_captures_are_merged_where_their_cameras_stand(capture):
 
 def test_a_scan_without_a_pose_is_levelled_by_its_table(files, capture):
     made = cleaned(replace(capture, T_world_camera=np.eye(4)), level=True, front=(0.3, 0.0, 0.0))
-    T = made.levelled.T_world_camera
+    T, _ = made.levelled
     tilt = np.degrees(np.arccos(T[2, :3] @ capture.T_world_camera[2, :3]))
     assert tilt < 0.5, "the same vertical as that of the camera's true pose"
     top = made.points[np.abs(made.points[:, 2]) < 0.01]
