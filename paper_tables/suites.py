@@ -282,8 +282,8 @@ SUITES: Mapping[str, Suite] = {
     "multi-sequence": Suite(
         title="Multi-sequence task: open the shelf, take the can, stand it on the counter",
         amounts=(
-            Amount(seeds=2, planners=QUICK),
-            Amount(problems=20, planners=SLOW, late=True),
+            Amount(planners=QUICK),
+            Amount(problems=16, planners=SLOW, late=True),
             # without ompl-projected, which took half of the profile's time (see the table's note)
             Amount(profile="small", problems=2, cutoff=2.0, planners=(SOME[0], *SOME[2:])),
         ),
