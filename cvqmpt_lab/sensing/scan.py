@@ -69,6 +69,13 @@ class Step(NamedTuple):
     after: int  # points after it
 
 
+class Levelled(NamedTuple):
+    """How a scan was levelled."""
+
+    T_world_camera: FloatArray  # (4, 4), where the camera therefore stands [m]
+    plane: SupportingPlane  # what it was levelled by, in the camera's frame
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """A cleaned scan."""
@@ -77,8 +84,7 @@ class Scan:
     dropped: int  # pixels or rows that held no point
     steps: tuple[Step, ...]  # what each filter did, in order
     captures: tuple[Cloud, ...] = ()  # what it was made of, at the poses that were used
-    # the camera's pose (4, 4) [m] by a plane, in its frame; none unless asked for
-    levelled: tuple[FloatArray, SupportingPlane] | None = None
+    levelled: Levelled | None = None  # none unless asked for
     plane: SupportingPlane | None = None  # if searched for, in the robot's base frame
     table: SceneObject | None = None  # the box that stands for it
 
@@ -112,8 +118,8 @@ def scan(
             )
         cloud = captures[0].points
         seen = table_below(cloud, np.radians(settings.down), settings.highest, rng)
-        levelled = level_pose(cloud, seen, settings.front), seen
-        captures = [replace(captures[0], T_world_camera=levelled[0])]
+        levelled = Levelled(level_pose(cloud, seen, settings.front), seen)
+        captures = [replace(captures[0], T_world_camera=levelled.T_world_camera)]
     points = np.concatenate([capture.in_world for capture in captures])
     steps = []
     for name, keep in _filters(settings, arm):
