@@ -1,6 +1,6 @@
 """Numbers of committed rows as text, for pages whose words stand in `templates/`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from paper_tables.claims import Evidence
@@ -11,13 +11,11 @@ from paper_tables.measures import (
     Rows,
     SuiteRuns,
     censored,
-    fraction,
     mean_ratio,
     paired,
     problem_median,
-    solved,
 )
-from paper_tables.writers import bounds, estimate, number
+from paper_tables.writers import estimate, number
 
 
 @dataclass(frozen=True)
@@ -30,19 +28,16 @@ class Quoted:
 
     results: Mapping[str, Evidence]
 
-    def rows(self, name: str, planner: str, kind: str = "") -> Rows:
-        """Rows of a planner, on problems whose names begin with `kind`."""
-        own = [row for row in self.results[name].rows if row.planner == planner]
-        found = [row for row in own if row.problem.startswith(kind)]
+    def rows(self, name: str, planner: str) -> Rows:
+        """Rows of a planner."""
+        found = [row for row in self.results[name].rows if row.planner == planner]
         if not found:
-            raise KeyError(f"{name} has no rows of {planner} {kind}".strip())
+            raise KeyError(f"{name} has no rows of {planner}")
         return found
 
-    def ratio(
-        self, name: str, planner: str, value: str = "work", over: str = REFERENCE, kind: str = ""
-    ) -> str:
+    def ratio(self, name: str, planner: str, value: str = "work", over: str = REFERENCE) -> str:
         """Geometric mean of the ratio of a value of `VALUES` to that of another planner."""
-        own, other = self.rows(name, planner, kind), self.rows(name, over, kind)
+        own, other = self.rows(name, planner), self.rows(name, over)
         return estimate(mean_ratio(paired(own, other, VALUES[value])))
 
     def contrast(self, name: str, title: str, column: str = "work") -> str:
@@ -50,25 +45,15 @@ class Quoted:
         contrast = next(item for item in CONTRASTS if item.title == title)
         return contrast.entry(SuiteRuns(self.results[name].rows, {}, (), (), {})).cell(column)
 
-    def median(self, name: str, planner: str, value: str = "time", kind: str = "") -> str:
+    def median(self, name: str, planner: str, value: str = "time") -> str:
         """Median of a value with failures as infinite; without an interval."""
-        values = censored(self.rows(name, planner, kind), VALUES[value])
+        values = censored(self.rows(name, planner), VALUES[value])
         return number(problem_median(values).estimate)
 
-    def solved(self, name: str, planner: str, kind: str = "") -> str:
+    def solved(self, name: str, planner: str) -> str:
         """Certified runs of all runs, as "501 of 540"."""
-        rows = self.rows(name, planner, kind)
+        rows = self.rows(name, planner)
         return f"{sum(row.solved for row in rows)} of {len(rows)}"
-
-    def share(self, name: str, planner: str) -> str:
-        """Percentage of solved runs with its interval."""
-        share = fraction(self.rows(name, planner), solved).scaled(100)
-        return f"{number(share.estimate)} {bounds(share)}"
-
-    def commits(self, names: Sequence[str]) -> str:
-        """Commits that rows were made at."""
-        found = dict.fromkeys(str(self.results[name].record["git_commit"])[:8] for name in names)
-        return " and ".join(found)
 
 
 def short(text: str) -> str:

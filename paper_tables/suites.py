@@ -284,8 +284,7 @@ SUITES: Mapping[str, Suite] = {
         amounts=(
             Amount(planners=QUICK),
             Amount(problems=16, planners=SLOW, late=True),
-            # without ompl-projected, which took half of the profile's time (see the table's note)
-            Amount(profile="small", problems=2, cutoff=2.0, planners=(SOME[0], *SOME[2:])),
+            Amount(profile="small", problems=2, cutoff=2.0, planners=SOME),
         ),
         table=task_table,
         paper=("multi_sequence.csv", "Multi-sequence task"),
