@@ -108,8 +108,12 @@ def claims(args: argparse.Namespace) -> int:
         if args.results or in_checkout():
             print(f"nothing written; --write writes {page}")
         return 0
-    texts = committed_pages() if args.results is None else {page: page_of(args.results)}
-    pictures = committed_pictures() if args.results is None else {}
+    texts, pictures = {}, {}
+    if args.results is None:
+        found = evidence_below(RESULTS)
+        texts, pictures = committed_pages(found), committed_pictures(found)
+    else:
+        texts[page] = page_of(args.results)
     for path, text in texts.items():
         write_text(path, text)
     for path, picture in pictures.items():
@@ -227,7 +231,7 @@ def _check_ours(args: argparse.Namespace) -> int:
     expected = expected._replace(outcomes={case: x for case, x in known if case not in left_out})
     mode, runs = regression.compare(expected, outcomes, made_with, args.within / 100)
     directories = committed_directories(args.results)
-    stale = stale_pages(committed_pages()) if args.results == RESULTS else []
+    stale = stale_pages(committed_pages(evidence_below(RESULTS))) if args.results == RESULTS else []
     found = {
         f"runs compared {mode}": runs,
         f"tables of {len(directories)} results directories rendered again": [

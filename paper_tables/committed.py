@@ -13,7 +13,7 @@ from cvqmpt_lab.files import read_text
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from paper_tables import pages
-from paper_tables.claims import evidence_below, judged_claims
+from paper_tables.claims import Evidence, judged_claims
 from paper_tables.quoted import Quoted
 from paper_tables.statements import PUBLISHED
 from paper_tables.suites import rendered_tables
@@ -133,9 +133,8 @@ def with_part(text: str, part: str, table: str) -> str:
     return found.sub(lambda _: f"{begin}\n{table}{end}", text)
 
 
-def committed_pages() -> dict[Path, str]:
-    """The committed page and, in a checkout, the README, rendered from rows."""
-    found = evidence_below(RESULTS)
+def committed_pages(found: Mapping[str, Evidence]) -> dict[Path, str]:
+    """The committed page and, in a checkout, README and docs/results.md, of all committed rows."""
     claims = judged_claims(found)
     texts = {pages.PAGE: pages.page_text(found, claims, pages.PAGE.parent)}
     if in_checkout():
@@ -152,11 +151,10 @@ def committed_pages() -> dict[Path, str]:
     return texts
 
 
-def committed_pictures() -> dict[Path, bytes]:
-    """Pictures of the committed rows: every comparison of the claims, and the cost of a check."""
+def committed_pictures(found: Mapping[str, Evidence]) -> dict[Path, bytes]:
+    """Pictures of all committed rows: every comparison of the claims, and the cost of a check."""
     from paper_tables import plots  # matplotlib takes a second to import
 
-    found = evidence_below(RESULTS)
     verdicts = [verdict for item in judged_claims(found) for verdict in item.verdicts]
     task = by_planner(found["place-task"].rows, ())
     drawn = {"forest.png": plots.forest(verdicts), "cost.png": plots.cost_curves(task)}

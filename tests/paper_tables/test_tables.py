@@ -99,7 +99,7 @@ def by_title(results):
 
 
 def test_the_committed_page_and_the_readme_are_what_the_command_writes_from_the_rows():
-    assert committed.stale_pages(committed.committed_pages()) == []
+    assert committed.stale_pages(committed.committed_pages(evidence_below(RESULTS))) == []
 
 
 def test_a_readme_without_marks_is_refused():
@@ -132,7 +132,7 @@ def test_claims_without_rows_say_so_and_what_cannot_be_tested_too(tmp_path):
 
 
 def test_pictures_of_the_committed_rows_are_drawn_without_a_display():
-    for path, picture in committed.committed_pictures().items():
+    for path, picture in committed.committed_pictures(evidence_below(RESULTS)).items():
         assert path.is_file() and picture.startswith(b"\x89PNG") and len(picture) > 20_000
 
 
