@@ -13,7 +13,7 @@ from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, ResultRow, read_rows
 from cvqmpt_lab.results.statistics import problem_key
 from paper_tables.judging import LEVEL, Verdict, Word, overall
 from paper_tables.measures import VALUES, Pair, Rows, grouped, paired
-from paper_tables.multi_sequence_table import task_rows
+from paper_tables.multi_sequence_table import task_rows, task_table
 from paper_tables.statements import CLAIMS, PREDICTED, Claim, PublishedValue
 from paper_tables.suites import suite_of
 from paper_tables.writers import Lines
@@ -60,14 +60,17 @@ def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
     for claim in CLAIMS:
         evidence = found.get(claim.suite)
         verdicts = () if evidence is None or claim.untestable else _verdicts(claim, evidence)
+        if verdicts and claim.again in found:
+            anew = {x.comparison: x for x in _verdicts(claim, found[claim.again]) if x.pairs}
+            verdicts = [anew.get(x.comparison, x) for x in verdicts]
         own = tuple(verdict._replace(known=known) for verdict in verdicts)
         judged.append(JudgedClaim(claim, own, evidence))
     return judged
 
 
 def error_level() -> float:
-    """Of one claim's interval, two-sided: all claims that can be tested share LEVEL."""
-    return LEVEL / sum(not claim.untestable for claim in CLAIMS)
+    """Of one claim's interval, two-sided: all that can be tested share LEVEL, looks apart."""
+    return LEVEL / sum(1 + bool(claim.again) for claim in CLAIMS if not claim.untestable)
 
 
 def _verdicts(claim: Claim, evidence: Evidence) -> list[Verdict]:
@@ -77,7 +80,7 @@ def _verdicts(claim: Claim, evidence: Evidence) -> list[Verdict]:
         return []
     suite, rows = evidence.rows[0].suite, evidence.rows
     cutoff: float | None = evidence.record["configuration"].get("cutoff_s")
-    if suite == "multi-sequence":
+    if suite_of(suite).table is task_table:
         rows = task_rows(rows, PAPER_PHASES)
         cutoff = None if cutoff is None else len(PAPER_PHASES) * cutoff
     return verdicts_of(claim, rows, suite_of(suite).published, cutoff)

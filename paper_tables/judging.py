@@ -95,6 +95,11 @@ class Verdict(NamedTuple):
     known: bool = True  # whether rows are of a size that says anything
 
     @property
+    def comparison(self) -> tuple[str, str, str]:
+        """Planner, baseline and kind of problems."""
+        return self.planner, self.baseline, self.kind
+
+    @property
     def against(self) -> str:
         """Baseline and kind of problems."""
         return f"{self.baseline}, {self.kind}" if self.kind else self.baseline

@@ -163,7 +163,8 @@ def _change_lines(
 
 def page_text(found: Mapping[str, Evidence], claims: Sequence[JudgedClaim], root: Path) -> str:
     """The page; links go from the folder `root`."""
-    used = {item.claim.suite for item in claims} | KITCHENS.keys()
+    used = {name for item in claims for name in (item.claim.suite, item.claim.again)}
+    used |= KITCHENS.keys()
     return rendered(
         "claims.md.j2",
         banner=banner(found),

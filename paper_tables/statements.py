@@ -55,6 +55,8 @@ class Claim:
     runs: int | None = None  # of one planner in the paper's study
     untestable: str = ""  # why no rows can answer it, or ""
     published: str = ""  # the paper's name of the metric where ours differs
+    # another results directory, of new problems: judges anew the comparisons that it has
+    again: str = ""
     remark: str = ""  # what a reader must know to take the numbers rightly
     why: str = ""  # of the verdict, in one line; the README shows the claims that have one
 

@@ -37,6 +37,7 @@ QUICK = ("birrt", "birrt-printed", "cells", "ompl-projected", *LEARNED, "roadmap
 SLOW = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
 KPIECE = ("ompl-bkpiece",)
 ALL = (*QUICK[:4], *SLOW, *KPIECE, *QUICK[4:])
+JUDGED = ("ompl-projected", "cvq-mpt", "opt-cvq-mpt")
 SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 TUNED = (*SOME, "birrt-printed", "cvq-tuned")
 BENCHED = ("birrt", "roadmap", "ompl-projected")  # the last is RRTConnect where nothing is bound
@@ -121,6 +122,7 @@ def _family(what: str, *more: Amount) -> Suite:
 
 
 _PLACE = ("place_task.csv", "Place Task")
+_TASKS = ("multi_sequence.csv", "Multi-sequence task")
 SUITES: Mapping[str, Suite] = {
     "place-task": Suite(
         title="Place task: carry a can upright to the shelf",
@@ -132,6 +134,12 @@ SUITES: Mapping[str, Suite] = {
             Amount(profile="small", problems=10, cutoff=2.0),
             Amount(profile="small", problems=3, cutoff=2.0, planners=CONTROLLED, folder="controls"),
         ),
+        paper=_PLACE,
+    ),
+    "place-task-more": Suite(
+        title="Place task, 2000 more problems for claims that the first ones left open",
+        planners=(*JUDGED, "mpnet"),
+        amounts=(Amount(late=True),),
         paper=_PLACE,
     ),
     "place-task-with-can": Suite(
@@ -279,6 +287,13 @@ SUITES: Mapping[str, Suite] = {
         ),
         table=partial(group_table, what="group", notes=FREE_NOTES),
     ),
+    "multi-sequence-more": Suite(
+        title="Multi-sequence task, 750 more tasks for claims that the first ones left open",
+        planners=JUDGED,
+        amounts=(Amount(late=True),),
+        table=task_table,
+        paper=_TASKS,
+    ),
     "multi-sequence": Suite(
         title="Multi-sequence task: open the shelf, take the can, stand it on the counter",
         amounts=(
@@ -287,7 +302,7 @@ SUITES: Mapping[str, Suite] = {
             Amount(profile="small", problems=2, cutoff=2.0, planners=SOME),
         ),
         table=task_table,
-        paper=("multi_sequence.csv", "Multi-sequence task"),
+        paper=_TASKS,
     ),
 }
 

@@ -14,6 +14,7 @@ from typing import Any
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import (
     ENVIRONMENTS,
+    MORE_ENVIRONMENTS,
     carried_can,
     door_problem,
     mirrored_problem,
@@ -92,6 +93,7 @@ SUITES: Mapping[str, Suite] = {
     suite.name: suite
     for suite in (
         Suite("place-task", ENVIRONMENTS, place_problem, _CAN),
+        Suite("place-task-more", MORE_ENVIRONMENTS, place_problem, _CAN),
         Suite("place-task-with-can", ENVIRONMENTS, partial(place_problem, with_can=True)),
         Suite("place-task-single-goal", range(30), single_goal_problem, _CAN),
         Suite("place-task-mirrored", range(60), mirrored_problem, _CAN),
@@ -111,12 +113,12 @@ SUITES: Mapping[str, Suite] = {
             Suite(name, range(2100), partial(_item, name))
             for name in ("motion-bench", "motion-bench-upright")
         ),
-        Suite(
-            "multi-sequence",
-            range(66),
-            multi_sequence_task,
-            new_scenes=False,
-            settings={"speed": SLOW},
+        *(
+            Suite(name, tasks, multi_sequence_task, new_scenes=False, settings={"speed": SLOW})
+            for name, tasks in (
+                ("multi-sequence", range(66)),
+                ("multi-sequence-more", range(66, 816)),
+            )
         ),
     )
 }
