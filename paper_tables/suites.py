@@ -183,7 +183,7 @@ SUITES: Mapping[str, Suite] = {
     "factorial-constraints": Suite(
         title="Factorial: every choice of a learned sampler, eight kinds of constraints",
         planners=PRODUCTS,
-        amounts=(Amount(problems=40, cutoff=2.0),),
+        amounts=(Amount(problems=24, cutoff=2.0),),
         table=factorial_table,
     ),
     # no shipped weights fit the arm with the door as its eighth joint
