@@ -23,11 +23,7 @@ from cvqmpt_lab.search.controls import guided, no_costs, other_costs
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import Stages
 from cvqmpt_lab.search.portfolio import Portfolio
-from cvqmpt_lab.search.roadmap import (
-    RoadmapPath,
-    scene_costs,
-    spread_roadmap,
-)
+from cvqmpt_lab.search.roadmap import scene_costs, spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.sensing.observation import Observer
 from cvqmpt_lab.vqmpt.sampler_choice import NAMED, PREFIX, SamplerChoice
@@ -139,7 +135,9 @@ def _roadmap(
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs,
     oracle: bool = False,
 ) -> Method:
-    """A planner on a roadmap: of the dictionary's nodes if weights are given, else evenly spread.
+    """Trees, a roadmap and cells in turns.
+
+    The roadmap is of the dictionary's nodes if weights are given, else evenly spread.
 
     Args:
         name: of the planner.
@@ -151,28 +149,20 @@ def _roadmap(
 
     def build(problem: PlanningProblem, model: str) -> Stages:
         robot, load = problem.robot, problem.attachments
-        if weights is None:
+        if problem.closed_chain:
+            roadmap = None  # hardly any node lies near a closed chain
+        elif weights is None:
             roadmap = spread_roadmap(robot, load, draw)
         else:
             from cvqmpt_lab.vqmpt.learned_sampler import free_dictionary  # imports safetensors
 
             roadmap = free_dictionary(model, robot, load)
         return Stages(
-            predict=RoadmapPath(roadmap, name, costs=costs, oracle=oracle),
+            search=Portfolio(roadmap=roadmap, name=name, costs=costs, oracle=oracle),
             path_source=partial(informed_roadmap_path, costs),
         )
 
     return Method(name, build, weights)
-
-
-def _portfolio(problem: PlanningProblem, model: str) -> Stages:
-    """Trees, an evenly spread roadmap and cells in turns."""
-    # hardly any evenly spread node lies near a closed chain
-    roadmap = None if problem.closed_chain else spread_roadmap(problem.robot, problem.attachments)
-    return Stages(
-        search=Portfolio(roadmap=roadmap, name="roadmap"),
-        path_source=partial(informed_roadmap_path, scene_costs),
-    )
 
 
 def _product(name: str, choice: SamplerChoice) -> Method:
@@ -202,7 +192,7 @@ PLANNERS = _by_name(
     _mpnet("mpnet", bridged=False),  # the paper's MPNet (w/ proj)
     _mpnet("mpnet-bridged", bridged=True),
     *(_product(name, choice) for name, choice in NAMED.items() if choice.predictor != "published"),
-    Method("roadmap", _portfolio),
+    _roadmap("roadmap"),
     _roadmap("roadmap-cvq", VQ_MPT),
 )
 

@@ -1,4 +1,4 @@
-"""The search of planner `roadmap`: trees, a roadmap and cells take turns, by counts of work.
+"""The search of planners on a roadmap: trees, a roadmap and cells take turns, by counts of work.
 
     1. trees of Algorithm 3 grow for a few iterations: problems that need no roadmap end here;
     2. the roadmap is searched (`lazy_roadmap`), but for little work;
@@ -12,7 +12,7 @@ No turn is ended by the clock, so the same seed leads to the same path. Numbers 
 tuning problems, see docs/performance.md.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -20,6 +20,7 @@ import numpy as np
 
 from cvqmpt_lab.search.birrt import BiRRT, GrowingTrees, plant, shown
 from cvqmpt_lab.search.cell_trees import CellTrees
+from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.planner_interface import (
     Deadline,
     GaussianMixture,
@@ -39,6 +40,10 @@ class Portfolio(BiRRT):
 
     roadmap: Roadmap | None  # None: of a closed chain, see `PlanningProblem.closed_chain`
     name: str  # of paths through the roadmap, in results
+    # of the roadmap's edges in a space
+    costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
+    # blocked nodes and edges are known at no cost: a bound of all roadmaps
+    oracle: bool = False
     settings: RoadmapSearchSettings = field(
         default_factory=lambda: RoadmapSearchSettings(searches=80)
     )
@@ -122,19 +127,24 @@ class _Run:
         """The roadmap's two turns, and that of the trees between them."""
         method, space, trees = self._method, self._space, self._uniform.name
         near = roadmap.near(self._ends[0], space.robot)
-        uniform, costs = Uniform(space.robot.lower, space.robot.upper), scene_costs(space)
-        query = RoadmapQuery(space, near, *self._ends, method.settings, costs)
+        uniform, asked = Uniform(space.robot.lower, space.robot.upper), (near, *self._ends)
+        query = RoadmapQuery(space, *asked, method.settings, method.costs(space))
+        if method.oracle:
+            aside = ConstrainedSpace(space.problem, space.backend)
+            known = RoadmapQuery(aside, *asked, method.settings, method.costs(aside))
+            known.next_path(Deadline(self.deadline.budget, aside))
+            query.avoid(known)
         for work in method.turns:
             path = query.next_path(self.deadline, work)
             free = query.free_nodes
             self._others = len(free)
-            known = query.graph.nodes[free]
+            nodes = query.graph.nodes[free]
             lost = f"free nodes: no roadmap path after {query.searches} searches"
             self.fallback = f"birrt around {len(free)} {lost}"
             yield method.name, path
             if work == method.turns[0]:
-                around = GaussianMixture.equal(known, near.covariance, uniform, 0.3, trees)
-                self.trees.draw_from(around, known)
+                around = GaussianMixture.equal(nodes, near.covariance, uniform, 0.3, trees)
+                self.trees.draw_from(around, nodes)
                 yield trees, self._grow(self.trees, method.between)
 
     def _grow(

@@ -1,12 +1,13 @@
-"""Roadmaps: nodes and their links, made once a robot; queries; and the planner `roadmap`.
+"""Roadmaps: nodes and their links, made once a robot; and queries.
 
 A roadmap holds configurations and straight links free of self-collision. They hold in every scene:
 roadmaps are kept in the user's cache, and checked again when read. A query searches a roadmap
-lazily in one scene under one constraint, see `lazy_roadmap`.
+lazily in one scene under one constraint, see `lazy_roadmap`. Planners search it in turns with
+trees, see `portfolio`.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -20,13 +21,7 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search import lazy_roadmap as kernels
 from cvqmpt_lab.search.edge_costs import EdgeCosts
-from cvqmpt_lab.search.planner_interface import (
-    Deadline,
-    GaussianMixture,
-    Observation,
-    Proposal,
-    Query,
-)
+from cvqmpt_lab.search.planner_interface import Deadline
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 
@@ -244,13 +239,8 @@ class RoadmapQuery:
             known: verdict on all nodes; FREE ones are on the manifold.
         """
         self._space, self._settings, self._costs = space, settings, costs
-        self._longest, self._ends, self.searches = longest, (start, goals), 0
-        verdict = np.full(len(roadmap.nodes), known, dtype=np.int8)
-        self._set_up(roadmap.nodes, roadmap.neighbours, verdict)
-
-    def _set_up(self, nodes: np.ndarray, table: np.ndarray, verdict: np.ndarray) -> None:
-        """Link start and goals to nodes (N, n) with links (N, k) and verdicts (N,)."""
-        settings, (start, goals) = self._settings, self._ends
+        nodes, table = roadmap.nodes, roadmap.neighbours
+        verdict = np.full(len(nodes), known, dtype=np.int8)
         count, total = len(nodes), len(nodes) + 1 + len(goals)
         links = min(settings.links, count)
         neighbours = np.full((count + 1, max(links, table.shape[1])), -1, dtype=np.int32)
@@ -262,7 +252,7 @@ class RoadmapQuery:
             goal_edge=np.zeros((count + 1, len(goals)), dtype=np.int8),
             node=np.concatenate([verdict, np.full(1 + len(goals), kernels.FREE, dtype=np.int8)]),
             penalty=settings.penalty,
-            longest=self._longest,
+            longest=longest,
             clearance=np.full(total, np.inf),
             lowest=np.empty((count + 1, neighbours.shape[1] + len(goals))),
             known=np.zeros((count + 1, neighbours.shape[1] + len(goals)), dtype=np.int32),
@@ -275,31 +265,9 @@ class RoadmapQuery:
             heap=np.empty(32 * total),
             heap_edge=np.empty(32 * total, dtype=np.int32),
         )
-        self._count, self._left = count, settings.searches
+        self._count, self._left, self.searches = count, settings.searches, 0
         kernels.link_query.unchecked(self.graph, np.empty(links, dtype=np.int32), np.empty(links))
         self.graph.to_go[:] *= settings.greed
-
-    def add_nodes(self, added: np.ndarray) -> None:
-        """Link more nodes (a, n) to the roadmap, to each other, and to start and goals.
-
-        Verdicts on nodes and edges between them are kept, those on edges of start and goals not.
-        """
-        before, count, half = self.graph, self._count, self._settings.links // 2
-        nodes = np.concatenate([before.nodes[:count], added])
-        table = np.full((len(nodes), before.neighbours.shape[1]), -1, dtype=np.int32)
-        table[:count] = before.neighbours[:count]
-        new = count + nearest_rows(added, added, half, apart=True)
-        near = np.concatenate([nearest_rows(nodes[:count], added, half), new], axis=1)
-        table[count:, : near.shape[1]] = near
-        for row, targets in enumerate(near, start=count):
-            back = targets[table[targets, -1] < 0]  # those that have room for one more
-            table[back, np.argmax(table[back] < 0, axis=1)] = row
-        unknown = np.full(len(added), kernels.UNKNOWN, dtype=np.int8)
-        verdict = np.concatenate([before.node[:count], unknown])
-        self._set_up(nodes, table, verdict)
-        self.graph.edge[:count] = before.edge[:count]
-        for kept in ("factor", "clearance", "lowest", "known"):
-            getattr(self.graph, kept)[:count] = getattr(before, kept)[:count]
 
     def avoid(self, known: "RoadmapQuery") -> None:
         """Leave out what another query, of the same nodes, found blocked."""
@@ -341,59 +309,3 @@ class RoadmapQuery:
     def free_nodes(self) -> np.ndarray:
         """Rows (r,) of nodes found free so far."""
         return np.flatnonzero(self.graph.node[: self._count] == kernels.FREE)
-
-
-@dataclass(frozen=True, eq=False)
-class RoadmapPath:
-    """Proposes a path through the roadmap, projected node by node.
-
-    If there is none, nodes near start and goals are added. If that does not help, it proposes
-    samples around the nodes found free.
-    """
-
-    roadmap: Roadmap
-    name: str
-    settings: RoadmapSearchSettings = field(default_factory=RoadmapSearchSettings)
-    draws: int = 3  # how often nodes near start and goals are added while there is no path
-    costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
-    # blocked nodes and edges are known at no cost: a bound of all roadmaps
-    oracle: bool = False
-
-    def __call__(self, query: Query, observation: Observation) -> Proposal:
-        """Search the roadmap under the query's constraint."""
-        if len(self.roadmap.nodes) < 2:
-            count = len(self.roadmap.nodes)
-            return Proposal(query.uniform, fallback=f"birrt: {count} nodes are no roadmap")
-        deadline = query.deadline
-        roadmap = self.roadmap.near(query.start, query.space.robot)
-        asked = roadmap, query.start, query.goals, self.settings
-        search = RoadmapQuery(query.space, *asked, self.costs(query.space))
-        if self.oracle:
-            aside = ConstrainedSpace(query.space.problem, query.space.backend)
-            before = RoadmapQuery(aside, *asked, self.costs(aside))
-            before.next_path(Deadline(deadline.budget, aside))
-            search.avoid(before)
-        path = search.next_path(deadline)
-        for _ in range(self.draws):
-            if path is not None or deadline.spent():
-                break
-            search.add_nodes(self._near_ends(query))
-            path = search.next_path(deadline)
-        free = search.free_nodes
-        known = search.graph.nodes[free[free < len(roadmap.nodes)]]  # projected
-        # in case that the roadmap holds no path
-        around = GaussianMixture.equal(known, roadmap.covariance, query.uniform, 0.3, self.name)
-        if path is not None:
-            return Proposal(around, vertices=len(free) + 2, path=path)
-        lost = f"free nodes: no roadmap path after {search.searches} searches"
-        return Proposal(around, vertices=len(known), fallback=f"birrt around {len(known)} {lost}")
-
-    def _near_ends(self, query: Query, count: int = 128) -> np.ndarray:
-        """Projected draws (at most count, n), half around the start, half around goals."""
-        rng, robot = query.rng, query.space.robot
-        centres = np.tile(query.start, (count, 1))
-        centres[::2] = query.goals[rng.integers(len(query.goals), size=len(centres[::2]))]
-        widths = rng.uniform(0.0, 1.0, (count, 1))  # standard deviations [rad]
-        draws = centres + widths * rng.standard_normal(centres.shape)
-        draws = np.clip(draws, robot.lower, robot.upper)
-        return draws[[query.space.project(q) for q in draws]]

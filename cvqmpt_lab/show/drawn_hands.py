@@ -10,7 +10,6 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query
 from cvqmpt_lab.search.portfolio import Portfolio
 from cvqmpt_lab.search.result import Budget, Tree
-from cvqmpt_lab.search.roadmap import RoadmapPath
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.show.bodies import GHOST, GOAL, TRACE
 from cvqmpt_lab.show.meshes import Colour
@@ -28,9 +27,8 @@ def sampled_hands(
     """
     robot, rng, method = problem.robot, np.random.default_rng(0), planner_named(planner)
     stages = method.stages(problem)
-    for stage in (stages.predict, stages.search):
-        if isinstance(stage, RoadmapPath | Portfolio) and stage.roadmap is not None:
-            yield "search", robot.poses(stage.roadmap.nodes)[:, :3, 3], GHOST
+    if isinstance(stages.search, Portfolio) and stages.search.roadmap is not None:
+        yield "search", robot.poses(stages.search.roadmap.nodes)[:, :3, 3], GHOST
     for tree in trees:
         yield "search", robot.poses(tree.nodes)[:, :3, 3], GOAL
     cloud = None if stages.observe is None else stages.observe(problem.scene)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.benchmarks.place_task import place_problem, single_goal_problem
+from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate import certify
 from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
@@ -25,10 +25,10 @@ from cvqmpt_lab.search.planner_interface import (
     search,
     uniform,
 )
+from cvqmpt_lab.search.portfolio import Portfolio
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.search.roadmap import (
     Roadmap,
-    RoadmapPath,
     RoadmapQuery,
     RoadmapSearchSettings,
     scene_costs,
@@ -50,9 +50,9 @@ def roadmap(tuning):
     return Roadmap.of(nodes)
 
 
-def plan(tuning, proposer, seed=0):
-    """What birrt finds after a proposal."""
-    method = Method.simple("roadmap", predict=proposer)
+def plan(tuning, roadmap, seed=0, **options):
+    """What the turns find with a roadmap."""
+    method = Method.simple("roadmap", search=Portfolio(roadmap=roadmap, name="roadmap", **options))
     return solve(tuning, method, ENOUGH, seed, clearance=False).plan
 
 
@@ -88,7 +88,7 @@ def test_visited_nodes_lie_on_the_manifold_and_are_free(tuning, roadmap):
 
 def test_without_a_roadmap_path_birrt_helps_and_the_row_says_so(tuning, roadmap):
     few = RoadmapSearchSettings(searches=1, links=1)
-    result = plan(tuning, RoadmapPath(roadmap, "roadmap", settings=few, draws=0))
+    result = plan(tuning, roadmap, settings=few)
     assert result.path is not None and certify(tuning, result.path).valid
     assert result.fallback.startswith("birrt around ")
     assert result.fallback.endswith("free nodes: no roadmap path after 1 searches")
@@ -112,13 +112,11 @@ def test_edges_cost_more_the_less_likely_they_are_free(tuning, roadmap):
     assert np.exp(-nll).mean() == pytest.approx(free.mean(), abs=0.08)
 
 
-def test_more_nodes_free_a_start_that_no_code_is_near(roadmap):
-    tuning = single_goal_problem(1002)
-    far = np.argsort(np.linalg.norm(roadmap.nodes - tuning.start, axis=1))[-300:]
-    sparse = Roadmap.of(roadmap.nodes[far])
-    assert plan(tuning, RoadmapPath(sparse, "roadmap", draws=0)).fallback
-    helped = plan(tuning, RoadmapPath(sparse, "roadmap", draws=3))
-    assert not helped.fallback and certify(tuning, helped.path).valid
+def test_what_an_oracle_knows_is_not_paid_for(tuning, roadmap):
+    told, plain = (plan(tuning, roadmap, first=0, oracle=oracle) for oracle in (True, False))
+    assert certify(tuning, told.path).valid and told.sampler == plain.sampler == "roadmap"
+    assert told.counters.iterations < plain.counters.iterations
+    assert told.counters.state_checks < plain.counters.state_checks
 
 
 ENOUGH = Budget(iterations=20_000)

@@ -14,8 +14,9 @@ from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud, Sphere
+from cvqmpt_lab.search.portfolio import Portfolio
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.search.roadmap import NEIGHBOURS, NODES, TURN, RoadmapPath, spread_roadmap
+from cvqmpt_lab.search.roadmap import NEIGHBOURS, NODES, TURN, spread_roadmap
 from cvqmpt_lab.search.space import ConstrainedSpace
 
 EMPTY = Scene("empty", ())
@@ -125,7 +126,7 @@ def test_a_load_larger_than_the_robot_leaves_no_nodes_and_birrt_plans(slider_arm
     assert len(none.nodes) == 0
     start, goal = fresh(slider_arm).nodes[:2]
     problem = PlanningProblem("few", slider_arm, EMPTY, start, goal[None])
-    few = Method.simple("few", predict=RoadmapPath(none, "few"))
+    few = Method.simple("few", search=Portfolio(roadmap=none, name="few", first=0))
     solution = solve(problem, few, Budget(seconds=2.0), seed=0)
     assert solution.solved and solution.plan.fallback == "birrt: 0 nodes are no roadmap"
 
