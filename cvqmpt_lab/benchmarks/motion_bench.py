@@ -253,7 +253,8 @@ def level_problem(index: int, tilt: float = 0.1) -> PlanningProblem | Unsolvable
     """The same with a level hand: its axis that points up at the goal points up all the way.
 
     The start is the given one where the hand is level there; else one with the hand at the same
-    place, or within 0.1 or 0.3 m of it, found around the given start or anywhere.
+    place, or within 0.1 or 0.3 m of it, found around the given start or anywhere. It leans by at
+    most a fifth of the tilt: planners that translate the constraint have bounds inside of it.
 
     Args:
         index: as in `motion_bench_problem`.
@@ -263,7 +264,8 @@ def level_problem(index: int, tilt: float = 0.1) -> PlanningProblem | Unsolvable
     if isinstance(found, UnsolvableProblem):
         return found
     robot, checker = found.robot, found.collision_checker(SAMPLE_MARGIN)
-    level = upright(tilt, upper_axis(robot.pose(found.goals[0])))
+    axis = upper_axis(robot.pose(found.goals[0]))
+    level, steady = upright(tilt, axis), upright(0.2 * tilt, axis)
     apart = RegionConstraint(robot, (level,))
     if np.linalg.norm(apart.residual(found.goals[0])) > 0.0:
         reason = f"{found.scene.name}: no axis of the hand points up at the goal"
@@ -274,7 +276,7 @@ def level_problem(index: int, tilt: float = 0.1) -> PlanningProblem | Unsolvable
     for reach, near in product((0.0, 0.1, 0.3), (found.start, None)):
         there = symmetric_region(here, np.eye(4), [reach] * 3 + [FREE] * 3)
         rng = np.random.default_rng([index, 45])
-        drawn = sample_region(robot, there, checker, rng, 1, 50, (level,), near, project=True)
+        drawn = sample_region(robot, there, checker, rng, 1, 50, (steady,), near, project=True)
         if len(drawn.configurations):
             return found.changed(constraint=(level,), start=drawn.configurations[0])
     reason = f"{found.scene.name}: no level hand near the start's place, {drawn.outcome}"
