@@ -151,7 +151,7 @@ OPTIONS: Options = {
         metavar="DIR",
     ),
     "--profile": option(
-        f"of {ALL}: {', '.join(PROFILES)}; on two cores two hours, 1 to 3 minutes (full)",
+        f"of {ALL}: {', '.join(PROFILES)}; on two cores three hours, 1 to 3 minutes (full)",
         default="full",
     ),
     "--problems": option(

@@ -20,7 +20,7 @@ from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
 from paper_tables.suites import SUITES
 
-# what is committed, two hours on two cores, and a little of it, 1 to 3 minutes
+# what is committed, three hours on two cores, and a little of it, 1 to 3 minutes
 PROFILES = ("full", "small")
 
 
