@@ -5,9 +5,11 @@ something is undefined (no data) an `Interval` holds None, never 0.
 """
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
+from itertools import accumulate
 from operator import attrgetter
 from statistics import NormalDist, fmean, stdev
 from typing import NamedTuple
@@ -81,13 +83,9 @@ def median_interval(values: ArrayLike) -> Interval:
 @lru_cache(maxsize=1024)
 def _median_rank(n: int) -> tuple[int, float]:
     """The r of `median_interval` for n values, and P(r <= B <= n - r)."""
-    rank, below = 0, Fraction(1, 2**n)
-    while below < Fraction((1.0 - CONFIDENCE) / 2.0):
-        rank += 1
-        below += Fraction(math.comb(n, rank), 2**n)
-    rank = max(1, rank)
-    lower = sum(Fraction(math.comb(n, k), 2**n) for k in range(rank))
-    return rank, max(0.0, float(1 - 2 * lower))
+    below = list(accumulate(Fraction(math.comb(n, k), 2**n) for k in range(n + 1)))  # P(B <= k)
+    rank = max(1, bisect_left(below, Fraction((1.0 - CONFIDENCE) / 2.0)))
+    return rank, max(0.0, float(1 - 2 * below[rank - 1]))
 
 
 def mean_of_solved(values: ArrayLike, samples: int = 2000) -> Interval:
