@@ -71,7 +71,7 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
         whole = item.seconds + time.perf_counter() - began
         row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
         if solution.path is not None:
-            truth = certify(item.true_problem, solution.path)
+            truth = certify(replace(item.problem, scene=item.truth), solution.path)
             doubts = {FaultKind.COLLISION, FaultKind.NOT_PROVEN} & {
                 fault.kind for fault in truth.faults
             }

@@ -160,11 +160,6 @@ def grouped(pairs: Iterable[tuple[Key, Item]]) -> dict[Key, list[Item]]:
     return found
 
 
-def by_problem(rows: Iterable[ResultRow]) -> list[list[ResultRow]]:
-    """Rows grouped by problem."""
-    return [*grouped([(row.problem, row) for row in rows]).values()]
-
-
 def censored(rows: Rows, value: Value) -> list[list[float]]:
     """Values of solved runs and +inf for failures, by problem; [] if no solved run has one."""
     numbers = [value(row) if row.solved else math.inf for row in rows]
@@ -278,8 +273,8 @@ def split_by_work(reference: Iterable[ResultRow]) -> Mapping[str, frozenset[Prob
 
 def _hard_problems(rows: Rows) -> frozenset[str]:
     efforts = {
-        seeds[0].problem: median(censored([row], work)[0][0] for row in seeds)
-        for seeds in by_problem(rows)
+        problem: median(censored([row], work)[0][0] for row in seeds)
+        for problem, seeds in grouped((row.problem, row) for row in rows).items()
     }
     ordered = sorted(efforts.values())
     last_easy = math.ceil((1.0 - HARD_SHARE) * len(ordered) - 1e-9) - 1
