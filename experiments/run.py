@@ -3,7 +3,6 @@
 A problem gives one row, a task one for each planned phase.
 """
 
-import hashlib
 import math
 import os
 import time
@@ -18,6 +17,7 @@ import numpy as np
 
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
+from cvqmpt_lab.caches import sources_digest
 from cvqmpt_lab.certificate import Clearance, FaultKind, certify
 from cvqmpt_lab.errors import CvqmptError, InvalidInputError
 from cvqmpt_lab.external import external_planner
@@ -275,12 +275,9 @@ def default_jobs() -> int:
 
 def _installed(experiment: Experiment) -> dict[str, object]:
     """Digests of the sources and of the planners' weights on this machine: they decide rows."""
-    digest, root = hashlib.sha256(), Path(__file__).resolve().parents[1]
-    for package in ("cvqmpt_lab", "experiments"):
-        for path in sorted((root / package).rglob("*.py")):
-            digest.update(f"{path.relative_to(root)}".encode() + path.read_bytes())
+    root = Path(__file__).resolve().parents[1]
     return {
-        "sources": digest.hexdigest(),
+        "sources": sources_digest(root / "cvqmpt_lab", root / "experiments"),
         "weights": weights_of(experiment.planners, experiment.model),
         "problem files": experiment.digests,
         "planners": externals_of(experiment.planners),

@@ -189,9 +189,8 @@ def forest(verdicts: Sequence[Verdict]) -> bytes:
         _finish(axes, label, "", legend=False, log=not shares)
     panels[0].axvspan(0.9, 1.0 / 0.9, color="0.92", zorder=0)
     marks = [Line2D([], [], color=c, marker="o", label=w) for w, c in WORD_COLOURS.items()]
-    paper = Line2D([], [], color="black", marker="D", fillstyle="none", linestyle="none")
-    paper.set_label("the paper's number")
-    marks.append(paper)
+    style: Any = {"marker": "D", "fillstyle": "none", "linestyle": "none"}
+    marks.append(Line2D([], [], color="black", label="the paper's number", **style))
     figure.legend(handles=marks, loc="outside upper center", ncols=3, frameon=False)
     return figure_bytes(figure, "png", 140)
 
