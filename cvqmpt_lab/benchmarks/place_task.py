@@ -184,10 +184,14 @@ def _problem(
     attachments: tuple[Attachment, ...] = (),
 ) -> PlanningProblem | UnsolvableProblem:
     """Problem from a grasp of the can at com (3,) [m] to grasps of the one on the shelf."""
-    rng, ends = np.random.default_rng([environment, 0]), (grasp_region(com), shelf)
-    constraint = upright_box()
     return problem_between(
-        str(environment), scene, ends, constraint, rng, attachments, "start grasp"
+        str(environment),
+        scene,
+        (grasp_region(com), shelf),
+        upright_box(),
+        np.random.default_rng([environment, 0]),
+        attachments,
+        "start grasp",
     )
 
 
