@@ -34,9 +34,9 @@ class Interval(NamedTuple):
     n: int  # number of values used
     coverage: float | None = None  # exact, of an order-statistic interval
 
-    def scaled(self, factor: float) -> "Interval":
-        """The same interval in another unit."""
-        middle, low, high = (None if x is None else x * factor for x in self[:3])
+    def mapped(self, scale: Callable[[float], float]) -> "Interval":
+        """The same interval on another scale, an increasing function of this one."""
+        middle, low, high = (None if x is None else scale(x) for x in self[:3])
         return Interval(middle, low, high, self.n, self.coverage)
 
 
@@ -117,9 +117,7 @@ def geometric_mean_interval(values: ArrayLike) -> Interval:
         raise InvalidInputError(
             f"geometric mean of {array.min()} to {array.max()}; give finite positive values"
         )
-    logs = mean_of_solved(np.log(array))
-    middle, low, high = (None if x is None else math.exp(x) for x in logs[:3])
-    return Interval(middle, low, high, logs.n)
+    return mean_of_solved(np.log(array)).mapped(math.exp)
 
 
 def student_interval(values: Sequence[float], confidence: float = CONFIDENCE) -> Interval:
