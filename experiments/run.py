@@ -19,7 +19,7 @@ from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
 from cvqmpt_lab.caches import sources_digest
 from cvqmpt_lab.certificate import Clearance, FaultKind, certify
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError, whole_number
 from cvqmpt_lab.external import external_planner
 from cvqmpt_lab.pipeline import Solution, solve, with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
@@ -223,8 +223,7 @@ def executor_for(
     experiment: Experiment, jobs: int, dask: str | None = None
 ) -> AbstractContextManager[Executor]:
     """Processes on this machine, or the Dask cluster at an address, with our code and weights."""
-    if jobs < 1:
-        raise InvalidInputError(f"jobs must be 1 or more, not {jobs}")
+    whole_number("jobs", jobs, 1)
     if dask is not None:
         return dask_cluster(dask, experiment.limit_s, partial(_installed, experiment))
     return local_processes(jobs, experiment.limit_s)
