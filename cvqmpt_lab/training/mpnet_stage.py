@@ -120,8 +120,9 @@ class MPNetStage(Stage):
     def batches(self, epoch: int) -> Batches:
         """Every training path once, in a new order for each epoch."""
         rng, turn = np.random.default_rng((self.seed, epoch)), self._turn
-        rows = self.dataset.split("train")
-        rows = self.dataset.with_few_trivial(rows, self.settings.trivial_share, rng)
+        rows = self.dataset.with_few_trivial(
+            self.dataset.split("train"), self.settings.trivial_share, rng
+        )
         key = None
         if turn.active:
             # paths on the same side of the robot can be turned further together
@@ -135,8 +136,9 @@ class MPNetStage(Stage):
     def validation_batches(self) -> Batches:
         """Equal held-out paths and clouds each time."""
         rng, settings = np.random.default_rng(self.seed), self.settings
-        rows = self.dataset.split("validation")
-        rows = self.dataset.with_few_trivial(rows, settings.trivial_share, rng)
+        rows = self.dataset.with_few_trivial(
+            self.dataset.split("validation"), settings.trivial_share, rng
+        )
         most = max(1, settings.validation_paths // settings.paths_per_scene)
         groups = self._grouped(rows, rng)[:most]
         batches = np.array_split(groups, max(1, len(groups) // settings.scenes))
