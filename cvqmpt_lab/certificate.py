@@ -177,9 +177,6 @@ def certify(
     ]
     closest = min(filter(None, rooms), key=lambda room: room.distance_m, default=None)
     least_m = np.inf if clearance else np.nan
-    tolerated = None
-    if clearance:
-        tolerated = deviation_tolerated(problem, path.states, rooms, checker.margin)
     return Certificate(
         faults=tuple(faults),
         max_violation_rad=violation.radians,
@@ -192,7 +189,9 @@ def certify(
         unproven_m=moved,
         obstacle_clearance=rooms[0],
         self_clearance=rooms[1],
-        tolerated=tolerated,
+        tolerated=deviation_tolerated(problem, path.states, rooms, checker.margin)
+        if clearance
+        else None,
     )
 
 

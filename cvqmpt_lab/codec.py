@@ -2,8 +2,9 @@
 
 Understood are numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses and
 `Annotated[T, form]`. A form has `read(value, where)`, which makes a T from json or checks one, and
-`write(value)`, its json. A field "_comment" is ignored in every object. Errors begin with the path
-of the field. The json schemas for editors are files of their own, `schemas/*.json`.
+`write(value)`, its json, where that is not the json of any T. A field "_comment" is ignored in
+every object. Errors begin with the path of the field. The json schemas for editors are files of
+their own, `schemas/*.json`.
 """
 
 import dataclasses
@@ -52,7 +53,7 @@ def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
     if value is None:
         return None
     if origin is Annotated:
-        return parts[1].write(value)
+        return parts[1].write(value) if hasattr(parts[1], "write") else to_plain(value)
     if origin in (types.UnionType, typing.Union):
         return to_plain(value, parts[0], complete)
     if origin is tuple:

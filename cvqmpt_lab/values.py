@@ -70,10 +70,6 @@ class Condition:
             raise InvalidInputError(f"{where} is {shown(value)}; it must be {self.must}")
         return value
 
-    def write(self, value: Any) -> Any:
-        """The value itself."""
-        return value
-
 
 @dataclass(frozen=True)
 class Array:

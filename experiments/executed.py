@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES,
     Execution,
@@ -31,6 +31,7 @@ from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import solve_task
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.timing import TimingSettings
+from paper_tables.measures import grouped
 
 MOTIONS, TASKS = ("place-task-with-can", 50), ("multi-sequence", 10)
 CONTROLLERS = ("computed-torque", "computed-torque-unknown-load")
@@ -157,16 +158,12 @@ def read_rows(path: Path) -> list[Row]:
 
 def table(rows: Sequence[Row]) -> str:
     """Markdown: a title, and a line for each suite, speed and controller."""
-    if not rows:
-        raise InvalidInputError("no rows of executed motions")
     heads = (
         "problems | speed | controller | executed | undecided | off path, median (most) [mm] | "
         "tilt, most [rad] | with contacts | at limits, most [ms] | drift, most [mm] | placed"
     )
     lines = [f"| {heads} |", "|---|" + "---|" * heads.count("|")]
-    groups: dict[tuple[str, float, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row.suite, row.speed, row.controller), []).append(row)
+    groups = grouped(((row.suite, row.speed, row.controller), row) for row in rows)
     for (suite, speed, controller), some in groups.items():
         ran = [row for row in some if np.isfinite(row.off_path_mm)]
         off = [row.off_path_mm for row in ran] or [np.nan]

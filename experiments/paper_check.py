@@ -1,6 +1,5 @@
 """Cost of a state check in the paper's simulator, PyBullet: all distances between bodies."""
 
-import importlib.util
 from collections.abc import Sequence
 from itertools import combinations_with_replacement
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.errors import InvalidInputError, install_command
+from cvqmpt_lab.errors import require_installed
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
@@ -30,11 +29,7 @@ def paper_check(problem: PlanningProblem) -> list[Measured]:
 
     InvalidInputError: the extra `pybullet` is not installed.
     """
-    if importlib.util.find_spec("pybullet") is None:
-        raise InvalidInputError(
-            "bench paper-check needs PyBullet, which is not installed: "
-            f"{install_command('pybullet')}"
-        )
+    require_installed("pybullet", "bench paper-check", "pybullet")
     import pybullet as bullet
 
     client, clock = bullet.connect(bullet.DIRECT), CpuClock()

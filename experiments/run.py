@@ -3,7 +3,6 @@
 A problem gives one row, a task one for each planned phase.
 """
 
-import hashlib
 import math
 import os
 import time
@@ -18,8 +17,9 @@ import numpy as np
 
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
+from cvqmpt_lab.caches import sources_digest
 from cvqmpt_lab.certificate import Clearance, FaultKind, certify
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.errors import CvqmptError, whole_number
 from cvqmpt_lab.external import external_planner
 from cvqmpt_lab.pipeline import Solution, solve, with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
@@ -71,7 +71,7 @@ def outcome_of(run: Run, item: SuiteItem, goal_seconds: float) -> Outcome:
         whole = item.seconds + time.perf_counter() - began
         row = replace(row, t_sense_s=item.seconds, t_whole_s=whole)
         if solution.path is not None:
-            truth = certify(item.true_problem, solution.path)
+            truth = certify(replace(item.problem, scene=item.truth), solution.path)
             doubts = {FaultKind.COLLISION, FaultKind.NOT_PROVEN} & {
                 fault.kind for fault in truth.faults
             }
@@ -223,8 +223,7 @@ def executor_for(
     experiment: Experiment, jobs: int, dask: str | None = None
 ) -> AbstractContextManager[Executor]:
     """Processes on this machine, or the Dask cluster at an address, with our code and weights."""
-    if jobs < 1:
-        raise InvalidInputError(f"jobs must be 1 or more, not {jobs}")
+    whole_number("jobs", jobs, 1)
     if dask is not None:
         return dask_cluster(dask, experiment.limit_s, partial(_installed, experiment))
     return local_processes(jobs, experiment.limit_s)
@@ -275,12 +274,9 @@ def default_jobs() -> int:
 
 def _installed(experiment: Experiment) -> dict[str, object]:
     """Digests of the sources and of the planners' weights on this machine: they decide rows."""
-    digest, root = hashlib.sha256(), Path(__file__).resolve().parents[1]
-    for package in ("cvqmpt_lab", "experiments"):
-        for path in sorted((root / package).rglob("*.py")):
-            digest.update(f"{path.relative_to(root)}".encode() + path.read_bytes())
+    root = Path(__file__).resolve().parents[1]
     return {
-        "sources": digest.hexdigest(),
+        "sources": sources_digest(root / "cvqmpt_lab", root / "experiments"),
         "weights": weights_of(experiment.planners, experiment.model),
         "problem files": experiment.digests,
         "planners": externals_of(experiment.planners),

@@ -57,12 +57,9 @@ def untraceable(directory: Path, models_of: Callable[[str], Collection[str]]) ->
     ]
     for session in sessions(record):
         commit = session.get("git_commit")
-        if commit is not None and not session.get("git_dirty"):
-            continue
-        state = "without a commit"
-        if commit is not None:
-            state = f"from {commit[:12]} with uncommitted changes"
-        found.append(f"{directory}: made {state}; make it again from a clean commit")
+        state = f"from {commit[:12]} with uncommitted changes" if commit else "without a commit"
+        if commit is None or session.get("git_dirty"):
+            found.append(f"{directory}: made {state}; make it again from a clean commit")
     return found
 
 

@@ -82,7 +82,7 @@ def _compared(planner: str, a: Rows, b: Rows) -> Compared:
     return Compared(
         planner=planner,
         pairs=len(pairs),
-        solved=(fraction(a, solved).scaled(100), fraction(b, solved).scaled(100)),
+        solved=(fraction(a, solved), fraction(b, solved)),
         gained=tuple(pair for pair, old, new in pairs if new.solved and not old.solved),
         lost=tuple(pair for pair, old, new in pairs if old.solved and not new.solved),
         changes={name: mean_ratio(paired(b, a, value)) for name, value in COMPARED.items()},

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
-from typing import Any
 
 from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE, ResultRow, split_problem
 from paper_tables import table_engine as table
@@ -337,8 +336,8 @@ def group_table(
     for group in (*groups, "all"):
         for planner, own in runs.groups.items():
             part = [row for row in own if group in ("all", split_problem(row.problem).phase)]
-            names: dict[str, Any] = {"group": (group,), "suffix": f"_under_{group}"}
-            found.append(table.entry(planner, part, runs, columns, **names))
+            suffix = f"_under_{group}"
+            found.append(table.entry(planner, part, runs, columns, group=(group,), suffix=suffix))
     lines = table.group_lines(found, [what])
     size, suite = f"{len(ordered)} problems, {len(groups)} {what}s", runs.rows[0].suite
     together = table.counted([item for item in found if item.group == ("all",)])

@@ -160,11 +160,6 @@ def grouped(pairs: Iterable[tuple[Key, Item]]) -> dict[Key, list[Item]]:
     return found
 
 
-def by_problem(rows: Iterable[ResultRow]) -> list[list[ResultRow]]:
-    """Rows grouped by problem."""
-    return [*grouped([(row.problem, row) for row in rows]).values()]
-
-
 def censored(rows: Rows, value: Value) -> list[list[float]]:
     """Values of solved runs and +inf for failures, by problem; [] if no solved run has one."""
     numbers = [value(row) if row.solved else math.inf for row in rows]
@@ -175,17 +170,17 @@ def censored(rows: Rows, value: Value) -> list[list[float]]:
 
 
 def fraction(rows: Iterable[ResultRow], counted: Callable[[ResultRow], bool]) -> Interval:
-    """Mean over problems of the share of its rows, with Wilson's interval."""
+    """Mean over problems of the share of its rows [%], with Wilson's interval."""
     return problem_share([(row.problem, counted(row)) for row in rows])
 
 
 def problem_share(flags: Iterable[tuple[str, bool]]) -> Interval:
-    """Mean over problems of the share of flags that hold, with Wilson's interval.
+    """Mean over problems of the share of flags that hold [%], with Wilson's interval.
 
     flags: problem, and whether one of its runs is counted.
     """
     shares = [sum(seeds) / len(seeds) for seeds in grouped(flags).values()]
-    return wilson_interval(math.fsum(shares), len(shares))
+    return wilson_interval(math.fsum(shares), len(shares)).mapped(lambda share: 100.0 * share)
 
 
 def problem_median(values: Iterable[Sequence[float]]) -> Interval:
@@ -278,8 +273,8 @@ def split_by_work(reference: Iterable[ResultRow]) -> Mapping[str, frozenset[Prob
 
 def _hard_problems(rows: Rows) -> frozenset[str]:
     efforts = {
-        seeds[0].problem: median(censored([row], work)[0][0] for row in seeds)
-        for seeds in by_problem(rows)
+        problem: median(censored([row], work)[0][0] for row in seeds)
+        for problem, seeds in grouped((row.problem, row) for row in rows).items()
     }
     ordered = sorted(efforts.values())
     last_easy = math.ceil((1.0 - HARD_SHARE) * len(ordered) - 1e-9) - 1
@@ -315,7 +310,7 @@ def share_of(
     counted: Callable[[ResultRow], bool], among: Callable[[ResultRow], bool] | None = None
 ) -> Measure:
     """Percentage of the runs of a kind, with Wilson's interval."""
-    return lambda rows, runs: fraction(filter(among, rows) if among else rows, counted).scaled(100)
+    return lambda rows, runs: fraction(filter(among, rows) if among else rows, counted)
 
 
 def solved_within(time: float) -> Measure:
@@ -325,7 +320,7 @@ def solved_within(time: float) -> Measure:
         # no call of Python for each row: a table has many times, and many rows
         taken = [(row.problem, row.solved, row.t_total_s) for row in rows]
         done = [(name, good and s is not None and s <= time) for name, good, s in taken]
-        return problem_share(done).scaled(100)
+        return problem_share(done)
 
     return measure
 

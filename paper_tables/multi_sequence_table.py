@@ -10,8 +10,6 @@ from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_r
 from paper_tables import table_engine as table
 from paper_tables.measures import (
     Measure,
-    Rows,
-    SuiteRuns,
     grouped,
     mean_of,
     median_of,
@@ -128,6 +126,12 @@ NOTES = (
     "as its own.",
 )
 
+ABSENT = (
+    f"{CBIRRT} has no rows here. Cut off after 2 s, as with --profile small, it solved neither of "
+    "the first two tasks, in ten attempts at the way to the can and half a minute each; that "
+    "profile leaves it out."
+)
+
 
 def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -> SuiteTable:
     """The paper's Table II for both sets of phases, then phases, fallbacks, failures and notes.
@@ -140,7 +144,19 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
     found, tasks, by_phase = [], [], []
     for name, own in runs.groups.items():
         tasks.append(table.entry(name, own, runs, TASK_COLUMNS, published))
-        parts = [_phase_entry(name, own, runs, phase) for phase in phases]
+        reached = [row for row in own if row.fail_reason is not FailReason.NOT_REACHED]
+        tried = grouped((split_problem(row.problem).phase, row) for row in reached)
+        parts = [
+            table.entry(
+                name,
+                tried.get(phase, []),
+                runs,
+                PHASE_COLUMNS,
+                group=(phase,),
+                suffix=f"_in_{phase}",
+            )
+            for phase in phases
+        ]
         by_phase += parts
         found += [tasks[-1], *parts]
     by_phase.sort(key=lambda item: phases.index(item.group[0]))
@@ -153,7 +169,7 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
         **table.counted(tasks),
         "Notes": [
             *NOTES,
-            *_absent(runs),
+            *([] if CBIRRT in runs.groups else [ABSENT]),
             *table.seed_notes(runs),
             *table.published_notes(runs, published),
         ],
@@ -161,28 +177,6 @@ def task_table(rows: Iterable[ResultRow], published: Sequence[PublishedValue]) -
     caption = f"Multi-sequence task, {size}, {PARTS['paper']}. {NOTES[2]} {NOTES[3]}"
     latex = table.latex_planners(caption, suite, tasks, HEADLINES)
     return SuiteTable(suite, size, found, sections, latex)
-
-
-def _absent(runs: SuiteRuns) -> list[str]:
-    """What is said where the paper's own baseline has no rows."""
-    if CBIRRT in runs.groups:
-        return []
-    return [
-        f"{CBIRRT} has no rows here. Cut off after 2 s, as with --profile small, it solved neither "
-        "of the first two tasks, in ten attempts at the way to the can and half a minute each; "
-        "that profile leaves it out."
-    ]
-
-
-def _phase_entry(planner: str, rows: Rows, runs: SuiteRuns, phase: str) -> Entry:
-    """Entry of the rows of a phase that was tried."""
-    tried = [
-        row
-        for row in rows
-        if split_problem(row.problem).phase == phase
-        and row.fail_reason is not FailReason.NOT_REACHED
-    ]
-    return table.entry(planner, tried, runs, PHASE_COLUMNS, group=(phase,), suffix=f"_in_{phase}")
 
 
 def _time_lines(found: Sequence[Entry], part: str) -> Lines:

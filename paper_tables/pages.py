@@ -265,6 +265,8 @@ def evidence_of(directory: Path) -> dict[str, Evidence]:
 
 def section_of(evidence: Evidence) -> dict[str, Any]:
     """Everything that the report says of a results directory."""
+    from paper_tables import plots  # matplotlib takes a second to import
+
     rows, name = evidence.rows, evidence.folder.name
     suite = rows[0].suite if rows else name
     table = suite_of(suite) if rows else Suite(title=f"Figure {name}")
@@ -277,7 +279,8 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
         "blocks": [block for block in table_of(rows).sections.items() if block[1]] if rows else [],
         "planners": list(groups),
         "plots": _plots(groups) if rows else {},
-        "colours": _colours(groups) if rows else {},
+        # of each planner in the plots, as html writes it
+        "colours": {name: plots.line_style(name)["color"] for name in groups},
         "rows": {planner: [_row(row) for row in own] for planner, own in groups.items()},
         # the command that repeats a row
         "again": f"cvqmpt plan {problem} --planner PLANNER --seed SEED --picture plan.png",
@@ -288,7 +291,7 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
 
 def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
     """Plots of rows, by title: as svg, and what is seen in words."""
-    from paper_tables import plots  # matplotlib takes a second to import
+    from paper_tables import plots
 
     length = VALUES["path_length"]
     boxes = "A box holds the middle half of the runs, its line is the median, whiskers hold 90 %."
@@ -310,13 +313,6 @@ def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
             "words": "A bar a planner; a colour a stage of planning.",
         },
     }
-
-
-def _colours(groups: Mapping[str, Rows]) -> dict[str, str]:
-    """The colour of each planner in the plots, as html writes it."""
-    from paper_tables import plots
-
-    return {name: plots.line_style(name)["color"] for name in groups}
 
 
 def _row(row: ResultRow) -> list[object]:

@@ -10,7 +10,6 @@ from zlib import crc32
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
@@ -29,7 +28,6 @@ from paper_tables.measures import (
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {
     "svg.fonttype": "none",
-    "svg.hashsalt": "cvqmpt",
     "text.parse_math": False,
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial"],
@@ -89,19 +87,20 @@ def line_style(name: str) -> dict[str, Any]:
     return {"color": colour, "linestyle": dash, "linewidth": 2.6 if planner == OURS else 1.4}
 
 
-def svg(figure: Figure) -> str:
-    """A figure as svg; equal figures give equal text."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
-
-
-def png(figure: Figure) -> bytes:
-    """A figure as the content of a png file."""
+def figure_bytes(figure: Figure, kind: str, dpi: int = 160) -> bytes:
+    """A figure as the content of a file; kind: "png" or "svg". Equal figures give equal bytes."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=140)
+    # without metadata and hashsalt an svg file would contain the date and random identifiers
+    metadata = {"Date": None, "Creator": None} if kind == "svg" else None
+    with matplotlib.rc_context({"svg.hashsalt": "cvqmpt"}):
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
+
+
+def svg(figure: Figure) -> str:
+    """A figure as svg."""
+    text = figure_bytes(figure, "svg", 72).decode("utf-8")
+    return text[text.index("<svg") :]
 
 
 @matplotlib.rc_context(STYLE)
@@ -187,17 +186,13 @@ def forest(verdicts: Sequence[Verdict]) -> bytes:
         axes.set_yticks(range(len(part)), titles, fontsize=7)
         axes.set_ylim(len(part) - 0.4, -0.6)
         axes.axvline(at(0.0), color="black", linewidth=0.8)
-        label = (
-            "more solved than the baseline [points]" if shares else "planner's number / baseline's"
-        )
         _finish(axes, label, "", legend=False, log=not shares)
     panels[0].axvspan(0.9, 1.0 / 0.9, color="0.92", zorder=0)
     marks = [Line2D([], [], color=c, marker="o", label=w) for w, c in WORD_COLOURS.items()]
-    paper = Line2D([], [], color="black", marker="D", fillstyle="none", linestyle="none")
-    paper.set_label("the paper's number")
-    marks.append(paper)
+    style: Any = {"marker": "D", "fillstyle": "none", "linestyle": "none"}
+    marks.append(Line2D([], [], color="black", label="the paper's number", **style))
     figure.legend(handles=marks, loc="outside upper center", ncols=3, frameon=False)
-    return png(figure)
+    return figure_bytes(figure, "png", 140)
 
 
 @matplotlib.rc_context(STYLE)
@@ -223,13 +218,7 @@ def cost_curves(groups: Groups) -> bytes:
     axes.axhline(1.0, color="black", linewidth=0.8)
     axes.set_yscale("log")
     _finish(axes, "cost of a state check [µs], other work in proportion", f"time / {REFERENCE}")
-    return png(figure)
-
-
-def _plain(axis: Axis) -> None:
-    """Label powers of ten as plain numbers."""
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    return figure_bytes(figure, "png", 140)
 
 
 def _axes(height: float) -> tuple[Figure, Axes]:
@@ -241,8 +230,9 @@ def _finish(axes: Axes, x: str, y: str, legend: bool = True, log: bool = True) -
     if log:
         axes.set_xscale("log")
     for axis, scale in ((axes.xaxis, axes.get_xscale()), (axes.yaxis, axes.get_yscale())):
-        if scale == "log":
-            _plain(axis)
+        if scale == "log":  # powers of ten as plain numbers
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_minor_formatter(NullFormatter())
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.grid(axis="both" if legend and log else "x", color="0.9", linewidth=0.6)

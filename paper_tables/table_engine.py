@@ -1,13 +1,12 @@
 """Tables of suites beside the paper's numbers: Markdown, LaTeX, csv and lines for a terminal."""
 
-import csv
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
 
 from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.files import csv_table
 from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows, split_problem
 from cvqmpt_lab.results.statistics import Interval, jointly_solved
 from paper_tables import writers
@@ -114,9 +113,7 @@ class SuiteTable:
                 unit, numbers = item.columns[name].unit, (ours.estimate, ours.low, ours.high)
                 metric = name + item.suffix
                 lines.append((self.suite, metric, unit, item.planner, "ours", *numbers, ours.n))
-        buffer = io.StringIO()
-        csv.writer(buffer, lineterminator="\n").writerows(lines)
-        return buffer.getvalue()
+        return csv_table(lines)
 
 
 # ---------------------------------------------------------------- from rows to numbers

@@ -52,8 +52,7 @@ def estimate(interval: Interval) -> str:
 
 def change(ratio: Interval) -> str:
     """A ratio as a signed change [%]."""
-    middle, low, high = (None if x is None else 100.0 * (x - 1.0) for x in ratio[:3])
-    changes = Interval(middle, low, high, ratio.n)
+    changes = ratio.mapped(lambda x: 100.0 * (x - 1.0))
     sign = "+" if (changes.estimate or 0.0) > 0.0 else ""
     return sign + estimate(changes).replace("-", "−")
 

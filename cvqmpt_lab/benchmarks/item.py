@@ -1,6 +1,6 @@
 """Items of suites beside problems and tasks: unsolvable problems, problems in sensed maps."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason
@@ -28,8 +28,3 @@ class SensedProblem:
     def name(self) -> str:
         """Name of the problem."""
         return self.problem.name
-
-    @property
-    def true_problem(self) -> PlanningProblem:
-        """The same problem in the real scene."""
-        return replace(self.problem, scene=self.truth)

@@ -208,11 +208,10 @@ def motion_bench_problem(index: int) -> PlanningProblem | UnsolvableProblem:
         name, bench_robot(robot), f"{scenes}/{number_in_set}", scene, request
     )
     checker = problem.collision_checker(0.0)
-    ends = (
+    for end, kind, q in (
         ("start", FailReason.INVALID_START, problem.start),
         ("goal", FailReason.INVALID_GOAL, problem.goals[0]),
-    )
-    for end, kind, q in ends:
+    ):
         if checker.in_collision(q):
             said = f"{problem.scene.name}: the {end} collides, {checker.contact(q)}"
             return UnsolvableProblem(name, said, kind)

@@ -1,9 +1,11 @@
 """The suites by name: each is an ordered set of problems or tasks.
 
-A folder of problem files is one by its path. Modules of suites other than the place task are
+A folder of problem files is one by its path: every ``*.json`` is a problem, in order of file names.
+Modules of suites other than the place task are
 imported when their first problem is made, so that `cvqmpt plan` need not import them.
 """
 
+import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,10 +25,14 @@ from cvqmpt_lab.benchmarks.place_task import (
     single_goal_problem,
 )
 from cvqmpt_lab.errors import InvalidInputError, require_choice
+from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.row import natural_key, one_line
 from cvqmpt_lab.robot.robot import SLOW
+from cvqmpt_lab.robot.source import content_digest
 from cvqmpt_lab.scene.families import FAMILIES
 from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.scene.scene_files import named_files
 from cvqmpt_lab.tasks.task import Task
 
 SuiteItem = PlanningProblem | UnsolvableProblem | SensedProblem | Task
@@ -130,11 +136,46 @@ _FOLDERS: dict[str, Suite] = {}  # by full path; workers that are forked find wh
 def folder_suite(folder: Path) -> Suite:
     """The problems of a folder as they are now, as a suite with the folder's name.
 
-    `suite_named` finds it by full path. InvalidInputError: see `read_folder`; or the name is taken.
-    """
-    from cvqmpt_lab.benchmarks.problem_folder import read_folder
+    `suite_named` finds it by full path. A problem's digest is the sha256 over the file and all that
+    it names: scene, clouds, meshes, URDF, SRDF.
 
-    (problems, digests), path = read_folder(folder), folder.resolve()
+    Left out are hidden files, json schemas for editors, expectations of `cvqmpt check-tables`, and
+    scenes that a problem of the folder names. InvalidInputError names the file that is no problem,
+    and what is wrong in it; two of one name; an empty folder; a folder of the name of a suite.
+    """
+    contents, path = _contents(folder), folder.resolve()
+    named = [data["scene"] for data in contents.values() if isinstance(data.get("scene"), str)]
+    scenes = {(folder / scene).resolve() for scene in named}
+    problems: dict[str, PlanningProblem] = {}
+    digests, paths = dict[str, str](), dict[str, Path]()
+    for file, data in contents.items():
+        if file.resolve() in scenes or str(data.get("schema")).startswith("cvqmpt-expectations/"):
+            continue
+        problem = PlanningProblem.load(file)
+        # a slash, after which rows name the phase of a task, becomes a hyphen
+        name = problem.name.replace("/", "-")
+        if one_line(name) != name:
+            raise InvalidInputError(
+                f"{file}: name {name!r} cannot stand in a table: no =, +, - or @ first, no blanks "
+                "around or in a row"
+            )
+        if name in paths:
+            raise InvalidInputError(
+                f"{paths[name]} and {file} are both named {name!r}, and rows "
+                "go by names: give one of them another 'name'"
+            )
+        digest = hashlib.sha256(content_digest(str(file)).encode())
+        for other in named_files(data, file.parent):
+            digest.update(content_digest(str(other)).encode())
+        for _, content in problem.robot.files:
+            digest.update(content.encode())
+        problems[name], digests[name] = problem.changed(name=name), digest.hexdigest()
+        paths[name] = file
+    if not problems:
+        raise InvalidInputError(
+            f"{folder} holds no problem files (*.json); write one with: cvqmpt problems new "
+            f"{folder / 'mine.json'}"
+        )
     if path.name in SUITES or not path.name:
         raise InvalidInputError(
             f"folder {path}: its rows would be called {path.name!r}, as a suite of ours; give it "
@@ -146,6 +187,23 @@ def folder_suite(folder: Path) -> Suite:
     return suite
 
 
+def _contents(folder: Path) -> dict[Path, dict[str, Any]]:
+    """Json of the files that may be problems."""
+    try:
+        paths = [
+            path for path in folder.iterdir() if path.suffix == ".json" and path.name[0] != "."
+        ]
+    except OSError as error:
+        raise InvalidInputError(
+            f"cannot read folder {folder}: {error.strerror}; name a folder of problem files, or "
+            "one file by --problem-file"
+        ) from error
+    paths = sorted(paths, key=lambda path: natural_key(path.name))
+    # `cvqmpt problems new` writes a schema beside the problem, for editors
+    problems = [path for path in paths if not path.name.endswith(".schema.json")]
+    return {path: read_json_object(path) for path in problems}
+
+
 def suite_named(name: str) -> Suite:
     """The suite of a name or of a folder's full path; UnknownChoiceError lists the names."""
     if os.sep in name:
@@ -155,5 +213,4 @@ def suite_named(name: str) -> Suite:
             "suite sensor-robustness was removed, its last table is in docs/training_log.md; "
             "suite sensor plans from noisy cameras"
         )
-    require_choice("suite", name, SUITES)
-    return SUITES[name]
+    return SUITES[require_choice("suite", name, SUITES)]

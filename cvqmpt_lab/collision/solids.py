@@ -39,19 +39,18 @@ def reach_with(robot: Robot, attachments: Sequence[Attachment], longest: float =
     InvalidInputError names what reaches further than `longest` [m]: its distance grid would take
     all memory. The usual cause is a wrong unit.
     """
-    reaches = {f"robot {robot.name}": robot.reach}
-    carried = 0.0
-    for item in attachments:
-        far = float(np.linalg.norm(item.T_hand_object[:3, 3])) + bounding_radius(item.shape)
-        reaches[f"attachment {item.name!r}"] = far
-        carried = max(carried, far)
-    for name, length in reaches.items():
+    carried = [
+        float(np.linalg.norm(item.T_hand_object[:3, 3])) + bounding_radius(item.shape)
+        for item in attachments
+    ]
+    names = [f"robot {robot.name}", *(f"attachment {item.name!r}" for item in attachments)]
+    for name, length in zip(names, (robot.reach, *carried), strict=True):
         if not length <= longest:
             raise InvalidInputError(
                 f"{name} reaches {length:.3g} m, more than {longest:g}: give positions, sizes and "
                 "slider limits in metres"
             )
-    return robot.reach + carried
+    return robot.reach + max(carried, default=0.0)
 
 
 def obstacles_within(scene: Scene, reach: float) -> Iterator[Solid]:

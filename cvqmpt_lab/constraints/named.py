@@ -5,7 +5,7 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
-from cvqmpt_lab.codec import COMMENT, field_kinds, from_plain, to_plain
+from cvqmpt_lab.codec import COMMENT, field_kinds, from_plain
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     Axis,
@@ -191,10 +191,6 @@ class RegionForm:
             return made
         hand = from_plain(Name | None, value[HAND], at(where, HAND))
         return made.changed(end_effector=hand)
-
-    def write(self, value: TaskSpaceRegion) -> Any:
-        """The region in full."""
-        return to_plain(value)
 
 
 Region = Annotated[TaskSpaceRegion, RegionForm()]

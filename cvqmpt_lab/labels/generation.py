@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, whole_number
+from cvqmpt_lab.errors import InvalidInputError, require_choice, whole_number
 from cvqmpt_lab.files import locked, make_folder, read_json_object, write_bytes, write_text
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
@@ -71,8 +71,7 @@ class SceneRecipe(ABC):
 
     def __post_init__(self) -> None:
         for family in self.families:
-            if family not in FAMILIES:
-                family_scene(family, 0)
+            require_choice("scene family", family, FAMILIES)
         # larger ones would number scenes beyond 2^32
         whole_number("seed", self.seed, 0, 3999)
         whole_number("scenes", self.scenes, 1, self.most_scenes)

@@ -5,9 +5,11 @@ something is undefined (no data) an `Interval` holds None, never 0.
 """
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
+from itertools import accumulate
 from operator import attrgetter
 from statistics import NormalDist, fmean, stdev
 from typing import NamedTuple
@@ -32,9 +34,9 @@ class Interval(NamedTuple):
     n: int  # number of values used
     coverage: float | None = None  # exact, of an order-statistic interval
 
-    def scaled(self, factor: float) -> "Interval":
-        """The same interval in another unit."""
-        middle, low, high = (None if x is None else x * factor for x in self[:3])
+    def mapped(self, scale: Callable[[float], float]) -> "Interval":
+        """The same interval on another scale, an increasing function of this one."""
+        middle, low, high = (None if x is None else scale(x) for x in self[:3])
         return Interval(middle, low, high, self.n, self.coverage)
 
 
@@ -81,13 +83,9 @@ def median_interval(values: ArrayLike) -> Interval:
 @lru_cache(maxsize=1024)
 def _median_rank(n: int) -> tuple[int, float]:
     """The r of `median_interval` for n values, and P(r <= B <= n - r)."""
-    rank, below = 0, Fraction(1, 2**n)
-    while below < Fraction((1.0 - CONFIDENCE) / 2.0):
-        rank += 1
-        below += Fraction(math.comb(n, rank), 2**n)
-    rank = max(1, rank)
-    lower = sum(Fraction(math.comb(n, k), 2**n) for k in range(rank))
-    return rank, max(0.0, float(1 - 2 * lower))
+    below = list(accumulate(Fraction(math.comb(n, k), 2**n) for k in range(n + 1)))  # P(B <= k)
+    rank = max(1, bisect_left(below, Fraction((1.0 - CONFIDENCE) / 2.0)))
+    return rank, max(0.0, float(1 - 2 * below[rank - 1]))
 
 
 def mean_of_solved(values: ArrayLike, samples: int = 2000) -> Interval:
@@ -119,9 +117,7 @@ def geometric_mean_interval(values: ArrayLike) -> Interval:
         raise InvalidInputError(
             f"geometric mean of {array.min()} to {array.max()}; give finite positive values"
         )
-    logs = mean_of_solved(np.log(array))
-    middle, low, high = (None if x is None else math.exp(x) for x in logs[:3])
-    return Interval(middle, low, high, logs.n)
+    return mean_of_solved(np.log(array)).mapped(math.exp)
 
 
 def student_interval(values: Sequence[float], confidence: float = CONFIDENCE) -> Interval:

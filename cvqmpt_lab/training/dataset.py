@@ -267,5 +267,10 @@ def _header(folder: Path) -> dict[str, Any]:
     digest = hashlib.sha256()
     for file in (path, *shard_files(folder)):
         digest.update(hashlib.sha256(read_bytes(file)).digest())
-    header = {"folder": folder, "robot": robot, "families": families, "chain": chain}
-    return header | {"sha256": digest.hexdigest()}
+    return {
+        "folder": folder,
+        "robot": robot,
+        "families": families,
+        "chain": chain,
+        "sha256": digest.hexdigest(),
+    }

@@ -128,8 +128,9 @@ class DictionaryStage(Stage):
     def batches(self, epoch: int) -> Batches:
         """Batches (batch, t, n) of whole paths, padded, or (batch, row, n) of single waypoints."""
         rng, settings = np.random.default_rng((self.seed, epoch)), self.settings
-        rows = self.dataset.split("train")
-        rows = self.dataset.with_few_trivial(rows, settings.trivial_share, rng)
+        rows = self.dataset.with_few_trivial(
+            self.dataset.split("train"), settings.trivial_share, rng
+        )
         most = settings.batches_per_epoch
         if self.config.dictionary.encoder == "mlp":
             start = self.dataset.arrays["path_start"]

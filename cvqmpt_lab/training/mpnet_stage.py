@@ -120,8 +120,9 @@ class MPNetStage(Stage):
     def batches(self, epoch: int) -> Batches:
         """Every training path once, in a new order for each epoch."""
         rng, turn = np.random.default_rng((self.seed, epoch)), self._turn
-        rows = self.dataset.split("train")
-        rows = self.dataset.with_few_trivial(rows, self.settings.trivial_share, rng)
+        rows = self.dataset.with_few_trivial(
+            self.dataset.split("train"), self.settings.trivial_share, rng
+        )
         key = None
         if turn.active:
             # paths on the same side of the robot can be turned further together
@@ -135,8 +136,9 @@ class MPNetStage(Stage):
     def validation_batches(self) -> Batches:
         """Equal held-out paths and clouds each time."""
         rng, settings = np.random.default_rng(self.seed), self.settings
-        rows = self.dataset.split("validation")
-        rows = self.dataset.with_few_trivial(rows, settings.trivial_share, rng)
+        rows = self.dataset.with_few_trivial(
+            self.dataset.split("validation"), settings.trivial_share, rng
+        )
         most = max(1, settings.validation_paths // settings.paths_per_scene)
         groups = self._grouped(rows, rng)[:most]
         batches = np.array_split(groups, max(1, len(groups) // settings.scenes))
@@ -159,21 +161,20 @@ class MPNetStage(Stage):
         scenes = self.dataset.arrays["path_scene"][rows]
         keys = (scenes,) if key is None else (key[rows], scenes)
         order = np.lexsort(keys)
-        rows, inside = rows[order], _place_in_run(scenes[order])
+        rows, scenes = rows[order], scenes[order]
+        # place of each path among those of its scene
+        inside = np.arange(len(rows)) - np.searchsorted(scenes, scenes)
         group = np.cumsum(inside % size == 0) - 1
         groups = np.full((group[-1] + 1, size), -1, dtype=np.int64)
         groups[group, inside % size] = rows
         return rng.permutation(groups)
 
-    def _scenes(self, groups: np.ndarray) -> np.ndarray:
-        """Scene of each group (g,)."""
-        return self.dataset.arrays["path_scene"][groups[:, 0]]
-
     def _batch(
         self, groups: np.ndarray, rng: np.random.Generator, *, augmented: bool
     ) -> dict[str, np.ndarray]:
         """Arrays of groups (s, p) of paths; noise, hidden surfaces and turns if augmented."""
-        rows, scenes = np.where(groups < 0, groups[:, :1], groups), self._scenes(groups)
+        rows = np.where(groups < 0, groups[:, :1], groups)
+        scenes = self.dataset.arrays["path_scene"][groups[:, 0]]
         angles = [self._turn.draw(group, rng) if augmented else 0.0 for group in rows]
         settings = self.settings.cloud if augmented else self.settings.cloud.without_augmentation()
         clouds = [sample_cloud(self.dataset.shapes(scene), settings, rng) for scene in scenes]
@@ -229,9 +230,3 @@ def turned(cloud: np.ndarray, angle: float) -> np.ndarray:
     c, s = math.cos(angle), math.sin(angle)
     transposed = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)), dtype=np.float32)
     return cloud @ transposed
-
-
-def _place_in_run(values: np.ndarray) -> np.ndarray:
-    """For each entry, the number of equal entries directly before it."""
-    begins = np.flatnonzero(np.concatenate(([True], values[1:] != values[:-1])))
-    return np.arange(len(values)) - begins.repeat(np.diff(np.append(begins, len(values))))

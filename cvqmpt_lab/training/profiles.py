@@ -113,5 +113,4 @@ PROFILES = _profiles()
 
 def profile_named(name: str) -> Profile:
     """A profile; raises UnknownChoiceError."""
-    require_choice("profile", name, PROFILES)
-    return PROFILES[name]
+    return PROFILES[require_choice("profile", name, PROFILES)]

@@ -249,10 +249,13 @@ class Trainer:
     def _end_epoch(self) -> None:
         """Validate, keep the model if it is the best so far, and save."""
         progress = self.progress
-        row: dict[str, float | None] = {"epoch": progress.epoch + 1, "step": progress.step}
-        row["seconds"] = round(progress.seconds, 1)
-        row |= {f"train_{name}": sum_ / progress.batch for name, sum_ in progress.sums.items()}
-        row |= self._validate()
+        row: dict[str, float | None] = {
+            "epoch": progress.epoch + 1,
+            "step": progress.step,
+            "seconds": round(progress.seconds, 1),
+            **{f"train_{name}": sum_ / progress.batch for name, sum_ in progress.sums.items()},
+            **self._validate(),
+        }
         progress.rows.append(row)
         progress.epoch, progress.batch, progress.sums = progress.epoch + 1, 0, {}
         progress.best = self._keep_if_best(row, progress.epoch)

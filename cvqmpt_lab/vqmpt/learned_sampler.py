@@ -35,12 +35,11 @@ from cvqmpt_lab.sensing.observation import CameraSettings, Observer
 from cvqmpt_lab.vqmpt.code_predictors import (
     CodePredictor,
     CodeProposal,
-    lines_to_nearest_goals,
-    lines_to_predicted_goals,
     network_codes,
     oracle_codes,
     random_codes,
     solved_way,
+    straight_lines,
 )
 from cvqmpt_lab.vqmpt.codebook import (
     Codebook,
@@ -270,22 +269,21 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
     if choice.predictor == "uniform":
         return Stages(uniform, search, goals_apart=apart)
     codebook = codebook_of(model, robot)
-    predict: CodePredictor
+    read = partial(codes_of, model_of(model), robot)
+    predictors: dict[str, CodePredictor] = {
+        "random": partial(random_codes, len(codebook.vectors)),
+        "solved": solved_way,
+        "nearest-lines": partial(straight_lines, None),
+        "oracle": partial(oracle_codes, read),
+    }
+    predict = predictors.get(choice.predictor)
     observe: Callable[[Scene], np.ndarray] | None = None
-    if choice.predictor == "random":
-        predict = partial(random_codes, len(codebook.vectors))
-    elif choice.predictor == "solved":
-        predict = solved_way
-    elif choice.predictor == "nearest-lines":
-        predict = lines_to_nearest_goals
-    elif choice.predictor == "oracle":
-        predict = partial(oracle_codes, partial(codes_of, model_of(model), robot))
-    else:
+    if predict is None:
         predictor = sequence_predictor(model, robot, choice.predictor == "published")
         nodes = dictionary_nodes(model_of(model), robot)
         predict = partial(network_codes, predictor, choice.sequences == "all-beams", nodes)
         if choice.predictor == "transformer-lines":
-            predict = partial(lines_to_predicted_goals, predict)
+            predict = partial(straight_lines, predict)
         clouds: dict[str, Callable[[Scene], np.ndarray]] = {
             "own-cloud": observer(),
             # controls, which see another scene or nothing
@@ -294,7 +292,6 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         }
         observe = clouds[choice.cloud]
     noise = code_noise(len(codebook.vectors), robot.dof)
-    read = partial(codes_of, model_of(model), robot)
     sampler = LearnedSampler(predict, choice, name, codebook, robot, noise, read=read)
     updates: dict[str, Callable[[Query, Proposal], Proposal] | None] = {
         "none": None,

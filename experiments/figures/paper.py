@@ -1,12 +1,10 @@
 """The paper's figures: histogram of the update and concept figure. Pictures of hands, clouds."""
 
-import io
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -31,9 +29,11 @@ from experiments.figures.code_update import (
     UpdateSettings,
     exceedance_rows,
     histogram_rows,
+    pooled_g,
     squared_residual,
     update_codes,
 )
+from paper_tables.plots import figure_bytes
 
 FIGURES = ("histogram", "concept")
 PICTURE = (900, 690)  # [pixels] width and height of pictures of the scene
@@ -105,16 +105,6 @@ def reproduce_figure(
     for name, content in contents.items():
         write_bytes(out / name, content)
     return updates, [*(out / name for name in contents), record.path]
-
-
-def figure_bytes(figure: Figure, kind: str) -> bytes:
-    """A figure as the content of a file; kind: "png" or "svg". Equal figures give equal bytes."""
-    buffer = io.BytesIO()
-    # without metadata and hashsalt an svg file would contain the date and random identifiers
-    metadata = {"Date": None} if kind == "svg" else None
-    with matplotlib.rc_context({"svg.hashsalt": "cvqmpt"}):
-        figure.savefig(buffer, format=kind, dpi=160, metadata=metadata)
-    return buffer.getvalue()
 
 
 def summary(updates: Sequence[CodeUpdate]) -> list[str]:
@@ -196,7 +186,7 @@ def draw_norms(axes: Axes, updates: Sequence[CodeUpdate]) -> None:
     for when, colour in COLOURS.items():
         counts = np.array([row[when] for row in rows], dtype=float)
         share = counts[:-1] / counts.sum()
-        norms = np.concatenate([np.sqrt(u.g(when)[: len(u.codes)]).ravel() for u in updates])
+        norms = np.sqrt(pooled_g(updates, "codes", when))
         axes.stairs(share, edges, fill=True, color=colour, alpha=0.4)
         axes.stairs(share, edges, color=colour, label=f"{when}: median {np.median(norms):.2f}")
     axes.set(
