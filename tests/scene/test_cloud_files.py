@@ -48,6 +48,7 @@ BAD = {
     "cut_text.pcd": (pcd(POINTS, "ascii")[:-600], "40 points, the file holds|columns changed"),
     "counts_text.pcd": (pcd(POINTS, "ascii", COUNT="1 1 1 2"), "than 1; write it as binary"),
     "fewer_text.pcd": (pcd(POINTS, "ascii", WIDTH=3, POINTS=3), "says 3 points, the file holds 40"),
+    "fewer_packed.pcd": (pcd(POINTS, PACKED, WIDTH=3, POINTS=3), "3 points of 16 bytes"),
     "more_packed.pcd": (pcd(POINTS, PACKED) + b"1", "the file holds more"),
     "page.pcd": (pcd(POINTS) + bytes(4096), "the file holds more"),
     "columns.pcd": (pcd(POINTS, "ascii", "x y z", SIZE="4 4 4", TYPE="F F F", COUNT=None), "4 num"),
