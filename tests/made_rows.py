@@ -6,6 +6,7 @@ from itertools import zip_longest
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, write_rows
 
+CLEAN = {"git_commit": "a" * 40, "git_dirty": False}
 CONFIGURATION = {"suite": "place", "cutoff_s": 10.0, "tolerance": {"rad": 0.1}}
 
 
@@ -41,7 +42,7 @@ def a_results_folder(tmp_path, **times):
     write_rows(folder / RUNS_FILE, rows)
     configuration = {"suite": "place-task", "cutoff_s": 10.0}
     record = {"configuration": configuration, "command": ["cvqmpt", "x"], "wall_s": 300.0}
-    (folder / PROVENANCE_FILE).write_text(json.dumps(record))
+    (folder / PROVENANCE_FILE).write_text(json.dumps(record | CLEAN))
     return tmp_path
 
 
