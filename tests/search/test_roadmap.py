@@ -121,7 +121,6 @@ def test_more_nodes_free_a_start_that_no_code_is_near(roadmap):
     assert not helped.fallback and certify(tuning, helped.path).valid
 
 
-ENOUGH = Budget(iterations=20_000)
 LONG = {"attempts": 400, "seconds": 100.0, "patience": 1000}
 
 
@@ -239,11 +238,8 @@ def test_informed_roadmaps_find_shorter_paths_that_repeat(problem, first):
 def turns(problem, budget=None, seed=0, **changes):
     """The result of `roadmap` with changes to its turns."""
     method = replace(planner_named("roadmap").stages(problem).search, **changes)
-    query = Query.of(
-        ConstrainedSpace(problem),
-        budget or Budget(iterations=20_000),
-        np.random.default_rng(seed),
-    )
+    rng = np.random.default_rng(seed)
+    query = Query.of(ConstrainedSpace(problem), budget or ENOUGH, rng)
     return search(method, query, uniform(query, Observation()))
 
 
