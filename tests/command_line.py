@@ -27,6 +27,14 @@ def environment(**changes):
     return {**os.environ, "PYTHONPATH": paths, **changes}
 
 
+def python(code, *words, **changes):
+    """What a fresh process of Python prints, which must end with 0."""
+    command = [sys.executable, "-c", code, *map(str, words)]
+    done = subprocess.run(command, env=environment(**changes), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def start(words, before=None, **changes):
     """Start `cvqmpt WORDS` in a session of its own; `before` is called in the new process first."""
     return subprocess.Popen(
@@ -44,11 +52,8 @@ def run(words, before=None, code=0, **changes):
     """Run `cvqmpt WORDS` to its end, which must be `code`; returns standard error."""
     process = start(words, before, **changes)
     _, err = process.communicate()
-    assert process.returncode == code and "Traceback" not in err, (
-        words,
-        process.returncode,
-        err[-400:],
-    )
+    told = words, process.returncode, err[-400:]
+    assert process.returncode == code and "Traceback" not in err, told
     return err
 
 

@@ -4,11 +4,11 @@ import shlex
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import SCAN_START, run_here
+from refusals import DATA
 
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, multi_sequence_task, place_problem
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
@@ -23,9 +23,6 @@ from cvqmpt_lab.sensing.camera import Camera, Intrinsics, look_at, view_of
 from cvqmpt_lab.sensing.depth import write_view
 from cvqmpt_lab.sensing.observation import arm_objects, solids_of
 from cvqmpt_lab.tasks.solve import solve_task
-
-DATA = Path(__file__).parent / "data"
-
 
 pytest_plugins = ["promises"]
 

@@ -49,13 +49,9 @@ class Body:
 
     def distances(self, points):
         """Of points (k, 3) to the surface, (k,)."""
-        count = len(self.triangles)
-        near = [
-            trimesh.triangles.closest_point(self.triangles, np.tile(p, (count, 1))) for p in points
-        ]
-        return np.array(
-            [np.linalg.norm(x - p, axis=1).min() for x, p in zip(near, points, strict=True)]
-        )
+        repeated = (np.tile(point, (len(self.triangles), 1)) for point in points)
+        away = (trimesh.triangles.closest_point(self.triangles, p) - p for p in repeated)
+        return np.array([np.linalg.norm(each, axis=1).min() for each in away])
 
 
 class Balls:

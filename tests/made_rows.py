@@ -6,6 +6,7 @@ from itertools import zip_longest
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, write_rows
 
+CLEAN = {"git_commit": "a" * 40, "git_dirty": False}
 CONFIGURATION = {"suite": "place", "cutoff_s": 10.0, "tolerance": {"rad": 0.1}}
 
 
@@ -36,19 +37,12 @@ def a_results_folder(tmp_path, **times):
                 rows.append(a_failure(f"p{k}", **values, t_total_s=10.0))
                 continue
             work = {"n_projections": 10, "n_state_checks": round(1000 * time), "vertices": 5}
-            rows.append(
-                a_row(
-                    f"p{k}",
-                    **values,
-                    t_total_s=time * (1.0 + 0.01 * k),
-                    path_length_rad=6.0,
-                    **work,
-                )
-            )
+            made = {"t_total_s": time * (1.0 + 0.01 * k), "path_length_rad": 6.0, **work}
+            rows.append(a_row(f"p{k}", **values, **made))
     write_rows(folder / RUNS_FILE, rows)
     configuration = {"suite": "place-task", "cutoff_s": 10.0}
     record = {"configuration": configuration, "command": ["cvqmpt", "x"], "wall_s": 300.0}
-    (folder / PROVENANCE_FILE).write_text(json.dumps(record))
+    (folder / PROVENANCE_FILE).write_text(json.dumps(record | CLEAN))
     return tmp_path
 
 

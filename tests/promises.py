@@ -44,9 +44,9 @@ def pytest_configure(config):
 
 
 def form_of(config):
-    return (
-        "part" if config.getoption("--trials") else "long" if config.getoption("--long") else "ci"
-    )
+    if config.getoption("--trials"):
+        return "part"
+    return "long" if config.getoption("--long") else "ci"
 
 
 def pytest_collection_modifyitems(config, items):
@@ -79,9 +79,7 @@ class Recorder:
     def __init__(self, page, form):
         self.page, self.form, self.figures = page, form, {}
         words = ("git", "describe", "--always", "--dirty")
-        self.commit = subprocess.run(
-            words, capture_output=True, text=True, check=True
-        ).stdout.strip()
+        self.commit = subprocess.check_output(words, text=True).strip()
         rows_of(page)
 
     def pytest_runtest_logreport(self, report):
@@ -94,15 +92,8 @@ class Recorder:
 
     def write(self, part, words, unit):
         tried, failed = self.figures[part, words]
-        cells = (
-            part,
-            words,
-            f"{tried:,} {unit}".replace(",", " "),
-            failed,
-            self.form,
-            date.today(),
-            self.commit,
-        )
+        count = f"{tried:,} {unit}".replace(",", " ")
+        cells = (part, words, count, failed, self.form, date.today(), self.commit)
         rows = rows_of(self.page) | {(part, words): f"| {' | '.join(map(str, cells))} |"}
         before, rest = self.page.read_text().split(BEGIN)
         table = "\n".join((HEAD, *(rows[key] for key in sorted(rows))))

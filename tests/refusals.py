@@ -7,13 +7,13 @@ import pytest
 
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
 
+DATA = Path(__file__).resolve().parent / "data"
 REFUSALS = (InvalidInputError, UnknownChoiceError)  # their lines tell them apart
 
 
 def table(name):
     """Rows of `tests/data/NAME.csv`, by the names in its first line."""
-    path = Path(__file__).parent / "data" / f"{name}.csv"
-    with path.open(newline="", encoding="utf-8") as file:
+    with (DATA / f"{name}.csv").open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 

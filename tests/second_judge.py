@@ -66,19 +66,16 @@ def link_triangles(geometry, folder):
     if shape.tag == "mesh":
         name = shape.get("filename").removeprefix("package://")
         path = next(above / name for above in (folder, *folder.parents) if (above / name).is_file())
-        return triangles_of({"type": "mesh_file", "path": path}, folder) * numbers(
-            shape, "scale", "1 1 1"
-        )
-    size = {"size": numbers(shape, "size", ""), "height": float(shape.get("length", 0.0))}
-    return triangles_of(
-        {"type": shape.tag, "radius": float(shape.get("radius", 0.0)), **size}, folder
-    )
+        mesh = triangles_of({"type": "mesh_file", "path": path}, folder)
+        return mesh * numbers(shape, "scale", "1 1 1")
+    radius, height = (float(shape.get(name, 0.0)) for name in ("radius", "length"))
+    size = {"size": numbers(shape, "size", ""), "radius": radius, "height": height}
+    return triangles_of({"type": shape.tag, **size}, folder)
 
 
 def numbers(element, key, otherwise):
-    return np.array(
-        ((None if element is None else element.get(key)) or otherwise).split(), dtype=float
-    )
+    text = None if element is None else element.get(key)
+    return np.array((text or otherwise).split(), dtype=float)
 
 
 def pose_of(element):
@@ -109,19 +106,17 @@ def held_value(joint, locked, joints):
     if mimic is not None:
         value = held_value(joints[mimic.get("joint")], locked, joints)
         return float(mimic.get("multiplier", 1.0)) * value + float(mimic.get("offset", 0.0))
-    free = joint.get("type") == "continuous" or limit is None
-    return (
-        0.0
-        if free
-        else min(max(0.0, float(limit.get("lower", 0.0))), float(limit.get("upper", 0.0)))
-    )
+    if joint.get("type") == "continuous" or limit is None:
+        return 0.0
+    lower, upper = (float(limit.get(end, 0.0)) for end in ("lower", "upper"))
+    return min(max(0.0, lower), upper)
 
 
 class Arm:
     """Groups of rigidly joined links, their joints and bodies, of a problem's field "robot"."""
 
-    def __init__(self, robot, folder, order=()):
-        """order: names of the joints as states give them; not needed for one end effector."""
+    def __init__(self, robot, folder, order):
+        """order: names of the joints as states give them."""
         path = (folder / robot["urdf"]).resolve()
         root, locked = ElementTree.parse(path).getroot(), robot.get("locked", {})
         joints = {joint.get("name"): joint for joint in root.findall("joint")}
@@ -133,20 +128,13 @@ class Arm:
                 if above[link].get("type") != "fixed" and above[link].get("name") not in locked:
                     moving[above[link].get("name")] = above[link]
                 link = above[link].find("parent").get("link")
-        order = list(order) or [*moving][::-1]
         self.joints = []  # of each group after the world: the group before it, T (4, 4), joint
         links = {link: (WORLD, np.eye(4))}  # of each: its group, and T (4, 4) in it
         waiting = list(joints.values())
         while waiting:
-            # joints that move wait for those that are earlier in the order
-            joint = next(
-                joint
-                for joint in waiting
-                if joint.find("parent").get("link") in links
-                and (
-                    joint.get("name") not in moving or joint.get("name") == order[len(self.joints)]
-                )
-            )
+            later = order[len(self.joints) + 1 :]  # which wait for a joint before them
+            hanging = (joint for joint in waiting if joint.find("parent").get("link") in links)
+            joint = next(joint for joint in hanging if joint.get("name") not in later)
             waiting.remove(joint)
             group, T = links[joint.find("parent").get("link")]
             if joint.get("name") in moving:
@@ -160,17 +148,13 @@ class Arm:
         self.frames, self.hand, self.bodies = links, links[hands[0]], []
         for link in root.findall("link"):
             (group, T), bodies = links[link.get("name")], link.findall("collision")
-            parts = [
-                moved(T @ pose_of(x), link_triangles(x.find("geometry"), path.parent))
-                for x in bodies
-            ]
+            shapes = [link_triangles(x.find("geometry"), path.parent) for x in bodies]
+            parts = [moved(T @ pose_of(x), it) for x, it in zip(bodies, shapes, strict=True)]
             self.bodies += [Body(link.get("name"), group, np.concatenate(parts))] if parts else []
-        pairs = (
-            ElementTree.parse(folder / robot["srdf"]).iter("disable_collisions")
-            if robot["srdf"]
-            else ()
-        )
-        self.excused = {frozenset((pair.get("link1"), pair.get("link2"))) for pair in pairs}
+        self.excused = set()
+        if robot["srdf"]:
+            pairs = ElementTree.parse(folder / robot["srdf"]).iter("disable_collisions")
+            self.excused = {frozenset((pair.get("link1"), pair.get("link2"))) for pair in pairs}
         names = {body.name for body in self.bodies}
         for link in names & set(above):
             before = above[link].find("parent").get("link")
@@ -256,10 +240,8 @@ class Judge:
     def excess(self, region, poses):
         """How far a region in json is left at poses of the groups (groups, k, 4, 4)."""
         base, e = region.get("base"), region.get("end_effector")
-        (b, T_base), (k, T_e) = (
-            self.arm.frames[base] if base else (WORLD, np.eye(4)),
-            self.arm.frames[e] if e else self.arm.hand,
-        )
+        b, T_base = self.arm.frames[base] if base else (WORLD, np.eye(4))
+        k, T_e = self.arm.frames[e] if e else self.arm.hand
         w = poses[b] @ T_base @ np.array(region["T0_w"])
         displaced = np.linalg.inv(w) @ poses[k] @ T_e @ np.linalg.inv(np.array(region["Tw_e"]))
         turns = Rotation.from_matrix(displaced[:, :3, :3]).as_rotvec()
@@ -284,9 +266,8 @@ class Judge:
             if len(near) == 0:
                 continue
             T = np.linalg.inv(poses[a.group]) @ poses[b.group]
-            hits = [k for k in near if touching(a, b, T[k])] or [
-                k for k in near[:1] if swallowed(a, b, T[k])
-            ]
+            hits = [k for k in near if touching(a, b, T[k])]
+            hits = hits or [k for k in near[:1] if swallowed(a, b, T[k])]
             for k in hits[:: 1 + len(hits) // STATES]:
                 worst = max(worst, Verdict(float(depth(a, b, T[k])), (a.name, b.name), k))
         return worst

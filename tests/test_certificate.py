@@ -1,13 +1,11 @@
 """The certificate: it accepts a planned path and rejects every kind of broken one."""
 
-import subprocess
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import python
 
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate import FaultKind, Verdict, certify
@@ -16,8 +14,6 @@ from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
-
-ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture
@@ -91,11 +87,5 @@ def test_a_certificate_does_not_depend_on_what_its_process_did_before(tmp_path):
     """Bit-equal: GJK must not start from an earlier call's end; boxes have one size everywhere."""
     found = solve(place_problem(2), "birrt", Budget(iterations=20_000), seed=0, clearance=False)
     np.save(tmp_path / "states.npy", found.path.states)
-    printed = [
-        subprocess.run(
-            [sys.executable, "-c", AFTER_OTHERS, str(count), tmp_path / "states.npy"],
-            cwd=ROOT, capture_output=True, text=True, check=True,
-        ).stdout
-        for count in (0, 1, 40)
-    ]  # fmt: skip
+    printed = [python(AFTER_OTHERS, count, tmp_path / "states.npy") for count in (0, 1, 40)]
     assert "min_clearance" in printed[0] and printed == 3 * printed[:1]

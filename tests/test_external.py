@@ -45,9 +45,6 @@ def raising(problem, budget, seed):
 def leaving(problem, budget, seed):
     raise SystemExit(3)
 
-def ending(problem, budget, seed):
-    os._exit(0)
-
 def cheating(problem, budget, seed):
     lower, time.perf_counter = problem.robot.lower, lambda: -1e4
     lower.setflags(write=True)
@@ -58,24 +55,11 @@ nan = lambda problem, budget, seed: np.full((4, 7), np.nan)
 flat = lambda problem, budget, seed: problem.start
 text = lambda problem, budget, seed: "a path"
 nothing = lambda problem, budget, seed: None
-far = lambda problem, *_: [problem.start, problem.start + 1e7, problem.goals[0]]
 long = lambda problem, *_: np.linspace(problem.start, problem.goals[0], 60_000)
-
-class Own:
-    name = "own"
-
-own = lambda *_: Proposal(Own())
 
 def late(problem, budget, seed):
     time.sleep(1.4 * budget.seconds)
     return good(problem, budget, seed)
-
-def hanging(problem, budget, seed):
-    while True:
-        try:
-            time.sleep(100.0)
-        except Exception:
-            pass
 
 class Counting:
     def __init__(self):
@@ -86,6 +70,7 @@ class Counting:
 
 number = 3
 """
+HOSTILE = "properties.hostile_planners"
 ENTRY_POINTS = "[cvqmpt.planners]\nlucky = their_planners:good\ntb-rrt = their_planners:good\n"
 # the seconds end a process that hangs, and nothing else
 ENOUGH = Budget(seconds=600.0, iterations=20_000)
@@ -118,7 +103,8 @@ def theirs(tmp_path_factory):
 
 
 def solved_by(name, budget=ENOUGH):
-    return solve(single_goal_problem(5), f"their_planners:{name}", budget, 0)
+    planner = name if ":" in name else f"their_planners:{name}"
+    return solve(single_goal_problem(5), planner, budget, 0)
 
 
 def test_a_path_of_others_is_certified_as_it_is_and_its_work_is_not_counted():
@@ -149,10 +135,14 @@ def test_our_search_goes_on_from_a_proposal():
     [
         ("raising", PlanStatus.PLANNER_ERROR, "RuntimeError: no luck today"),
         ("leaving", PlanStatus.PLANNER_ERROR, "SystemExit: 3"),
-        ("ending", PlanStatus.PLANNER_ERROR, "its process ended with 0"),
-        ("far", PlanStatus.MALFORMED_PATH, r"row 1 of 3 .* 1e\+07 rad or m outside the joint"),
+        (f"{HOSTILE}:ends_its_process", PlanStatus.PLANNER_ERROR, "its process ended with 0"),
+        (
+            f"{HOSTILE}:goes_ten_million_radians_away",
+            PlanStatus.MALFORMED_PATH,
+            r"1 of 3 .* 1e\+07",
+        ),
         ("long", PlanStatus.MALFORMED_PATH, "a path of 60000 states"),
-        ("own", PlanStatus.MALFORMED_PATH, "a Proposal that draws from a Own: give Uniform or"),
+        (f"{HOSTILE}:proposes_code", PlanStatus.MALFORMED_PATH, "a Own: give Uniform or"),
         ("nan", PlanStatus.MALFORMED_PATH, "row 0 of 4 of the states that it"),
         ("flat", PlanStatus.MALFORMED_PATH, r"states of shape \(7,\): give \(m, 7\)"),
         ("text", PlanStatus.MALFORMED_PATH, "it returned 'a path'"),
@@ -168,7 +158,7 @@ def test_what_is_no_path_has_a_reason(name, status, word):
 
 
 def test_one_that_is_late_or_hangs_is_over_time():
-    hanging = solved_by("hanging", Budget(seconds=0.2)).plan
+    hanging = solved_by(f"{HOSTILE}:never_ends_and_catches_everything", Budget(seconds=0.2)).plan
     assert hanging.seconds > 0.9
     assert hanging.status is PlanStatus.OVERTIME
     assert "where 0.2 s were given; interrupted" in hanging.detail
@@ -184,15 +174,15 @@ def test_what_it_prints_is_kept_off_standard_output(capfd):
 
 
 def test_rows_say_what_happened_and_who_made_the_planner(tmp_path):
-    names = tuple(f"their_planners:{name}" for name in ("cheating", "ending", "raising", "good"))
+    names = tuple(f"their_planners:{name}" for name in ("cheating", "raising", "good"))
     planners = (*names, "birrt")
     experiment = Experiment("place-task-single-goal", (5,), planners, (0,), ENOUGH)
     with executor_for(experiment, 1) as executor:
         rows = run_experiment(experiment, tmp_path / "out", executor, ["test"], lambda *_: None)
     by_name = {row.planner.removeprefix("their_planners:"): row for row in rows}
     reasons = {name: row.fail_reason for name, row in by_name.items()}
-    failed = {"raising": "planner_error", "ending": "planner_error"}
-    assert reasons == {"good": None, "birrt": None, **failed, "cheating": "uncertified_limits"}
+    failed = {"raising": "planner_error", "cheating": "uncertified_limits"}
+    assert reasons == {"good": None, "birrt": None, **failed}
     ours = solve(single_goal_problem(5), "birrt", ENOUGH, 0)
     assert by_name["birrt"].path_sha256 == states_hash(ours.path.states)
     assert by_name["birrt"].certified and not by_name["cheating"].certified

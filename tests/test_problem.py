@@ -3,11 +3,10 @@
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refused
+from refusals import DATA, refused
 
 from cvqmpt_lab.benchmarks.place_task import door_problem, place_problem
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
@@ -19,8 +18,6 @@ from cvqmpt_lab.problem import PlanningProblem, check_problem, with_usable_goals
 from cvqmpt_lab.robot.load import group_states
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box
-
-DATA = Path(__file__).parent / "data"
 
 
 def test_a_problem_that_cannot_be_planned_is_refused_by_start_or_goal(problem):

@@ -28,29 +28,22 @@ class Curve(AbstractGeometricPath):
 def toppra_duration(curve, velocity, acceleration, dynamics=None, effort=None):
     """Duration [s]; velocity, acceleration, effort: limits (n,)."""
     toppra.setup_logging("ERROR")
+    velocities, accelerations = (np.stack([-x, x], axis=1) for x in (velocity, acceleration))
+    how = DiscretizationType.Interpolation
     constraints = [
-        JointVelocityConstraint(np.stack([-velocity, velocity], axis=1)),
-        JointAccelerationConstraint(
-            np.stack([-acceleration, acceleration], axis=1), DiscretizationType.Interpolation
-        ),
+        JointVelocityConstraint(velocities),
+        JointAccelerationConstraint(accelerations, how),
     ]
     if dynamics is not None:
 
         def efforts(q, v, a):
             return dynamics.efforts(*np.array([q, v, a])[:, None])[0]
 
-        constraints.append(
-            JointTorqueConstraint(
-                efforts,
-                np.stack([-effort, effort], axis=1),
-                np.zeros(len(effort)),  # no friction
-                DiscretizationType.Interpolation,
-            )
-        )
+        friction, between = np.zeros(len(effort)), np.stack([-effort, effort], axis=1)
+        constraints.append(JointTorqueConstraint(efforts, between, friction, how))
     grid = np.unique(np.concatenate([curve.grid, 0.5 * (curve.grid[1:] + curve.grid[:-1])]))
-    _, speed, _ = TOPPRA(constraints, Curve(curve), gridpoints=grid).compute_parameterization(
-        0.0, 0.0
-    )
+    scaling = TOPPRA(constraints, Curve(curve), gridpoints=grid)
+    _, speed, _ = scaling.compute_parameterization(0.0, 0.0)
     return float((2.0 * np.diff(grid) / (speed[1:] + speed[:-1])).sum())
 
 

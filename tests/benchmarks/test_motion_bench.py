@@ -27,7 +27,6 @@ from cvqmpt_lab.caches import cache_folder
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import check_problem
-from cvqmpt_lab.robot.load import load_robot
 from cvqmpt_lab.search.result import Budget
 
 SCENE = """
@@ -102,25 +101,21 @@ def test_only_descriptions_and_problems_are_unpacked(tmp_path):
     assert (tmp_path / "robots/fetch/fetch.urdf").exists()  # the former ones
 
 
-def test_joints_are_found_by_name_and_a_torso_that_lifts_is_one(slider_arm_urdf):
-    robot = load_robot(slider_arm_urdf, "tool")
+def test_joints_are_found_by_name_and_a_torso_that_lifts_is_one(slider_arm):
+    robot = slider_arm
     start = dict.fromkeys(robot.joint_names, 0.1)
     goal = {**start, robot.joint_names[0]: float(robot.upper[0]) + 4e-6}
-    problem = problem_of_texts("0", robot, "box/0001", SCENE, request(start, goal))
+    texts = ("0", robot, "box/0001", SCENE)
+    problem = problem_of_texts(*texts, request(start, goal))
     np.testing.assert_array_equal(problem.start, [0.1] * robot.dof)
     np.testing.assert_array_equal(problem.goals[0], [robot.upper[0], *[0.1] * (robot.dof - 1)])
     assert problem.scene.names == ("can",) and problem.scene.name == "box/0001"
     assert solve(problem, "birrt", Budget(iterations=100), seed=0).solved
     far = {**goal, robot.joint_names[0]: float(robot.upper[0]) + 2e-5}
-    texts = ("0", robot, "box/0001", SCENE)
     refused("is outside the limits", problem_of_texts, *texts, request(start, far))
     del far[robot.joint_names[1]]
-    refused(
-        f"request of box/0001 .*{robot.joint_names[1]}",
-        problem_of_texts,
-        *texts,
-        request(start, far),
-    )
+    told = f"request of box/0001 .*{robot.joint_names[1]}"
+    refused(told, problem_of_texts, *texts, request(start, far))
     refused("'goal_constraints'", problem_of_texts, *texts, request(start, far).split("\n")[0])
 
 

@@ -40,8 +40,6 @@ def test_poses_are_written_by_people_in_three_ways():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"schema": "cvqmpt-problem/1", "name": "a", "name": "b"}', "'name' occurs twice"),
-        ('{"goals": ' + "[" * 100_000, "mine.json is not json"),
         ('{"goals": ' + "1" * 5000 + "}", "mine.json is not json"),
         ("[]", "mine.json must hold one json object"),
         ('{"goals": []}', "mine.json: schema is None; this version reads 'cvqmpt-problem/1'"),

@@ -1,17 +1,15 @@
 """Wrong problem and task files end in one line: the file, the path of the field, and the cure."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import refused as refused_command
-from refusals import refused, table
+from refusals import DATA, refused, table
 
 from cvqmpt_lab.benchmarks.two_arms import two_arms_problem
 from cvqmpt_lab.problem import PlanningProblem
 
-DATA = Path(__file__).parents[1] / "data"
 TABLE = table("wrong_problems")  # a value in json; none takes the field out
 READY = [0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8]
 SPHERE = {"type": "sphere", "radius": 0.1}

@@ -213,7 +213,7 @@ def test_obstacles_outside_the_grid_are_still_seen_and_states_that_are_not_finit
 
 
 def test_a_robots_arrays_are_made_once_and_the_same_from_disk(slider_arm, tmp_path, monkeypatch):
-    """What is done with a damaged file: search/test_roadmap_nodes."""
+    """What is done with a damaged file: robot/test_loading."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
     def stored(length):

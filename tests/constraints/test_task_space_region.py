@@ -171,12 +171,8 @@ def test_a_tilt_of_zero_is_kept_as_turns_of_zero_which_are_smooth():
     np.testing.assert_array_equal(region.Bw[3:5], np.zeros((2, 2)))
     off = np.array([FREE] * 3 + [(0.1, 0.2), FREE, FREE])
     refused(r"tilt is 0, and Bw\[3\] or Bw\[4\].*leaves out 0", box, 1.0, Bw=off, tilt=0.0)
-    refused(
-        "its tilt",
-        box(1.0, Bw=np.tile((0.5, 0.6), (6, 1)), tilt=0.1).sample_poses,
-        np.random.default_rng(0),
-        1,
-    )
+    turned_away = box(1.0, Bw=np.tile((0.5, 0.6), (6, 1)), tilt=0.1)
+    refused("its tilt", turned_away.sample_poses, np.random.default_rng(0), 1)
 
 
 def test_fields_are_read_only_and_free_positions_are_not_sampled():

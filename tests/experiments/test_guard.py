@@ -5,7 +5,6 @@ import json
 import pytest
 from command_line import refused
 
-from cli.main import main
 from cvqmpt_lab.benchmarks.place_task import place_problem
 
 PLANNER = """import numpy as np
@@ -30,44 +29,37 @@ def folder(tmp_path, monkeypatch):
     return folder
 
 
-def test_a_folder_is_green_until_a_planner_or_problem_changes(folder, capsys):
-    check = ["check-tables", str(folder), "--jobs", "1"]
-    update = [*check, "--update", "--planners", "birrt,guarded:plan"]
-    assert "write it with: cvqmpt check-tables" in refused(capsys, *check)
-    assert main(update) == 0 and main(check) == 0
-    out = capsys.readouterr().out
-    assert "4 runs, 2 solved; expectations written to" in out
-    assert "4 runs compared exactly" in out and "no difference" in out
-    path = folder / "expected.json"
-    assert "t_total_s" not in path.read_text()
+def test_a_folder_is_green_until_a_planner_or_problem_changes(folder, cvqmpt, capsys):
+    check = f"check-tables {folder} --jobs 1"
+    assert "write it with: cvqmpt check-tables" in refused(capsys, *check.split())
+    told = cvqmpt(f"{check} --update --planners birrt,guarded:plan")
+    assert "4 runs, 2 solved; expectations written to" in told
+    told = cvqmpt(check)
+    assert "4 runs compared exactly" in told and "no difference" in told
+    assert "t_total_s" not in (folder / "expected.json").read_text()
     folder = folder.rename(folder.parent / "moved")
-    check[1], path = str(folder), folder / "expected.json"
-    assert main([*check, "--planners", "birrt"]) == 0
-    assert "2 runs compared" in capsys.readouterr().out
+    check, path = f"check-tables {folder} --jobs 1 --planners birrt", folder / "expected.json"
+    assert "2 runs compared" in cvqmpt(check)
 
     record = json.loads(path.read_text())
     (first, *_) = (run for run in record["runs"] if run["planner"] == "birrt")
     first["expected"]["n_state_checks"] += 1
     path.write_text(json.dumps(record))
-    assert main([*check, "--planners", "birrt"]) == 1
-    told = capsys.readouterr().out
+    told = cvqmpt(check, code=1)
     assert "differs: birrt, problem 2 of the folder" in told and "n_state_checks was" in told
     record["made_with"]["cpu_model"] = "another one"
     path.write_text(json.dumps(record))
-    assert main([*check, "--planners", "birrt"]) == 0
-    assert main([*check, "--planners", "birrt", "--within", "0"]) == 1
-    assert "n_state_checks of 2 runs: was" in capsys.readouterr().out
+    cvqmpt(check)
+    assert "n_state_checks of 2 runs: was" in cvqmpt(check, "--within", 0, code=1)
     place_problem(5).save(folder / "5.json")
-    assert main([*check, "--planners", "birrt"]) == 1
-    told = capsys.readouterr().out
+    told = cvqmpt(check, code=1)
     assert "problem 5 of the folder, seed 0, 20000 iterations: either expected or run" in told
 
 
-def test_what_does_not_go_together_is_refused(folder, capsys):
+def test_what_does_not_go_together_is_refused(folder, cvqmpt, capsys):
     check = ("check-tables", folder)
     assert "--planners A,B" in refused(capsys, *check, "--update")
-    assert main(["check-tables", str(folder), "--update", "--planners", "roadmap"]) == 0
-    capsys.readouterr()
+    cvqmpt(f"check-tables {folder} --update --planners roadmap")
     assert "only of roadmap" in refused(capsys, *check, "--planners", "birrt")
     assert "go with --update" in refused(capsys, *check, "--seeds", "2")
     assert "go without a folder" in refused(capsys, *check, "--all")

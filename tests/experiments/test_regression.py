@@ -2,15 +2,14 @@
 
 import time
 from dataclasses import replace
-from itertools import chain, product
+from itertools import chain
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from made_rows import a_row
+from made_rows import CLEAN, a_results_folder, a_row
 from refusals import refused
 
-from cli.main import main
 from cvqmpt_lab import planners as table
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import multi_sequence_task
@@ -31,7 +30,6 @@ from experiments.run import failed_rows, outcome_of, result_row
 from paper_tables.committed import committed_directories, differing_cells, untraceable
 from paper_tables.suites import SUITES, render_directory
 
-CLEAN = {"git_commit": "a" * 40, "git_dirty": False}
 HERE = {"cpu_model": "this one", "numba": "1"}
 ELSEWHERE = {"cpu_model": "another one", "numba": "1"}
 
@@ -112,15 +110,10 @@ def test_the_committed_expectations_are_of_these_cases_and_of_every_planner():
 @pytest.fixture
 def results(tmp_path):
     """A folder of results with one directory of rendered rows."""
-    directory = tmp_path / "results" / "place-task"
-    rng = np.random.default_rng(0)
-    with RunStore.open(directory, {"cutoff_s": 10.0}, CLEAN) as store:
-        for problem, planner in product(range(8), ("birrt", "ompl-projected")):
-            time, length = rng.uniform(0.1, 2.0), rng.uniform(5.0, 9.0)
-            values = {"t_total_s": time, "path_length_rad": length, "suite": "place-task"}
-            store.append([a_row(str(problem), planner, **values)])
-    render_directory(directory)
-    return directory.parent
+    (tmp_path / "results").mkdir()
+    folder = a_results_folder(tmp_path / "results", birrt=1.0, ompl_projected=2.0)
+    render_directory(folder / "place-task")
+    return folder
 
 
 def tampered(path, old, new):
@@ -179,21 +172,20 @@ def test_rows_that_cannot_be_traced_are_refused(tmp_path, session, words):
     assert words in line
 
 
-def test_the_command_is_red_until_an_update(results, tmp_path, monkeypatch, capsys):
+def test_the_command_is_red_until_an_update(results, tmp_path, monkeypatch, cvqmpt):
     case = Case("birrt", 2, 0, 20_000)
     monkeypatch.setattr(regression, "CASES", (case,))
-    words = ["check-tables", "--expected", str(tmp_path / "e.json"), "--results", str(results)]
-    assert main([*words, "--update"]) == 0 and main(words) == 0
-    out = capsys.readouterr().out
-    assert "runs compared exactly" in out
-    assert "tables of 1 results directories rendered again: no difference" in out
+    check = f"check-tables --expected {tmp_path / 'e.json'} --results {results}"
+    cvqmpt(f"{check} --update")
+    told = cvqmpt(check)
+    assert "runs compared exactly" in told
+    assert "tables of 1 results directories rendered again: no difference" in told
     monkeypatch.setitem(table.PLANNERS, "birrt", Method.simple("birrt", search=BrokenBiRRT()))
-    assert main(words) == 1
-    assert f"  differs: {case}: fail_reason was None" in capsys.readouterr().out
-    assert main([*words, "--update"]) == 0 and main(words) == 0
+    assert f"  differs: {case}: fail_reason was None" in cvqmpt(check, code=1)
+    cvqmpt(f"{check} --update")
+    cvqmpt(check)
     tampered(results / "place-task" / "table.md", "22.95", "21.95")
-    assert main(words) == 1
-    assert OLD_AND_NEW in capsys.readouterr().out
+    assert OLD_AND_NEW in cvqmpt(check, code=1)
 
 
 RUN = Experiment("place-task", (0,), ("birrt",), (0,), Budget(iterations=1)).runs[0]

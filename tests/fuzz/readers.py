@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 from made_rows import a_row
 from PIL import Image
 from properties.random_arms import random_urdf
+from refusals import DATA
 from training_data import write_dataset
 
 from cvqmpt_lab.codec import to_plain
@@ -49,7 +50,6 @@ from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.weights import read_model, robot_signature
 from paper_tables.suites import render_directory
 
-DATA = Path(__file__).resolve().parents[1] / "data"
 SIDE = 24  # of depth images
 SHARD = "shards/000000.npz"  # of training data
 

@@ -9,7 +9,6 @@ import pytest
 from made_rows import a_failure, a_results_folder, a_row
 from refusals import refused
 
-from cli.main import main
 from cvqmpt_lab.results.statistics import Interval, student_interval
 from paper_tables.claims import verdicts_of
 from paper_tables.compare_runs import Rule, clear, compared
@@ -299,36 +298,34 @@ def test_runs_that_do_not_pair_are_refused_by_name():
         refused(says, compared, twenty(1.0), other)
 
 
-def test_the_command_compares_two_directories(capsys, tmp_path):
-    folders = [str(tmp_path / name / "place-task") for name in "ab"]
-    for name, time in (("a", 1.0), ("b", 0.5)):
+def two_folders(tmp_path, a, b):
+    """Folders of rows with these times [s] by planner."""
+    for name, times in (("a", a), ("b", b)):
         (tmp_path / name).mkdir()
-        a_results_folder(tmp_path / name, birrt=time)
-    assert main(["compare", *folders]) == 0
-    out = capsys.readouterr().out
-    assert "birrt: less time, −50.0" in out and "birrt: less work" in out
-    assert main(["compare", str(tmp_path), folders[1]]) == 2
-    rules = ["--fail-if", "time > 1.1", "--fail-if", "solved<-2"]
-    assert main(["compare", *folders, *rules]) == 0
-    assert "fails" not in capsys.readouterr().out
-    assert main(["compare", *reversed(folders), *rules]) == 1
-    *_, last = capsys.readouterr().out.splitlines()
+        a_results_folder(tmp_path / name, **times)
+    return [tmp_path / name / "place-task" for name in "ab"]
+
+
+def test_the_command_compares_two_directories(cvqmpt, tmp_path):
+    folders = two_folders(tmp_path, {"birrt": 1.0}, {"birrt": 0.5})
+    told = cvqmpt("compare", *folders)
+    assert "birrt: less time, −50.0" in told and "birrt: less work" in told
+    cvqmpt("compare", tmp_path, folders[1], code=2)
+    rules = "compare --fail-if 'time > 1.1' --fail-if 'solved<-2'"
+    assert "fails" not in cvqmpt(rules, *folders)
+    *_, last = cvqmpt(rules, *reversed(folders), code=1).splitlines()
     assert last == "fails: birrt: time > 1.1, it is 2 times A's"
 
 
 def test_planners_of_one_run_alone_are_named_and_must_not_be_missing_from_the_second(
-    capsys, tmp_path
+    cvqmpt, tmp_path
 ):
-    folders = [str(tmp_path / name / "place-task") for name in "ab"]
-    for name, other in (("a", "mpnet"), ("b", "roadmap")):
-        (tmp_path / name).mkdir()
-        a_results_folder(tmp_path / name, birrt=1.0, **{other: 1.0})
-    assert main(["compare", *folders]) == 0
-    out = capsys.readouterr().out
-    assert "in A alone, not compared: mpnet\n" in out
-    assert "in B alone, not compared: roadmap\n" in out and "fails" not in out
-    assert main(["compare", *folders, "--fail-if", "time > 9"]) == 1
-    assert capsys.readouterr().out.splitlines()[-1] == "fails: mpnet: B has no runs of it"
+    folders = two_folders(tmp_path, {"birrt": 1.0, "mpnet": 1.0}, {"birrt": 1.0, "roadmap": 1.0})
+    told = cvqmpt("compare", *folders)
+    assert "in A alone, not compared: mpnet\n" in told
+    assert "in B alone, not compared: roadmap\n" in told and "fails" not in told
+    told = cvqmpt("compare --fail-if 'time > 9'", *folders, code=1)
+    assert told.splitlines()[-1] == "fails: mpnet: B has no runs of it"
 
 
 def test_a_rule_holds_for_ratios_and_for_what_fewer_solve_and_must_be_judged():

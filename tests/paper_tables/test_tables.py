@@ -7,10 +7,10 @@ import subprocess
 from itertools import product
 
 import pytest
+from command_line import refused as command_refused
 from made_rows import a_failure, a_results_folder, a_row
 from refusals import refused
 
-from cli.main import main
 from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
@@ -172,11 +172,12 @@ def test_a_report_holds_all_its_parts_needs_no_network_and_names_are_text(page):
     assert "&lt;script&gt;alert(1)&lt;/script&gt;$x$" in page
 
 
-def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(capsys, results, tmp_path):
-    assert main(["report", str(results / "place-task"), "--out", str(tmp_path / "r.html")]) == 0
+def test_the_command_writes_it_beside_the_rows_and_refuses_other_folders(
+    cvqmpt, capsys, results, tmp_path
+):
+    cvqmpt("report", results / "place-task", "--out", tmp_path / "r.html")
     assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")
-    assert main(["report", str(tmp_path)]) == 2
-    assert "holds none; make one with" in capsys.readouterr().err
+    assert "holds none; make one with" in command_refused(capsys, "report", tmp_path)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here (Debian: apt install chromium)")

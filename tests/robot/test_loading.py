@@ -3,13 +3,12 @@
 import os
 import pickle
 import struct
-import subprocess
-import sys
 
 import coal
 import numpy as np
 import pytest
 import trimesh
+from command_line import python
 from refusals import refused, table
 
 from cvqmpt_lab.errors import CvqmptError
@@ -221,10 +220,9 @@ def test_a_mesh_without_a_hull_ends_in_one_line_not_in_the_process(edited, tmp_p
     """In a separate process: the hull of a flat mesh once crashed it."""
     (tmp_path / "m.stl").write_bytes(binary_stl(*mesh))
     urdf = edited((SPHERE, '<mesh filename="m.stl"/>'))
-    words = [sys.executable, "-c", LOADING, urdf]
-    done = subprocess.run(words, capture_output=True, text=True)
-    assert done.returncode == 0 and done.stdout.startswith("InvalidInputError collision mesh")
-    assert "m.stl" in done.stdout and pattern in done.stdout
+    told = python(LOADING, urdf)
+    assert told.startswith("InvalidInputError collision mesh")
+    assert "m.stl" in told and pattern in told
 
 
 def test_a_mesh_is_found_in_package_folders_and_in_ros_s(edited, tmp_path, monkeypatch):

@@ -39,13 +39,11 @@ def test_kernel_poses_equal_pinocchio_s(name, request):
             np.testing.assert_allclose(found, expected, atol=1e-12, err_msg=piece.name)
 
 
-def test_finger_opening_moves_the_fingers_within_its_range():
+def test_finger_opening_moves_the_fingers():
     robot = load_panda(0.013)
     for finger, sign in (("panda_leftfinger", 1.0), ("panda_rightfinger", -1.0)):
         T_hand_finger = np.linalg.inv(robot.pose(HOME)) @ robot.pose(HOME, finger)
         assert T_hand_finger[1, 3] == pytest.approx(sign * 0.013, abs=1e-12)
-    for opening in (-0.001, 0.041):
-        refused(rf"finger opening {opening} m.*0 to 0\.04", load_panda, opening)
 
 
 def test_the_kinematics_digest_names_what_moves_how(panda, slider_arm, edited):

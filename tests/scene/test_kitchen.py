@@ -1,28 +1,23 @@
 """The kitchen against measurements of the published one, its joints, and other kitchens."""
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
+from refusals import table
 
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.shapes import Box
 
 TOLERANCE = 0.005  # [m]
 
-DATA = Path(__file__).parents[1] / "data"
-
 
 def measured(name):
     """Rows of numbers [m or rad] by the name in their first column."""
-    with (DATA / name).open(newline="") as file:
-        _, *rows = csv.reader(file)
+    rows = ([*row.values()] for row in table(name))
     return {name: np.array(numbers, dtype=float) for name, *numbers in rows}
 
 
 # centre and size of the box around a piece [m], all doors closed
-CLOSED = measured("kitchen_pieces.csv")
+CLOSED = measured("kitchen_pieces")
 OPENED = {  # centres of the parts of dagger_door_left at -1.57 rad [m]
     "panel": (0.310, -0.145, 1.007),
     "handle_bar": (0.170, -0.096, 0.757),
@@ -31,7 +26,7 @@ OPENED = {  # centres of the parts of dagger_door_left at -1.57 rad [m]
 }
 
 # x, y of the vertical axis [m], range [rad]
-HINGES = measured("kitchen_hinges.csv")
+HINGES = measured("kitchen_hinges")
 DRAWERS = ("hitman_drawer_top", "hitman_drawer_bottom", "indigo_drawer_top", "indigo_drawer_bottom")
 
 

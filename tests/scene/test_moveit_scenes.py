@@ -1,19 +1,17 @@
 """MoveIt scenes are converted shape by shape; unsupported content is named."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import refused as refused_command
-from refusals import refused
+from refusals import DATA, refused
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 
-DATA = Path(__file__).parents[1] / "data"
 OLDER, NEWER = ((DATA / f"{version}.scene").read_text() for version in ("older", "newer"))
 CORNERS = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]
 FACES = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]

@@ -102,25 +102,18 @@ WRONG = [
     (partial(OccupancyMap, [[0, 0, 0]], padding=-0.01), "0 or more"),
     # before any cells are made
     (partial(map_of_points, ENDS, 1e-9), r"resolution is 1e-09 m; give 0\.001 m or more"),
-    *(
-        (partial(SceneObject, "cup", Sphere(0.1), T), "'cup': T_world_object")
-        for T in (np.eye(3), 2.0 * np.eye(4), "upright", np.diag([1.0, 1.0, -1.0, 1.0]))
-    ),
+    # others that are no poses: data/wrong_problems.csv
+    (partial(SceneObject, "cup", Sphere(0.1), 2.0 * np.eye(4)), "'cup': T_world_object"),
     (partial(SCENE.with_joint, "door", 1.6), r"1\.6.*'door'.*\[0\.0, 1\.57\] rad"),
     (partial(SCENE.with_joint, "drawer", math.nan), r"\[0\.0, 0\.4\] m"),
     (partial(SCENE.with_joint, "lid", 0.0), "'lid'; valid choices: door, drawer"),
     (partial(SCENE.__getitem__, "window"), "'window'; valid choices: wall, door/panel"),
     (partial(SCENE.without, "window"), "'window'; valid choices"),
-    (partial(SCENE.with_objects, WALL), "'wall' occurs twice"),
-    (partial(replace, DOOR, value=2.0), r"2\.0"),
     (partial(replace, SCENE, articulations=(DOOR, DOOR)), "'door' occurs twice"),
-    (partial(replace, SCENE, objects=(WALL,), articulations=(DOOR,)), "moves 'door/panel'"),
     (partial(replace, SCENE, articulations=(DOOR, OTHER)), "'door/panel' occurs twice"),
     (partial(read_with_door, value=9.0), r"scene\.articulations\[0\]: value 9\.0 of hinge"),
     (partial(read_with_door, moves=["lid"]), "articulation 'door' moves 'lid'"),
     (partial(random_scene, -1), WHOLE),
-    (partial(random_scene, 0.5), WHOLE),
-    (partial(random_scene, True), WHOLE),
     (partial(random_scene, 0, n_cubes=-1), WHOLE),
     (partial(kitchen, door_angles={"fridge": 0.1}), r"'fridge'; valid choices: .*dagger_door_left"),
     (partial(kitchen, door_angles={"dagger_door_left": 0.1}), r"\[-1\.57, 0\.0\] rad"),

@@ -78,13 +78,10 @@ def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp
     for item in shapes:
         item["shape"]["path"] = item["shape"]["path"].removeprefix("parts/")
     (tmp_path / "parts" / "scene.json").write_text(json.dumps(data["scene"]))
-    path = saved(data | {"scene": "parts/scene.json"}, tmp_path)
+    named = data | {"scene": "parts/scene.json"}
+    path = saved(named, tmp_path)
     assert PlanningProblem.load(path).scene == whole.scene
-    refused(
-        r"scene is 'parts/scene.json', a file: load what",
-        PlanningProblem.from_dict,
-        data | {"scene": "parts/scene.json"},
-    )
+    refused("scene is 'parts/scene.json', a file: load what", PlanningProblem.from_dict, named)
     (tmp_path / "parts" / "scene.json").write_text("{}")
     refused(r"parts/scene.json: name is missing", PlanningProblem.load, path)
 

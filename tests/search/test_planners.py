@@ -261,7 +261,6 @@ def test_checked_path_names_the_bad_segment(problem, solution):
 
 
 MARGIN = 1e-4  # [m] that planning keeps from obstacles
-ENOUGH = Budget(iterations=20_000)
 
 
 def with_block(problem, q, distance):

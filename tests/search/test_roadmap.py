@@ -119,7 +119,6 @@ def test_what_an_oracle_knows_is_not_paid_for(tuning, roadmap):
     assert told.counters.state_checks < plain.counters.state_checks
 
 
-ENOUGH = Budget(iterations=20_000)
 LONG = {"attempts": 400, "seconds": 100.0, "patience": 1000}
 
 
@@ -237,11 +236,8 @@ def test_informed_roadmaps_find_shorter_paths_that_repeat(problem, first):
 def turns(problem, budget=None, seed=0, **changes):
     """The result of `roadmap` with changes to its turns."""
     method = replace(planner_named("roadmap").stages(problem).search, **changes)
-    query = Query.of(
-        ConstrainedSpace(problem),
-        budget or Budget(iterations=20_000),
-        np.random.default_rng(seed),
-    )
+    rng = np.random.default_rng(seed)
+    query = Query.of(ConstrainedSpace(problem), budget or ENOUGH, rng)
     return search(method, query, uniform(query, Observation()))
 
 

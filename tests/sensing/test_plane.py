@@ -71,14 +71,8 @@ WALL = SCATTERED * (0, 1, 1)
 
 @pytest.mark.parametrize("points", [SCATTERED, np.zeros((1, 3)), np.zeros((50, 3)), WALL])
 def test_a_cloud_without_a_table_is_refused(points):
-    refused(
-        "no supporting plane",
-        supporting_plane,
-        points,
-        np.array([0, 0, 1.0]),
-        0.2,
-        np.random.default_rng(0),
-    )
+    up, rng = np.array([0, 0, 1.0]), np.random.default_rng(0)
+    refused("no supporting plane", supporting_plane, points, up, 0.2, rng)
 
 
 def office(rng, height):

@@ -10,7 +10,10 @@ from refusals import refused
 from scipy.spatial import cKDTree
 
 from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.poses import pose
+from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.scene.coal_shapes import transform
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.sensing.filters import near_robot, outliers, voxel_means
@@ -34,9 +37,8 @@ def test_the_arm_in_the_picture_is_no_obstacle(files, capture):
     assert CollisionChecker(files.robot, with_arm.scene()).in_collision(files.q)
     assert not CollisionChecker(files.robot, made.scene()).in_collision(files.q)
     refuse_touching(made.scene(), arm)
-    refused(
-        r"stands inside the scan: panda_\w+ and scan meet", refuse_touching, with_arm.scene(), arm
-    )
+    told = r"stands inside the scan: panda_\w+ and scan meet"
+    refused(told, refuse_touching, with_arm.scene(), arm)
 
 
 def test_captures_are_merged_where_their_cameras_stand(capture):
@@ -109,13 +111,9 @@ def distance_to(robot, q, point):
     data, geometry = robot.model.createData(), robot.collision_model
     placed = pin.GeometryData(geometry)
     pin.updateGeometryPlacements(robot.model, data, geometry, placed, q)
-    here = coal.Transform3s(np.eye(3), point)
-    dot, request = coal.Sphere(1e-9), coal.DistanceRequest()
-    places = [coal.Transform3s(T.rotation, T.translation) for T in placed.oMg]
-    return min(
-        coal.distance(item.geometry, T, dot, here, request, coal.DistanceResult())
-        for item, T in zip(geometry.geometryObjects, places, strict=True)
-    )
+    dot, here = coal.Sphere(1e-9), transform(pose(point))
+    pairs = zip(geometry.geometryObjects, placed.oMg, strict=True)
+    return min(coal_distance(x.geometry, transform(T.homogeneous), dot, here) for x, T in pairs)
 
 
 def test_outliers_are_those_with_few_neighbours():

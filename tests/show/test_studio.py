@@ -1,13 +1,12 @@
 """A studio plans again as start, goal and obstacles move, and its page follows."""
 
 import json
-import os
 import signal
 import time
 
 import numpy as np
 import pytest
-from command_line import ROOT, run, start
+from command_line import start
 from refusals import refused
 
 from cvqmpt_lab.certificate import certify
@@ -225,14 +224,6 @@ def test_an_address_is_shown_and_a_port_in_use_is_refused(page, problem):
     assert page.address.startswith("http://127.0.0.1:")
     port = page.server.get_port()
     refused(f"port {port} is in use or no port; give another one, or 0", studio, problem, port)
-    refused("port -1 is in use or no port", studio, problem, -1)
-
-
-def test_without_viser_the_extra_is_named(tmp_path):
-    (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['viser'] = None")
-    paths = f"{tmp_path}{os.pathsep}{ROOT}"
-    line = run(["studio", "place-task"], code=2, PYTHONPATH=paths)
-    assert line.count("\n") == 1 and "pip install -c constraints.txt -e '.[studio]'" in line
 
 
 def test_the_command_serves_until_it_is_interrupted(tmp_path, problem):

@@ -1,13 +1,11 @@
 """Data, stages and a prediction through the command line; training needs torch and numpy alone."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from command_line import python
 
-from cli.main import main
 from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.training.profiles import PROFILES
@@ -18,7 +16,7 @@ from cvqmpt_lab.vqmpt.weights import robot_signature
 
 
 @pytest.mark.parametrize("robot_options", ["", "--robot tiago-no-hand --base 0,0,-0.6"])
-def test_from_scenes_to_a_prediction(tmp_path, robot_options):
+def test_from_scenes_to_a_prediction(tmp_path, cvqmpt, robot_options):
     """For the Panda and an arm of eight joints whose first one slides."""
     data, stage1, out = tmp_path / "data", tmp_path / "stage1", tmp_path / "model"
     # the first of each family validates
@@ -29,7 +27,7 @@ def test_from_scenes_to_a_prediction(tmp_path, robot_options):
         f"train stage1 {common} --out {stage1}",
         f"train published {common} --dictionary {stage1} --out {out}",
     ):
-        assert main(command.split()) == 0
+        cvqmpt(command)
     robot = robot_from_source(json.loads((data / "dataset.json").read_text())["recipe"]["robot"])
     model = stored(load_checkpoint(out / "model", robot_signature(robot)))
     assert len(predicted(PublishedPredictor(model, robot), robot, 1)[0][0].codes) > 0
@@ -45,21 +43,19 @@ def predicted(predictor, robot, goals):
     return predictor.hypotheses(scene, start, np.array(goals))
 
 
-def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_path, capsys):
+def test_the_published_architecture_learns_from_roadmap_labels_and_plans(tmp_path, cvqmpt):
     """With the shipped dictionary, which has another width."""
     labels, out, config = tmp_path / "labels", tmp_path / "out", tmp_path / "tiny.json"
     scenes = ["--labels", "roadmap", "--family", "table,shelves", "--scenes", "4", "--jobs", "1"]
-    assert main(["data", "generate", *scenes, "--out", str(labels)]) == 0
+    cvqmpt("data generate", *scenes, "--out", labels)
     profile = to_plain(PROFILES["smoke"], complete=True)
     profile["published"] |= {"batches_per_epoch": 2, "validation_scenes": 2}
     config.write_text(json.dumps(profile))
-    train = f"train published --config {config} --data {labels} --out {out}".split()
-    assert main([*train, "--epochs", "1", "--device", "cpu"]) == 0
-    said = capsys.readouterr().out
+    train = f"train published --config {config} --data {labels} --out {out}"
+    said = cvqmpt(f"{train} --epochs 1 --device cpu")
     for metric in ("no_cloud_cross_entropy_ways", "wrong_cloud_cross_entropy_all"):
         assert f"validation_{metric}" in said
-    assert main(["plan", "place-task", "--planner", "cvq-published", "--model", str(out)]) == 0
-    assert "solved" in capsys.readouterr().out
+    assert "solved" in cvqmpt("plan place-task --planner cvq-published --model", out)
 
 
 BLOCKED = """
@@ -75,6 +71,4 @@ sys.exit(main(["train", "stage1", "--profile", "smoke", "--print-config"]))
 
 
 def test_the_train_command_starts_with_torch_and_numpy_alone():
-    done = subprocess.run([sys.executable, "-c", BLOCKED], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert '"name": "smoke"' in done.stdout
+    assert '"name": "smoke"' in python(BLOCKED)

@@ -13,7 +13,6 @@ from command_line import refused as command_refused
 from refusals import refused
 from training_data import kinematics, write_dataset
 
-from cli.main import main
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import CvqmptError
 from cvqmpt_lab.labels.generation import generate
@@ -225,13 +224,13 @@ def test_profiles_survive_json_and_give_rates():
     assert found == pytest.approx([0.5, 1.0, 0.55, 0.1])
 
 
-def test_the_command_line(tmp_path, capsys, data):
+def test_the_command_line(tmp_path, cvqmpt, capsys, data):
     config, out = tmp_path / "mine.json", str(tmp_path / "x")
     config.write_text(json.dumps(to_plain(TINY)))
     dense = tmp_path / "dense.json"
     dense.write_text('{"published_model": {"dense": true}}')
-    assert main(["train", "stage1", "--profile", "smoke", "--print-config"]) == 0
-    assert from_plain(Profile, json.loads(capsys.readouterr().out)) == SMOKE
+    told = cvqmpt("train stage1 --profile smoke --print-config")
+    assert from_plain(Profile, json.loads(told)) == SMOKE
     given = ["--config", config, "--data", data, "--out", out]
     for message, words in {
         "no dataset in": ["stage1", *given[:2], "--data", tmp_path, "--out", out],

@@ -11,7 +11,6 @@ from properties.test_differential import tuning_problems
 from refusals import refused, table
 from toppra_duration import weak_efforts
 
-from cli.main import main
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.certificate import FaultKind
 from cvqmpt_lab.motion_check import certified_motion, dry_run
@@ -188,15 +187,9 @@ def test_what_cannot_be_timed_names_joint_and_place():
         assert waypoint >= 12, "where it moves"
 
 
-def planned(capsys, *words):
-    """Output of a plan that finds a path."""
-    assert main(["plan", *map(str, words)]) == 0
-    return capsys.readouterr().out
-
-
-def test_plan_writes_the_motion_of_a_certified_path(capsys, tmp_path):
+def test_plan_writes_the_motion_of_a_certified_path(cvqmpt, tmp_path):
     out = tmp_path / "motion.json"
-    text = planned(capsys, "place-task", "--problem", 1, "--trajectory", out, "--speed", 0.5)
+    text = cvqmpt("plan place-task --problem 1 --speed 0.5 --trajectory", out)
     message = json.loads(out.read_text())
     last = message["points"][-1]["time_from_start"]
     line = next(line for line in text.splitlines() if line.startswith("trajectory"))
@@ -318,7 +311,7 @@ def test_too_heavy_a_load_is_named(solution):
     refused(told, certified_motion, problem, solution.path, FULL)
 
 
-def test_what_no_urdf_says_is_named(slider_arm, solution, capsys):
+def test_what_no_urdf_says_is_named(slider_arm, cvqmpt, capsys):
     assert "no mass of what rail, lift, bend, twist moves" in without_effort_limit(slider_arm)
     assert Dynamics.of(slider_arm) is None
     finger = robot_from_source({"name": "finger"})
@@ -326,8 +319,7 @@ def test_what_no_urdf_says_is_named(slider_arm, solution, capsys):
     assert Dynamics.of(finger) is None
     given = robot_from_source({"name": "finger", "effort_limits": 2.0})
     assert without_effort_limit(given) == without_effort_limit(panda()) == ""
-    assert main(["robot", "finger"]) == 0
-    assert "not plausible in the URDF" in capsys.readouterr().out
+    assert "not plausible in the URDF" in cvqmpt("robot finger")
     assert "effort limit -1" in command_refused(capsys, "robot", "finger", "--effort", "-1")
 
 

@@ -8,10 +8,10 @@ from itertools import product
 
 import numpy as np
 import pytest
+from command_line import refused as command_refused
 from refusals import refused
 from small_models import random_checkpoint
 
-from cli.main import main
 from cvqmpt_lab.planners import planner_named
 from cvqmpt_lab.search.planner_interface import Observation, Query
 from cvqmpt_lab.search.result import Budget
@@ -95,33 +95,32 @@ def rows_of(path):
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
-def test_the_command_writes_the_histogram_and_leaves_files_of_others_alone(tmp_path, model, capsys):
+def test_the_command_writes_the_histogram_and_leaves_files_of_others_alone(
+    tmp_path, model, cvqmpt, capsys
+):
     out, mine = tmp_path / "histogram", tmp_path / "mine"
-    words = ["figure", "histogram", "--problems", "2", "--model", str(model), "--out"]
-    assert main([*words, str(out)]) == 0
+    words = f"figure histogram --problems 2 --model {model} --out"
+    cvqmpt(words, out)
     files = {f"histogram.{ending}" for ending in ("png", "svg", "csv")}
-    assert {path.name for path in out.iterdir()} == files | {
-        "values.csv",
-        "exceedance.csv",
-        "provenance.json",
-    }
+    files |= {"values.csv", "exceedance.csv", "provenance.json"}
+    assert {path.name for path in out.iterdir()} == files
     assert ET.parse(out / "histogram.svg").getroot().tag.endswith("svg")
     assert {row["problem"] for row in rows_of(out / "values.csv")} == {"0", "1"}
     record = json.loads((out / "provenance.json").read_text())
     assert record["weights"] == {"vq_mpt": weights_digest(model)} and record["seeds"] == [0]
-    assert main([*words, str(out), "--seed", "1"]) == 2  # another configuration
-    assert "update.seed was 0, now 1" in capsys.readouterr().err
+    other = command_refused(capsys, *words.split(), out, "--seed", 1)
+    assert "update.seed was 0, now 1" in other
     mine.mkdir()
     (mine / "thesis.tex").write_text("mine")
-    assert main([*words, str(mine)]) == 2
-    assert "holds files without provenance.json" in capsys.readouterr().err
+    told = command_refused(capsys, *words.split(), mine)
+    assert "holds files without provenance.json" in told
     assert [path.name for path in mine.iterdir()] == ["thesis.tex"]
 
 
-def test_the_command_writes_the_concept_figure(tmp_path, model, monkeypatch):
+def test_the_command_writes_the_concept_figure(tmp_path, model, monkeypatch, cvqmpt):
     monkeypatch.setattr(paper, "PICTURE", (180, 138))
     out = tmp_path / "concept"
-    assert main(["figure", "concept", "--model", str(model), "--out", str(out)]) == 0
+    cvqmpt(f"figure concept --model {model} --out", out)
     rows = rows_of(out / "concept.csv")
     assert {row["when"] for row in rows} == {"before", "after"} and rows[-1]["code"] == "goal"
     for row in rows:
