@@ -100,10 +100,10 @@ def _solved_problem(
         # the obstacles are those of the suite or file; the cloud is what a network is shown
         method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
     if args.trajectory:
-        from cvqmpt_lab.trajectory.trajectory import file_type
+        from cvqmpt_lab.trajectory.trajectory import WRITERS
 
         # a wrong file name or speed is refused before anything is planned
-        file_type(writable_file(args.trajectory))
+        file_of_kind("--trajectory", tuple(WRITERS), args.trajectory)
         problem.robot.joint_limits.scaled(args.speed)
     margin = Margin(args.margin, args.margin_angle).check()
     warm_up(problem, method, args.backend, log)

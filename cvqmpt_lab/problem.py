@@ -57,7 +57,6 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import (
     Attachment,
-    NamedScene,
     Scene,
     refuse_far,
     refuse_far_poses,
@@ -109,7 +108,7 @@ class PlanningProblem(Document):
 
     name: Name  # What it is called in results
     robot: RobotOfSource  # What moves; n is the number of its joints
-    scene: NamedScene  # What it must not touch
+    scene: Scene  # What it must not touch
     # (n,) [rad or m], drawn from `start_region` if empty
     start: State = field(default_factory=lambda: np.empty(0))
     # (k, n) [rad or m], drawn from `goal_region` if there are none

@@ -120,7 +120,7 @@ def parsing(path: Path, what: str) -> Iterator[None]:
         yield
     except Exception as error:  # parsers of other people's formats raise anything
         said = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InvalidInputError(f"{what} {path}: {said}") from error
+        raise InvalidInputError(f"{what} {path} is not understood: {said}") from error
 
 
 def check_lengths(

@@ -24,7 +24,7 @@ from cvqmpt_lab.errors import (
 )
 from cvqmpt_lab.files import yaml_value
 from cvqmpt_lab.poses import Placement
-from cvqmpt_lab.robot.source import SCHEME, in_package
+from cvqmpt_lab.robot.source import mesh_path
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
 from cvqmpt_lab.scene.convex import convex_pieces
 from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, read_mesh
@@ -274,11 +274,7 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
         raise InvalidInputError(
             f"mesh {name!r} is scaled differently along its axes; scale the file itself"
         )
-    there = path.parent / name.removeprefix("file://")
-    if name.startswith(SCHEME):
-        package, _, rest = name.removeprefix(SCHEME).partition("/")
-        there = in_package(package, rest, path)
-    yield from map(ConvexMesh, read_mesh(there, scales.pop()))
+    yield from map(ConvexMesh, read_mesh(mesh_path(name, path), scales.pop()))
 
 
 def _pose(value: Any) -> FloatArray:

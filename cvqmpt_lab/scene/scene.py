@@ -14,12 +14,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from cvqmpt_lab.codec import Checked, from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, at, shown, unique
+from cvqmpt_lab.codec import Checked
+from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, at, unique
 from cvqmpt_lab.poses import Pose, pose
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Measured, OccupancyMap, Shape, bounding_radius
 from cvqmpt_lab.values import FloatArray, Mass, Name
@@ -184,25 +184,6 @@ class Scene(Checked):
     @cached_property
     def _hash(self) -> int:
         return super().__hash__()  # 6 ms for the kitchen, asked for with every problem
-
-
-class SceneForm:
-    """A scene; in a problem's or task's file also the path of a scene file (see `scene_files`)."""
-
-    def read(self, value: Any, where: str) -> Scene:
-        """The scene of a json value."""
-        if isinstance(value, str):
-            raise InvalidInputError(
-                f"{where} is {shown(value)}, a file: load what names it from a file too"
-            )
-        return from_plain(Scene, value, where)
-
-    def write(self, value: Scene) -> Any:
-        """The scene as plain data."""
-        return to_plain(value)
-
-
-NamedScene = Annotated[Scene, SceneForm()]
 
 
 @dataclass(frozen=True, eq=False)

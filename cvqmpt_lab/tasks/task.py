@@ -31,7 +31,6 @@ from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.scene.scene import (
     Articulation,
     Attachment,
-    NamedScene,
     Scene,
     SceneObject,
     refuse_far,
@@ -153,7 +152,7 @@ class Task(Document):
 
     name: Name  # What it is called in results
     robot: Mapping[str, Any]  # What a problem file says of it
-    scene: NamedScene  # At the beginning
+    scene: Scene  # At the beginning
     start: State  # (n,) [rad or m]
     phases: tuple[Phase, ...]  # In their order
 
@@ -208,12 +207,6 @@ class Task(Document):
             else:
                 before.append(phase)
         return found
-
-    @property
-    def in_legs(self) -> Task:
-        """The same task with every move that goes through regions as several moves."""
-        legs = (phase.legs if isinstance(phase, Move) else (phase,) for phase in self.phases)
-        return self.changed(phases=tuple(leg for several in legs for leg in several))
 
 
 def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:

@@ -24,14 +24,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.errors import (
-    CvqmptError,
     InvalidInputError,
     mapping,
     require_choice,
     shown,
     whole_number,
 )
-from cvqmpt_lab.files import json_object, read_text, write_text
+from cvqmpt_lab.files import json_value, write_text
+from cvqmpt_lab.scene.cloud_files import kind_of, read_by_suffix
 from cvqmpt_lab.trajectory.piecewise import quintic
 from cvqmpt_lab.values import numbers
 
@@ -129,14 +129,8 @@ class Motion:
 
 def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Write a .csv or .json file."""
-    write_text(Path(path), WRITERS[file_type(path)](trajectory))
-
-
-def file_type(path: Path | str) -> str:
-    """The ending of a trajectory file, ".csv" or ".json"; anything else is refused."""
-    ending = Path(path).suffix.lower()
-    require_choice(f"trajectory file type of {path}:", ending, WRITERS)
-    return ending
+    path = Path(path)
+    write_text(path, WRITERS[kind_of(path, WRITERS, "trajectory")](trajectory))
 
 
 def as_csv(trajectory: Trajectory) -> str:
@@ -173,17 +167,7 @@ WRITERS = {".csv": as_csv, ".json": as_ros_json}
 
 def read_motion(path: Path) -> Motion:
     """Read a .csv or .json file; InvalidInputError names the file and what is not understood."""
-    readers = {".csv": _from_csv, ".json": _from_json}
-    ending = path.suffix.lower()
-    require_choice(f"file type of {path}:", ending, readers)
-    text = read_text(path, "motion")
-    try:
-        motion = readers[ending](text)
-    except CvqmptError as error:
-        raise InvalidInputError(f"motion {path} is not understood: {error}") from error
-    except (TypeError, ValueError, KeyError, AttributeError, OverflowError, csv.Error) as error:
-        why = shown(str(error))
-        raise InvalidInputError(f"motion {path} is not understood: {why}") from error
+    motion = read_by_suffix({".csv": _from_csv, ".json": _from_json}, path, "motion")
     for kind in (motion.positions, motion.velocities, motion.accelerations):
         if kind is not None and (kind.ndim != 2 or kind.shape != motion.positions.shape):
             raise InvalidInputError(
@@ -197,8 +181,8 @@ def read_motion(path: Path) -> Motion:
     return motion
 
 
-def _from_csv(text: str) -> Motion:
-    rows = [row for row in csv.reader(io.StringIO(text)) if row]
+def _from_csv(data: bytes) -> Motion:
+    rows = [row for row in csv.reader(io.StringIO(data.decode())) if row]
     if not rows:
         raise InvalidInputError("it is empty")
     header, lines = None, rows
@@ -233,25 +217,23 @@ def _decimal(cell: str) -> float:
     return float(cell)
 
 
-def _from_json(text: str) -> Motion:
-    try:
-        data = json.loads(text) if text.lstrip().startswith("[") else json_object(text, "it")
-    except RecursionError as error:
-        raise InvalidInputError("it is nested too deeply") from error
-    if isinstance(data, list):
-        return Motion(None, _table(data))
-    names = data.get("joint_names", data.get("joints"))
+def _from_json(data: bytes) -> Motion:
+    found = json_value(data.decode(), "it")
+    if isinstance(found, list):
+        return Motion(None, _table(found))
+    said = mapping(found, "", "'states', 'path' or 'points'")
+    names = said.get("joint_names", said.get("joints"))
     if names is not None:
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise InvalidInputError(f"'joint_names' {shown(names)}: give a list of names")
         names = tuple(names)
-    if "points" in data:
-        _refuse_unknown("the trajectory", data, ("header", "joint_names", "joints", "points"))
-        return _from_points(names, data["points"])
-    key = next((key for key in ("states", "path") if data.get(key) is not None), None)
+    if "points" in said:
+        _refuse_unknown("the trajectory", said, ("header", "joint_names", "joints", "points"))
+        return _from_points(names, said["points"])
+    key = next((key for key in ("states", "path") if said.get(key) is not None), None)
     if key is None:
         raise InvalidInputError("it has no 'states', 'path' or 'points'")
-    return Motion(names, _table(data[key]))
+    return Motion(names, _table(said[key]))
 
 
 def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) -> Motion:
