@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.motion_options import MOTION, arm_of, motion_given, motion_problem, scanned
 from cli.options import (
     FLAG,
     REACH,
@@ -35,7 +34,7 @@ from cli.problem_options import (
     problem_asked,
     with_clearance,
 )
-from cli.scan_command import SCAN
+from cli.scan_command import MOTION, SCAN, arm_of, motion_given, motion_problem, scanned
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.files import make_folder, write_text

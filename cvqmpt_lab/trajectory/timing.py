@@ -23,10 +23,9 @@ from scipy.interpolate import PPoly
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.robot import SLOW, JointLimits
-from cvqmpt_lab.trajectory.piecewise import extremes, quintic
 from cvqmpt_lab.trajectory.smooth_curve import SmoothCurve, smooth_curve
 from cvqmpt_lab.trajectory.squared_speeds import squared_speeds
-from cvqmpt_lab.trajectory.trajectory import Trajectory
+from cvqmpt_lab.trajectory.trajectory import Trajectory, extremes, quintic
 
 
 @dataclass(frozen=True)
