@@ -37,7 +37,7 @@ from cli.problem_options import (
 from cli.scan_command import MOTION, SCAN, arm_of, motion_given, motion_problem, scanned
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import make_folder, write_text
+from cvqmpt_lab.files import csv_table, make_folder, write_text
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named
@@ -71,10 +71,8 @@ def run(args: argparse.Namespace) -> int:
     # with --json, standard output holds the json object alone
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.save_path and isinstance(solution, Solution) and solution.path:
-        states = solution.path.states
-        lines = (",".join(repr(float(x)) for x in q) for q in states)
-        names = ",".join(solution.problem.robot.joint_names)
-        write_text(args.save_path, "\n".join([names, *lines, ""]))
+        rows = solution.problem.robot.joint_names, *solution.path.states.tolist()
+        write_text(args.save_path, csv_table(rows))
         say(f"path written to {args.save_path}")
     if args.trajectory:
         say(

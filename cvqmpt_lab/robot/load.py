@@ -174,6 +174,10 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     held = tuple(joint for joint in held if joint.name not in free)
     model, geometry, meshes = _models(urdf, given, held)
     axes = axis_frames(model)
+    kinematics = kinematics_arrays(model, axes)
+    # no motor of an arm has more [Nm or N]: that stands where a URDF must state something
+    efforts, most = np.array(model.upperEffortLimit), np.where(kinematics.prismatic, 1e4, 1e3)
+    plausible = np.where((efforts > 0.0) & (efforts < most), efforts, np.inf)
     names = list(model.names)[1:]
     limits = {
         kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
@@ -193,11 +197,11 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         end_effectors={
             name: in_link(axes, hand.parentJoint, hand.placement) for name, hand in hands.items()
         },
-        kinematics=kinematics_arrays(model, axes),
+        kinematics=kinematics,
         links=tuple(link_geometry(item, axes) for item in geometry.geometryObjects),
         self_collision_pairs=(),
         held_joints=held,
-        limits={"effort": _plausible_efforts(model), **limits},
+        limits={"effort": plausible, **limits},
         files=tuple({**read, **meshes}.items()),
     )
     if robot.reach > MOST_REACH:
@@ -212,16 +216,6 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
     pairs = checked_pairs(model, geometry, left_out)
     return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
-
-
-def _plausible_efforts(model: pin.Model, torque: float = 1e3, force: float = 1e4) -> np.ndarray:
-    """Effort limits (n,) of a URDF [Nm or N]; inf where it states 0, or torque, force or more.
-
-    No motor of an arm has these: they stand where a URDF must state something.
-    """
-    efforts = np.array(model.upperEffortLimit)
-    slides = [joint.shortname().startswith("JointModelP") for joint in list(model.joints)[1:]]
-    return np.where((efforts > 0.0) & (efforts < np.where(slides, force, torque)), efforts, np.inf)
 
 
 def _models(

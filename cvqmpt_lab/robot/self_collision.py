@@ -6,7 +6,7 @@ overlap in nearly every random configuration. The result depends on the robot al
 """
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 
@@ -67,16 +67,21 @@ def left_out_pairs(
     pieces: dict[str, list[int]] = {}
     for k, item in enumerate(geometry.geometryObjects):
         pieces.setdefault(model.frames[item.parentFrame].name, []).append(k)
-    near = _neighbours(urdf, pieces)
+    # the nearest link towards the base that has bodies
+    above = {
+        link: next((joint.parent for joint in urdf.chain(link)[::-1] if joint.parent in pieces), "")
+        for link in pieces
+    }
     joints = {name: geometry.geometryObjects[own[0]].parentJoint for name, own in pieces.items()}
     every = list(combinations(pieces, 2))
     reasons = {}
     for pair in every:
         a, b = joints[pair[0]], joints[pair[1]]
+        neighbours = above[pair[1]] == pair[0] or above[pair[0]] == pair[1]
+        if neighbours and a in (model.parents[b], *model.children[b]):
+            reasons[pair] = ADJACENT
         if a == b:
             reasons[pair] = FIXED
-        elif (pair in near or pair[::-1] in near) and a in (model.parents[b], *model.children[b]):
-            reasons[pair] = ADJACENT
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     states = np.random.default_rng(0).uniform(lower, upper, (samples, model.nq))
     robot = model, geometry, links, kinematics, pieces
@@ -87,19 +92,6 @@ def left_out_pairs(
         if hit.mean() >= always:
             reasons[pair] = f"{OVERLAP}{100.0 * hit.mean():.4g} % of random states"
     return tuple(LeftOut(*pair, reasons[pair]) for pair in every if pair in reasons)
-
-
-def _neighbours(urdf: Urdf, bodies: Collection[str]) -> set[Pair]:
-    """Pairs (nearer to the base, further out) of links with bodies, and no body between them."""
-    above = {joint.child: joint.parent for joint in urdf.joints.values()}
-    found = set()
-    for link in bodies:
-        parent = above.get(link)
-        while parent is not None and parent not in bodies:
-            parent = above.get(parent)
-        if parent is not None:
-            found.add((parent, link))
-    return found
 
 
 def checked_pairs(

@@ -33,7 +33,7 @@ from cvqmpt_lab.errors import (
     shown,
     whole_number,
 )
-from cvqmpt_lab.files import json_value, write_text
+from cvqmpt_lab.files import csv_table, json_value, write_text
 from cvqmpt_lab.scene.cloud_files import kind_of, read_by_suffix
 from cvqmpt_lab.values import numbers
 
@@ -140,8 +140,7 @@ def as_csv(trajectory: Trajectory) -> str:
     columns = [f"{name}_{kind}" for kind in KINDS for name in trajectory.joint_names]
     state = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
     table = np.column_stack([trajectory.times, *state])
-    lines = [",".join(map(repr, row)) for row in table.tolist()]
-    return "\n".join([",".join(["time", *columns]), *lines]) + "\n"
+    return csv_table([["time", *columns], *table.tolist()])
 
 
 def as_ros_json(trajectory: Trajectory) -> str:
