@@ -26,7 +26,7 @@ from experiments.run import default_jobs
 LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": RoadmapRecipe}
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Generate the shards that --out does not have yet."""
     families, robot = tuple(args.family.split(",")), robot_source(args) or PANDA
     more = {}
@@ -48,7 +48,6 @@ def run(args: argparse.Namespace) -> int:
 
     generate(recipe, args.out, own_command(), ProgressBar("data"), in_processes)
     print((args.out / "README.md").read_text())
-    return 0
 
 
 OPTIONS: Options = {

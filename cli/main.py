@@ -204,7 +204,7 @@ def main(argv: list[str] | None = None) -> int:
             gc.enable()
         code = command_named(args.command)[0](args)
         sys.stdout.flush()
-        return code
+        return code or 0  # most commands say nothing else
     except CvqmptError as error:
         print(f"cvqmpt: {error}", file=sys.stderr)
         return 2

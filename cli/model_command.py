@@ -20,7 +20,7 @@ from cvqmpt_lab.vqmpt.weights import (
 )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Report on weights, or convert them and report."""
     if args.action == "import":
         for name in ("dictionary_dir", "ar_dir", "out"):
@@ -29,7 +29,6 @@ def run(args: argparse.Namespace) -> int:
         _import(args.dictionary_dir, args.ar_dir, args.out)
     found = _info(resolve_model(args.out if args.action == "import" else args.model))
     print(json.dumps(found, indent=2) if args.json else "\n".join(_summary(found)))
-    return 0
 
 
 def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:

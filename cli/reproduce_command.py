@@ -51,10 +51,11 @@ FIXED = (
 """Options that profiles of all suites decide."""
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Run what is missing in --out, then render its tables."""
     if args.suite == ALL:
-        return _reproduce_all(args)
+        _reproduce_all(args)
+        return
     if (args.suite is None) == (args.problems_dir is None):
         raise InvalidInputError(
             f"name a suite ({', '.join(SUITES)}) or give --problems-dir, one of the two"
@@ -76,7 +77,6 @@ def run(args: argparse.Namespace) -> int:
     with executor_for(experiment, args.jobs or default_jobs(), args.dask) as executor:
         run_experiment(experiment, out, executor, own_command(), ProgressBar(suite.name))
     show_tables(out)
-    return 0
 
 
 class Whole:
@@ -111,7 +111,7 @@ class Whole:
         return show
 
 
-def _reproduce_all(args: argparse.Namespace) -> int:
+def _reproduce_all(args: argparse.Namespace) -> None:
     """Run what is missing, render everything and print the verdicts."""
     given = [f"--{name.replace('_', '-')}" for name in FIXED if getattr(args, name) is not None]
     if given:
@@ -139,7 +139,6 @@ def _reproduce_all(args: argparse.Namespace) -> int:
     print("\n".join(verdict_lines(out, beside=True)))
     print(f"every claim, its numbers and commands: {page}")
     print(f"report, for a browser: {write_report(out)}")
-    return 0
 
 
 OPTIONS: Options = {
@@ -184,7 +183,7 @@ REMOVED = {  # figures by name, and what is there instead of them
 }
 
 
-def figure(args: argparse.Namespace) -> int:
+def figure(args: argparse.Namespace) -> None:
     """Make the figure and print a summary."""
     out = args.out or Path("runs") / args.figure
     settings = UpdateSettings(seed=args.seed)
@@ -196,7 +195,6 @@ def figure(args: argparse.Namespace) -> int:
     print("\n".join(summary(updates)))
     for path in written:
         print(f"written {path}")
-    return 0
 
 
 FIGURE: Options = {

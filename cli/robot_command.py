@@ -21,13 +21,13 @@ from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Load the robot and report."""
     if args.robot is None:
         for name, arm in ARMS.items():
             hands = arm.end_effector or " and ".join(arm.end_effectors)
             print(f"{name:16} {arm.urdf}, end effector {hands}")
-        return 0
+        return
     source, others = _source(args)
     robot = robot_from_source(source)
     said = describe(robot)
@@ -36,7 +36,6 @@ def run(args: argparse.Namespace) -> int:
         from cvqmpt_lab.show.picture import draw
 
         draw(robot, args.picture)
-    return 0
 
 
 def _source(args: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:

@@ -336,7 +336,7 @@ def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
     return from_plain(Region, {name: fields}, "--constraint")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Read, clean, report, write."""
     robot = chosen_robot(args)
     arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
@@ -360,7 +360,6 @@ def run(args: argparse.Namespace) -> int:
 
         draw_scan(made, scene, args.voxel, args.picture, shown)
         print(f"picture written to {args.picture}")
-    return 0
 
 
 OPTIONS: Options = {

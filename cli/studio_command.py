@@ -11,7 +11,7 @@ from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.warm_up import compile_kernels
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Serve the page until Ctrl-C."""
     from cvqmpt_lab.show.studio import studio  # half a second to import
 
@@ -24,7 +24,6 @@ def run(args: argparse.Namespace) -> int:
     print(f"{page}; Ctrl-C ends it", flush=True)
     ended.wait()
     page.stop()
-    return 0
 
 
 def _problem(args: argparse.Namespace) -> PlanningProblem:

@@ -38,10 +38,9 @@ from paper_tables.suites import directory_rows, render_directory
 from paper_tables.writers import text_lines
 
 
-def table(args: argparse.Namespace) -> int:
+def table(args: argparse.Namespace) -> None:
     """Render the tables of a results directory and print the short one."""
     show_tables(args.directory)
-    return 0
 
 
 def show_tables(directory: Path) -> None:
@@ -51,10 +50,9 @@ def show_tables(directory: Path) -> None:
     print("\n".join([f"{title}; all numbers: {directory / 'table.md'}", *lines]))
 
 
-def report(args: argparse.Namespace) -> int:
+def report(args: argparse.Namespace) -> None:
     """Write one self-contained html file about results."""
     print(f"report, for a browser: {write_report(args.directory, args.out)}")
-    return 0
 
 
 def write_report(directory: Path, out: Path | None = None) -> Path:
@@ -98,7 +96,7 @@ def _rule(text: str) -> Any:
     return Rule.read(text)
 
 
-def claims(args: argparse.Namespace) -> int:
+def claims(args: argparse.Namespace) -> None:
     """Judge every claim of the paper, print the verdicts, and write the page if asked to."""
     if args.results is None and args.write:
         require_checkout("cvqmpt claims --write", "name a folder of results directories")
@@ -107,7 +105,7 @@ def claims(args: argparse.Namespace) -> int:
     if not args.write:
         if args.results or in_checkout():
             print(f"nothing written; --write writes {page}")
-        return 0
+        return
     texts, pictures = {}, {}
     if args.results is None:
         found = evidence_below(RESULTS)
@@ -119,7 +117,6 @@ def claims(args: argparse.Namespace) -> int:
     for path, picture in pictures.items():
         write_bytes(path, picture)
     print("\n".join(f"written {path}" for path in (*texts, *pictures)))
-    return 0
 
 
 def page_of(results: Path) -> str:

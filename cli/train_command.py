@@ -32,7 +32,7 @@ REMOVED = {
 PROFILE_NAMES = ("smoke", "compact", "published")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Train, showing loss and time left."""
     require_installed("torch", "cvqmpt train", "train")
     from cvqmpt_lab.training.profiles import Profile, profile_named
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         profile = from_plain(Profile, plain, "profile")
     if args.print_config:
         print(json.dumps(to_plain(profile, complete=True), indent=2))
-        return 0
+        return
     for name in ("data", "out"):
         if getattr(args, name) is None:
             raise InvalidInputError(f"give --{name} DIR")
@@ -74,7 +74,6 @@ def run(args: argparse.Namespace) -> int:
     if not progress.finished:
         log("stopped after --minutes; the same command continues")
     print(f"model in {args.out / 'model'}, curves in {args.out / 'curves.csv'}")
-    return 0
 
 
 OPTIONS: Options = {

@@ -31,14 +31,13 @@ def read_mesh(path: Path | str, scale: float = 1.0) -> tuple[FloatArray, ...]:
     Raises InvalidInputError if the file cannot be read, has no triangle or more than
     `MOST_TRIANGLES`, spans no volume, or has lengths that are evidently not metres.
     """
-    path = Path(path)
     triangles = scale * read_triangles(path)
     check_lengths(triangles.reshape(-1, 3), f"mesh {path}", room=20.0)
-    with parsing(path, "mesh"):
+    with parsing(Path(path), "mesh"):
         return convex_pieces(triangles)
 
 
-def read_triangles(path: Path) -> FloatArray:
+def read_triangles(path: Path | str) -> FloatArray:
     """Corners (f, 3, 3) of the triangles of a file, in its unit; those of a DAE file in metres."""
     return read_by_suffix(READERS, path, "mesh")
 

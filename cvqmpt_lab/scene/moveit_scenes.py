@@ -47,7 +47,7 @@ def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
     An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file
     and the object.
     """
-    return read_by_suffix(PARSERS, Path(path), "MoveIt scene", Path(path), most=2**24)
+    return read_by_suffix(PARSERS, path, "MoveIt scene", Path(path), most=2**24)
 
 
 def scene_of_yaml(text: str, path: Path) -> Scene:

@@ -64,7 +64,7 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
     scale: [m] of one unit; by default millimetres of a PNG, metres of an NPY of floats.
     """
     readers = {".png": _read_png, ".npy": _read_npy}
-    image = read_by_suffix(readers, Path(path), "depth image", lens)
+    image = read_by_suffix(readers, path, "depth image", lens)
     unit = (0.001 if image.dtype.kind == "u" else 1.0) if scale is None else scale
     with np.errstate(over="ignore", invalid="ignore"):
         depth = unit * image.astype(np.float64)
@@ -229,4 +229,4 @@ def _read_settings(path: Path | str, what: str) -> Any:
         ".yaml": lambda data: yaml_value(data.decode("utf-8")),
         ".yml": lambda data: yaml_value(data.decode("utf-8")),
     }
-    return read_by_suffix(parsers, Path(path), what, most=2**16)
+    return read_by_suffix(parsers, path, what, most=2**16)

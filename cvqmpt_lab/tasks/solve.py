@@ -34,7 +34,6 @@ class PhaseOutcome:
     world: World  # before the phase
     attempts: tuple[Solution, ...]  # in order; the last one counts
     trajectory: Trajectory | None = None  # of the last attempt, if it is certified
-    timing_seconds: float = 0.0
     margin: str = ""  # that it was planned with, and why not more
     fallback: str = ""  # why another planner than the one asked for was used, or ""
     reason: str = ""  # why the phase failed, or ""
@@ -255,12 +254,11 @@ class _Run:
         )
         if not solution.solved or solution.path is None:
             return outcome
-        began = time.perf_counter()
         try:
             motion = certified_motion(solution.problem, solution.path, self.timing)
         except InvalidInputError as error:
             return replace(outcome, reason=f"not timed: {error}")
-        return replace(outcome, trajectory=motion, timing_seconds=time.perf_counter() - began)
+        return replace(outcome, trajectory=motion)
 
 
 def _why(solution: Solution) -> str:

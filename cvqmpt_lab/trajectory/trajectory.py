@@ -131,8 +131,7 @@ class Motion:
 
 def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Write a .csv or .json file."""
-    path = Path(path)
-    write_text(path, WRITERS[kind_of(path, WRITERS, "trajectory")](trajectory))
+    write_text(Path(path), WRITERS[kind_of(path, WRITERS, "trajectory")](trajectory))
 
 
 def as_csv(trajectory: Trajectory) -> str:
