@@ -38,11 +38,11 @@ from cvqmpt_lab.scene.scene import Scene, refuse_far, report_out_of_reach
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.depth import read_capture
-from cvqmpt_lab.sensing.filters import BoxCrop
 from cvqmpt_lab.sensing.plane import CAMERA_UP
 from cvqmpt_lab.sensing.scan import (
     RESOLUTION,
     Arm,
+    BoxCrop,
     MapSettings,
     Scan,
     ScanSettings,

@@ -24,10 +24,9 @@ from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
 from cvqmpt_lab.sensing.depth import read_capture, write_view
-from cvqmpt_lab.sensing.filters import BallCrop
 from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.observation import CameraSettings, arm_objects, views_of
-from cvqmpt_lab.sensing.scan import Arm, MapSettings, ScanSettings, occupancy_map, scan
+from cvqmpt_lab.sensing.scan import Arm, BallCrop, MapSettings, ScanSettings, occupancy_map, scan
 
 ROOM = 0.06  # [m] that start and goal keep from obstacles
 THINGS = {

@@ -28,8 +28,8 @@ from cvqmpt_lab.sensing.camera import (
     cylinder,
     view_of,
 )
-from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
+from cvqmpt_lab.sensing.scan import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.values import FloatArray, frozen
 
 
