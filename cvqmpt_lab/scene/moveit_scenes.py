@@ -26,8 +26,7 @@ from cvqmpt_lab.files import yaml_value
 from cvqmpt_lab.poses import Placement
 from cvqmpt_lab.robot.source import mesh_path
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
-from cvqmpt_lab.scene.convex import convex_pieces
-from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, read_mesh
+from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, convex_pieces, read_mesh
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 from cvqmpt_lab.values import FloatArray, numbers

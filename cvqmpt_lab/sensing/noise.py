@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from cvqmpt_lab.sensing.camera import NOTHING, Solid, View, incidence
 
@@ -106,11 +107,11 @@ def measured(
 
 def _edges(view: View, least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Least and largest depth around each pixel; mask of edges of more than `least` [m]."""
-    # a tenth of a second to import, which plans without noise need not pay
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    near = minimum_filter(view.depth, 3, mode="nearest")
-    far = maximum_filter(np.where(np.isfinite(view.depth), view.depth, -np.inf), 3, mode="nearest")
-    # around a pixel at an edge more than one solid is seen
-    first, last = (of(view.solid, 3, mode="nearest") for of in (minimum_filter, maximum_filter))
-    return near, far, (first != last) & (far > near + least)
+    images = view.depth, np.where(np.isfinite(view.depth), view.depth, -np.inf), view.solid
+    # of each pixel and its neighbours (height, width, 3, 3)
+    depth, seen, solid = (
+        sliding_window_view(np.pad(image, 1, mode="edge"), (3, 3)) for image in images
+    )
+    near, far = depth.min(axis=(2, 3)), seen.max(axis=(2, 3))
+    other = (solid != view.solid[..., None, None]).any(axis=(2, 3))
+    return near, far, other & (far > near + least)
