@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cli.options import FLAG, Options, log, numbers, option, positive
+from cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
 from cli.problem_options import PROBLEM, ROBOT, problem_asked, robot_source
 from cvqmpt_lab.certificate_record import record, report_lines
 from cvqmpt_lab.errors import InvalidInputError
@@ -24,10 +24,8 @@ def run(args: argparse.Namespace) -> int:
                 "the rows of a run name their problems and robots; give the directory alone"
             )
         return _certify_run(args.path, args.problems_dir, args.json)
-    if args.problems_dir:
-        raise InvalidInputError(
-            "--problems-dir goes with the directory of a run; name one file: --problem-file"
-        )
+    why = "goes with the directory of a run; name one file: --problem-file"
+    refuse_given(args, ["problems_dir"], why)
     motion = read_motion(args.path)
     problem = problem_asked(args)
     if not isinstance(problem, PlanningProblem):

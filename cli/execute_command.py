@@ -17,6 +17,7 @@ from cli.options import (
     one_of,
     option,
     positive,
+    refuse_given,
 )
 from cli.plan_command import FILM, MARGIN
 from cli.problem_options import (
@@ -123,8 +124,7 @@ def _suite(args: argparse.Namespace) -> int:
 
 def _task(args: argparse.Namespace, task: Task, times: tuple[float, ...]) -> list[Execution]:
     """A task, planned and executed."""
-    if args.motion is not None:
-        raise InvalidInputError("--motion is of a problem; a task is planned here")
+    refuse_given(args, ["motion"], "is of a problem; a task is planned here")
     margin = Margin(args.margin, args.margin_angle).check()
     timing = TimingSettings(speed=args.speed)
     solution = solve_task(task, "birrt", budget(args), args.seed, timing, margin=margin)

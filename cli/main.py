@@ -112,17 +112,6 @@ class Parser(argparse.ArgumentParser):
         return super().format_help()
 
 
-class Version(argparse.Action):
-    """Print the version and exit; it is looked up only then."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        """Print the version and exit."""
-        from importlib.metadata import version
-
-        print(f"cvqmpt_lab {version('cvqmpt-lab')}")
-        parser.exit()
-
-
 def command_named(name: str) -> tuple[Any, Any]:
     """Function and options of a command (see `options.add_options`); imports its module."""
     module = importlib.import_module(f"cli.{COMMANDS[name][0]}_command")
@@ -146,7 +135,7 @@ def parser_with(filled: Collection[str]) -> Parser:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action=Version, nargs=0, help="print the version")
+    parser.add_argument("--version", action="store_true", help="print the version")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, (_, summary) in COMMANDS.items():
         sub = commands.add_parser(
@@ -198,7 +187,13 @@ def _meant(parser: Parser, command: str, word: str) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run a subcommand; errors of the package become one line and exit code 2."""
     try:
-        args = _parsed(sys.argv[1:] if argv is None else argv)
+        words = sys.argv[1:] if argv is None else argv
+        if words[:1] == ["--version"]:
+            from importlib.metadata import version
+
+            print(f"cvqmpt_lab {version('cvqmpt-lab')}")
+            return 0
+        args = _parsed(words)
         if not gc.isenabled():  # see entry_point
             gc.freeze()
             gc.enable()

@@ -21,6 +21,7 @@ from cli.options import (
     file_of_kind,
     log,
     option,
+    refuse_given,
     writable_file,
 )
 from cli.problem_options import (
@@ -129,13 +130,8 @@ def _solved_task(
     from cvqmpt_lab.tasks.solve import solve_task, task_data, task_lines
     from cvqmpt_lab.trajectory.timing import TimingSettings
 
-    unusable = [
-        name for name in ("cloud", "optimize", "save_path", "project_start") if getattr(args, name)
-    ]
-    if unusable:
-        raise InvalidInputError(
-            f"--{unusable[0].replace('_', '-')} does not go with a task; leave it out"
-        )
+    of_problems = ("cloud", "optimize", "save_path", "project_start")
+    refuse_given(args, of_problems, "does not go with a task; leave it out")
     folder = args.trajectory
     if folder is not None:
         if folder.suffix or folder.is_file():

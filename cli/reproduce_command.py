@@ -20,6 +20,7 @@ from cli.options import (
     option,
     own_command,
     positive_int,
+    refuse_given,
 )
 from cli.problem_options import BUDGET, budget, optimize_budget, optimize_option, planner_list
 from cli.tables_command import page_of, show_tables, verdict_lines, write_report
@@ -113,12 +114,12 @@ class Whole:
 
 def _reproduce_all(args: argparse.Namespace) -> None:
     """Run what is missing, render everything and print the verdicts."""
-    given = [f"--{name.replace('_', '-')}" for name in FIXED if getattr(args, name) is not None]
-    if given:
-        raise InvalidInputError(
-            f"{given[0]} does not go with 'all', whose amounts are fixed; --profile small runs "
-            "less, or name one suite"
-        )
+    refuse_given(
+        args,
+        FIXED,
+        "does not go with 'all', whose amounts are fixed; --profile small runs less, or name one "
+        "suite",
+    )
     parts, out = parts_of(args.profile), args.out or Path("runs/all")
     jobs = args.jobs or default_jobs()
     compile_kernels(log)

@@ -21,6 +21,7 @@ from cli.options import (
     numbers,
     option,
     positive,
+    refuse_given,
     writable_file,
 )
 from cli.problem_options import ROBOT, chosen_robot, configuration, pose_region
@@ -136,9 +137,8 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     """Read and clean the files as the options of `SCAN` say; arm: the robot as it stood then."""
     if args.level and args.extrinsics:
         raise InvalidInputError("--level and --extrinsics: give one of the two")
-    for name in ("front", "down"):
-        if getattr(args, name) is not None and not args.level:
-            raise InvalidInputError(f"--{name} is that of --level table; give it")
+    if not args.level:
+        refuse_given(args, ("front", "down"), "is that of --level table; give it")
     intrinsics = _each("--intrinsics", args.intrinsics, files)
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = zip(files, intrinsics, extrinsics, strict=True)

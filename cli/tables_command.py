@@ -15,6 +15,7 @@ from cli.options import (
     not_negative,
     option,
     positive_int,
+    refuse_given,
     writable_file,
 )
 from cli.problem_options import planner_list
@@ -202,9 +203,8 @@ def _check_ours(args: argparse.Namespace) -> int:
     """Re-run a tiny profile; compare it and all tables with those committed."""
     from experiments.experiment import models_of
 
-    for name in ("planners", "seeds", "iterations", "jobs"):
-        if getattr(args, name) is not None:
-            raise InvalidInputError(f"--{name} goes with a folder of problem files; name it")
+    of_folder = ("planners", "seeds", "iterations", "jobs")
+    refuse_given(args, of_folder, "goes with a folder of problem files; name it")
     args.expected = args.expected or EXPECTED
     expected = None
     if args.update:

@@ -98,16 +98,15 @@ def load_robot(
         "locked": dict(locked or {}),
         "package_dirs": [str(Path(folder).resolve()) for folder in package_dirs],
     }
-    limits = {
+    numbers = {
         "acceleration_limits": acceleration_limits,
         "jerk_limits": jerk_limits,
         "effort_limits": effort_limits,
         "torque_rate_limits": torque_rate_limits,
+        "base": base,
     }
-    source |= {k: np.asarray(v).tolist() for k, v in limits.items() if v is not None}
-    if base is not None:
-        source["base"] = np.asarray(base).tolist()
-    return _built(source)
+    given = {k: np.asarray(v).tolist() for k, v in numbers.items() if v is not None}
+    return _built(source | given)
 
 
 def robot_from_source(source: Mapping[str, Any]) -> Robot:

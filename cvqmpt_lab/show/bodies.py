@@ -311,18 +311,15 @@ def frames(
         pause: time for opening or closing the fingers [s].
         clearance: whether that of moments in motion is computed.
     """
-    outcomes = {outcome.phase.name: outcome for outcome in solution.outcomes if outcome.solved}
     world, time, found = World.before(solution.task), 0.0, []
-    for phase in solution.task.phases:
+    for phase, outcome in solution.steps:
         if not isinstance(phase, PlannedPhase):
             world = world.after(phase)
             found.append(Frame(time, phase.name, world))
             time += pause
             continue
-        if phase.name not in outcomes:
+        if outcome is None or outcome.trajectory is None or outcome.solution.path is None:
             break
-        outcome = outcomes[phase.name]
-        assert outcome.trajectory is not None and outcome.solution.path is not None
         motion = outcome.trajectory.sampled(period)
         checker = outcome.solution.problem.collision_checker()
         for t, q in zip(motion.times, motion.positions, strict=True):
