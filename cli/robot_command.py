@@ -13,9 +13,9 @@ from cli.options import FLAG, Options, option, writable_file
 from cli.problem_options import ROBOT_DETAILS, robot_options
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.dynamics import without_effort_limit
+from cvqmpt_lab.robot.hulls import OVERLAP
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.self_collision import OVERLAP
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene

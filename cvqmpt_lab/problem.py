@@ -58,11 +58,10 @@ from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import (
     Attachment,
     Scene,
-    refuse_far,
+    check_lengths,
     refuse_far_poses,
-    report_out_of_reach,
+    with_files_read,
 )
-from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name, frozen
 
 
@@ -154,12 +153,11 @@ class PlanningProblem(Document):
         Refuses lengths that cannot be metres; warns when nothing of the scene is within reach.
         """
         problem = super().from_dict(_with_numbers(data))
-        refuse_far(problem.scene)
+        check_lengths(problem.scene, reach_with(problem.robot, problem.attachments))
         regions = {f"constraint[{k}]": region for k, region in enumerate(problem.constraint)}
         if problem.goal_region is not None:
             regions["goal_region"] = problem.goal_region
         refuse_far_poses({f"{where}: its frame": region.T0_w for where, region in regions.items()})
-        report_out_of_reach(problem.scene, reach_with(problem.robot, problem.attachments))
         return problem
 
     def _check_regions(self, most: int = 32) -> None:

@@ -10,7 +10,7 @@ from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import natural_key, one_line
 from cvqmpt_lab.robot.source import content_digest
-from cvqmpt_lab.scene.scene_files import named_files
+from cvqmpt_lab.scene.scene import named_files
 
 
 def read_folder(folder: Path) -> tuple[dict[str, PlanningProblem], dict[str, str]]:

@@ -15,7 +15,13 @@ import pinocchio as pin
 
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, mapping, require_choice, shown
-from cvqmpt_lab.robot.hulls import hulls_of_meshes, link_geometry
+from cvqmpt_lab.robot.hulls import (
+    checked_pairs,
+    hulls_of_meshes,
+    left_out_pairs,
+    link_geometry,
+    srdf_root,
+)
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
@@ -25,7 +31,6 @@ from cvqmpt_lab.robot.robot import (
     kinematics_arrays,
     positive_per_joint,
 )
-from cvqmpt_lab.robot.self_collision import checked_pairs, left_out_pairs, srdf_root
 from cvqmpt_lab.robot.source import (
     ARTICULATED,
     FINGER_OPENING,

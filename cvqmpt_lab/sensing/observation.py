@@ -19,6 +19,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, Sphere
 from cvqmpt_lab.sensing.camera import (
     Camera,
+    DepthNoise,
     Intrinsics,
     Solid,
     View,
@@ -26,9 +27,10 @@ from cvqmpt_lab.sensing.camera import (
     cameras_on_sphere,
     cuboid,
     cylinder,
+    drawn_materials,
+    measured,
     view_of,
 )
-from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
 from cvqmpt_lab.sensing.scan import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.values import FloatArray, frozen
 

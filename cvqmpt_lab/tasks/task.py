@@ -33,10 +33,9 @@ from cvqmpt_lab.scene.scene import (
     Attachment,
     Scene,
     SceneObject,
-    refuse_far,
-    report_out_of_reach,
+    check_lengths,
+    with_files_read,
 )
-from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.values import Name
 
 
@@ -192,8 +191,7 @@ class Task(Document):
             robot = robot_from_source(mapping(data.get("robot"), "robot"))
             data = {**data, "start": numbers_of(robot, data["start"], "start")}
         task = super().from_dict(data)
-        refuse_far(task.scene)
-        report_out_of_reach(task.scene, robot_from_source(task.robot).reach)
+        check_lengths(task.scene, robot_from_source(task.robot).reach)
         return task
 
     @property

@@ -23,8 +23,7 @@ from scipy.interpolate import PPoly
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.robot import SLOW, JointLimits
-from cvqmpt_lab.trajectory.smooth_curve import SmoothCurve, smooth_curve
-from cvqmpt_lab.trajectory.squared_speeds import squared_speeds
+from cvqmpt_lab.trajectory.squared_speeds import SmoothCurve, smooth_curve, squared_speeds
 from cvqmpt_lab.trajectory.trajectory import Trajectory, extremes, quintic
 
 

@@ -10,7 +10,7 @@ from refusals import refused
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
-from cvqmpt_lab.scene.scene_files import read_scene
+from cvqmpt_lab.scene.scene import read_scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 
 DATA = Path(__file__).parents[1] / "data"
