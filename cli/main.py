@@ -34,7 +34,7 @@ COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     ),
     "check-tables": ("tables", "run a little again and compare with what is expected"),
     "data": ("data", "make training paths"),
-    "train": ("train", "train the dictionary, the sequence model or MPNet"),
+    "train": ("model", "train the dictionary, the sequence model or MPNet"),
     "model": ("model", "show weights, convert published ones"),
     "bench": (
         "setup",

@@ -6,12 +6,10 @@ Everything here is frozen data. Changing a scene (opening a door, adding a can) 
 Poses are 4x4 arrays `T_world_x` that map points of frame x into the world frame, which is the robot
 base link frame. Lengths in [m], angles in [rad].
 
-In files, shapes may be named by path:
-
-`{"type": "cloud_file", "path": "scan.pcd", "radius": 0.01}` becomes a PointCloud, `{"type":
-"map_file", "path": "scan.pcd"}` an OccupancyMap, `{"type": "mesh_file", "path": "shelf.stl",
-"scale": 0.001}` a ConvexMesh; a mesh that is not convex becomes several objects, "shelf/0",
-"shelf/1", ...
+In files shapes may be named by path: `{"type": "cloud_file", "path": "scan.pcd", "radius": 0.01}`
+becomes a PointCloud, `{"type": "map_file", "path": "scan.pcd"}` an OccupancyMap, `{"type":
+"mesh_file", "path": "shelf.stl", "scale": 0.001}` a ConvexMesh; a mesh that is not convex becomes
+several objects, "shelf/0", "shelf/1", ...
 """
 
 from __future__ import annotations  # so `help` shows forms by their names
