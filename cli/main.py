@@ -18,7 +18,7 @@ COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     "plan": ("plan", "plan one problem and print a short report"),
     "certify": ("certify", "judge a path or trajectory, or every path of a run again"),
     "execute": ("execute", "execute a motion or task in a physics simulation"),
-    "studio": ("studio", "drag start, goal and obstacles in the browser; the path follows"),
+    "studio": ("plan", "drag start, goal and obstacles in the browser; the path follows"),
     "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),
     "figure": ("reproduce", "make a figure of the paper, with its numbers"),
     "claims": ("tables", "judge every claim of the paper by rows, and write the page that says so"),
@@ -33,7 +33,7 @@ COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
         "show what is understood of a robot's description, or list the arms that have a name",
     ),
     "check-tables": ("tables", "run a little again and compare with what is expected"),
-    "data": ("data", "make training paths"),
+    "data": ("reproduce", "make training paths"),
     "train": ("model", "train the dictionary, the sequence model or MPNet"),
     "model": ("model", "show weights, convert published ones"),
     "bench": (

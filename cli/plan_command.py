@@ -1,10 +1,15 @@
-"""`cvqmpt plan`: solve one problem or task with one planner; print a report, write files."""
+"""`cvqmpt plan`: solve one problem or task with one planner; print a report, write files.
+
+`cvqmpt studio`: a page in the browser on which a problem is changed and planned again.
+"""
 
 import argparse
 import json
 import logging
 import re
+import signal
 import sys
+import threading
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +25,7 @@ from cli.options import (
     as_json,
     file_of_kind,
     log,
+    not_negative_int,
     option,
     refuse_given,
     writable_file,
@@ -33,6 +39,7 @@ from cli.problem_options import (
     optimize_budget,
     optimize_option,
     problem_asked,
+    robot_source,
     with_clearance,
 )
 from cli.scan_command import MOTION, SCAN, arm_of, motion_given, motion_problem, scanned
@@ -345,4 +352,39 @@ OPTIONS: Options = {
         "share of the joints' limits that --trajectory uses (0.1)", type=float, metavar="FACTOR"
     ),
 }
-COMMANDS = {"plan": (run, OPTIONS)}
+
+
+def serve(args: argparse.Namespace) -> None:
+    """Serve the page until Ctrl-C."""
+    from cvqmpt_lab.show.studio import studio  # half a second to import
+
+    problem = _of_page(args)
+    compile_kernels(log)
+    page = studio(problem, args.port)
+    ended = threading.Event()
+    # Python would lose a KeyboardInterrupt that comes while it collects garbage
+    signal.signal(signal.SIGINT, lambda *_: ended.set())
+    print(f"{page}; Ctrl-C ends it", flush=True)
+    ended.wait()
+    page.stop()
+
+
+def _of_page(args: argparse.Namespace) -> PlanningProblem:
+    """The problem of a file or suite; without either, one for the robot that is named."""
+    if args.suite is None and args.problem_file is None:
+        if (source := robot_source(args)) is not None:
+            from cvqmpt_lab.benchmarks.templates import problem_template  # half a second to import
+
+            return PlanningProblem.from_dict(problem_template(source))
+        args.suite = "place-task"
+    if isinstance(problem := problem_asked(args), PlanningProblem):
+        return problem
+    raise InvalidInputError(f"{args.suite} has tasks, of several phases; studio is for problems")
+
+
+STUDIO: Options = {
+    **PROBLEM,
+    "--port": option("of the page, 0: any (8090)", type=not_negative_int, default=8090),
+    "robot of a problem file, or alone, for a problem made for it": ROBOT,
+}
+COMMANDS = {"plan": (run, OPTIONS), "studio": (serve, STUDIO)}
