@@ -57,7 +57,13 @@ def run(args: argparse.Namespace) -> int:
     """Plan unless a motion is given, execute, report; exit code 1 if not executed as planned."""
     mujoco_module()  # refused before anything is planned
     if args.suite == EXECUTED or args.out is not None:
-        return _suite(args)
+        from experiments.executed import TABLE, run_executed
+
+        if args.suite != EXECUTED or args.out is None:
+            raise InvalidInputError(f"--out goes with the suite {EXECUTED!r}, which needs it")
+        run_executed(make_folder(args.out), progress=ProgressBar(EXECUTED))
+        print((args.out / TABLE).read_text(encoding="utf-8"), end="")
+        return 0
     times = CONTACT_TIMES if args.contact_time is None else (args.contact_time,)
     item = problem_asked(args)
     executions = _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
@@ -109,17 +115,6 @@ def _lines(executions: Sequence[Execution]) -> list[str]:
         off = worst(one.placed_off_m or 0.0 for one in executions)
         lines.append(f"placed      {1e3 * off:.2g} mm from its place")
     return [*lines, f"outcome     {outcome}{why and f': {why}'}"]
-
-
-def _suite(args: argparse.Namespace) -> int:
-    """All rows of the suite `executed`."""
-    from experiments.executed import TABLE, run_executed
-
-    if args.suite != EXECUTED or args.out is None:
-        raise InvalidInputError(f"--out goes with the suite {EXECUTED!r}, which needs it")
-    run_executed(make_folder(args.out), progress=ProgressBar(EXECUTED))
-    print((args.out / TABLE).read_text(encoding="utf-8"), end="")
-    return 0
 
 
 def _task(args: argparse.Namespace, task: Task, times: tuple[float, ...]) -> list[Execution]:

@@ -42,22 +42,18 @@ def model(args: argparse.Namespace) -> None:
         for name in ("dictionary_dir", "ar_dir", "out"):
             if getattr(args, name) is None:
                 raise InvalidInputError(f"import: give --{name.replace('_', '-')} DIR")
-        _import(args.dictionary_dir, args.ar_dir, args.out)
+        if args.out.exists() and (not args.out.is_dir() or any(args.out.iterdir())):
+            raise InvalidInputError(f"{args.out} is there and not empty; choose another --out")
+        require_installed("torch", "cvqmpt model import", "train")
+        # training starts where there is no pinocchio, and shares this file
+        from cvqmpt_lab.robot.load import robot_from_source
+        from cvqmpt_lab.vqmpt.checkpoint import import_published, save_checkpoint
+
+        robot = robot_signature(robot_from_source({"name": "panda"}))
+        published = import_published(args.dictionary_dir, args.ar_dir, robot)
+        save_checkpoint(args.out, published)
     found = _info(resolve_model(args.out if args.action == "import" else args.model))
     print(json.dumps(found, indent=2) if args.json else "\n".join(_summary(found)))
-
-
-def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
-    """Convert published folders, weights of the Panda."""
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InvalidInputError(f"{out} is there and not empty; choose another --out")
-    require_installed("torch", "cvqmpt model import", "train")
-    # training starts where there is no pinocchio, and shares this file
-    from cvqmpt_lab.robot.load import robot_from_source
-    from cvqmpt_lab.vqmpt.checkpoint import import_published, save_checkpoint
-
-    robot = robot_signature(robot_from_source({"name": "panda"}))
-    save_checkpoint(out, import_published(dictionary_dir, ar_dir, robot))
 
 
 def _info(folder: Path) -> dict[str, Any]:

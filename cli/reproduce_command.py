@@ -153,7 +153,7 @@ def _reproduce_all(args: argparse.Namespace) -> None:
     write_text(page, page_of(out))
     print("\n".join(verdict_lines(out, beside=True)))
     print(f"every claim, its numbers and commands: {page}")
-    print(f"report, for a browser: {write_report(out)}")
+    write_report(out)
 
 
 OPTIONS: Options = {

@@ -28,7 +28,14 @@ def run(args: argparse.Namespace) -> None:
             hands = arm.end_effector or " and ".join(arm.end_effectors)
             print(f"{name:16} {arm.urdf}, end effector {hands}")
         return
-    source, others = _source(args)
+    options, others = robot_options(args), list[str]()
+    if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
+        source = {"name": args.robot, **options}
+    else:
+        source = {"urdf": args.robot, **options}
+        if not {"end_effector", "end_effectors"} & options.keys():
+            others = read_urdf(Path(args.robot)).likely_end_effectors()
+            source["end_effector"] = others[0]
     robot = robot_from_source(source)
     said = describe(robot)
     print(json.dumps(said, indent=1) if args.json else "\n".join(report(robot, said, others)))
@@ -36,20 +43,6 @@ def run(args: argparse.Namespace) -> None:
         from cvqmpt_lab.show.picture import draw
 
         draw(robot, args.picture)
-
-
-def _source(args: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
-    """What a problem file would say, and the end effectors to choose from where none was chosen."""
-    options = robot_options(args)
-    if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
-        return {"name": args.robot, **options}, []
-    chosen = {"end_effector", "end_effectors"} & options.keys()
-    likely = [] if chosen else read_urdf(Path(args.robot)).likely_end_effectors()
-    return {
-        "urdf": args.robot,
-        **({"end_effector": likely[0]} if likely else {}),
-        **options,
-    }, likely
 
 
 def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:

@@ -39,11 +39,6 @@ from paper_tables.suites import directory_rows, render_directory
 from paper_tables.writers import text_lines
 
 
-def table(args: argparse.Namespace) -> None:
-    """Render the tables of a results directory and print the short one."""
-    show_tables(args.directory)
-
-
 def show_tables(directory: Path) -> None:
     """Render a directory, print a line for each planner, and where the files are."""
     written = render_directory(directory)
@@ -51,20 +46,15 @@ def show_tables(directory: Path) -> None:
     print("\n".join([f"{title}; all numbers: {directory / 'table.md'}", *lines]))
 
 
-def report(args: argparse.Namespace) -> None:
-    """Write one self-contained html file about results."""
-    print(f"report, for a browser: {write_report(args.directory, args.out)}")
-
-
-def write_report(directory: Path, out: Path | None = None) -> Path:
-    """Write the report of results, into their folder unless `out` is given, and return its path."""
+def write_report(directory: Path, out: Path | None = None) -> None:
+    """Write one html file about results, into their folder unless `out` is given; print where."""
     from experiments.replay import first_path
 
     found = pages.evidence_of(directory)
     text = pages.report_html(found, ProgressBar("report"), first_path(found))
     out = writable_file(out or directory / "report.html")
     write_text(out, text)
-    return out
+    print(f"report, for a browser: {out}")
 
 
 def compare(args: argparse.Namespace) -> int:
@@ -314,8 +304,8 @@ CHECK_TABLES: Options = {
     },
 }
 COMMANDS = {
-    "table": (table, TABLE),
-    "report": (report, REPORT),
+    "table": (lambda args: show_tables(args.directory), TABLE),
+    "report": (lambda args: write_report(args.directory, args.out), REPORT),
     "compare": (compare, COMPARE),
     "claims": (claims, CLAIMS),
     "check-tables": (check_tables, CHECK_TABLES),

@@ -316,6 +316,11 @@ def _judged(
             rows = [k for k in region.bounded_rows if region.wide[k] and k >= 3]
             if rows:
                 tilt = float(np.nanmax([tilt, np.abs(x[:, rows]).max()]))
+    scene, first = world.scene, world.samples[0]
+    load = world.physics.free or world.physics.welded
+    if load is not None and first.T_world_load is not None:
+        item = SceneObject(load.name, load.shape, first.T_world_load, obstacle=False)
+        scene = scene.with_objects(item)
     return Execution(
         name=name,
         controller=world.controller.name,
@@ -328,18 +333,8 @@ def _judged(
         tilt_rad=tilt,
         contacts=tuple(world.touched.values()),
         saturated_s=1e-3 * world.saturated,
-        scene=_with_load(world, world.samples[0]),
+        scene=scene,
         samples=tuple(world.samples),
-    )
-
-
-def _with_load(world: Simulation, sample: Sample) -> Scene:
-    load = world.physics.free or world.physics.welded
-    if load is None:
-        return world.scene
-    assert sample.T_world_load is not None
-    return world.scene.with_objects(
-        SceneObject(load.name, load.shape, sample.T_world_load, obstacle=False)
     )
 
 
