@@ -171,7 +171,7 @@ def execute_motion(
     control = Controller(controller, problem.robot)
     control.carry(loads_of(problem.attachments))
     world = Simulation(problem.robot, problem.scene, q, control, physics, friction)
-    world.phase, before = problem.name, np.eye(4)
+    world.phase = problem.name
     if load is not None:
         ends = problem.robot.poses(motion.positions[[0, -1]])
         world.rests = list((ends @ load.T_hand_object)[:, :3, 3])
@@ -179,8 +179,7 @@ def execute_motion(
         world.allowed = _hand_pairs(problem.robot, [LOAD])
         world.force = GRIP
     world.hold(q, SETTLE)
-    if friction:
-        before = _in_hand(world)
+    before = _in_hand(world) if friction else np.eye(4)
     world.saturated, world.errors = 0, []
     world.follow(motion)
     world.hold(motion.positions[-1], SETTLE)

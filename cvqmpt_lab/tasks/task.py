@@ -178,7 +178,6 @@ class Task(Document):
         scene, held = self.scene, None
         for number, phase in enumerate(self.phases):
             with located(f"task {self.name!r}, phase {number} {phase.name!r}"):
-                _check_hand(phase, held)
                 scene, held = _after(phase, scene, held)
 
     @classmethod
@@ -207,8 +206,14 @@ class Task(Document):
         return found
 
 
-def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:
-    """Refuse a phase that does not fit what the hand holds: door or drawer, object or nothing."""
+def _after(
+    phase: Phase, scene: Scene, held: Articulation | SceneObject | None
+) -> tuple[Scene, Articulation | SceneObject | None]:
+    """The scene without what is carried, and what is held, after a phase.
+
+    Refuses unknown names, and a phase that does not fit what the hand holds before: a door or
+    drawer, an object or nothing.
+    """
     match phase:
         case Hold() | Grasp() if held is not None:
             raise InvalidInputError(f"the gripper already holds {held.name!r}; release it before")
@@ -226,13 +231,6 @@ def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:
             isinstance(held, Articulation) and chain.base not in held.moves
         ):
             raise UnknownChoiceError(f"'base' of what {held.name!r} moves:", chain.base, held.moves)
-
-
-def _after(
-    phase: Phase, scene: Scene, held: Articulation | SceneObject | None
-) -> tuple[Scene, Articulation | SceneObject | None]:
-    """The scene without what is carried, and what is held, after a phase; refuses unknown names."""
-    match phase:
         case Turn() if held is not None:
             return scene.with_joint(held.name, phase.value), held
         case Hold():

@@ -144,19 +144,18 @@ def as_csv(trajectory: Trajectory) -> str:
 
 def as_ros_json(trajectory: Trajectory) -> str:
     """The fields of `trajectory_msgs/JointTrajectory`."""
-    points = []
     state = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
-    for t, q, v, a in zip(trajectory.times, *state, strict=True):
-        sec, nanosec = divmod(round(1e9 * t), 1_000_000_000)
-        points.append(
-            {
-                "positions": q.tolist(),
-                "velocities": v.tolist(),
-                "accelerations": a.tolist(),
-                "effort": [],
-                "time_from_start": {"sec": sec, "nanosec": nanosec},
-            }
-        )
+    duration = ("sec", "nanosec")
+    points = [
+        {
+            "positions": q.tolist(),
+            "velocities": v.tolist(),
+            "accelerations": a.tolist(),
+            "effort": [],
+            "time_from_start": dict(zip(duration, divmod(round(1e9 * t), 10**9), strict=True)),
+        }
+        for t, q, v, a in zip(trajectory.times, *state, strict=True)
+    ]
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     message = {"header": header, "joint_names": list(trajectory.joint_names), "points": points}
     return json.dumps(message, allow_nan=False) + "\n"
