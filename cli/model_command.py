@@ -94,21 +94,25 @@ def _summary(found: dict[str, Any]) -> list[str]:
         f"sha256        {found['sha256']}",
     ]
     names = robot["joints"] or [str(joint) for joint in range(len(robot["lower"]))]
-    for name, lower, upper in zip(names, robot["lower"], robot["upper"], strict=True):
-        lines.append(f"    {name:20} {lower:8g} .. {upper:g}")
+    limits = zip(names, robot["lower"], robot["upper"], strict=True)
+    lines += [f"    {name:20} {lower:8g} .. {upper:g}" for name, lower, upper in limits]
     lines += ["", f"{'file':28} {'bytes':>12} {'numbers':>12}"]
-    for name, part in found["parts"].items():
-        lines.append(f"{name:28} {part['bytes']:>12,} {part['numbers']:>12,}")
+    lines += [
+        f"{name:28} {part['bytes']:>12,} {part['numbers']:>12,}"
+        for name, part in found["parts"].items()
+    ]
     told = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
     shown = {name: metadata[name] for name in told if name in metadata}
     losses = metadata.get("losses")
     shown |= losses if isinstance(losses, dict) else {}
-    lines.append("")
-    for name, x in shown.items():
-        if x is not None:
-            lines.append(f"{name:44} {x:.6g}" if isinstance(x, float) else f"{name:44} {x}")
     return [
         *lines,
+        "",
+        *(
+            f"{name:44} {x:.6g}" if isinstance(x, float) else f"{name:44} {x}"
+            for name, x in shown.items()
+            if x is not None
+        ),
         "",
         f"sizes and training in full: cvqmpt model info --model {found['folder']} --json",
     ]

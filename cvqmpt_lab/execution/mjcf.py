@@ -69,8 +69,10 @@ def bodies_of(robot: Robot, scene: Scene, carried: Sequence[Attachment] = ()) ->
                 f"{what} {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
                 "cylinders, spheres or convex meshes"
             )
-    for k, obstacle in enumerate(scene.obstacles):
-        found.append(Body(f"obstacle_{k}", 0, obstacle.T_world_object, obstacle.shape))
+    found += [
+        Body(f"obstacle_{k}", 0, obstacle.T_world_object, obstacle.shape)
+        for k, obstacle in enumerate(scene.obstacles)
+    ]
     for k, load in enumerate(carried):
         row, T_link_hand = robot.hand(load.end_effector)
         found.append(Body(f"{LOAD}_{k}", row, T_link_hand @ load.T_hand_object, load.shape))

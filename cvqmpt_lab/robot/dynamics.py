@@ -129,11 +129,12 @@ def link_inertias(robot: Robot) -> list[tuple[float, np.ndarray, np.ndarray]]:
 
     Without what later joints move; in the frames of `Robot.kinematics`, whose z is the axis.
     """
-    frames, found = axis_frames(robot.model), []
-    for joint, inertia in enumerate(list(robot.model.inertias)[1:], start=1):
-        body = pin.SE3(in_link(frames, joint, pin.SE3.Identity())[1]).act(inertia)
-        found.append((body.mass, body.lever, body.inertia))
-    return found
+    frames = axis_frames(robot.model)
+    bodies = [
+        pin.SE3(in_link(frames, joint, pin.SE3.Identity())[1]).act(inertia)
+        for joint, inertia in enumerate(list(robot.model.inertias)[1:], start=1)
+    ]
+    return [(body.mass, body.lever, body.inertia) for body in bodies]
 
 
 def without_effort_limit(robot: Robot) -> str:

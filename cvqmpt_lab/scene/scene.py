@@ -395,5 +395,4 @@ def _shapes(
 
     vertices = read_mesh(path, named.scale)
     log.info(f"{path}: {len(vertices)} convex pieces")
-    for piece in vertices:
-        yield ConvexMesh(piece)
+    yield from map(ConvexMesh, vertices)

@@ -160,12 +160,15 @@ def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
     rotations, translations = link_poses(
         robot.kinematics, np.ascontiguousarray(q, dtype=float)[None]
     )
-    objects = []
-    for piece in robot.links:
-        T_world_link = rigid(rotations[0, piece.link], translations[0, piece.link])
-        T = T_world_link @ piece.T_link_geometry
-        objects.append(SceneObject(f"robot/{piece.name}", ConvexMesh(piece.vertices), T))
-    return tuple(objects)
+    T_world_link = [rigid(R, t) for R, t in zip(rotations[0], translations[0], strict=True)]
+    return tuple(
+        SceneObject(
+            f"robot/{piece.name}",
+            ConvexMesh(piece.vertices),
+            T_world_link[piece.link] @ piece.T_link_geometry,
+        )
+        for piece in robot.links
+    )
 
 
 class Observer:

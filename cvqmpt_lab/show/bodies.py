@@ -363,9 +363,10 @@ def seen_of_moments(
     moved = {
         name: np.array(Ts) for name, Ts in poses.items() if any((Ts[0] != T).any() for T in Ts)
     }
-    for name, Ts in moved.items():
-        mesh = shape_mesh(scene[name].shape)
-        moving.append(Body("moved", "moving", name, mesh, colour_of(name), Ts))
+    moving += [
+        Body("moved", "moving", name, shape_mesh(scene[name].shape), colour_of(name), Ts)
+        for name, Ts in moved.items()
+    ]
     motion = [(moment.world.arm, moment.world.q, moment.clearance) for moment in moments]
     hand = beads(np.array([arm.pose(q)[:3, 3] for arm, q, _ in motion]))
     trace = Body("path of the hand", "path", "hand", hand, TRACE, behind=0.45)
