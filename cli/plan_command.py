@@ -253,13 +253,15 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
     lines = []
     suffix = None if args.save is None else args.save.suffix
     if args.picture:
-        from cvqmpt_lab.show.picture import draw_solution, draw_task
+        from cvqmpt_lab.show.picture import draw_solution, task_image, write_png
 
         what = "picture"
         if isinstance(solution, Solution):
             draw_solution(solution, args.picture, carried=carried)
         else:
-            what = f"picture of {', '.join(draw_task(solution, args.picture))}"
+            image, names = task_image(solution, (600, 450))
+            write_png(args.picture, image)
+            what = f"picture of {', '.join(names)}"
         lines.append(f"{what} written to {args.picture}")
     if suffix == FILM:
         from cvqmpt_lab.show.picture import film_solution

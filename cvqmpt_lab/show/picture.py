@@ -188,13 +188,6 @@ def still_image(
     return stage.image(whole(robot_bodies(problem, q[None])))
 
 
-def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 450)) -> list[str]:
-    """Write `task_image` as a PNG; return the names in it."""
-    image, names = task_image(solution, size)
-    write_png(Path(path), image)
-    return names
-
-
 @one_thread()
 def task_image(
     solution: TaskSolution, size: tuple[int, int], columns: int = 3, gap: int = 6
