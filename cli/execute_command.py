@@ -74,13 +74,13 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("\n".join(_lines(executions)))
     if args.film is not None:
-        from cvqmpt_lab.show.bodies import Frame, Moments
+        from cvqmpt_lab.show.bodies import Frame, seen_of_frames
         from cvqmpt_lab.show.picture import film_solution
 
         first = executions[0]
         frames = [Frame(*moment) for moment in first.moments]
-        title = f"{first.name}: {outcome}"
-        film_solution(Moments(title, first.scene, frames), args.film, progress=ProgressBar("film"))
+        seen = seen_of_frames(f"{first.name}: {outcome}", first.scene, frames, most=110)
+        film_solution(seen, args.film, progress=ProgressBar("film"))
         if not args.json:
             print(f"film written to {args.film}")
     return 0 if outcome == Outcome.EXECUTED else 1

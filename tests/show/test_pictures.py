@@ -21,11 +21,10 @@ from cvqmpt_lab.show import picture
 from cvqmpt_lab.show.bodies import (
     frames,
     ground_height,
-    moments_of,
     robot_bodies,
     scene_bodies,
-    seen_of_moments,
     seen_of_problem,
+    seen_of_task,
     whole,
 )
 from cvqmpt_lab.show.curves import plots_along
@@ -152,7 +151,7 @@ def test_pictures_film_and_recording_of_a_task(task_solution, recorded, tmp_path
     duration = sum(outcome.trajectory.duration for outcome in task_solution.outcomes)
     assert set(moments.values()) == {len(frames(task_solution))}
     assert min(moments.values()) > duration / 0.1
-    assert len(seen_of_moments(moments_of(task_solution), most=8).labels) == 8
+    assert len(seen_of_task(task_solution, most=8).labels) == 8
 
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
