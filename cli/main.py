@@ -16,7 +16,7 @@ from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 
 COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     "plan": ("plan", "plan one problem and print a short report"),
-    "certify": ("certify", "judge a path or trajectory, or every path of a run again"),
+    "certify": ("execute", "judge a path or trajectory, or every path of a run again"),
     "execute": ("execute", "execute a motion or task in a physics simulation"),
     "studio": ("plan", "drag start, goal and obstacles in the browser; the path follows"),
     "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),

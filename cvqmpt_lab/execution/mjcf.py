@@ -11,7 +11,6 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.collision.solids import carried_pairs
 from cvqmpt_lab.errors import InvalidInputError
@@ -231,6 +230,8 @@ def _placed(
     translation: np.ndarray,
     tag: str = "body",
 ) -> Element:
+    from scipy.spatial.transform import Rotation  # takes 0.3 s to import
+
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
     quaternion = numbers_text(np.array([w, x, y, z]))
     return SubElement(parent, tag, name=name, pos=numbers_text(translation), quat=quaternion)

@@ -76,7 +76,8 @@ def _scene(parse: Callable, data: bytes, path: Path) -> tuple[Scene, str]:
         with located(f"object {shown(of)}"):
             pieces = list(_pieces_of(fields, path))
         names = [of] if len(pieces) == 1 else [f"{of}/{piece}" for piece in range(len(pieces))]
-        objects += map(SceneObject, names, *zip(*pieces, strict=True))
+        placed = zip(names, pieces, strict=True)
+        objects += [SceneObject(name, shape, T) for name, (shape, T) in placed]
         frames.append(str(_field(fields.get("header"), "frame_id") or ""))
     if len(set(frames)) > 1:
         raise InvalidInputError(
