@@ -23,7 +23,7 @@ from cvqmpt_lab.errors import (
     shown,
 )
 from cvqmpt_lab.files import yaml_value
-from cvqmpt_lab.poses import Placement
+from cvqmpt_lab.poses import Placement, ros_vector
 from cvqmpt_lab.robot.source import mesh_path
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
 from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, convex_pieces, read_mesh
@@ -207,7 +207,7 @@ def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]
         )
     for item in _listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
         moved = _field(item, "transform")
-        T = _matrix(_vector(_field(moved, "translation")), _vector(_field(moved, "rotation")))
+        T = _matrix(ros_vector(_field(moved, "translation")), ros_vector(_field(moved, "rotation")))
         if not np.allclose(T, np.eye(4), atol=1e-9):
             frame = _field(item, "child_frame_id")
             raise InvalidInputError(
@@ -262,7 +262,7 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
     if "resource" not in fields:
         faces = _listed(fields.get("triangles"), "triangles")
         corners = [_field(one, "vertex_indices") or one for one in faces]
-        vertices = [_vector(one) for one in _listed(fields.get("vertices"), "vertices")]
+        vertices = [ros_vector(one) for one in _listed(fields.get("vertices"), "vertices")]
         yield from _pieces(
             numbers(vertices, "vertices", "x, y, z [m]").reshape(-1, 3),
             numbers(corners, "triangles", "3 numbers of vertices").reshape(-1, 3),
@@ -280,14 +280,7 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
 def _pose(value: Any) -> FloatArray:
     fields = mapping(value, "pose", "position, orientation")
     turn = fields.get("orientation", [0, 0, 0, 1])
-    return _matrix(_vector(fields.get("position")), _vector(turn))
-
-
-def _vector(value: Any) -> Any:
-    """A list of numbers, written as such or as {x, y, z} or {x, y, z, w}."""
-    if not isinstance(value, Mapping):
-        return value
-    return [value.get(axis) for axis in "xyzw" if axis in value]
+    return _matrix(ros_vector(fields.get("position")), ros_vector(turn))
 
 
 def _listed(value: Any, what: str) -> Sequence[Any]:
