@@ -60,16 +60,17 @@ def path_html(
         carried: objects shown in the hand if the problem has no attachments.
         most_states: a path of more states is resampled evenly to this number.
     """
-    seen = seen_of_problem(
-        problem,
-        JointPath(states),
-        carried,
-        most_states,
-        plots=True,
-        verdict=verdict,
-        lines=repr(problem).splitlines(),
+    return _html(
+        seen_of_problem(
+            problem,
+            JointPath(states),
+            carried,
+            most_states,
+            plots=True,
+            verdict=verdict,
+            lines=repr(problem).splitlines(),
+        )
     )
-    return _html(seen)
 
 
 def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> str:
