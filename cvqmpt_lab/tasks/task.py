@@ -110,15 +110,11 @@ class Grasp(Checked):
     def check_shape(self, item: SceneObject) -> None:
         """Refuse an object that cannot be carried, and an attachment of another shape."""
         carried = Attachment(item.name, item.shape, np.eye(4)).shape
-        if self.attachment is None or self.attachment.shape == carried:
-            return
-        shapes = (self.attachment.shape, carried)
-        written, real = ({"type": type(shape).__name__, **vars(shape)} for shape in shapes)
-        what = next(key for key in real if not np.array_equal(written[key], real[key]))
-        raise InvalidInputError(
-            f"{what} of the attachment is {shown(written[what])}, that of {item.name!r} in the "
-            f"scene {shown(real[what])}; leave 'attachment' out, the object is carried as it is"
-        )
+        if self.attachment is not None and self.attachment.shape != carried:
+            raise InvalidInputError(
+                f"the attachment is {shown(self.attachment.shape)}, {item.name!r} in the scene "
+                f"{shown(carried)}; leave 'attachment' out, the object is carried as it is"
+            )
 
 
 @dataclass(frozen=True, eq=False)
