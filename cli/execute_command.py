@@ -173,8 +173,9 @@ def _read(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
         )
     certificate = dry_run(problem, found, clearance=False).certificate
     if not certificate.valid:
-        reasons = "; ".join(certificate.reasons)
-        raise InvalidInputError(f"{args.motion} is not certified for this problem: {reasons}")
+        raise InvalidInputError(
+            f"{args.motion} is not certified for this problem: {'; '.join(certificate.reasons)}"
+        )
     states = found.positions, found.velocities, found.accelerations
     return Trajectory(problem.robot.joint_names, found.times, *states)
 

@@ -178,8 +178,9 @@ def scene_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
 def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence[Path | None]:
     """A value for each file: one each, or none."""
     if given and len(given) != len(files):
-        times = f"{len(given)} times for {len(files)} files"
-        raise InvalidInputError(f"{option} is given {times}; give one for each")
+        raise InvalidInputError(
+            f"{option} is given {len(given)} times for {len(files)} files; give one for each"
+        )
     return given or [None] * len(files)
 
 

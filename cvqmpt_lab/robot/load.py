@@ -209,9 +209,11 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         files=tuple({**read, **meshes}.items()),
     )
     if robot.reach > MOST_REACH:
-        sliders = [joint for joint in urdf.joints.values() if joint.kind == "prismatic"]
-        slides = {joint.name: max(abs(joint.lower), abs(joint.upper)) for joint in sliders}
-        far = [f"joint {n!r} slides to {s:g} m" for n, s in slides.items() if s > MOST_REACH / 2]
+        far = [
+            f"joint {joint.name!r} slides to {max(-joint.lower, joint.upper):g} m"
+            for joint in urdf.joints.values()
+            if joint.kind == "prismatic" and max(-joint.lower, joint.upper) > MOST_REACH / 2
+        ]
         raise InvalidInputError(
             f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because "
             f"{', '.join(far) or 'its links or base lie far away'}: at most {MOST_REACH:g} m; are "

@@ -209,9 +209,9 @@ def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]
         moved = _field(item, "transform")
         T = _matrix(ros_vector(_field(moved, "translation")), ros_vector(_field(moved, "rotation")))
         if not np.allclose(T, np.eye(4), atol=1e-9):
-            frame = _field(item, "child_frame_id")
             raise InvalidInputError(
-                f"frame {shown(frame)} is moved by a transform; write poses without it"
+                f"frame {shown(_field(item, 'child_frame_id'))} is moved by a transform; write "
+                "poses without it"
             )
 
 
