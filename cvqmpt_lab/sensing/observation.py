@@ -221,10 +221,9 @@ class Observer:
         ]
         settings = replace(self.settings, cameras=())
         made_of = f"{_sources()} {cameras} {settings} {self.seed} {json.dumps(to_plain(scene))}"
-        arrays = cached_arrays(
+        cloud = cached_arrays(
             "clouds", made_of.encode(), lambda: {"cloud": camera_cloud(scene, self.settings, rng)}
-        )
-        cloud = arrays["cloud"]
+        )["cloud"]
         # networks need two points: under the base
         if len(cloud) < 2:
             cloud = np.concatenate([cloud, [[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]]])
