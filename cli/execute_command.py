@@ -1,6 +1,10 @@
-"""`cvqmpt execute`: execute a motion or task in a physics simulation, or a suite of them."""
+"""`cvqmpt execute`: execute a motion or task in a physics simulation, or a suite of them.
+
+`cvqmpt certify`: judge a path or trajectory of anyone's, or every path of a run again.
+"""
 
 import argparse
+import json
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,9 +18,12 @@ from cli.options import (
     ProgressBar,
     as_json,
     file_of_kind,
+    log,
+    numbers,
     one_of,
     option,
     positive,
+    refuse_given,
 )
 from cli.plan_command import FILM, MARGIN
 from cli.problem_options import (
@@ -25,7 +32,9 @@ from cli.problem_options import (
     ROBOT,
     budget,
     problem_asked,
+    robot_source,
 )
+from cvqmpt_lab.certificate_record import record, report_lines
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES,
@@ -56,7 +65,13 @@ def run(args: argparse.Namespace) -> int:
     """Plan unless a motion is given, execute, report; exit code 1 if not executed as planned."""
     mujoco_module()  # refused before anything is planned
     if args.suite == EXECUTED or args.out is not None:
-        return _suite(args)
+        from experiments.executed import TABLE, run_executed
+
+        if args.suite != EXECUTED or args.out is None:
+            raise InvalidInputError(f"--out goes with the suite {EXECUTED!r}, which needs it")
+        run_executed(make_folder(args.out), progress=ProgressBar(EXECUTED))
+        print((args.out / TABLE).read_text(encoding="utf-8"), end="")
+        return 0
     times = CONTACT_TIMES if args.contact_time is None else (args.contact_time,)
     item = problem_asked(args)
     executions = _task(args, item, times) if isinstance(item, Task) else _motion(args, item, times)
@@ -67,13 +82,13 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("\n".join(_lines(executions)))
     if args.film is not None:
-        from cvqmpt_lab.show.bodies import Frame, Moments
+        from cvqmpt_lab.show.bodies import Frame, seen_of_frames
         from cvqmpt_lab.show.picture import film_solution
 
         first = executions[0]
         frames = [Frame(*moment) for moment in first.moments]
-        title = f"{first.name}: {outcome}"
-        film_solution(Moments(title, first.scene, frames), args.film, progress=ProgressBar("film"))
+        seen = seen_of_frames(f"{first.name}: {outcome}", first.scene, frames, most=110)
+        film_solution(seen, args.film, progress=ProgressBar("film"))
         if not args.json:
             print(f"film written to {args.film}")
     return 0 if outcome == Outcome.EXECUTED else 1
@@ -110,21 +125,9 @@ def _lines(executions: Sequence[Execution]) -> list[str]:
     return [*lines, f"outcome     {outcome}{why and f': {why}'}"]
 
 
-def _suite(args: argparse.Namespace) -> int:
-    """All rows of the suite `executed`."""
-    from experiments.executed import TABLE, run_executed
-
-    if args.suite != EXECUTED or args.out is None:
-        raise InvalidInputError(f"--out goes with the suite {EXECUTED!r}, which needs it")
-    run_executed(make_folder(args.out), progress=ProgressBar(EXECUTED))
-    print((args.out / TABLE).read_text(encoding="utf-8"), end="")
-    return 0
-
-
 def _task(args: argparse.Namespace, task: Task, times: tuple[float, ...]) -> list[Execution]:
     """A task, planned and executed."""
-    if args.motion is not None:
-        raise InvalidInputError("--motion is of a problem; a task is planned here")
+    refuse_given(args, ["motion"], "is of a problem; a task is planned here")
     margin = Margin(args.margin, args.margin_angle).check()
     timing = TimingSettings(speed=args.speed)
     solution = solve_task(task, "birrt", budget(args), args.seed, timing, margin=margin)
@@ -170,8 +173,9 @@ def _read(args: argparse.Namespace, problem: PlanningProblem) -> Trajectory:
         )
     certificate = dry_run(problem, found, clearance=False).certificate
     if not certificate.valid:
-        reasons = "; ".join(certificate.reasons)
-        raise InvalidInputError(f"{args.motion} is not certified for this problem: {reasons}")
+        raise InvalidInputError(
+            f"{args.motion} is not certified for this problem: {'; '.join(certificate.reasons)}"
+        )
     states = found.positions, found.velocities, found.accelerations
     return Trajectory(problem.robot.joint_names, found.times, *states)
 
@@ -216,4 +220,72 @@ OPTIONS: Options = {
     "--out": option("with the suite 'executed': folder of its rows", type=Path, metavar="DIR"),
     "--json": option("print one json object instead of the report", **FLAG),
 }
-COMMANDS = {"execute": (run, OPTIONS)}
+
+
+def certify(args: argparse.Namespace) -> int:
+    """Judge and print; exit code 1 when anything is refused or not proven."""
+    if args.path.is_dir():
+        ours = args.suite, args.problem_file, args.current, args.clearance
+        if any(given is not None for given in ours) or robot_source(args):
+            raise InvalidInputError(
+                "the rows of a run name their problems and robots; give the directory alone"
+            )
+        return _certify_run(args.path, args.problems_dir, args.json)
+    why = "goes with the directory of a run; name one file: --problem-file"
+    refuse_given(args, ["problems_dir"], why)
+    motion = read_motion(args.path)
+    problem = problem_asked(args)
+    if not isinstance(problem, PlanningProblem):
+        raise InvalidInputError(
+            f"suite {args.suite} is of tasks; certify the directory of a run, or one problem"
+        )
+    found = dry_run(problem, motion, args.current, args.tolerance)
+    contents = record(problem, motion, found)
+    lines = report_lines(found, contents)
+    print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
+    return 0 if found.certificate.valid else 1
+
+
+def _certify_run(directory: Path, problems_dir: Path | None, json_asked: bool) -> int:
+    from experiments.replay import recertify
+
+    summary = {"paths": 0, "certified": 0, "refused": 0}
+    troubles = []
+    for judged in recertify(directory, problems_dir):
+        certified = judged.certificate is not None and judged.certificate.valid
+        summary["paths"] += 1
+        summary["certified" if certified else "refused"] += 1
+        if judged.trouble:
+            row = judged.row
+            troubles.append(f"{row.problem} {row.planner} seed {row.seed}: {judged.trouble}")
+            log(troubles[-1])
+    if json_asked:
+        print(json.dumps({**summary, "troubles": troubles}, indent=1))
+    else:
+        counted = ", ".join(f"{count} {what}" for what, count in summary.items())
+        print(f"{counted}, {len(troubles)} unlike their rows")
+    return 1 if troubles else 0
+
+
+CERTIFY: Options = {
+    "path": option(
+        "states, or a trajectory with times, which is dry-run too; or the directory of a run",
+        type=Path,
+        metavar="PATH.csv|PATH.json|DIR",
+    ),
+    **PROBLEM,
+    "another robot for --problem-file": ROBOT,
+    "--problems-dir": option(
+        "with the directory of a run of problem files: their folder", type=Path, metavar="DIR"
+    ),
+    "--current": option(
+        "where the arm stands now, in quotes [rad]: the motion begins there",
+        type=lambda text: np.array(numbers("--current", text)),
+        metavar="Q",
+    ),
+    "--tolerance": option(
+        "how far from there it may begin (0.01)", type=positive, default=0.01, metavar="RAD"
+    ),
+    "--json": option("print one json object instead, with all that was compared", **FLAG),
+}
+COMMANDS = {"certify": (certify, CERTIFY), "execute": (run, OPTIONS)}

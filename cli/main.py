@@ -16,9 +16,9 @@ from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 
 COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     "plan": ("plan", "plan one problem and print a short report"),
-    "certify": ("certify", "judge a path or trajectory, or every path of a run again"),
+    "certify": ("execute", "judge a path or trajectory, or every path of a run again"),
     "execute": ("execute", "execute a motion or task in a physics simulation"),
-    "studio": ("studio", "drag start, goal and obstacles in the browser; the path follows"),
+    "studio": ("plan", "drag start, goal and obstacles in the browser; the path follows"),
     "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),
     "figure": ("reproduce", "make a figure of the paper, with its numbers"),
     "claims": ("tables", "judge every claim of the paper by rows, and write the page that says so"),
@@ -33,8 +33,8 @@ COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
         "show what is understood of a robot's description, or list the arms that have a name",
     ),
     "check-tables": ("tables", "run a little again and compare with what is expected"),
-    "data": ("data", "make training paths"),
-    "train": ("train", "train the dictionary, the sequence model or MPNet"),
+    "data": ("reproduce", "make training paths"),
+    "train": ("model", "train the dictionary, the sequence model or MPNet"),
     "model": ("model", "show weights, convert published ones"),
     "bench": (
         "setup",
@@ -112,17 +112,6 @@ class Parser(argparse.ArgumentParser):
         return super().format_help()
 
 
-class Version(argparse.Action):
-    """Print the version and exit; it is looked up only then."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        """Print the version and exit."""
-        from importlib.metadata import version
-
-        print(f"cvqmpt_lab {version('cvqmpt-lab')}")
-        parser.exit()
-
-
 def command_named(name: str) -> tuple[Any, Any]:
     """Function and options of a command (see `options.add_options`); imports its module."""
     module = importlib.import_module(f"cli.{COMMANDS[name][0]}_command")
@@ -146,7 +135,7 @@ def parser_with(filled: Collection[str]) -> Parser:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action=Version, nargs=0, help="print the version")
+    parser.add_argument("--version", action="store_true", help="print the version")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, (_, summary) in COMMANDS.items():
         sub = commands.add_parser(
@@ -198,13 +187,19 @@ def _meant(parser: Parser, command: str, word: str) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run a subcommand; errors of the package become one line and exit code 2."""
     try:
-        args = _parsed(sys.argv[1:] if argv is None else argv)
+        words = sys.argv[1:] if argv is None else argv
+        if words[:1] == ["--version"]:
+            from importlib.metadata import version
+
+            print(f"cvqmpt_lab {version('cvqmpt-lab')}")
+            return 0
+        args = _parsed(words)
         if not gc.isenabled():  # see entry_point
             gc.freeze()
             gc.enable()
         code = command_named(args.command)[0](args)
         sys.stdout.flush()
-        return code
+        return code or 0  # most commands say nothing else
     except CvqmptError as error:
         print(f"cvqmpt: {error}", file=sys.stderr)
         return 2

@@ -1,14 +1,30 @@
-"""`cvqmpt model`: report on weights, convert published ones."""
+"""`cvqmpt model`: report on weights, convert published ones.
+
+`cvqmpt train`: train a dictionary, a transformer or MPNet; needs torch and numpy only.
+"""
 
 import argparse
 import json
 from pathlib import Path
 from typing import Any
 
-from cli.options import FLAG, Options, one_of, option
-from cvqmpt_lab.codec import to_plain
+from cli.options import (
+    FLAG,
+    ONE_OF,
+    Options,
+    ProgressBar,
+    log,
+    not_negative_int,
+    one_of,
+    option,
+    own_command,
+    positive,
+    positive_int,
+)
+from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError, require_installed
-from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.files import read_json_object
+from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.vqmpt.weights import (
     SHIPPED,
     TRANSFORMER,
@@ -20,59 +36,56 @@ from cvqmpt_lab.vqmpt.weights import (
 )
 
 
-def run(args: argparse.Namespace) -> int:
+def model(args: argparse.Namespace) -> None:
     """Report on weights, or convert them and report."""
     if args.action == "import":
         for name in ("dictionary_dir", "ar_dir", "out"):
             if getattr(args, name) is None:
                 raise InvalidInputError(f"import: give --{name.replace('_', '-')} DIR")
-        _import(args.dictionary_dir, args.ar_dir, args.out)
+        if args.out.exists() and (not args.out.is_dir() or any(args.out.iterdir())):
+            raise InvalidInputError(f"{args.out} is there and not empty; choose another --out")
+        require_installed("torch", "cvqmpt model import", "train")
+        # training starts where there is no pinocchio, and shares this file
+        from cvqmpt_lab.robot.load import robot_from_source
+        from cvqmpt_lab.vqmpt.checkpoint import import_published, save_checkpoint
+
+        robot = robot_signature(robot_from_source({"name": "panda"}))
+        published = import_published(args.dictionary_dir, args.ar_dir, robot)
+        save_checkpoint(args.out, published)
     found = _info(resolve_model(args.out if args.action == "import" else args.model))
     print(json.dumps(found, indent=2) if args.json else "\n".join(_summary(found)))
-    return 0
-
-
-def _import(dictionary_dir: Path, ar_dir: Path, out: Path) -> None:
-    """Convert published folders, weights of the Panda."""
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InvalidInputError(f"{out} is there and not empty; choose another --out")
-    require_installed("torch", "cvqmpt model import", "train")
-    from cvqmpt_lab.vqmpt.checkpoint import import_published, save_checkpoint
-
-    robot = robot_signature(robot_from_source({"name": "panda"}))
-    save_checkpoint(out, import_published(dictionary_dir, ar_dir, robot))
 
 
 def _info(folder: Path) -> dict[str, Any]:
     """Everything a folder of weights holds but the weights, which are read and checked."""
-    model, description = read_model(folder), read_description(folder)
-    if TRANSFORMER in model.parts:
+    read, description = read_model(folder), read_description(folder)
+    if TRANSFORMER in read.parts:
         from cvqmpt_lab.vqmpt.codebook import require_own_dictionary  # compiles
 
-        require_own_dictionary(model)
+        require_own_dictionary(read)
     parts = {
         f"{name}.safetensors": {
             "bytes": (folder / f"{name}.safetensors").stat().st_size,
             "numbers": sum(array.size for array in arrays.values()),
             "sha256": description["sha256"][name],
         }
-        for name, arrays in model.parts.items()
+        for name, arrays in read.parts.items()
     }
     return {
         "folder": str(folder),
         "sha256": weights_digest(folder),
-        "architecture": model.architecture,
-        "robot": to_plain(model.robot, complete=True),
+        "architecture": read.architecture,
+        "robot": to_plain(read.robot, complete=True),
         "parts": parts,
-        "model": to_plain(model.config, complete=True),
-        "metadata": dict(model.metadata),
+        "model": to_plain(read.config, complete=True),
+        "metadata": dict(read.metadata),
     }
 
 
 def _summary(found: dict[str, Any]) -> list[str]:
     """The lines a person reads."""
-    robot, model, metadata = found["robot"], found["model"], found["metadata"]
-    kind = f", {model['kind']}" if "kind" in model else ""
+    robot, config, metadata = found["robot"], found["model"], found["metadata"]
+    kind = f", {config['kind']}" if "kind" in config else ""
     digest = robot["kinematics"] or "not recorded"
     lines = [
         f"folder        {found['folder']}",
@@ -81,27 +94,31 @@ def _summary(found: dict[str, Any]) -> list[str]:
         f"sha256        {found['sha256']}",
     ]
     names = robot["joints"] or [str(joint) for joint in range(len(robot["lower"]))]
-    for name, lower, upper in zip(names, robot["lower"], robot["upper"], strict=True):
-        lines.append(f"    {name:20} {lower:8g} .. {upper:g}")
+    limits = zip(names, robot["lower"], robot["upper"], strict=True)
+    lines += [f"    {name:20} {lower:8g} .. {upper:g}" for name, lower, upper in limits]
     lines += ["", f"{'file':28} {'bytes':>12} {'numbers':>12}"]
-    for name, part in found["parts"].items():
-        lines.append(f"{name:28} {part['bytes']:>12,} {part['numbers']:>12,}")
+    lines += [
+        f"{name:28} {part['bytes']:>12,} {part['numbers']:>12,}"
+        for name, part in found["parts"].items()
+    ]
     told = ("source", "stage", "seed", "train_paths", "validation_paths", "epochs")
     shown = {name: metadata[name] for name in told if name in metadata}
     losses = metadata.get("losses")
     shown |= losses if isinstance(losses, dict) else {}
-    lines.append("")
-    for name, x in shown.items():
-        if x is not None:
-            lines.append(f"{name:44} {x:.6g}" if isinstance(x, float) else f"{name:44} {x}")
     return [
         *lines,
+        "",
+        *(
+            f"{name:44} {x:.6g}" if isinstance(x, float) else f"{name:44} {x}"
+            for name, x in shown.items()
+            if x is not None
+        ),
         "",
         f"sizes and training in full: cvqmpt model info --model {found['folder']} --json",
     ]
 
 
-OPTIONS: Options = {
+MODEL: Options = {
     "action": option(
         "info or import published VQ-MPT folders (MPNet's cannot be: train it)",
         type=one_of("action", ("info", "import")),
@@ -114,4 +131,85 @@ OPTIONS: Options = {
     "--ar-dir": option("import: published stage 2", type=Path, metavar="DIR"),
     "--out": option("import: folder to write, new or empty", type=Path, metavar="DIR"),
 }
-COMMANDS = {"model": (run, OPTIONS)}
+
+
+# as in `training.profiles`, which needs torch
+STAGES = ("stage1", "mpnet", "transformer", "published")
+REMOVED = {
+    "edge-model": "roadmaps of every arm use one fitted curve, cvqmpt_lab/search/edge_costs.py",
+    "stage2": "train published learns the same from paths and from labels on a roadmap; give it "
+    "the same --data and --dictionary",
+}
+PROFILE_NAMES = ("smoke", "compact", "published")
+
+
+def train(args: argparse.Namespace) -> None:
+    """Train, showing loss and time left."""
+    require_installed("torch", "cvqmpt train", "train")
+    from cvqmpt_lab.training.profiles import Profile, profile_named
+    from cvqmpt_lab.training.trainer import run_training
+
+    profile = profile_named(args.profile)
+    if args.config is not None:
+        plain = read_json_object(args.config)
+        if isinstance(plain.get("published_model"), dict) and "dense" in plain["published_model"]:
+            raise InvalidInputError(
+                "published_model.dense was removed: train transformer learns which codes and edges "
+                "are free; leave it out"
+            )
+        profile = from_plain(Profile, plain, "profile")
+    if args.print_config:
+        print(json.dumps(to_plain(profile, complete=True), indent=2))
+        return
+    for name in ("data", "out"):
+        if getattr(args, name) is None:
+            raise InvalidInputError(f"give --{name} DIR")
+    command = own_command()
+    origin = provenance(command, [args.seed])
+    progress = run_training(
+        args.stage,
+        profile,
+        args.data,
+        args.out,
+        dictionary=args.dictionary,
+        seed=args.seed,
+        epochs=args.epochs,
+        minutes=args.minutes,
+        workers=args.workers,
+        device=args.device,
+        metadata={"command": command, "provenance": origin},
+        report=ProgressBar(args.stage),
+    )
+    for name, value in (progress.rows[-1] if progress.rows else {}).items():
+        print(f"{name:40} {'' if value is None else format(value, '.6g')}")
+    if not progress.finished:
+        log("stopped after --minutes; the same command continues")
+    print(f"model in {args.out / 'model'}, curves in {args.out / 'curves.csv'}")
+
+
+TRAIN: Options = {
+    "stage": option(f"what to train: {', '.join(STAGES)}", type=one_of("stage", STAGES, REMOVED)),
+    ONE_OF: {
+        "--profile": option(f"of {', '.join(PROFILE_NAMES)} (compact)", default="compact"),
+        "--config": option("a profile of your own, see --print-config", type=Path, metavar="FILE"),
+    },
+    "--print-config": option("print the profile as json and stop", **FLAG),
+    "--data": option("what `cvqmpt data generate` wrote", type=Path, metavar="DIR"),
+    "--out": option(
+        "for state, curves and model/; continued if it is there", type=Path, metavar="DIR"
+    ),
+    "--dictionary": option(
+        "transformer (from labels), published (the authors' architecture, from paths or labels): "
+        "--out of stage1 (the shipped)",
+        type=Path,
+        metavar="DIR",
+    ),
+    "--seed": option("repeatable on a CPU (0)", type=not_negative_int, default=0, metavar="S"),
+    "--epochs": option("in all (the profile's)", type=positive_int, metavar="N"),
+    "--minutes": option("stop and save after M minutes", type=positive, metavar="M"),
+    "--device": option("cpu, cuda, or auto (auto)", default="auto"),
+    "--workers": option(
+        "processes that prepare batches (0: none)", type=not_negative_int, default=0, metavar="J"
+    ),
+}
+COMMANDS = {"model": (model, MODEL), "train": (train, TRAIN)}

@@ -7,7 +7,7 @@ import math
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -76,6 +76,13 @@ def one_of(
         return require_choice(what, text, known)
 
     return read
+
+
+def refuse_given(args: argparse.Namespace, names: Iterable[str], why: str) -> None:
+    """Refuse options, by their names in args, that do not go with others; why: after the option."""
+    for name in names:
+        if getattr(args, name):
+            raise InvalidInputError(f"--{name.replace('_', '-')} {why}")
 
 
 def log(text: str) -> None:

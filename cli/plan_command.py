@@ -1,15 +1,19 @@
-"""`cvqmpt plan`: solve one problem or task with one planner; print a report, write files."""
+"""`cvqmpt plan`: solve one problem or task with one planner; print a report, write files.
+
+`cvqmpt studio`: a page in the browser on which a problem is changed and planned again.
+"""
 
 import argparse
 import json
 import logging
 import re
+import signal
 import sys
+import threading
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.motion_options import MOTION, arm_of, motion_given, motion_problem, scanned
 from cli.options import (
     FLAG,
     REACH,
@@ -21,7 +25,9 @@ from cli.options import (
     as_json,
     file_of_kind,
     log,
+    not_negative_int,
     option,
+    refuse_given,
     writable_file,
 )
 from cli.problem_options import (
@@ -33,12 +39,13 @@ from cli.problem_options import (
     optimize_budget,
     optimize_option,
     problem_asked,
+    robot_source,
     with_clearance,
 )
-from cli.scan_command import SCAN
+from cli.scan_command import MOTION, SCAN, arm_of, motion_given, motion_problem, scanned
 from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
 from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import make_folder, write_text
+from cvqmpt_lab.files import csv_table, make_folder, write_text
 from cvqmpt_lab.margins import Margin, solve_with_margin
 from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named
@@ -72,10 +79,8 @@ def run(args: argparse.Namespace) -> int:
     # with --json, standard output holds the json object alone
     say = partial(print, file=sys.stderr if args.json else sys.stdout)
     if args.save_path and isinstance(solution, Solution) and solution.path:
-        states = solution.path.states
-        lines = (",".join(repr(float(x)) for x in q) for q in states)
-        names = ",".join(solution.problem.robot.joint_names)
-        write_text(args.save_path, "\n".join([names, *lines, ""]))
+        rows = solution.problem.robot.joint_names, *solution.path.states.tolist()
+        write_text(args.save_path, csv_table(rows))
         say(f"path written to {args.save_path}")
     if args.trajectory:
         say(
@@ -100,10 +105,10 @@ def _solved_problem(
         # the obstacles are those of the suite or file; the cloud is what a network is shown
         method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
     if args.trajectory:
-        from cvqmpt_lab.trajectory.trajectory import file_type
+        from cvqmpt_lab.trajectory.trajectory import WRITERS
 
         # a wrong file name or speed is refused before anything is planned
-        file_type(writable_file(args.trajectory))
+        file_of_kind("--trajectory", tuple(WRITERS), args.trajectory)
         problem.robot.joint_limits.scaled(args.speed)
     margin = Margin(args.margin, args.margin_angle).check()
     warm_up(problem, method, args.backend, log)
@@ -132,13 +137,8 @@ def _solved_task(
     from cvqmpt_lab.tasks.solve import solve_task, task_data, task_lines
     from cvqmpt_lab.trajectory.timing import TimingSettings
 
-    unusable = [
-        name for name in ("cloud", "optimize", "save_path", "project_start") if getattr(args, name)
-    ]
-    if unusable:
-        raise InvalidInputError(
-            f"--{unusable[0].replace('_', '-')} does not go with a task; leave it out"
-        )
+    of_problems = ("cloud", "optimize", "save_path", "project_start")
+    refuse_given(args, of_problems, "does not go with a task; leave it out")
     folder = args.trajectory
     if folder is not None:
         if folder.suffix or folder.is_file():
@@ -253,13 +253,15 @@ def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list
     lines = []
     suffix = None if args.save is None else args.save.suffix
     if args.picture:
-        from cvqmpt_lab.show.picture import draw_solution, draw_task
+        from cvqmpt_lab.show.picture import draw_solution, task_image, write_png
 
         what = "picture"
         if isinstance(solution, Solution):
             draw_solution(solution, args.picture, carried=carried)
         else:
-            what = f"picture of {', '.join(draw_task(solution, args.picture))}"
+            image, names = task_image(solution, (600, 450))
+            write_png(args.picture, image)
+            what = f"picture of {', '.join(names)}"
         lines.append(f"{what} written to {args.picture}")
     if suffix == FILM:
         from cvqmpt_lab.show.picture import film_solution
@@ -352,4 +354,39 @@ OPTIONS: Options = {
         "share of the joints' limits that --trajectory uses (0.1)", type=float, metavar="FACTOR"
     ),
 }
-COMMANDS = {"plan": (run, OPTIONS)}
+
+
+def serve(args: argparse.Namespace) -> None:
+    """Serve the page until Ctrl-C."""
+    from cvqmpt_lab.show.studio import studio  # half a second to import
+
+    problem = _of_page(args)
+    compile_kernels(log)
+    page = studio(problem, args.port)
+    ended = threading.Event()
+    # Python would lose a KeyboardInterrupt that comes while it collects garbage
+    signal.signal(signal.SIGINT, lambda *_: ended.set())
+    print(f"{page}; Ctrl-C ends it", flush=True)
+    ended.wait()
+    page.stop()
+
+
+def _of_page(args: argparse.Namespace) -> PlanningProblem:
+    """The problem of a file or suite; without either, one for the robot that is named."""
+    if args.suite is None and args.problem_file is None:
+        if (source := robot_source(args)) is not None:
+            from cvqmpt_lab.benchmarks.templates import problem_template  # half a second to import
+
+            return PlanningProblem.from_dict(problem_template(source))
+        args.suite = "place-task"
+    if isinstance(problem := problem_asked(args), PlanningProblem):
+        return problem
+    raise InvalidInputError(f"{args.suite} has tasks, of several phases; studio is for problems")
+
+
+STUDIO: Options = {
+    **PROBLEM,
+    "--port": option("of the page, 0: any (8090)", type=not_negative_int, default=8090),
+    "robot of a problem file, or alone, for a problem made for it": ROBOT,
+}
+COMMANDS = {"plan": (run, OPTIONS), "studio": (serve, STUDIO)}

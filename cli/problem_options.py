@@ -219,7 +219,11 @@ def problem_asked(args: argparse.Namespace) -> PlanningProblem | Task:
     if args.problem_file is not None:
         robot = robot_source(args, args.problem_file)
         return PlanningProblem.load(args.problem_file, robot=robot, clearance=args.clearance)
-    refuse_robot(args)
+    if robot_source(args):
+        raise InvalidInputError(
+            "--robot and --urdf go with --problem-file or --start: other problems are for their "
+            "own robot"
+        )
     if args.suite is None:
         return Task.load(args.task_file)
     return with_clearance(args, suite_named(args.suite).solvable(args.problem))
@@ -232,15 +236,6 @@ def with_clearance(
     if not args.clearance or isinstance(problem, Task):
         return problem
     return replace(problem, clearance=args.clearance)
-
-
-def refuse_robot(args: argparse.Namespace) -> None:
-    """Refuse a robot option for a problem that has its own robot."""
-    if robot_source(args):
-        raise InvalidInputError(
-            "--robot and --urdf go with --problem-file or --start: other problems are for their "
-            "own robot"
-        )
 
 
 def budget(args: argparse.Namespace) -> Budget:

@@ -59,7 +59,7 @@ GOALS_WIN = (
 )
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Build each problem; print a line or write a file."""
     goes_with = {
         "problems": "list or export",
@@ -73,10 +73,10 @@ def run(args: argparse.Namespace) -> int:
     for name, action in goes_with.items():
         if getattr(args, name) and args.action not in action:
             raise InvalidInputError(f"--{name} goes with {action}, not with {args.action}")
-    return ACTIONS[args.action](args)
+    ACTIONS[args.action](args)
 
 
-def _new(args: argparse.Namespace) -> int:
+def _new(args: argparse.Namespace) -> None:
     path = Path(args.what)
     if path.exists():
         raise InvalidInputError(f"{path} is there already; name another file")
@@ -100,10 +100,9 @@ def _new(args: argparse.Namespace) -> int:
     print(
         f"{path} written, and {schema} for editors; plan it with: cvqmpt plan --{kind}-file {path}"
     )
-    return 0
 
 
-def _import(args: argparse.Namespace) -> int:
+def _import(args: argparse.Namespace) -> None:
     """A scene of MoveIt as json that a problem, or `plan --scene`, names."""
     from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene  # its meshes take 0.3 s to import
 
@@ -121,26 +120,23 @@ def _import(args: argparse.Namespace) -> int:
         f'name it in a problem, "scene": "{path.name}", or in: cvqmpt plan --scene {path} --start '
         f"Q --goal Q"
     )
-    return 0
 
 
-def _fetch(args: argparse.Namespace) -> int:
+def _fetch(args: argparse.Namespace) -> None:
     """MotionBenchMaker's problems, into the cache."""
     require_choice("set of problems", args.what, ["motion-bench"])
     print(f"{fetch()}: 700 problems each of {', '.join(ROBOTS)}")
     print(f"MotionBenchMaker, from {ARCHIVE} on the package index, Apache-2.0")
     print("list them, with those that collide: cvqmpt problems list motion-bench")
-    return 0
 
 
-def _list(args: argparse.Namespace) -> int:
+def _list(args: argparse.Namespace) -> None:
     """A line for each problem."""
     for index, problem in _problems(args):
         print(f"{index}: start {' '.join(f'{x:.3f}' for x in problem.start)}")
-    return 0
 
 
-def _export(args: argparse.Namespace) -> int:
+def _export(args: argparse.Namespace) -> None:
     """A file for each problem."""
     if args.out is None:
         raise InvalidInputError("export needs --out DIR")
@@ -151,7 +147,6 @@ def _export(args: argparse.Namespace) -> int:
             problem, comment = with_sampled_goals(problem)[0], {"_comment": GOALS_WIN}
         text = json_text({**comment, **problem.to_dict()}) + "\n"
         write_text(args.out / f"{args.what}-{index:03d}.json", text)
-    return 0
 
 
 def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem | Task]]:
@@ -173,7 +168,7 @@ def _problems(args: argparse.Namespace) -> Iterator[tuple[int, PlanningProblem |
     print(f"{len(indices) - unsolvable} problems, {unsolvable} unsolvable")
 
 
-ACTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {
+ACTIONS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "list": _list,
     "export": _export,
     "new": _new,

@@ -13,22 +13,29 @@ from cli.options import FLAG, Options, option, writable_file
 from cli.problem_options import ROBOT_DETAILS, robot_options
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.dynamics import without_effort_limit
+from cvqmpt_lab.robot.hulls import OVERLAP
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.self_collision import OVERLAP
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.robot.urdf import read_urdf
 from cvqmpt_lab.scene.scene import Scene
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Load the robot and report."""
     if args.robot is None:
         for name, arm in ARMS.items():
             hands = arm.end_effector or " and ".join(arm.end_effectors)
             print(f"{name:16} {arm.urdf}, end effector {hands}")
-        return 0
-    source, others = _source(args)
+        return
+    options, others = robot_options(args), list[str]()
+    if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
+        source = {"name": args.robot, **options}
+    else:
+        source = {"urdf": args.robot, **options}
+        if not {"end_effector", "end_effectors"} & options.keys():
+            others = read_urdf(Path(args.robot)).likely_end_effectors()
+            source["end_effector"] = others[0]
     robot = robot_from_source(source)
     said = describe(robot)
     print(json.dumps(said, indent=1) if args.json else "\n".join(report(robot, said, others)))
@@ -36,21 +43,6 @@ def run(args: argparse.Namespace) -> int:
         from cvqmpt_lab.show.picture import draw
 
         draw(robot, args.picture)
-    return 0
-
-
-def _source(args: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
-    """What a problem file would say, and the end effectors to choose from where none was chosen."""
-    options = robot_options(args)
-    if args.robot in ARMS or not (Path(args.robot).suffix or Path(args.robot).exists()):
-        return {"name": args.robot, **options}, []
-    chosen = {"end_effector", "end_effectors"} & options.keys()
-    likely = [] if chosen else read_urdf(Path(args.robot)).likely_end_effectors()
-    return {
-        "urdf": args.robot,
-        **({"end_effector": likely[0]} if likely else {}),
-        **options,
-    }, likely
 
 
 def describe(robot: Robot, tried: int = 200) -> dict[str, Any]:

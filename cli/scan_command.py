@@ -1,4 +1,7 @@
-"""`cvqmpt scan`: depth images or clouds in; a clean cloud or scene out; options of other scans."""
+"""`cvqmpt scan`: depth images or clouds in; a clean cloud or scene out.
+
+With it the options of a motion among what was scanned, which other commands have.
+"""
 
 import argparse
 import json
@@ -13,26 +16,33 @@ from cli.options import (
     REPEATED,
     Options,
     file_of_kind,
+    log,
     not_negative,
     numbers,
     option,
     positive,
+    refuse_given,
     writable_file,
 )
-from cli.problem_options import ROBOT, chosen_robot, configuration
-from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import json_text, write_text
+from cli.problem_options import ROBOT, chosen_robot, configuration, pose_region
+from cvqmpt_lab.codec import field_kinds, from_plain, to_plain
+from cvqmpt_lab.collision.exact import CollisionChecker
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
+from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.errors import InvalidInputError, require_choice
+from cvqmpt_lab.files import json_object, json_text, write_text
+from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
-from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.scene import Scene, check_lengths, read_scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.depth import read_capture
-from cvqmpt_lab.sensing.filters import BoxCrop
 from cvqmpt_lab.sensing.plane import CAMERA_UP
 from cvqmpt_lab.sensing.scan import (
     RESOLUTION,
     Arm,
+    BoxCrop,
     MapSettings,
     Scan,
     ScanSettings,
@@ -126,9 +136,8 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     """Read and clean the files as the options of `SCAN` say; arm: the robot as it stood then."""
     if args.level and args.extrinsics:
         raise InvalidInputError("--level and --extrinsics: give one of the two")
-    for name in ("front", "down"):
-        if getattr(args, name) is not None and not args.level:
-            raise InvalidInputError(f"--{name} is that of --level table; give it")
+    if not args.level:
+        refuse_given(args, ("front", "down"), "is that of --level table; give it")
     intrinsics = _each("--intrinsics", args.intrinsics, files)
     extrinsics = _each("--extrinsics", args.extrinsics, files)
     cameras = zip(files, intrinsics, extrinsics, strict=True)
@@ -169,8 +178,9 @@ def scene_of(args: argparse.Namespace, made: Scan, arm: Arm | None) -> Scene:
 def _each(option: str, given: Sequence[Path], files: Sequence[Path]) -> Sequence[Path | None]:
     """A value for each file: one each, or none."""
     if given and len(given) != len(files):
-        times = f"{len(given)} times for {len(files)} files"
-        raise InvalidInputError(f"{option} is given {times}; give one for each")
+        raise InvalidInputError(
+            f"{option} is given {len(given)} times for {len(files)} files; give one for each"
+        )
     return given or [None] * len(files)
 
 
@@ -206,7 +216,126 @@ def scan_report(made: Scan, files: Sequence[Path]) -> Iterator[str]:
         )
 
 
-def run(args: argparse.Namespace) -> int:
+MOTION: Options = {
+    "one motion among the obstacles of --cloud or --scene, instead of a suite or a problem file": {
+        "--start": option("configuration, numbers separated by commas [rad or m]", metavar="Q"),
+        "--goal": option(
+            "goal configuration; repeatable: the path ends at any of them", metavar="Q", **REPEATED
+        ),
+        "--start-pose": option(
+            "end-effector pose at the start instead of --start, as --goal-pose",
+            type=partial(pose_region, "--start-pose"),
+            metavar="X,Y,Z,R,P,Y",
+        ),
+        "--goal-pose": option(
+            "end-effector pose to reach instead: x, y, z [m], roll, pitch, yaw [rad]",
+            type=partial(pose_region, "--goal-pose"),
+            metavar="X,Y,Z,R,P,Y",
+        ),
+        "--constraint": option(
+            f"{', '.join(NAMED)} (the first three keep how the end effector is oriented at the "
+            "start, relative-pose=HAND how the other one is held to that one), or a region as "
+            "json; repeatable",
+            metavar="NAME[=VALUE]|JSON",
+            **REPEATED,
+        ),
+    }
+}
+
+
+def motion_given(args: argparse.Namespace) -> bool:
+    """Whether start, goal or constraint are given."""
+    return any((args.start, args.start_pose, args.goal, args.goal_pose, args.constraint))
+
+
+def motion_problem(args: argparse.Namespace) -> PlanningProblem:
+    """The problem of the options: from --start to --goal, obstacles from --cloud or --scene."""
+    if (args.start is None) == (args.start_pose is None) or not (args.goal or args.goal_pose):
+        raise InvalidInputError(
+            "a motion needs --start Q or --start-pose X,Y,Z,R,P,Y, one of the two, and --goal Q or "
+            "--goal-pose X,Y,Z,R,P,Y"
+        )
+    if bool(args.cloud) == bool(args.scene):
+        raise InvalidInputError(
+            "--start and --goal need obstacles: give --cloud or --scene, one of the two"
+        )
+    robot = chosen_robot(args)
+    start = _start(args, robot)
+    goals = [configuration(robot, "--goal", text) for text in args.goal]
+    constraint = tuple(_constraint(text, robot, start) for text in args.constraint)
+    if args.scene is not None:
+        scene = read_scene(args.scene)
+        check_lengths(scene, robot.reach, f"scene {args.scene}")
+    else:
+        arm = arm_of(args, robot, start)
+        scene = scene_of(args, scanned(args, arm), arm)
+        refuse_touching(scene, Arm(robot, start))
+    return PlanningProblem(
+        (args.scene or args.cloud[0]).stem,
+        robot,
+        scene,
+        start=start,
+        goals=np.array(goals).reshape(-1, robot.dof),
+        constraint=constraint,
+        goal_region=args.goal_pose,
+    )
+
+
+def _start(args: argparse.Namespace, robot: Robot) -> np.ndarray:
+    """The configuration (n,) of --start, or one at --start-pose that touches nothing of --scene."""
+    if args.start is not None:
+        return configuration(robot, "--start", args.start)
+    scene = Scene("none", ()) if args.scene is None else read_scene(args.scene)
+    checker = CollisionChecker(robot, scene, margin=SAMPLE_MARGIN)
+    rng = np.random.default_rng(args.seed)
+    found = sample_region(robot, args.start_pose, checker, rng, count=1)
+    if len(found.configurations) == 0:
+        raise InvalidInputError(f"--start-pose: {found.outcome}; give another pose, or --start Q")
+    return found.configurations[0]
+
+
+def scanned(args: argparse.Namespace, arm: Arm) -> Scan:
+    """Make a scan of the files of --cloud, and write its report to standard error."""
+    made = scan_of(args, args.cloud, arm.robot, arm)
+    log("\n".join(scan_report(made, args.cloud)))
+    return made
+
+
+def arm_of(args: argparse.Namespace, robot: Robot, q: np.ndarray) -> Arm:
+    """The robot during the scan: at --arm-at, else at q (n,)."""
+    return Arm(robot, q if args.arm_at is None else configuration(robot, "--arm-at", args.arm_at))
+
+
+def _constraint(text: str, robot: Robot, start: np.ndarray) -> TaskSpaceRegion:
+    """A region from NAME, NAME=VALUE with a value for the region's first field, or json."""
+    if text.lstrip().startswith("{"):
+        return from_plain(Region, json_object(text, "--constraint"), "--constraint")
+    name, _, value = text.partition("=")
+    require_choice("--constraint", name, NAMED)
+    fields: dict[str, Any] = {}
+    if name in ("upright", "upright-box"):
+        fields["axis"] = upper_axis(robot.pose(start))
+    if name == "fixed-orientation":
+        from scipy.spatial.transform import Rotation  # takes 0.3 s to import
+
+        fields["rpy"] = Rotation.from_matrix(robot.pose(start)[:3, :3]).as_euler("xyz").tolist()
+    if name == "relative-pose":
+        hand = next((hand for hand in robot.end_effectors if hand != value), None)
+        if hand is None:
+            raise InvalidInputError(
+                f"--constraint {text}: robot {robot.name} has one end effector; name two, "
+                "--end-effectors LEFT RIGHT"
+            )
+        require_choice("--constraint relative-pose=HAND", value, robot.end_effectors)
+        at = np.linalg.inv(robot.pose(start, value)) @ robot.pose(start, hand)
+        held = {name: {"base": value, "at": at.tolist()}, "end_effector": hand}
+        return from_plain(Region, held, "--constraint")
+    if value:
+        fields[next(iter(field_kinds(NAMED[name])))] = numbers("--constraint", value, ("VALUE",))[0]
+    return from_plain(Region, {name: fields}, "--constraint")
+
+
+def run(args: argparse.Namespace) -> None:
     """Read, clean, report, write."""
     robot = chosen_robot(args)
     arm = None if args.arm_at is None else Arm(robot, configuration(robot, "--arm-at", args.arm_at))
@@ -230,7 +359,6 @@ def run(args: argparse.Namespace) -> int:
 
         draw_scan(made, scene, args.voxel, args.picture, shown)
         print(f"picture written to {args.picture}")
-    return 0
 
 
 OPTIONS: Options = {

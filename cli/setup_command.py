@@ -112,16 +112,15 @@ def _kernels() -> Finding:
     return Finding("kernels", f"compiled in {folder()}")
 
 
-def warmup(args: argparse.Namespace) -> int:
+def warmup(args: argparse.Namespace) -> None:
     """Compile every kernel ahead of time, or load what is compiled."""
     from cvqmpt_lab.warm_up import compile_kernels
 
     seconds = compile_kernels(lambda text: print(text, flush=True))
     print(f"kernels ready after {seconds:.1f} s")
-    return 0
 
 
-def bench(args: argparse.Namespace) -> int:
+def bench(args: argparse.Namespace) -> None:
     """Measure and print a table."""
     from cvqmpt_lab.warm_up import compile_kernels
     from experiments.paper_check import paper_check
@@ -138,7 +137,6 @@ def bench(args: argparse.Namespace) -> int:
         print(f"{figure.name:{width}}  {figure.median:.4g} {figure.unit}{spread}")
     if args.json:
         write_text(args.json, json.dumps([figure._asdict() for figure in figures], indent=1) + "\n")
-    return 0
 
 
 OPTIONS: Options = {

@@ -15,6 +15,7 @@ from cli.options import (
     not_negative,
     option,
     positive_int,
+    refuse_given,
     writable_file,
 )
 from cli.problem_options import planner_list
@@ -38,12 +39,6 @@ from paper_tables.suites import directory_rows, render_directory
 from paper_tables.writers import text_lines
 
 
-def table(args: argparse.Namespace) -> int:
-    """Render the tables of a results directory and print the short one."""
-    show_tables(args.directory)
-    return 0
-
-
 def show_tables(directory: Path) -> None:
     """Render a directory, print a line for each planner, and where the files are."""
     written = render_directory(directory)
@@ -51,21 +46,15 @@ def show_tables(directory: Path) -> None:
     print("\n".join([f"{title}; all numbers: {directory / 'table.md'}", *lines]))
 
 
-def report(args: argparse.Namespace) -> int:
-    """Write one self-contained html file about results."""
-    print(f"report, for a browser: {write_report(args.directory, args.out)}")
-    return 0
-
-
-def write_report(directory: Path, out: Path | None = None) -> Path:
-    """Write the report of results, into their folder unless `out` is given, and return its path."""
+def write_report(directory: Path, out: Path | None = None) -> None:
+    """Write one html file about results, into their folder unless `out` is given; print where."""
     from experiments.replay import first_path
 
     found = pages.evidence_of(directory)
     text = pages.report_html(found, ProgressBar("report"), first_path(found))
     out = writable_file(out or directory / "report.html")
     write_text(out, text)
-    return out
+    print(f"report, for a browser: {out}")
 
 
 def compare(args: argparse.Namespace) -> int:
@@ -98,7 +87,7 @@ def _rule(text: str) -> Any:
     return Rule.read(text)
 
 
-def claims(args: argparse.Namespace) -> int:
+def claims(args: argparse.Namespace) -> None:
     """Judge every claim of the paper, print the verdicts, and write the page if asked to."""
     if args.results is None and args.write:
         require_checkout("cvqmpt claims --write", "name a folder of results directories")
@@ -107,7 +96,7 @@ def claims(args: argparse.Namespace) -> int:
     if not args.write:
         if args.results or in_checkout():
             print(f"nothing written; --write writes {page}")
-        return 0
+        return
     texts, pictures = {}, {}
     if args.results is None:
         found = evidence_below(RESULTS)
@@ -119,7 +108,6 @@ def claims(args: argparse.Namespace) -> int:
     for path, picture in pictures.items():
         write_bytes(path, picture)
     print("\n".join(f"written {path}" for path in (*texts, *pictures)))
-    return 0
 
 
 def page_of(results: Path) -> str:
@@ -205,9 +193,8 @@ def _check_ours(args: argparse.Namespace) -> int:
     """Re-run a tiny profile; compare it and all tables with those committed."""
     from experiments.experiment import models_of
 
-    for name in ("planners", "seeds", "iterations", "jobs"):
-        if getattr(args, name) is not None:
-            raise InvalidInputError(f"--{name} goes with a folder of problem files; name it")
+    of_folder = ("planners", "seeds", "iterations", "jobs")
+    refuse_given(args, of_folder, "goes with a folder of problem files; name it")
     args.expected = args.expected or EXPECTED
     expected = None
     if args.update:
@@ -317,8 +304,8 @@ CHECK_TABLES: Options = {
     },
 }
 COMMANDS = {
-    "table": (table, TABLE),
-    "report": (report, REPORT),
+    "table": (lambda args: show_tables(args.directory), TABLE),
+    "report": (lambda args: write_report(args.directory, args.out), REPORT),
     "compare": (compare, COMPARE),
     "claims": (claims, CLAIMS),
     "check-tables": (check_tables, CHECK_TABLES),

@@ -19,8 +19,7 @@ from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.trajectory.piecewise import bounds, extremes
-from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory
+from cvqmpt_lab.trajectory.trajectory import Motion, Trajectory, bounds, extremes
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly  # half a second to import, needed for trajectories alone

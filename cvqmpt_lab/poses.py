@@ -62,6 +62,13 @@ def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> list[list[float]]:
     return _of_quaternion(r * x - c * y, r * y + c * x, r * z + c * w, r * w - c * z)
 
 
+def ros_vector(value: Any) -> Any:
+    """A list of numbers that ROS may write as {x, y, z} or {x, y, z, w}; else as it is."""
+    if not isinstance(value, Mapping):
+        return value
+    return [value[axis] for axis in "xyzw" if axis in value]
+
+
 @dataclass(frozen=True)
 class Placement:
     """A pose as a position, and angles or a quaternion."""

@@ -57,13 +57,11 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import (
     Attachment,
-    NamedScene,
     Scene,
-    refuse_far,
+    check_lengths,
     refuse_far_poses,
-    report_out_of_reach,
+    with_files_read,
 )
-from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name, frozen
 
 
@@ -109,7 +107,7 @@ class PlanningProblem(Document):
 
     name: Name  # What it is called in results
     robot: RobotOfSource  # What moves; n is the number of its joints
-    scene: NamedScene  # What it must not touch
+    scene: Scene  # What it must not touch
     # (n,) [rad or m], drawn from `start_region` if empty
     start: State = field(default_factory=lambda: np.empty(0))
     # (k, n) [rad or m], drawn from `goal_region` if there are none
@@ -155,12 +153,11 @@ class PlanningProblem(Document):
         Refuses lengths that cannot be metres; warns when nothing of the scene is within reach.
         """
         problem = super().from_dict(_with_numbers(data))
-        refuse_far(problem.scene)
+        check_lengths(problem.scene, reach_with(problem.robot, problem.attachments))
         regions = {f"constraint[{k}]": region for k, region in enumerate(problem.constraint)}
         if problem.goal_region is not None:
             regions["goal_region"] = problem.goal_region
         refuse_far_poses({f"{where}: its frame": region.T0_w for where, region in regions.items()})
-        report_out_of_reach(problem.scene, reach_with(problem.robot, problem.attachments))
         return problem
 
     def _check_regions(self, most: int = 32) -> None:

@@ -22,12 +22,10 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
-from cvqmpt_lab.sensing.camera import KINECT, Camera, look_at
+from cvqmpt_lab.sensing.camera import KINECT, Camera, DepthNoise, look_at
 from cvqmpt_lab.sensing.depth import read_capture, write_view
-from cvqmpt_lab.sensing.filters import BallCrop
-from cvqmpt_lab.sensing.noise import DepthNoise
 from cvqmpt_lab.sensing.observation import CameraSettings, arm_objects, views_of
-from cvqmpt_lab.sensing.scan import Arm, MapSettings, ScanSettings, occupancy_map, scan
+from cvqmpt_lab.sensing.scan import Arm, BallCrop, MapSettings, ScanSettings, occupancy_map, scan
 
 ROOM = 0.06  # [m] that start and goal keep from obstacles
 THINGS = {

@@ -31,8 +31,7 @@ from cvqmpt_lab.results.row import natural_key, one_line
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.robot.source import content_digest
 from cvqmpt_lab.scene.families import FAMILIES
-from cvqmpt_lab.scene.scene import Attachment
-from cvqmpt_lab.scene.scene_files import named_files
+from cvqmpt_lab.scene.scene import Attachment, named_files
 from cvqmpt_lab.tasks.task import Task
 
 SuiteItem = PlanningProblem | UnsolvableProblem | SensedProblem | Task

@@ -171,7 +171,7 @@ def execute_motion(
     control = Controller(controller, problem.robot)
     control.carry(loads_of(problem.attachments))
     world = Simulation(problem.robot, problem.scene, q, control, physics, friction)
-    world.phase, before = problem.name, np.eye(4)
+    world.phase = problem.name
     if load is not None:
         ends = problem.robot.poses(motion.positions[[0, -1]])
         world.rests = list((ends @ load.T_hand_object)[:, :3, 3])
@@ -179,8 +179,7 @@ def execute_motion(
         world.allowed = _hand_pairs(problem.robot, [LOAD])
         world.force = GRIP
     world.hold(q, SETTLE)
-    if friction:
-        before = _in_hand(world)
+    before = _in_hand(world) if friction else np.eye(4)
     world.saturated, world.errors = 0, []
     world.follow(motion)
     world.hold(motion.positions[-1], SETTLE)
@@ -316,6 +315,11 @@ def _judged(
             rows = [k for k in region.bounded_rows if region.wide[k] and k >= 3]
             if rows:
                 tilt = float(np.nanmax([tilt, np.abs(x[:, rows]).max()]))
+    scene, first = world.scene, world.samples[0]
+    load = world.physics.free or world.physics.welded
+    if load is not None and first.T_world_load is not None:
+        item = SceneObject(load.name, load.shape, first.T_world_load, obstacle=False)
+        scene = scene.with_objects(item)
     return Execution(
         name=name,
         controller=world.controller.name,
@@ -328,18 +332,8 @@ def _judged(
         tilt_rad=tilt,
         contacts=tuple(world.touched.values()),
         saturated_s=1e-3 * world.saturated,
-        scene=_with_load(world, world.samples[0]),
+        scene=scene,
         samples=tuple(world.samples),
-    )
-
-
-def _with_load(world: Simulation, sample: Sample) -> Scene:
-    load = world.physics.free or world.physics.welded
-    if load is None:
-        return world.scene
-    assert sample.T_world_load is not None
-    return world.scene.with_objects(
-        SceneObject(load.name, load.shape, sample.T_world_load, obstacle=False)
     )
 
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.collision.solids import carried_pairs
 from cvqmpt_lab.errors import InvalidInputError
@@ -69,8 +68,10 @@ def bodies_of(robot: Robot, scene: Scene, carried: Sequence[Attachment] = ()) ->
                 f"{what} {item.name!r} is of type {type(item.shape).__name__}: give boxes, "
                 "cylinders, spheres or convex meshes"
             )
-    for k, obstacle in enumerate(scene.obstacles):
-        found.append(Body(f"obstacle_{k}", 0, obstacle.T_world_object, obstacle.shape))
+    found += [
+        Body(f"obstacle_{k}", 0, obstacle.T_world_object, obstacle.shape)
+        for k, obstacle in enumerate(scene.obstacles)
+    ]
     for k, load in enumerate(carried):
         row, T_link_hand = robot.hand(load.end_effector)
         found.append(Body(f"{LOAD}_{k}", row, T_link_hand @ load.T_hand_object, load.shape))
@@ -229,6 +230,8 @@ def _placed(
     translation: np.ndarray,
     tag: str = "body",
 ) -> Element:
+    from scipy.spatial.transform import Rotation  # takes 0.3 s to import
+
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
     quaternion = numbers_text(np.array([w, x, y, z]))
     return SubElement(parent, tag, name=name, pos=numbers_text(translation), quat=quaternion)

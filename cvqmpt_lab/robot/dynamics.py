@@ -89,13 +89,13 @@ class Dynamics:
         still = np.zeros((5, rates.shape[1]))
         turns, moves, axes, arms = [still[:4]], [still], [still[:4]], [still]
         forces, moments = [still[:3]], [still[:3]]
+        slides = [joint.shortname().startswith("JointModelP") for joint in model.joints]
         for i in rows:
             parent, placement = model.parents[i], model.jointPlacements[i]
-            slides = model.joints[i].shortname().startswith("JointModelP")
             axis = _attached(1.0, turns[parent])
             arm = _attached(float(np.linalg.norm(placement.translation)), turns[parent])
             turn = turns[parent]
-            if slides:
+            if slides[i]:
                 stroke = np.concatenate([places[None], rates])[:, :, i - 1]
                 arm = arm + _product(axis, stroke)
             else:
@@ -117,8 +117,7 @@ class Dynamics:
             arms.append(arm)
         found = np.empty(rates.shape[1:])
         for i in reversed(rows):
-            slides = model.joints[i].shortname().startswith("JointModelP")
-            found[:, i - 1] = _product(axes[i][:3], forces[i] if slides else moments[i])[2]
+            found[:, i - 1] = _product(axes[i][:3], forces[i] if slides[i] else moments[i])[2]
             parent = model.parents[i]
             moments[parent] = moments[parent] + moments[i] + _product(arms[i][:3], forces[i])
             forces[parent] = forces[parent] + forces[i]
@@ -130,11 +129,12 @@ def link_inertias(robot: Robot) -> list[tuple[float, np.ndarray, np.ndarray]]:
 
     Without what later joints move; in the frames of `Robot.kinematics`, whose z is the axis.
     """
-    frames, found = axis_frames(robot.model), []
-    for joint, inertia in enumerate(list(robot.model.inertias)[1:], start=1):
-        body = pin.SE3(in_link(frames, joint, pin.SE3.Identity())[1]).act(inertia)
-        found.append((body.mass, body.lever, body.inertia))
-    return found
+    frames = axis_frames(robot.model)
+    bodies = [
+        pin.SE3(in_link(frames, joint, pin.SE3.Identity())[1]).act(inertia)
+        for joint, inertia in enumerate(list(robot.model.inertias)[1:], start=1)
+    ]
+    return [(body.mass, body.lever, body.inertia) for body in bodies]
 
 
 def without_effort_limit(robot: Robot) -> str:

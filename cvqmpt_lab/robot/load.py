@@ -15,7 +15,13 @@ import pinocchio as pin
 
 from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, mapping, require_choice, shown
-from cvqmpt_lab.robot.hulls import hulls_of_meshes, link_geometry
+from cvqmpt_lab.robot.hulls import (
+    checked_pairs,
+    hulls_of_meshes,
+    left_out_pairs,
+    link_geometry,
+    srdf_root,
+)
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
 from cvqmpt_lab.robot.robot import (
     LIMIT_UNITS,
@@ -25,7 +31,6 @@ from cvqmpt_lab.robot.robot import (
     kinematics_arrays,
     positive_per_joint,
 )
-from cvqmpt_lab.robot.self_collision import checked_pairs, left_out_pairs, srdf_root
 from cvqmpt_lab.robot.source import (
     ARTICULATED,
     FINGER_OPENING,
@@ -98,16 +103,15 @@ def load_robot(
         "locked": dict(locked or {}),
         "package_dirs": [str(Path(folder).resolve()) for folder in package_dirs],
     }
-    limits = {
+    numbers = {
         "acceleration_limits": acceleration_limits,
         "jerk_limits": jerk_limits,
         "effort_limits": effort_limits,
         "torque_rate_limits": torque_rate_limits,
+        "base": base,
     }
-    source |= {k: np.asarray(v).tolist() for k, v in limits.items() if v is not None}
-    if base is not None:
-        source["base"] = np.asarray(base).tolist()
-    return _built(source)
+    given = {k: np.asarray(v).tolist() for k, v in numbers.items() if v is not None}
+    return _built(source | given)
 
 
 def robot_from_source(source: Mapping[str, Any]) -> Robot:
@@ -174,6 +178,10 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     held = tuple(joint for joint in held if joint.name not in free)
     model, geometry, meshes = _models(urdf, given, held)
     axes = axis_frames(model)
+    kinematics = kinematics_arrays(model, axes)
+    # no motor of an arm has more [Nm or N]: that stands where a URDF must state something
+    efforts, most = np.array(model.upperEffortLimit), np.where(kinematics.prismatic, 1e4, 1e3)
+    plausible = np.where((efforts > 0.0) & (efforts < most), efforts, np.inf)
     names = list(model.names)[1:]
     limits = {
         kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
@@ -193,17 +201,19 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         end_effectors={
             name: in_link(axes, hand.parentJoint, hand.placement) for name, hand in hands.items()
         },
-        kinematics=kinematics_arrays(model, axes),
+        kinematics=kinematics,
         links=tuple(link_geometry(item, axes) for item in geometry.geometryObjects),
         self_collision_pairs=(),
         held_joints=held,
-        limits={"effort": _plausible_efforts(model), **limits},
+        limits={"effort": plausible, **limits},
         files=tuple({**read, **meshes}.items()),
     )
     if robot.reach > MOST_REACH:
-        sliders = [joint for joint in urdf.joints.values() if joint.kind == "prismatic"]
-        slides = {joint.name: max(abs(joint.lower), abs(joint.upper)) for joint in sliders}
-        far = [f"joint {n!r} slides to {s:g} m" for n, s in slides.items() if s > MOST_REACH / 2]
+        far = [
+            f"joint {joint.name!r} slides to {max(-joint.lower, joint.upper):g} m"
+            for joint in urdf.joints.values()
+            if joint.kind == "prismatic" and max(-joint.lower, joint.upper) > MOST_REACH / 2
+        ]
         raise InvalidInputError(
             f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because "
             f"{', '.join(far) or 'its links or base lie far away'}: at most {MOST_REACH:g} m; are "
@@ -212,16 +222,6 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
     pairs = checked_pairs(model, geometry, left_out)
     return replace(robot, self_collision_pairs=pairs, left_out_pairs=left_out)
-
-
-def _plausible_efforts(model: pin.Model, torque: float = 1e3, force: float = 1e4) -> np.ndarray:
-    """Effort limits (n,) of a URDF [Nm or N]; inf where it states 0, or torque, force or more.
-
-    No motor of an arm has these: they stand where a URDF must state something.
-    """
-    efforts = np.array(model.upperEffortLimit)
-    slides = [joint.shortname().startswith("JointModelP") for joint in list(model.joints)[1:]]
-    return np.where((efforts > 0.0) & (efforts < np.where(slides, force, torque)), efforts, np.inf)
 
 
 def _models(

@@ -253,10 +253,11 @@ class Robot:
             slide = max(abs(k.lower[j]), abs(k.upper[j])) if k.prismatic[j] else 0.0
             distance[j + 1] = distance[k.parent[j]] + np.linalg.norm(k.translation[j]) + slide
         ends = [distance[row] + np.linalg.norm(T[:3, 3]) for row, T in self.end_effectors.values()]
-        for piece in self.links:
-            if piece.link == 0:
-                continue
-            ends.append(distance[piece.link] + np.linalg.norm(piece.vertices_in_link, axis=1).max())
+        ends += [
+            distance[piece.link] + np.linalg.norm(piece.vertices_in_link, axis=1).max()
+            for piece in self.links
+            if piece.link > 0
+        ]
         return float(max(ends))
 
     def levers(self, carried: float = 0.0) -> np.ndarray:

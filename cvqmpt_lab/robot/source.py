@@ -344,15 +344,7 @@ def find_collision_meshes(
     found = []
     for mesh in root.findall("link/collision/geometry/mesh"):
         name = mesh.get("filename", "")
-        if name.startswith(SCHEME):
-            package, _, rest = name.removeprefix(SCHEME).partition("/")
-            path = in_package(package, rest, urdf, package_dirs)
-        else:
-            path = urdf.parent / name.removeprefix("file://")
-            if not path.is_file():
-                raise InvalidInputError(
-                    f"{urdf.name}: mesh {name!r} is not there: {path} is no file"
-                )
+        path = mesh_path(name, urdf, package_dirs)
         found.append(str(path.resolve()))
         mesh.set("filename", found[-1])
         if path.suffix.lower() == ".dae":
@@ -363,20 +355,25 @@ def find_collision_meshes(
     return found
 
 
-def in_package(package: str, rest: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
-    """The file that "package://PACKAGE/REST" names.
+def mesh_path(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
+    """The file that a URDF or scene names: a path, or "package://PACKAGE/REST".
 
-    It is looked for in `package_dirs`, the folders of ROS_PACKAGE_PATH, the folders above the URDF
-    and the share folder of example-robot-data, in this order.
+    A package is looked for in `package_dirs`, the folders of ROS_PACKAGE_PATH, the folders above
+    the URDF and the share folder of example-robot-data, in this order.
 
     Args:
-        package: name of the ROS package.
-        rest: path of the file in the package.
-        urdf: file that names it.
+        name: of the file.
+        urdf: file that names it; relative paths start at its folder.
         package_dirs: folders that hold packages, or are packages.
 
     Raises InvalidInputError, which lists the folders, if none has the file.
     """
+    if not name.startswith(SCHEME):
+        path = urdf.parent / name.removeprefix("file://")
+        if path.is_file():
+            return path
+        raise InvalidInputError(f"{urdf.name}: mesh {name!r} is not there: {path} is no file")
+    package, _, rest = name.removeprefix(SCHEME).partition("/")
     ros_path = os.environ.get(ROS_VARIABLE, "")
     ros_folders = [Path(name) for name in ros_path.split(os.pathsep) if name]
     for folder in (*package_dirs, *ros_folders, *urdf.resolve().parents, _installed_share()):

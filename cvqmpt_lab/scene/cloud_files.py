@@ -16,7 +16,7 @@ from typing import Any
 import lzf
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.errors import InvalidInputError, require_choice
 from cvqmpt_lab.files import read_bytes, write_bytes
 from cvqmpt_lab.values import FloatArray
 
@@ -48,7 +48,6 @@ def read_cloud(path: Path | str, scale: float = 1.0) -> Cloud:
     Raises InvalidInputError for a file that cannot be read, contradicts itself, has no finite
     point, or is evidently not in metres.
     """
-    path = Path(path)
     with np.errstate(over="ignore"):
         points = scale * read_by_suffix(READERS, path, "cloud").astype(np.float64)
     # one axis after the other: 5 times as fast as by rows
@@ -65,19 +64,19 @@ def write_cloud(path: Path | str, points: FloatArray) -> None:
     """Write points (m, 3) [m] in single precision, whole or not at all;
     the suffix says how (see `HEADERS`).
     """
-    path, points = Path(path), np.ascontiguousarray(points, dtype="<f4")
+    points = np.ascontiguousarray(points, dtype="<f4")
     header = HEADERS[kind_of(path, HEADERS, "cloud")].format(count=len(points)).encode()
     stream = io.BytesIO()
     if header:
         stream.write(header + points.tobytes())
     else:
         np.save(stream, points)
-    write_bytes(path, stream.getvalue())
+    write_bytes(Path(path), stream.getvalue())
 
 
 def read_by_suffix(
     readers: Mapping[str, Callable[..., Any]],
-    path: Path,
+    path: Path | str,
     what: str,
     *more: Any,
     most: int = 2**31,
@@ -93,7 +92,7 @@ def read_by_suffix(
 
     Raises InvalidInputError or UnknownChoiceError, in one line that names the file.
     """
-    reader = readers[kind_of(path, readers, what)]
+    path, reader = Path(path), readers[kind_of(path, readers, what)]
     if path.is_file() and path.stat().st_size > most:
         raise InvalidInputError(
             f"cannot read {what} {path}: more than {most} bytes; make it smaller"
@@ -103,12 +102,10 @@ def read_by_suffix(
         return reader(data, *more)
 
 
-def kind_of(path: Path, kinds: Collection[str], what: str) -> str:
+def kind_of(path: Path | str, kinds: Collection[str], what: str) -> str:
     """The suffix of a file, in small letters; UnknownChoiceError unless it is one of `kinds`."""
-    suffix = path.suffix.lower()
-    if suffix not in kinds:
-        raise UnknownChoiceError(f"kind of {what} {path.name}: suffix", path.suffix, kinds)
-    return suffix
+    path = Path(path)
+    return require_choice(f"kind of {what} {path.name}: suffix", path.suffix.lower(), kinds)
 
 
 @contextlib.contextmanager
@@ -120,7 +117,7 @@ def parsing(path: Path, what: str) -> Iterator[None]:
         yield
     except Exception as error:  # parsers of other people's formats raise anything
         said = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InvalidInputError(f"{what} {path}: {said}") from error
+        raise InvalidInputError(f"{what} {path} is not understood: {said}") from error
 
 
 def check_lengths(

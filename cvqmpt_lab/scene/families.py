@@ -5,7 +5,7 @@ elsewhere; the kitchen of the tasks, with its published dimensions, is never amo
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -71,41 +71,32 @@ def another_scene() -> Scene:
     return family_scene("shelves", 77)
 
 
-def _table(rng: np.random.Generator) -> Iterator[SceneObject]:
-    """A table in front of the robot with boxes, cylinders and balls on it."""
-    size = rng.uniform(0.4, 0.8), rng.uniform(0.8, 1.6), rng.uniform(-0.1, 0.45)
-    near, yaw = rng.uniform(0.3, 0.5), rng.uniform(-0.6, 0.6)
-    return _laid_table(rng, size, near, yaw, (3, 10), _clutter)
-
-
-def _cluttered_table(rng: np.random.Generator) -> Iterator[SceneObject]:
-    """A table reached from its side, at elbow height, full of slim items as tall as a forearm."""
-    size = rng.uniform(0.5, 0.8), rng.uniform(0.6, 1.2), rng.uniform(0.05, 0.45)
-    near, yaw = rng.uniform(0.25, 0.4), rng.uniform(-np.pi, np.pi)
-    return _laid_table(rng, size, near, yaw, (8, 19), _slim)
-
-
-def _laid_table(
-    rng: np.random.Generator,
-    size: tuple[float, float, float],
-    near: float,
-    yaw: float,
+def _tables(
+    spans: Sequence[tuple[float, float]],
     counts: tuple[int, int],
     thing: Callable[[np.random.Generator], tuple[Box | Cylinder | Sphere, float]],
     board: float = 0.02,
-) -> Iterator[SceneObject]:
-    """A table (depth, width, height) [m] with items, `near` [m] away at an angle `yaw` [rad].
+) -> Callable[[np.random.Generator], Iterator[SceneObject]]:
+    """A table with items on it.
 
-    board: thickness of its top [m].
+    Args:
+        spans: ranges of its depth, width, height and distance [m], and of its angle [rad].
+        counts: range of the number of items, the last excluded.
+        thing: draws one of them.
+        board: thickness of its top [m].
     """
-    depth, width, top = size
-    x, T = near + depth / 2, pose((0.0, 0.0, 0.0), yaw)
-    yield SceneObject("top", Box((depth, width, board)), T @ pose((x, 0.0, top - board / 2)))
-    for i in range(rng.integers(*counts)):
-        place = (x + rng.uniform(-0.45, 0.45) * depth, rng.uniform(-0.45, 0.45) * width)
-        shape, height = thing(rng)
-        stands = pose((*place, top + height / 2), rng.uniform(-np.pi, np.pi))
-        yield SceneObject(f"item_{i}", shape, T @ stands)
+
+    def objects(rng: np.random.Generator) -> Iterator[SceneObject]:
+        depth, width, top, near, yaw = (rng.uniform(*span) for span in spans)
+        x, T = near + depth / 2, pose((0.0, 0.0, 0.0), yaw)
+        yield SceneObject("top", Box((depth, width, board)), T @ pose((x, 0.0, top - board / 2)))
+        for i in range(rng.integers(*counts)):
+            place = (x + rng.uniform(-0.45, 0.45) * depth, rng.uniform(-0.45, 0.45) * width)
+            shape, height = thing(rng)
+            stands = pose((*place, top + height / 2), rng.uniform(-np.pi, np.pi))
+            yield SceneObject(f"item_{i}", shape, T @ stands)
+
+    return objects
 
 
 def _clutter(rng: np.random.Generator) -> tuple[Box | Cylinder | Sphere, float]:
@@ -229,10 +220,22 @@ def _random_kitchen(rng: np.random.Generator, spread: float = 0.2) -> tuple[Scen
 
 FAMILIES: Mapping[str, Family | None] = {
     "cubes-spheres": None,  # the published training family, see `random_scene`
-    "table": Family("table", 1, _table),
+    # in front of the robot
+    "table": Family(
+        "table",
+        1,
+        _tables(((0.4, 0.8), (0.8, 1.6), (-0.1, 0.45), (0.3, 0.5), (-0.6, 0.6)), (3, 10), _clutter),
+    ),
     "shelves": Family("shelves", 2, _cabinets((0.35, 0.9), (0.25, 0.5), (2, 5))),
     "kitchen-like": Family("kitchen", 3, _random_kitchen),
-    "cluttered-table": Family("cluttered_table", 4, _cluttered_table),
+    # reached from its side, at elbow height, full of slim items as tall as a forearm
+    "cluttered-table": Family(
+        "cluttered_table",
+        4,
+        _tables(
+            ((0.5, 0.8), (0.6, 1.2), (0.05, 0.45), (0.25, 0.4), (-np.pi, np.pi)), (8, 19), _slim
+        ),
+    ),
     # compartments that a hand just fits into
     "narrow-shelves": Family("narrow_shelves", 6, _cabinets((0.25, 0.45), (0.17, 0.3), (3, 7))),
     "cage": Family("cage", 5, _cage),

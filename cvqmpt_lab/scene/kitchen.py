@@ -386,10 +386,7 @@ def cylinder(
 def oriented(axis: str, xyz: Iterable[float]) -> FloatArray:
     """Return the (4, 4) pose at `xyz` whose z points along a world axis: "x", "y", "z" or "-x"."""
     columns = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2), "-x": (2, 1, 0)}[axis]
-    T = rigid(np.eye(3)[:, columns], xyz)
-    if axis == "-x":
-        T[:3, 2] *= -1.0
-    return T
+    return rigid(np.eye(3)[:, columns] * (1.0, 1.0, -1.0 if axis == "-x" else 1.0), xyz)
 
 
 def shrunk(span: Span, margin: float) -> Span:

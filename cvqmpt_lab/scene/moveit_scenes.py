@@ -5,7 +5,6 @@ in the robot's hand and objects in several frames are refused by name, because a
 would be another one.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,13 +13,20 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, at, located, mapping, shown
+from cvqmpt_lab.errors import (
+    InvalidInputError,
+    UnknownChoiceError,
+    at,
+    located,
+    mapping,
+    require_choice,
+    shown,
+)
 from cvqmpt_lab.files import yaml_value
-from cvqmpt_lab.poses import Placement
-from cvqmpt_lab.robot.source import SCHEME, in_package
+from cvqmpt_lab.poses import Placement, ros_vector
+from cvqmpt_lab.robot.source import mesh_path
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
-from cvqmpt_lab.scene.convex import convex_pieces
-from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, read_mesh
+from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, convex_pieces, read_mesh
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 from cvqmpt_lab.values import FloatArray, numbers
@@ -34,43 +40,51 @@ SOLIDS: Mapping[str, tuple[int, Callable[..., Shape]]] = {
 KNOWN = (*SOLIDS, "mesh")
 
 
-Placed = tuple[str, Shape, FloatArray]
-"""The id of an object, a convex shape of it, and the shape's pose (4, 4)."""
-
-
 def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
     """The scene of a file, and the frame of its poses, "" if the file does not say.
 
     An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file
     and the object.
     """
-    return read_by_suffix(PARSERS, Path(path), "MoveIt scene", Path(path), most=2**24)
+    return read_by_suffix(PARSERS, path, "MoveIt scene", Path(path), most=2**24)
 
 
 def scene_of_yaml(text: str, path: Path) -> Scene:
     """The scene of a yaml text, whose meshes are named from a path's folder; see above."""
     with located(str(path)):
-        return _scene(_from_yaml, text.encode(), path)[0]
+        return _scene(yaml_value, text.encode(), path)[0]
 
 
 def _scene(parse: Callable, data: bytes, path: Path) -> tuple[Scene, str]:
-    name, frame, found = parse(data.decode("utf-8"), path)
-    pieces, met = Counter(of for of, _, _ in found), Counter[str]()
-    objects = []
-    for of, shape, T in found:
-        objects.append(SceneObject(of if pieces[of] == 1 else f"{of}/{met[of]}", shape, T))
-        met[of] += 1
-    return Scene(name or path.stem, tuple(objects)), frame
-
-
-def _solid(kind: str, sizes: Sequence[float]) -> Shape:
-    """A solid of `SOLIDS`."""
-    if kind not in SOLIDS:
-        raise UnknownChoiceError("shape", kind, KNOWN)
-    count, make = SOLIDS[kind]
-    if len(sizes) != count:
-        raise InvalidInputError(f"{kind} has {len(sizes)} dimensions; {count} are needed")
-    return make(*map(float, sizes))
+    """A PlanningScene, its world or a list of CollisionObjects; vectors: lists or {x, y, z, w}."""
+    message = parse(data.decode("utf-8"))
+    if isinstance(message, list):
+        message = {"world": {"collision_objects": message}}
+    whole = mapping(message, "", "world")
+    world = mapping(whole.get("world", whole), "world")
+    if "collision_objects" not in world:
+        raise InvalidInputError(
+            "it has no 'collision_objects', neither in 'world' nor by themselves"
+        )
+    _refuse_what_is_no_object(whole, world)
+    objects, frames = list[SceneObject](), list[str]()
+    for k, item in enumerate(_listed(world["collision_objects"], "collision_objects")):
+        fields = mapping(
+            item, f"collision_objects[{k}]", "id, primitives, primitive_poses, meshes, mesh_poses"
+        )
+        of = str(fields.get("id", "")).strip()
+        with located(f"object {shown(of)}"):
+            pieces = list(_pieces_of(fields, path))
+        names = [of] if len(pieces) == 1 else [f"{of}/{piece}" for piece in range(len(pieces))]
+        placed = zip(names, pieces, strict=True)
+        objects += [SceneObject(name, shape, T) for name, (shape, T) in placed]
+        frames.append(str(_field(fields.get("header"), "frame_id") or ""))
+    if len(set(frames)) > 1:
+        raise InvalidInputError(
+            f"objects stand in frames {', '.join(sorted(set(frames)))}; write all in one"
+        )
+    name = str(whole.get("name") or path.stem)
+    return Scene(name, tuple(objects)), frames[0] if frames else ""
 
 
 def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]:
@@ -95,12 +109,7 @@ def _matrix(position: Any, orientation: Any) -> FloatArray:
 
 
 class _Lines:
-    """The remaining lines of a `.scene` text.
-
-    Format: the scene's name; objects, each "* ID", in newer files its pose, the number of its
-    shapes; then of each shape kind, sizes, position, quaternion and colour; in newer files
-    subframes; "." ends.
-    """
+    """The remaining lines of a `.scene` text."""
 
     def __init__(self, text: str) -> None:
         self.left = [line.strip() for line in text.splitlines() if line.strip()][::-1]
@@ -118,89 +127,68 @@ class _Lines:
             raise InvalidInputError(f"{shown(line)} where {what} is expected")
         return int(line)
 
-    def floats(self, count: int, what: str) -> FloatArray:
+    def floats(self, count: int, what: str) -> list[float]:
         """A line of so many numbers."""
         line = self.next(what)
         try:
-            found = np.array([float(word) for word in line.split()])
+            found = [float(word) for word in line.split()]
         except ValueError:
-            found = np.empty(0)
+            found = []
         if len(found) != count or not np.isfinite(found).all():
             raise InvalidInputError(f"{shown(line)} where {what} ({count} numbers) is expected")
         return found
 
-    def pose(self, what: str) -> FloatArray:
+    def pose(self, what: str) -> dict[str, list[float]]:
         """A line of a position, and one of a quaternion."""
         position = self.floats(3, f"the position of {what}")
-        return _matrix(position, self.floats(4, f"the quaternion of {what}"))
-
-    def shapes(self) -> Iterator[Shape]:
-        """A solid, or the pieces of a mesh."""
-        kind = self.next("a shape")
-        if kind in SOLIDS:
-            sizes = self.floats(SOLIDS[kind][0], f"the size of a {kind}")
-            yield _solid(kind, sizes.tolist())
-            return
-        if kind != "mesh":
-            raise UnknownChoiceError("shape", kind, KNOWN)
-        corners, triangles = map(int, self.floats(2, "the numbers of vertices and triangles"))
-        vertices = np.array([self.floats(3, "a vertex") for _ in range(corners)])
-        faces = np.array([self.floats(3, "a triangle") for _ in range(triangles)])
-        yield from _pieces(vertices, faces)
-
-    def object(self, of: str) -> Iterator[Placed]:
-        """The shapes of one object, read from the lines after its "* ID"."""
-        newer = bool(self.left) and len(self.left[-1].split()) == 3
-        T_object = self.pose("the object") if newer else np.eye(4)
-        for _ in range(self.count("the number of shapes")):
-            shapes = list(self.shapes())
-            T = T_object @ self.pose("a shape")
-            self.floats(4, "a colour")
-            yield from ((of, shape, T) for shape in shapes)
-        for _ in range(self.count("the number of subframes") if newer else 0):
-            self.next("the name of a subframe")
-            self.pose("a subframe")
+        return {"position": position, "orientation": self.floats(4, f"the quaternion of {what}")}
 
 
-def _from_text(text: str, path: Path) -> tuple[str, str, list[Placed]]:
-    lines, found = _Lines(text), list[Placed]()
+def _from_text(text: str) -> dict[str, Any]:
+    """The message of a `.scene` text.
+
+    Format: the scene's name; objects, each "* ID", in newer files its pose, the number of its
+    shapes; then of each shape kind, sizes, position, quaternion and colour; in newer files
+    subframes; "." ends.
+    """
+    lines, found = _Lines(text), list[dict[str, Any]]()
     name = lines.next("the scene's name")
     while (line := lines.next("'* ID' of an object, or '.'")) != ".":
         if not line.startswith("*"):
             raise InvalidInputError(f"{shown(line)} where '* ID' of an object, or '.', is expected")
         with located(f"object {shown(line[1:].strip())}"):
-            found += lines.object(line[1:].strip())
+            found.append({"id": line[1:], **_object(lines)})
     if lines.left:
         raise InvalidInputError(f"{shown(lines.next('an object'))} follows '.', which ends it")
-    return name, "", found
+    return {"name": name, "collision_objects": found}
 
 
-def _from_yaml(text: str, path: Path) -> tuple[str, str, list[Placed]]:
-    """A PlanningScene, its world or a list of CollisionObjects; vectors: lists or {x, y, z, w}."""
-    data = yaml_value(text)
-    if isinstance(data, list):
-        data = {"world": {"collision_objects": data}}
-    whole = mapping(data, "", "world")
-    world = mapping(whole.get("world", whole), "world")
-    if "collision_objects" not in world:
-        raise InvalidInputError(
-            "it has no 'collision_objects', neither in 'world' nor by themselves"
-        )
-    _refuse_what_is_no_object(whole, world)
-    found, frames = list[Placed](), list[str]()
-    for k, item in enumerate(_listed(world["collision_objects"], "collision_objects")):
-        fields = mapping(
-            item, f"collision_objects[{k}]", "id, primitives, primitive_poses, meshes, mesh_poses"
-        )
-        of = str(fields.get("id", "")).strip()
-        with located(f"object {shown(of)}"):
-            found += _yaml_object(fields, of, path)
-        frames.append(str(_field(fields.get("header"), "frame_id") or ""))
-    if len(set(frames)) > 1:
-        raise InvalidInputError(
-            f"objects stand in frames {', '.join(sorted(set(frames)))}; write all in one"
-        )
-    return str(whole.get("name") or ""), frames[0] if frames else "", found
+def _object(lines: _Lines) -> dict[str, Any]:
+    """The message of one object, read from the lines after its "* ID"."""
+    found: dict[str, Any] = {"primitives": [], "primitive_poses": []}
+    found |= {"meshes": [], "mesh_poses": []}
+    newer = bool(lines.left) and len(lines.left[-1].split()) == 3
+    if newer:
+        found["pose"] = lines.pose("the object")
+    for _ in range(lines.count("the number of shapes")):
+        kind = require_choice("shape", lines.next("a shape"), KNOWN)
+        if kind == "mesh":
+            corners, faces = map(int, lines.floats(2, "the numbers of vertices and triangles"))
+            vertices = [lines.floats(3, "a vertex") for _ in range(corners)]
+            triangles = [lines.floats(3, "a triangle") for _ in range(faces)]
+            found["meshes"].append({"vertices": vertices, "triangles": triangles})
+            found["mesh_poses"].append(lines.pose("a shape"))
+        else:
+            sizes = lines.floats(SOLIDS[kind][0], f"the size of a {kind}")
+            # height before radius in messages
+            sizes = sizes[::-1] if kind == "cylinder" else sizes
+            found["primitives"].append({"type": kind, "dimensions": sizes})
+            found["primitive_poses"].append(lines.pose("a shape"))
+        lines.floats(4, "a colour")
+    for _ in range(lines.count("the number of subframes") if newer else 0):
+        lines.next("the name of a subframe")
+        lines.pose("a subframe")
+    return found
 
 
 def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]) -> None:
@@ -219,15 +207,16 @@ def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]
         )
     for item in _listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
         moved = _field(item, "transform")
-        T = _matrix(_vector(_field(moved, "translation")), _vector(_field(moved, "rotation")))
+        T = _matrix(ros_vector(_field(moved, "translation")), ros_vector(_field(moved, "rotation")))
         if not np.allclose(T, np.eye(4), atol=1e-9):
-            frame = _field(item, "child_frame_id")
             raise InvalidInputError(
-                f"frame {shown(frame)} is moved by a transform; write poses without it"
+                f"frame {shown(_field(item, 'child_frame_id'))} is moved by a transform; write "
+                "poses without it"
             )
 
 
-def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Placed]:
+def _pieces_of(fields: Mapping[str, Any], path: Path) -> Iterator[tuple[Shape, FloatArray]]:
+    """The convex shapes of an object, and their poses (4, 4)."""
     if fields.get("operation", 0) not in (0, "add", "ADD"):
         raise InvalidInputError(
             f"operation {shown(fields['operation'])}; only objects that are added are read"
@@ -247,7 +236,7 @@ def _yaml_object(fields: Mapping[str, Any], of: str, path: Path) -> Iterator[Pla
         for item, there in zip(shapes, poses, strict=True):
             T = T_object if there is None else T_object @ _pose(there)
             made = [_primitive(item)] if kind == "primitive" else _mesh(item, path)
-            yield from ((of, shape, T) for shape in made)
+            yield from ((shape, T) for shape in made)
 
 
 def _primitive(item: Any) -> Shape:
@@ -258,9 +247,14 @@ def _primitive(item: Any) -> Shape:
         # numbers of shape_msgs/SolidPrimitive
         names = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone", 5: "prism"}
         kind = names.get(given, str(given))
+    if kind not in SOLIDS:
+        raise UnknownChoiceError("shape", kind, KNOWN)
     sizes = numbers(fields.get("dimensions"), "dimensions", "numbers [m]").ravel().tolist()
+    count, make = SOLIDS[kind]
+    if len(sizes) != count:
+        raise InvalidInputError(f"{kind} has {len(sizes)} dimensions; {count} are needed")
     # height before radius here
-    return _solid(kind, sizes[::-1] if kind == "cylinder" else sizes)
+    return make(*(sizes[::-1] if kind == "cylinder" else sizes))
 
 
 def _mesh(item: Any, path: Path) -> Iterator[Shape]:
@@ -268,7 +262,7 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
     if "resource" not in fields:
         faces = _listed(fields.get("triangles"), "triangles")
         corners = [_field(one, "vertex_indices") or one for one in faces]
-        vertices = [_vector(one) for one in _listed(fields.get("vertices"), "vertices")]
+        vertices = [ros_vector(one) for one in _listed(fields.get("vertices"), "vertices")]
         yield from _pieces(
             numbers(vertices, "vertices", "x, y, z [m]").reshape(-1, 3),
             numbers(corners, "triangles", "3 numbers of vertices").reshape(-1, 3),
@@ -280,24 +274,13 @@ def _mesh(item: Any, path: Path) -> Iterator[Shape]:
         raise InvalidInputError(
             f"mesh {name!r} is scaled differently along its axes; scale the file itself"
         )
-    there = path.parent / name.removeprefix("file://")
-    if name.startswith(SCHEME):
-        package, _, rest = name.removeprefix(SCHEME).partition("/")
-        there = in_package(package, rest, path)
-    yield from map(ConvexMesh, read_mesh(there, scales.pop()))
+    yield from map(ConvexMesh, read_mesh(mesh_path(name, path), scales.pop()))
 
 
 def _pose(value: Any) -> FloatArray:
     fields = mapping(value, "pose", "position, orientation")
     turn = fields.get("orientation", [0, 0, 0, 1])
-    return _matrix(_vector(fields.get("position")), _vector(turn))
-
-
-def _vector(value: Any) -> Any:
-    """A list of numbers, written as such or as {x, y, z} or {x, y, z, w}."""
-    if not isinstance(value, Mapping):
-        return value
-    return [value.get(axis) for axis in "xyzw" if axis in value]
+    return _matrix(ros_vector(fields.get("position")), ros_vector(turn))
 
 
 def _listed(value: Any, what: str) -> Sequence[Any]:
@@ -313,6 +296,6 @@ def _field(value: Any, name: str) -> Any:
 
 PARSERS = {
     ".scene": partial(_scene, _from_text),
-    ".yaml": partial(_scene, _from_yaml),
-    ".yml": partial(_scene, _from_yaml),
+    ".yaml": partial(_scene, yaml_value),
+    ".yml": partial(_scene, yaml_value),
 }

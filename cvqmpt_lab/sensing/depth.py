@@ -15,7 +15,7 @@ import numpy as np
 from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.errors import InvalidInputError, located, mapping
 from cvqmpt_lab.files import json_value, write_bytes, write_text, yaml_value
-from cvqmpt_lab.poses import MATRIX, Placement, Pose
+from cvqmpt_lab.poses import MATRIX, Placement, Pose, ros_vector
 from cvqmpt_lab.scene.cloud_files import (
     Cloud,
     check_lengths,
@@ -64,7 +64,7 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
     scale: [m] of one unit; by default millimetres of a PNG, metres of an NPY of floats.
     """
     readers = {".png": _read_png, ".npy": _read_npy}
-    image = read_by_suffix(readers, Path(path), "depth image", lens)
+    image = read_by_suffix(readers, path, "depth image", lens)
     unit = (0.001 if image.dtype.kind == "u" else 1.0) if scale is None else scale
     with np.errstate(over="ignore", invalid="ignore"):
         depth = unit * image.astype(np.float64)
@@ -200,11 +200,8 @@ def _rigid(data: Any) -> Any:
     if isinstance(data, Mapping):
         if "translation" not in data:
             return data
-        # ROS writes vectors as {x, y, z} and quaternions as {x, y, z, w}
-        named = {"xyz": data["translation"], "quaternion": data.get("rotation")}
-        for key, axes in (("xyz", "xyz"), ("quaternion", "xyzw")):
-            if isinstance(named[key], Mapping):
-                named[key] = [named[key].get(axis) for axis in axes]
+        turn = ros_vector(data.get("rotation"))
+        named = {"xyz": ros_vector(data["translation"]), "quaternion": turn}
         return from_plain(Placement, named, "T_world_camera").matrix
     T = np.array(MATRIX.read(data, "T_world_camera"))
     R = T[:3, :3]
@@ -229,4 +226,4 @@ def _read_settings(path: Path | str, what: str) -> Any:
         ".yaml": lambda data: yaml_value(data.decode("utf-8")),
         ".yml": lambda data: yaml_value(data.decode("utf-8")),
     }
-    return read_by_suffix(parsers, Path(path), what, most=2**16)
+    return read_by_suffix(parsers, path, what, most=2**16)

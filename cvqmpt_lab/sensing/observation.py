@@ -19,6 +19,7 @@ from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, Sphere
 from cvqmpt_lab.sensing.camera import (
     Camera,
+    DepthNoise,
     Intrinsics,
     Solid,
     View,
@@ -26,10 +27,11 @@ from cvqmpt_lab.sensing.camera import (
     cameras_on_sphere,
     cuboid,
     cylinder,
+    drawn_materials,
+    measured,
     view_of,
 )
-from cvqmpt_lab.sensing.filters import BallCrop, BoxCrop, voxel_means
-from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
+from cvqmpt_lab.sensing.scan import BallCrop, BoxCrop, voxel_means
 from cvqmpt_lab.values import FloatArray, frozen
 
 
@@ -158,12 +160,15 @@ def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
     rotations, translations = link_poses(
         robot.kinematics, np.ascontiguousarray(q, dtype=float)[None]
     )
-    objects = []
-    for piece in robot.links:
-        T_world_link = rigid(rotations[0, piece.link], translations[0, piece.link])
-        T = T_world_link @ piece.T_link_geometry
-        objects.append(SceneObject(f"robot/{piece.name}", ConvexMesh(piece.vertices), T))
-    return tuple(objects)
+    T_world_link = [rigid(R, t) for R, t in zip(rotations[0], translations[0], strict=True)]
+    return tuple(
+        SceneObject(
+            f"robot/{piece.name}",
+            ConvexMesh(piece.vertices),
+            T_world_link[piece.link] @ piece.T_link_geometry,
+        )
+        for piece in robot.links
+    )
 
 
 class Observer:
@@ -216,10 +221,9 @@ class Observer:
         ]
         settings = replace(self.settings, cameras=())
         made_of = f"{_sources()} {cameras} {settings} {self.seed} {json.dumps(to_plain(scene))}"
-        arrays = cached_arrays(
+        cloud = cached_arrays(
             "clouds", made_of.encode(), lambda: {"cloud": camera_cloud(scene, self.settings, rng)}
-        )
-        cloud = arrays["cloud"]
+        )["cloud"]
         # networks need two points: under the base
         if len(cloud) < 2:
             cloud = np.concatenate([cloud, [[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]]])

@@ -258,7 +258,7 @@ def seen_of_solution(
 ) -> Seen:
     """What is shown of a solution, or of a task; see `seen_of_problem`."""
     if isinstance(solution, TaskSolution):
-        return seen_of_moments(moments_of(solution, plots), hidden=hidden, plots=plots)
+        return seen_of_task(solution, hidden=hidden, plots=plots)
     return seen_of_problem(
         solution.problem,
         solution.path,
@@ -281,23 +281,19 @@ class Frame(NamedTuple):
     clearance: float = math.nan  # [m], nan where nothing is planned
 
 
-class Moments(NamedTuple):
-    """What is shown of something that moves a scene."""
-
-    title: str
-    scene: Scene  # at the beginning
-    frames: Sequence[Frame]  # at least one
-    lines: Sequence[str] = ()  # of text, below the drawing of a web page
-
-
-def moments_of(solution: TaskSolution, clearance: bool = False) -> Moments:
-    """Moments of a task up to the phase that failed; InvalidInputError where there are none."""
-    name, found = solution.task.name, frames(solution, clearance=clearance)
+def seen_of_task(
+    solution: TaskSolution,
+    most: int | None = None,
+    hidden: Sequence[str] = HIDDEN,
+    plots: bool = False,
+) -> Seen:
+    """What is shown of a task up to the phase that failed; InvalidInputError where nothing is."""
+    task, found = solution.task, frames(solution, clearance=plots)
     if not found:
-        raise InvalidInputError(f"nothing to show of task {name}: {solution.failure}")
+        raise InvalidInputError(f"nothing to show of task {task.name}: {solution.failure}")
     verdict = "solved and certified" if solution.solved else solution.failure
-    title = f"task {name}: {verdict}"
-    return Moments(title, solution.task.scene, found, repr(solution).splitlines())
+    title, lines = f"task {task.name}: {verdict}", repr(solution).splitlines()
+    return seen_of_frames(title, task.scene, found, lines, most, hidden, plots)
 
 
 def frames(
@@ -311,18 +307,15 @@ def frames(
         pause: time for opening or closing the fingers [s].
         clearance: whether that of moments in motion is computed.
     """
-    outcomes = {outcome.phase.name: outcome for outcome in solution.outcomes if outcome.solved}
     world, time, found = World.before(solution.task), 0.0, []
-    for phase in solution.task.phases:
+    for phase, outcome in solution.steps:
         if not isinstance(phase, PlannedPhase):
             world = world.after(phase)
             found.append(Frame(time, phase.name, world))
             time += pause
             continue
-        if phase.name not in outcomes:
+        if outcome is None or outcome.trajectory is None or outcome.solution.path is None:
             break
-        outcome = outcomes[phase.name]
-        assert outcome.trajectory is not None and outcome.solution.path is not None
         motion = outcome.trajectory.sampled(period)
         checker = outcome.solution.problem.collision_checker()
         for t, q in zip(motion.times, motion.positions, strict=True):
@@ -341,39 +334,45 @@ def shown(world: World) -> PlanningProblem:
     )
 
 
-def seen_of_moments(
-    shows: Moments, most: int | None = None, hidden: Sequence[str] = HIDDEN, plots: bool = False
+def seen_of_frames(
+    title: str,
+    scene: Scene,
+    moments: Sequence[Frame],
+    lines: Sequence[str] = (),
+    most: int | None = None,
+    hidden: Sequence[str] = HIDDEN,
+    plots: bool = False,
 ) -> Seen:
-    """What is shown of moments, of at most `most` of them, without `hidden` objects."""
-    moments, scene = shows.frames, shows.scene
+    """What is shown of moments, of at most `most` of them, without `hidden` objects.
+
+    scene: at the beginning.
+    lines: of text, below the drawing of a web page.
+    """
     if most is not None and most < len(moments):
         moments = [moments[k] for k in np.linspace(0, len(moments) - 1, most).astype(int)]
-    poses: dict[str, list[np.ndarray]] = {name: [] for name in scene.names}
-    arms = []
+    arms, placed = [], []
     for moment in moments:
         world, held = moment.world, moment.world.held
-        placed = {item.name: item.T_world_object for item in world.scene}
+        there = {item.name: item.T_world_object for item in world.scene}
         if isinstance(held, Load):
-            placed[held.item.name] = world.arm.pose(world.q) @ held.attachment.T_hand_object
-        for name, found in poses.items():
-            found.append(placed[name])
-        problem = replace(shown(world), attachments=())
-        arms.append(robot_bodies(problem, world.q[None]))
+            there[held.item.name] = world.arm.pose(world.q) @ held.attachment.T_hand_object
+        placed.append(there)
+        arms.append(robot_bodies(replace(shown(world), attachments=()), world.q[None]))
     moving = [
         replace(pieces[0], poses=np.concatenate([piece.poses for piece in pieces]))
         for pieces in zip(*arms, strict=True)
     ]
-    moved = {
-        name: np.array(Ts) for name, Ts in poses.items() if any((Ts[0] != T).any() for T in Ts)
-    }
-    for name, Ts in moved.items():
-        mesh = shape_mesh(scene[name].shape)
-        moving.append(Body("moved", "moving", name, mesh, colour_of(name), Ts))
+    poses = {name: np.array([there[name] for there in placed]) for name in scene.names}
+    moved = {name: Ts for name, Ts in poses.items() if (Ts != Ts[0]).any()}
+    moving += [
+        Body("moved", "moving", name, shape_mesh(scene[name].shape), colour_of(name), Ts)
+        for name, Ts in moved.items()
+    ]
     motion = [(moment.world.arm, moment.world.q, moment.clearance) for moment in moments]
     hand = beads(np.array([arm.pose(q)[:3, 3] for arm, q, _ in motion]))
     trace = Body("path of the hand", "path", "hand", hand, TRACE, behind=0.45)
     return Seen(
-        shows.title,
+        title,
         scene_bodies(scene.without(*moved), hidden),
         ground_height(scene),
         moving,
@@ -381,7 +380,7 @@ def seen_of_moments(
         [moment.phase for moment in moments],
         np.array([moment.time for moment in moments]),
         plots_over(motion) if plots else (),
-        lines=shows.lines,
+        lines=lines,
     )
 
 

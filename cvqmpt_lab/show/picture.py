@@ -26,17 +26,15 @@ from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.show.bodies import (
     HIDDEN,
     Body,
-    Moments,
     Seen,
     frames,
     ground_height,
     in_view,
-    moments_of,
     robot_bodies,
     scene_bodies,
-    seen_of_moments,
     seen_of_problem,
     seen_of_solution,
+    seen_of_task,
     shown,
     whole,
 )
@@ -188,13 +186,6 @@ def still_image(
     return stage.image(whole(robot_bodies(problem, q[None])))
 
 
-def draw_task(solution: TaskSolution, path: Path, size: tuple[int, int] = (600, 450)) -> list[str]:
-    """Write `task_image` as a PNG; return the names in it."""
-    image, names = task_image(solution, size)
-    write_png(Path(path), image)
-    return names
-
-
 @one_thread()
 def task_image(
     solution: TaskSolution, size: tuple[int, int], columns: int = 3, gap: int = 6
@@ -280,17 +271,17 @@ def write_png(path: Path, image: np.ndarray) -> None:
 
 @one_thread()
 def film_solution(
-    solution: Solution | TaskSolution | Moments,
+    solution: Solution | TaskSolution | Seen,
     path: Path,
     size: tuple[int, int] = (600, 400),
     carried: Sequence[Attachment] = (),
     progress: Callable[[int, int], None] = lambda done, total: None,
     pictures: int | None = None,
 ) -> None:
-    """Write a film of the robot on its path (without a path, of the start), or of moments.
+    """Write a film of the robot on its path (without a path, of the start), or of a task.
 
     Args:
-        solution: what is shown.
+        solution: what is shown; of something else that takes time, what `seen_of_frames` returns.
         path: of the gif.
         size: width and height, without the legend or the name of the phase below [pixels].
         carried: load in the hand if the problem does not model it.
@@ -298,9 +289,9 @@ def film_solution(
         pictures: of the film, about; default: 49 of a path, 110 at most of a task.
     """
     if isinstance(solution, TaskSolution):
-        solution = moments_of(solution)
-    if isinstance(solution, Moments):
-        seen = seen_of_moments(solution, pictures or 110)
+        solution = seen_of_task(solution, pictures or 110)
+    if isinstance(solution, Seen):
+        seen = solution
         arm = [body for body in seen.moving if body.group == "robot"]
         captions = {name: strip([(name, None)], size[0], 24) for name in set(seen.labels)}
     else:

@@ -71,9 +71,14 @@ def scan_bodies(made: Scan, voxel: float, radius: float = 0.003) -> list[Body]:
             found.append(Body(name, "scan", name, shape_mesh(PointCloud(points, radius)), colour))
     corners = 0.12 * np.array([(x, y, 1.0) for x in (-0.6, 0.6) for y in (-0.45, 0.45)])
     pyramid = hull_mesh(np.vstack([np.zeros(3), corners]))
-    for T in (capture.T_world_camera for capture in made.captures):
-        if not np.array_equal(T, np.eye(4)):  # else no pose is known, points are in the base frame
-            found.append(Body("camera", "scan", "camera", pyramid, (0.55, 0.25, 0.70), T[None]))
-    for name, colour, mesh in axes_marks(3.0):
-        found.append(Body(f"{name} of the base frame", "scan", name, mesh, colour))
-    return found
+    found += [
+        Body("camera", "scan", "camera", pyramid, (0.55, 0.25, 0.70), capture.T_world_camera[None])
+        for capture in made.captures
+        # else no pose is known, points are in the base frame
+        if not np.array_equal(capture.T_world_camera, np.eye(4))
+    ]
+    axes = (
+        Body(f"{name} of the base frame", "scan", name, mesh, colour)
+        for name, colour, mesh in axes_marks(3.0)
+    )
+    return [*found, *axes]

@@ -243,8 +243,9 @@ def studio(problem: PlanningProblem, port: int = 8090) -> "StudioPage":
     try:  # viser would take the next port, at which the user would not look
         socket.create_server(("127.0.0.1", port)).close()
     except (OSError, OverflowError, TypeError) as error:
-        why = f"port {port} is in use or no port; give another one, or 0 for any"
-        raise InvalidInputError(why) from error
+        raise InvalidInputError(
+            f"port {port} is in use or no port; give another one, or 0 for any"
+        ) from error
     server = viser.ViserServer("127.0.0.1", port, f"cvqmpt: {problem.name}", verbose=False)
     return StudioPage(Studio(problem), server)
 

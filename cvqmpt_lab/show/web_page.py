@@ -17,7 +17,7 @@ from cvqmpt_lab.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.search.result import JointPath
-from cvqmpt_lab.show.bodies import Body, Seen, in_view, seen_of_problem, seen_of_solution, whole
+from cvqmpt_lab.show.bodies import Seen, in_view, seen_of_problem, seen_of_solution, whole
 from cvqmpt_lab.show.curves import Plot
 from cvqmpt_lab.show.raster import clear_viewpoint
 from cvqmpt_lab.tasks.solve import TaskSolution
@@ -60,16 +60,17 @@ def path_html(
         carried: objects shown in the hand if the problem has no attachments.
         most_states: a path of more states is resampled evenly to this number.
     """
-    seen = seen_of_problem(
-        problem,
-        JointPath(states),
-        carried,
-        most_states,
-        plots=True,
-        verdict=verdict,
-        lines=repr(problem).splitlines(),
+    return _html(
+        seen_of_problem(
+            problem,
+            JointPath(states),
+            carried,
+            most_states,
+            plots=True,
+            verdict=verdict,
+            lines=repr(problem).splitlines(),
+        )
     )
-    return _html(seen)
 
 
 def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> str:
@@ -108,25 +109,23 @@ def _html(seen: Seen, size: tuple[int, int] = (1100, 600)) -> str:
             "elevation": math.asin(offset[2] / distance),
             "angle": viewpoint.height_angle,
         },
-        "bodies": [_body(body) for body in bodies],
+        "bodies": [
+            {
+                "group": body.group,
+                "colour": list(map(float, body.colour)),
+                "opacity": body.opacity,
+                "positions": _base64(body.mesh.corners.astype("<f4")),
+                # whole numbers from -127 to 127
+                "normals": _base64(np.round(127 * body.mesh.normals).astype(np.int8)),
+                "poses": _base64(body.poses[:, :3].astype("<f4")),
+            }
+            for body in bodies
+        ],
         "plots": [_plot(plot) for plot in seen.plots],
     }
     # without this, "</script>" in a name would end the script element
     text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
     return TEMPLATE.read_text(encoding="utf-8").replace(PLACE, PLACE.replace("{}", text))
-
-
-def _body(body: Body) -> dict[str, Any]:
-    """A body as json data; its normals as whole numbers from -127 to 127."""
-    poses = body.poses[:, :3].reshape(len(body.poses), 12)
-    return {
-        "group": body.group,
-        "colour": list(map(float, body.colour)),
-        "opacity": body.opacity,
-        "positions": _base64(body.mesh.corners.astype("<f4")),
-        "normals": _base64(np.round(127 * body.mesh.normals).astype(np.int8)),
-        "poses": _base64(poses.astype("<f4")),
-    }
 
 
 def _base64(array: np.ndarray) -> str:

@@ -34,7 +34,6 @@ class PhaseOutcome:
     world: World  # before the phase
     attempts: tuple[Solution, ...]  # in order; the last one counts
     trajectory: Trajectory | None = None  # of the last attempt, if it is certified
-    timing_seconds: float = 0.0
     margin: str = ""  # that it was planned with, and why not more
     fallback: str = ""  # why another planner than the one asked for was used, or ""
     reason: str = ""  # why the phase failed, or ""
@@ -130,7 +129,9 @@ def solve_task(
     method = planner_named(method) if isinstance(method, str) else method
     require_kind("method", method, Method, "or the name of a planner")
     timing = timing or TimingSettings()
-    return _Run(task.in_legs, method, budget, seed, timing, backend, margin.check()).solve()
+    legs = (phase.legs if isinstance(phase, Move) else (phase,) for phase in task.phases)
+    task = task.changed(phases=tuple(leg for several in legs for leg in several))
+    return _Run(task, method, budget, seed, timing, backend, margin.check()).solve()
 
 
 @dataclass(eq=False)
@@ -253,12 +254,11 @@ class _Run:
         )
         if not solution.solved or solution.path is None:
             return outcome
-        began = time.perf_counter()
         try:
             motion = certified_motion(solution.problem, solution.path, self.timing)
         except InvalidInputError as error:
             return replace(outcome, reason=f"not timed: {error}")
-        return replace(outcome, trajectory=motion, timing_seconds=time.perf_counter() - began)
+        return replace(outcome, trajectory=motion)
 
 
 def _why(solution: Solution) -> str:

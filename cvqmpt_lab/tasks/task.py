@@ -31,13 +31,11 @@ from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.scene.scene import (
     Articulation,
     Attachment,
-    NamedScene,
     Scene,
     SceneObject,
-    refuse_far,
-    report_out_of_reach,
+    check_lengths,
+    with_files_read,
 )
-from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.values import Name
 
 
@@ -112,15 +110,11 @@ class Grasp(Checked):
     def check_shape(self, item: SceneObject) -> None:
         """Refuse an object that cannot be carried, and an attachment of another shape."""
         carried = Attachment(item.name, item.shape, np.eye(4)).shape
-        if self.attachment is None or self.attachment.shape == carried:
-            return
-        shapes = (self.attachment.shape, carried)
-        written, real = ({"type": type(shape).__name__, **vars(shape)} for shape in shapes)
-        what = next(key for key in real if not np.array_equal(written[key], real[key]))
-        raise InvalidInputError(
-            f"{what} of the attachment is {shown(written[what])}, that of {item.name!r} in the "
-            f"scene {shown(real[what])}; leave 'attachment' out, the object is carried as it is"
-        )
+        if self.attachment is not None and self.attachment.shape != carried:
+            raise InvalidInputError(
+                f"the attachment is {shown(self.attachment.shape)}, {item.name!r} in the scene "
+                f"{shown(carried)}; leave 'attachment' out, the object is carried as it is"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +147,7 @@ class Task(Document):
 
     name: Name  # What it is called in results
     robot: Mapping[str, Any]  # What a problem file says of it
-    scene: NamedScene  # At the beginning
+    scene: Scene  # At the beginning
     start: State  # (n,) [rad or m]
     phases: tuple[Phase, ...]  # In their order
 
@@ -180,7 +174,6 @@ class Task(Document):
         scene, held = self.scene, None
         for number, phase in enumerate(self.phases):
             with located(f"task {self.name!r}, phase {number} {phase.name!r}"):
-                _check_hand(phase, held)
                 scene, held = _after(phase, scene, held)
 
     @classmethod
@@ -193,8 +186,7 @@ class Task(Document):
             robot = robot_from_source(mapping(data.get("robot"), "robot"))
             data = {**data, "start": numbers_of(robot, data["start"], "start")}
         task = super().from_dict(data)
-        refuse_far(task.scene)
-        report_out_of_reach(task.scene, robot_from_source(task.robot).reach)
+        check_lengths(task.scene, robot_from_source(task.robot).reach)
         return task
 
     @property
@@ -209,15 +201,15 @@ class Task(Document):
                 before.append(phase)
         return found
 
-    @property
-    def in_legs(self) -> Task:
-        """The same task with every move that goes through regions as several moves."""
-        legs = (phase.legs if isinstance(phase, Move) else (phase,) for phase in self.phases)
-        return self.changed(phases=tuple(leg for several in legs for leg in several))
 
+def _after(
+    phase: Phase, scene: Scene, held: Articulation | SceneObject | None
+) -> tuple[Scene, Articulation | SceneObject | None]:
+    """The scene without what is carried, and what is held, after a phase.
 
-def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:
-    """Refuse a phase that does not fit what the hand holds: door or drawer, object or nothing."""
+    Refuses unknown names, and a phase that does not fit what the hand holds before: a door or
+    drawer, an object or nothing.
+    """
     match phase:
         case Hold() | Grasp() if held is not None:
             raise InvalidInputError(f"the gripper already holds {held.name!r}; release it before")
@@ -235,13 +227,6 @@ def _check_hand(phase: Phase, held: Articulation | SceneObject | None) -> None:
             isinstance(held, Articulation) and chain.base not in held.moves
         ):
             raise UnknownChoiceError(f"'base' of what {held.name!r} moves:", chain.base, held.moves)
-
-
-def _after(
-    phase: Phase, scene: Scene, held: Articulation | SceneObject | None
-) -> tuple[Scene, Articulation | SceneObject | None]:
-    """The scene without what is carried, and what is held, after a phase; refuses unknown names."""
-    match phase:
         case Turn() if held is not None:
             return scene.with_joint(held.name, phase.value), held
         case Hold():

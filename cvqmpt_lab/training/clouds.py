@@ -5,8 +5,18 @@ from typing import Literal
 
 import numpy as np
 
-from cvqmpt_lab.sensing.camera import Camera, Intrinsics, ball, cuboid, cylinder, look_at, view_of
-from cvqmpt_lab.sensing.noise import DepthNoise, drawn_materials, measured
+from cvqmpt_lab.sensing.camera import (
+    Camera,
+    DepthNoise,
+    Intrinsics,
+    ball,
+    cuboid,
+    cylinder,
+    drawn_materials,
+    look_at,
+    measured,
+    view_of,
+)
 from cvqmpt_lab.training.dataset import Shapes
 from cvqmpt_lab.vqmpt.config import Size
 

@@ -23,10 +23,8 @@ from scipy.interpolate import PPoly
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.robot import SLOW, JointLimits
-from cvqmpt_lab.trajectory.piecewise import extremes, quintic
-from cvqmpt_lab.trajectory.smooth_curve import SmoothCurve, smooth_curve
-from cvqmpt_lab.trajectory.squared_speeds import squared_speeds
-from cvqmpt_lab.trajectory.trajectory import Trajectory
+from cvqmpt_lab.trajectory.squared_speeds import SmoothCurve, smooth_curve, squared_speeds
+from cvqmpt_lab.trajectory.trajectory import Trajectory, extremes, quintic
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,11 @@ def _averaged(
     window: float,
 ) -> Trajectory:
     """The motion averaged over a window [s], slowed down until it keeps the limits."""
-    average = _average(_fastest(curve.grid, squared), window)
+    # the place s(t) of the fastest motion
+    speeds, steps = np.sqrt(squared), np.diff(curve.grid)
+    times = np.concatenate([[0.0], np.cumsum(2.0 * steps / (speeds[1:] + speeds[:-1]))])
+    pieces = [np.diff(squared) / (4.0 * steps), speeds[:-1], curve.grid[:-1]]
+    average = _average(PPoly(pieces, times), window)
     # where the third derivative of the curve jumps: Newton's method from linear interpolation
     knots = np.unique(curve.spline.t)[1:-1]
     passed = np.interp(knots, average(average.x)[:, 0], average.x)
@@ -138,13 +140,6 @@ def _averaged(
     if dynamics is not None:
         slower = max(slower, _excess_of_efforts(motion, limits, dynamics))
     return _along(curve, average, moments, limits.joint_names, slower)
-
-
-def _fastest(grid: np.ndarray, squared: np.ndarray) -> PPoly:
-    """The place s(t) of the motion with squared speeds (g,) at places grid (g,)."""
-    speeds, steps = np.sqrt(squared), np.diff(grid)
-    times = np.concatenate([[0.0], np.cumsum(2.0 * steps / (speeds[1:] + speeds[:-1]))])
-    return PPoly([np.diff(squared) / (4.0 * steps), speeds[:-1], grid[:-1]], times)
 
 
 def _average(s: PPoly, window: float) -> PPoly:

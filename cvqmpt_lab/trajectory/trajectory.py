@@ -1,5 +1,7 @@
 """Trajectories: joint positions, velocities and accelerations over time; their files.
 
+Between the states they are quintics, whose extremes are found here, too.
+
 A csv has a header of joint names, or none, and a row a state; with a column ``time`` it is a
 trajectory, whose columns are ``JOINT_position``, ``JOINT_velocity`` and perhaps
 ``JOINT_acceleration``. A json file holds a list of states, an object with ``joint_names`` and
@@ -14,6 +16,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,15 +27,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.errors import (
-    CvqmptError,
     InvalidInputError,
     mapping,
     require_choice,
     shown,
     whole_number,
 )
-from cvqmpt_lab.files import json_object, read_text, write_text
-from cvqmpt_lab.trajectory.piecewise import quintic
+from cvqmpt_lab.files import csv_table, json_value, write_text
+from cvqmpt_lab.scene.cloud_files import kind_of, read_by_suffix
 from cvqmpt_lab.values import numbers
 
 if TYPE_CHECKING:
@@ -129,14 +131,7 @@ class Motion:
 
 def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Write a .csv or .json file."""
-    write_text(Path(path), WRITERS[file_type(path)](trajectory))
-
-
-def file_type(path: Path | str) -> str:
-    """The ending of a trajectory file, ".csv" or ".json"; anything else is refused."""
-    ending = Path(path).suffix.lower()
-    require_choice(f"trajectory file type of {path}:", ending, WRITERS)
-    return ending
+    write_text(Path(path), WRITERS[kind_of(path, WRITERS, "trajectory")](trajectory))
 
 
 def as_csv(trajectory: Trajectory) -> str:
@@ -144,25 +139,23 @@ def as_csv(trajectory: Trajectory) -> str:
     columns = [f"{name}_{kind}" for kind in KINDS for name in trajectory.joint_names]
     state = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
     table = np.column_stack([trajectory.times, *state])
-    lines = [",".join(map(repr, row)) for row in table.tolist()]
-    return "\n".join([",".join(["time", *columns]), *lines]) + "\n"
+    return csv_table([["time", *columns], *table.tolist()])
 
 
 def as_ros_json(trajectory: Trajectory) -> str:
     """The fields of `trajectory_msgs/JointTrajectory`."""
-    points = []
     state = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
-    for t, q, v, a in zip(trajectory.times, *state, strict=True):
-        sec, nanosec = divmod(round(1e9 * t), 1_000_000_000)
-        points.append(
-            {
-                "positions": q.tolist(),
-                "velocities": v.tolist(),
-                "accelerations": a.tolist(),
-                "effort": [],
-                "time_from_start": {"sec": sec, "nanosec": nanosec},
-            }
-        )
+    duration = ("sec", "nanosec")
+    points = [
+        {
+            "positions": q.tolist(),
+            "velocities": v.tolist(),
+            "accelerations": a.tolist(),
+            "effort": [],
+            "time_from_start": dict(zip(duration, divmod(round(1e9 * t), 10**9), strict=True)),
+        }
+        for t, q, v, a in zip(trajectory.times, *state, strict=True)
+    ]
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     message = {"header": header, "joint_names": list(trajectory.joint_names), "points": points}
     return json.dumps(message, allow_nan=False) + "\n"
@@ -173,17 +166,7 @@ WRITERS = {".csv": as_csv, ".json": as_ros_json}
 
 def read_motion(path: Path) -> Motion:
     """Read a .csv or .json file; InvalidInputError names the file and what is not understood."""
-    readers = {".csv": _from_csv, ".json": _from_json}
-    ending = path.suffix.lower()
-    require_choice(f"file type of {path}:", ending, readers)
-    text = read_text(path, "motion")
-    try:
-        motion = readers[ending](text)
-    except CvqmptError as error:
-        raise InvalidInputError(f"motion {path} is not understood: {error}") from error
-    except (TypeError, ValueError, KeyError, AttributeError, OverflowError, csv.Error) as error:
-        why = shown(str(error))
-        raise InvalidInputError(f"motion {path} is not understood: {why}") from error
+    motion = read_by_suffix({".csv": _from_csv, ".json": _from_json}, path, "motion")
     for kind in (motion.positions, motion.velocities, motion.accelerations):
         if kind is not None and (kind.ndim != 2 or kind.shape != motion.positions.shape):
             raise InvalidInputError(
@@ -197,8 +180,8 @@ def read_motion(path: Path) -> Motion:
     return motion
 
 
-def _from_csv(text: str) -> Motion:
-    rows = [row for row in csv.reader(io.StringIO(text)) if row]
+def _from_csv(data: bytes) -> Motion:
+    rows = [row for row in csv.reader(io.StringIO(data.decode())) if row]
     if not rows:
         raise InvalidInputError("it is empty")
     header, lines = None, rows
@@ -233,25 +216,23 @@ def _decimal(cell: str) -> float:
     return float(cell)
 
 
-def _from_json(text: str) -> Motion:
-    try:
-        data = json.loads(text) if text.lstrip().startswith("[") else json_object(text, "it")
-    except RecursionError as error:
-        raise InvalidInputError("it is nested too deeply") from error
-    if isinstance(data, list):
-        return Motion(None, _table(data))
-    names = data.get("joint_names", data.get("joints"))
+def _from_json(data: bytes) -> Motion:
+    found = json_value(data.decode(), "it")
+    if isinstance(found, list):
+        return Motion(None, _table(found))
+    said = mapping(found, "", "'states', 'path' or 'points'")
+    names = said.get("joint_names", said.get("joints"))
     if names is not None:
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise InvalidInputError(f"'joint_names' {shown(names)}: give a list of names")
         names = tuple(names)
-    if "points" in data:
-        _refuse_unknown("the trajectory", data, ("header", "joint_names", "joints", "points"))
-        return _from_points(names, data["points"])
-    key = next((key for key in ("states", "path") if data.get(key) is not None), None)
+    if "points" in said:
+        _refuse_unknown("the trajectory", said, ("header", "joint_names", "joints", "points"))
+        return _from_points(names, said["points"])
+    key = next((key for key in ("states", "path") if said.get(key) is not None), None)
     if key is None:
         raise InvalidInputError("it has no 'states', 'path' or 'points'")
-    return Motion(names, _table(data[key]))
+    return Motion(names, _table(said[key]))
 
 
 def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) -> Motion:
@@ -295,3 +276,78 @@ def _table(rows: list[list[float]]) -> np.ndarray:
     if table.ndim != 2:
         raise ValueError(f"states of shape {table.shape}, give a list of lists of numbers")
     return table
+
+
+def quintic(times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> PPoly:
+    """The quintics through positions, velocities and accelerations (k, n) at times (k,).
+
+    With h the length of a piece, t / h its share and p, w, c the differences that remain at its end
+    to q + v h + a h^2 / 2, v h + a h^2 and a h^2: the coefficients of (t / h)^3, ^4 and ^5 are
+    10 p - 4 w + c / 2, -15 p + 7 w - c and 6 p - 3 w + c / 2.
+    """
+    from scipy.interpolate import PPoly
+
+    h = np.diff(times)[:, None]
+    c = (a[1:] - a[:-1]) * h**2
+    w = (v[1:] - v[:-1]) * h - a[:-1] * h**2
+    p = q[1:] - q[:-1] - v[:-1] * h - 0.5 * a[:-1] * h**2
+    factors = (
+        (6.0 * p - 3.0 * w + 0.5 * c) / h**5,
+        (-15.0 * p + 7.0 * w - c) / h**4,
+        (10.0 * p - 4.0 * w + 0.5 * c) / h**3,
+        0.5 * a[:-1],
+        v[:-1],
+        q[:-1],
+    )
+    return PPoly(np.array(factors), times)
+
+
+def extremes(curve: PPoly, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shares (m, k, n) of every piece that have its extremes of a derivative, and its rates there.
+
+    Of a polynomial p(u) of degree d these are 0, the roots of p' in between, and 1.
+    """
+    spans = np.diff(curve.x)[:, None]
+    p = curve.derivative(order).c
+    p = p[p.any(axis=(1, 2)).argmax() :]  # a cubic's highest powers of a quintic are 0
+    p = p * spans ** np.arange(len(p))[::-1, None, None]
+    shares = _monotone_between(p)
+    return shares, np.polyval(p, shares)
+
+
+def bounds(curve: PPoly, order: int) -> np.ndarray:
+    """Bounds (k, n) on the size of a derivative on each piece: its largest Bernstein coefficient.
+
+    Of p(u) = sum_i c_i u^i with degree d these are sum_(i <= j) C(j, i) / C(d, i) c_i.
+    """
+    c = curve.derivative(order).c[::-1]
+    c = c * np.diff(curve.x)[:, None] ** np.arange(len(c))[:, None, None]
+    rows = [
+        [math.comb(j, i) / math.comb(len(c) - 1, i) for i in range(len(c))] for j in range(len(c))
+    ]
+    return np.abs(np.tensordot(rows, c, 1)).max(axis=0)
+
+
+def _monotone_between(p: np.ndarray, halvings: int = 12) -> np.ndarray:
+    """Sorted u (d + 1, ...), from 0 to 1, between which polynomials p(u) are monotone.
+
+    p: (d + 1, ...), the highest power first. Roots of p' are found by bisection, one each where p'
+    is monotone; a value at an extreme is flat, so that its error is the square of theirs.
+    """
+    powers = np.arange(len(p))[::-1]
+    ends = np.stack([np.zeros(p.shape[1:]), np.ones(p.shape[1:])])
+    if len(p) < 3:
+        return ends
+    if len(p) == 3:
+        with np.errstate(all="ignore"):
+            root = np.nan_to_num(-p[1] / (2.0 * p[0]), nan=0.0, posinf=0.0, neginf=0.0)
+        return np.stack([ends[0], np.clip(root, 0.0, 1.0), ends[1]])
+    slope = p[:-1] * powers[:-1].reshape(-1, *[1] * (p.ndim - 1))
+    cuts = _monotone_between(slope)
+    low, high = cuts[:-1], cuts[1:]
+    sign = np.sign(np.polyval(slope, low))
+    for _ in range(halvings):
+        middle = 0.5 * (low + high)
+        before = np.sign(np.polyval(slope, middle)) == sign
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    return np.concatenate([ends[:1], low, ends[1:]])

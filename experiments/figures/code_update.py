@@ -66,11 +66,9 @@ class CodeUpdate:
 
     def rows(self) -> list[dict[str, object]]:
         """A row for each Gaussian: F^T F at its mean, its mean over draws, share of F = 0."""
-        centres, g = {}, {}
-        for when in WHEN:
-            mixture: GaussianMixture = getattr(self, when)
-            centres[when] = squared_residual(self.problem.manifold, mixture.means)
-            g[when] = self.g(when)
+        means = {"before": self.before.means, "after": self.after.means}
+        centres = {when: squared_residual(self.problem.manifold, means[when]) for when in WHEN}
+        g = {when: self.g(when) for when in WHEN}
         return [
             {
                 "problem": self.problem.name,

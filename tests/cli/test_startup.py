@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 from command_line import ROOT, python, run
 
-from cli.train_command import PROFILE_NAMES, STAGES
+from cli.model_command import PROFILE_NAMES, STAGES
 from cvqmpt_lab.planners import PLANNERS
 
 HEAVY = (

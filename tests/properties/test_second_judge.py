@@ -24,9 +24,9 @@ from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion
 from cvqmpt_lab.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.robot.hulls import OVERLAP
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.robot.self_collision import OVERLAP
 from cvqmpt_lab.robot.source import ARMS, example_robots
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget, JointPath

@@ -8,11 +8,10 @@ from refusals import refused
 from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.collision.motion_bounds import Sweep
-from cvqmpt_lab.robot.hulls import ball_vertices, hull_vertices
+from cvqmpt_lab.robot.hulls import OVERLAP, ball_vertices, hull_vertices
 from cvqmpt_lab.robot.kinematics import link_poses, sine_and_cosine
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.load import panda as load_panda
-from cvqmpt_lab.robot.self_collision import OVERLAP
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 

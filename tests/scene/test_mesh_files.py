@@ -7,14 +7,15 @@ from judged_bodies import Body
 from refusals import refused
 from scipy.spatial import ConvexHull
 
-from cvqmpt_lab.scene.convex import (
+from cvqmpt_lab.scene.mesh_files import (
     MOST_PIECES,
     MOST_VERTICES,
     convex_pieces,
     of_few_vertices,
+    read_mesh,
+    read_triangles,
     spread_points,
 )
-from cvqmpt_lab.scene.mesh_files import read_mesh, read_triangles
 from cvqmpt_lab.scene.shapes import ConvexMesh
 
 

@@ -12,12 +12,13 @@ from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 from cvqmpt_lab.sensing.camera import (
     KINECT,
     Camera,
+    DepthNoise,
     Intrinsics,
     cameras_on_sphere,
     look_at,
+    measured,
     view_of,
 )
-from cvqmpt_lab.sensing.noise import DepthNoise, measured
 from cvqmpt_lab.sensing.observation import solids_of
 
 OCTAHEDRON = ConvexMesh(0.2 * np.concatenate([np.eye(3), -np.eye(3)]))

@@ -16,8 +16,15 @@ from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.coal_shapes import transform
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.depth import read_capture
-from cvqmpt_lab.sensing.filters import near_robot, outliers, voxel_means
-from cvqmpt_lab.sensing.scan import Arm, ScanSettings, refuse_touching, scan
+from cvqmpt_lab.sensing.scan import (
+    Arm,
+    ScanSettings,
+    near_robot,
+    outliers,
+    refuse_touching,
+    scan,
+    voxel_means,
+)
 
 
 @pytest.fixture

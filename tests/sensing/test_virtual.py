@@ -14,14 +14,20 @@ from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.sensing.camera import Intrinsics, look_at
-from cvqmpt_lab.sensing.filters import BoxCrop, voxel_means
 from cvqmpt_lab.sensing.observation import (
     CameraSettings,
     Observer,
     camera_cloud,
     visible_points,
 )
-from cvqmpt_lab.sensing.scan import MapSettings, ScanSettings, occupancy_map, scan
+from cvqmpt_lab.sensing.scan import (
+    BoxCrop,
+    MapSettings,
+    ScanSettings,
+    occupancy_map,
+    scan,
+    voxel_means,
+)
 
 
 def test_the_published_kitchen_cloud(open_kitchen):

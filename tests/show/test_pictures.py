@@ -21,16 +21,15 @@ from cvqmpt_lab.show import picture
 from cvqmpt_lab.show.bodies import (
     frames,
     ground_height,
-    moments_of,
     robot_bodies,
     scene_bodies,
-    seen_of_moments,
     seen_of_problem,
+    seen_of_task,
     whole,
 )
 from cvqmpt_lab.show.curves import plots_along
 from cvqmpt_lab.show.meshes import constraint_marks, hull_mesh
-from cvqmpt_lab.show.picture import draw_solution, draw_task, film_solution, save_film, strip
+from cvqmpt_lab.show.picture import draw_solution, film_solution, save_film, strip, task_image
 from cvqmpt_lab.show.raster import Stage, Viewpoint
 from cvqmpt_lab.show.recording import log_solution
 
@@ -135,10 +134,10 @@ def test_a_film_shows_the_robot_from_start_to_goal(solution, tmp_path):
 
 def test_pictures_film_and_recording_of_a_task(task_solution, recorded, tmp_path):
     phases = [outcome.phase.name for outcome in task_solution.outcomes]
-    names = draw_task(task_solution, tmp_path / "task.png", size=(60, 40))
+    image, names = task_image(task_solution, (60, 40))
     assert names == ["start", *phases]
     height = 40 + len(strip([("1  start", None)], 60, 24))
-    assert imread(tmp_path / "task.png").shape[:2] == (2 * height + 6, 3 * 60 + 2 * 6)
+    assert image.shape[:2] == (2 * height + 6, 3 * 60 + 2 * 6)
     film_solution(task_solution, tmp_path / "task.gif", size=(60, 40), pictures=8)
     with Image.open(tmp_path / "task.gif") as moving:
         assert moving.n_frames > len(phases)
@@ -152,7 +151,7 @@ def test_pictures_film_and_recording_of_a_task(task_solution, recorded, tmp_path
     duration = sum(outcome.trajectory.duration for outcome in task_solution.outcomes)
     assert set(moments.values()) == {len(frames(task_solution))}
     assert min(moments.values()) > duration / 0.1
-    assert len(seen_of_moments(moments_of(task_solution), most=8).labels) == 8
+    assert len(seen_of_task(task_solution, most=8).labels) == 8
 
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])

@@ -23,9 +23,15 @@ from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.scene.shapes import Box, Cylinder, PointCloud
 from cvqmpt_lab.search.result import Budget, JointPath
-from cvqmpt_lab.trajectory.piecewise import bounds, extremes, quintic
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
-from cvqmpt_lab.trajectory.trajectory import Motion, read_motion, save_trajectory
+from cvqmpt_lab.trajectory.trajectory import (
+    Motion,
+    bounds,
+    extremes,
+    quintic,
+    read_motion,
+    save_trajectory,
+)
 
 FULL = TimingSettings(speed=1.0)
 TWO_JOINTS = JointLimits(("first", "second"), np.array([2.0, 1.0]), np.array([4.0, 5.0]))
