@@ -1,15 +1,26 @@
 """Rows of MotionBenchMaker's problems by robot, with those left out, beside published numbers."""
 
+import math
+from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
 from paper_tables.layouts import CONSTRAINT_NOTES, CURVE, GROUP_COLUMNS, group_table
-from paper_tables.measures import median_of
+from paper_tables.measures import (
+    REFERENCE,
+    VALUES,
+    Rows,
+    grouped,
+    mean_ratio,
+    median_of,
+    paired,
+    work,
+)
 from paper_tables.statements import PublishedValue
 from paper_tables.table_engine import Column, SuiteTable, rows_of_one_suite
-from paper_tables.writers import Sections
+from paper_tables.writers import Lines, Sections, estimate
 
 # there is no problem to solve; a planner had no part in it
 LEFT_OUT: Mapping[str, str] = {
@@ -31,11 +42,32 @@ NOTES = (
     "Left out: problems whose start or goal collides in our model, and, with a level hand, those "
     "in which no level hand was found where theirs is. `cvqmpt problems list` names them. All "
     "other numbers are of the rest.",
+    "By how hard a problem is: `roadmap` over `birrt` where both solved, by the work of `birrt` in "
+    "the same run. It had luck where it did little, so that the first lines flatter it, and the "
+    "last disfavour it.",
     "Published numbers are not comparable: VAMP covers robots by spheres, checks states of a "
     "motion some way apart on vector units, and its time is that of the search alone; ours checks "
     "meshes' hulls, and every path is shortened and proven free between its states. cuRobo is an "
     "optimiser on a graphics card. Neither has constraints here, and processors differ.",
 )
+
+CLASSES = (0.0, 500.0, 2_000.0, 8_000.0, 30_000.0, math.inf)  # bounds of the work of `birrt`
+COMPARED = {"time": "own_time", "work": "work", "path length": "path_length"}
+
+
+def class_lines(rows: Rows) -> Lines:
+    """`roadmap` over `birrt` by the work of `birrt`, and by whether the roadmap held a path."""
+    base = [row for row in rows if row.planner == REFERENCE]
+    own = [row for row in rows if row.planner == "roadmap"]
+    spent = {row.problem: work(row) or 0.0 for row in base}
+    classes = grouped((bisect_right(CLASSES, spent.get(row.problem, 0.0)), row) for row in own)
+    groups = {f"{CLASSES[k - 1]:g} to {CLASSES[k]:g}": classes[k] for k in sorted(classes)}
+    groups["any, and no path through the roadmap"] = [row for row in own if row.fallback]
+    lines = [["work of birrt", "problems", *(f"{word} / birrt" for word in COMPARED)]]
+    for title, some in groups.items():
+        pairs = [paired(some, base, VALUES[value]) for value in COMPARED.values()]
+        lines.append([title, str(len(pairs[0])), *(estimate(mean_ratio(item)) for item in pairs)])
+    return lines
 
 
 def motion_bench_table(
@@ -62,6 +94,7 @@ def motion_bench_table(
     first, *rest = made.sections
     sections: Sections = {
         first: made.sections[first],
+        "By how hard a problem is": class_lines(kept),
         "Problems": counts,
         **({"Published numbers, not comparable": papers} if published else {}),
         **{name: made.sections[name] for name in rest},

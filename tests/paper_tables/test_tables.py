@@ -20,6 +20,7 @@ from paper_tables.claims import evidence_below, judged_claims
 from paper_tables.committed import RESULTS
 from paper_tables.judging import Word
 from paper_tables.layouts import place_table
+from paper_tables.motion_bench_table import class_lines
 from paper_tables.plots import COLOURS, OURS, line_style
 from paper_tables.statements import read_published
 from paper_tables.suites import render_directory, table_of
@@ -121,6 +122,37 @@ def test_a_claim_is_judged_against_all_planners_named(tmp_path):
         found = by_title(folder)["Opt: twice as fast"]
         assert found.word is expected and found.deciding.baseline == decided
         assert "birrt" not in {verdict.baseline for verdict in found.verdicts}
+
+
+def test_a_second_look_judges_anew_the_comparisons_that_it_has(tmp_path):
+    a_results_folder(tmp_path, opt_cvq_mpt=1.0, ompl_projected=1.0, atlas_rrt=3.0, tb_rrt=3.0)
+    assert by_title(tmp_path)["Opt: twice as fast"].word is Word.SAME
+    (tmp_path / "second").mkdir()
+    a_results_folder(tmp_path / "second", opt_cvq_mpt=1.0, ompl_projected=3.0)
+    (tmp_path / "second" / "place-task").rename(tmp_path / "place-task-more")
+    found = by_title(tmp_path)
+    assert found["Opt: twice as fast"].word is Word.REPLICATED
+    assert len(found["Opt: twice as fast"].verdicts) == 3
+    # a look of its own has only what is judged again
+    assert found["Opt: at the paper's cost"].word is not Word.REPLICATED
+
+
+def test_a_roadmap_is_compared_by_the_work_of_birrt_and_where_it_held_no_path():
+    rows = []
+    for name, checks in (("a", 400), ("b", 1000), ("c", 1500)):
+        own = {
+            "suite": "motion-bench",
+            "n_projections": 0,
+            "path_length_rad": 6.0,
+            "t_total_s": 0.1,
+        }
+        rows.append(a_row(name, planner="birrt", n_state_checks=checks, **own))
+        own["fallback"] = "birrt around 3 free nodes" if name == "c" else None
+        rows.append(a_row(name, planner="roadmap", n_state_checks=checks // 2, **own))
+    lines = class_lines(rows)[1:]
+    counts = {"0 to 500": "1", "500 to 2000": "2", "any, and no path through the roadmap": "1"}
+    assert {line[0]: line[1] for line in lines} == counts
+    assert all(line[3].startswith("0.5") for line in lines)
 
 
 def test_claims_without_rows_say_so_and_what_cannot_be_tested_too(tmp_path):
