@@ -186,7 +186,11 @@ def shape_vertices(shape: Box | ConvexMesh) -> FloatArray:
     """Return the (n, 3) corner points [m] whose convex hull the shape is, in the shape's frame."""
     if isinstance(shape, Box):
         return 0.5 * np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * np.array(shape.size)
-    return shape.vertices
+    if isinstance(shape, ConvexMesh):
+        return shape.vertices
+    raise InvalidInputError(
+        f"{type(shape).__name__} has no corner points; valid shapes: Box, ConvexMesh"
+    )
 
 
 def bounding_radius(shape: Shape) -> float:
