@@ -21,6 +21,7 @@ from cli.options import (
 from cli.problem_options import planner_list
 from cvqmpt_lab.errors import InvalidInputError, in_checkout
 from cvqmpt_lab.files import write_bytes, write_text
+from cvqmpt_lab.results.store import directory_rows
 from experiments import regression
 from experiments.regression import EXPECTED
 from paper_tables import pages
@@ -35,7 +36,7 @@ from paper_tables.committed import (
     stale_pages,
     untraceable,
 )
-from paper_tables.suites import directory_rows, render_directory
+from paper_tables.suites import render_directory
 from paper_tables.writers import text_lines
 
 

@@ -15,12 +15,11 @@ from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in
 from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.store import stored_paths
+from cvqmpt_lab.results.store import directory_rows, stored_paths
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.tasks.world import phase_problems
 from paper_tables.claims import Evidence
-from paper_tables.suites import directory_rows
 
 
 class Recertified(NamedTuple):

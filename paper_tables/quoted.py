@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from cvqmpt_lab.results.row import split_problem
 from paper_tables.claims import Evidence
 from paper_tables.factorial_table import CONTRASTS
 from paper_tables.measures import (
@@ -28,16 +29,22 @@ class Quoted:
 
     results: Mapping[str, Evidence]
 
-    def rows(self, name: str, planner: str) -> Rows:
-        """Rows of a planner."""
-        found = [row for row in self.results[name].rows if row.planner == planner]
+    def rows(self, name: str, planner: str, kind: str = "") -> Rows:
+        """Rows of a planner; kind: of problems, all when empty."""
+        found = [
+            row
+            for row in self.results[name].rows
+            if row.planner == planner and (not kind or split_problem(row.problem).phase == kind)
+        ]
         if not found:
-            raise KeyError(f"{name} has no rows of {planner}")
+            raise KeyError(f"{name} has no rows of {planner} {kind}")
         return found
 
-    def ratio(self, name: str, planner: str, value: str = "work", over: str = REFERENCE) -> str:
+    def ratio(
+        self, name: str, planner: str, value: str = "work", over: str = REFERENCE, kind: str = ""
+    ) -> str:
         """Geometric mean of the ratio of a value of `VALUES` to that of another planner."""
-        own, other = self.rows(name, planner), self.rows(name, over)
+        own, other = self.rows(name, planner, kind), self.rows(name, over, kind)
         return estimate(mean_ratio(paired(own, other, VALUES[value])))
 
     def contrast(self, name: str, title: str, column: str = "work") -> str:

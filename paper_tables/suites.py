@@ -10,11 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cvqmpt_lab.errors import RunStoreError
 from cvqmpt_lab.files import write_text
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
-from cvqmpt_lab.results.row import RUNS_FILE, ResultRow, read_rows
-from cvqmpt_lab.results.store import PARTIAL_FILE
+from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.store import directory_rows
 from paper_tables.factorial_table import PLANNERS as PRODUCTS
 from paper_tables.factorial_table import factorial_table
 from paper_tables.layouts import (
@@ -349,23 +348,6 @@ def render_directory(directory: Path) -> Rendered:
     for name, text in made.texts.items():
         write_text(directory / name, text)
     return made
-
-
-def directory_rows(directory: Path) -> list[ResultRow]:
-    """Rows of a results directory; RunStoreError says what to do when it has none."""
-    advice = f"run an experiment with --out {directory} first"
-    if not directory.is_dir():
-        raise RunStoreError(f"{directory} is not a directory; {advice}")
-    if not (directory / RUNS_FILE).is_file():
-        if (directory / PARTIAL_FILE).is_file():
-            raise RunStoreError(
-                f"{directory} holds an interrupted run; repeat its command to continue it"
-            )
-        raise RunStoreError(f"{directory} has no {RUNS_FILE}; {advice}")
-    rows = read_rows(directory / RUNS_FILE)
-    if not rows:
-        raise RunStoreError(f"{directory / RUNS_FILE} has no rows; {advice}")
-    return rows
 
 
 def _head(record: Mapping[str, Any], n_runs: int) -> str:

@@ -157,6 +157,23 @@ class RunStore:
             raise RunStoreError(f"cannot append to {self.directory}: {error.strerror}") from error
 
 
+def directory_rows(directory: Path) -> list[ResultRow]:
+    """Rows of a results directory; RunStoreError says what to do when it has none."""
+    advice = f"run an experiment with --out {directory} first"
+    if not directory.is_dir():
+        raise RunStoreError(f"{directory} is not a directory; {advice}")
+    if not (directory / RUNS_FILE).is_file():
+        if (directory / PARTIAL_FILE).is_file():
+            raise RunStoreError(
+                f"{directory} holds an interrupted run; repeat its command to continue it"
+            )
+        raise RunStoreError(f"{directory} has no {RUNS_FILE}; {advice}")
+    rows = read_rows(directory / RUNS_FILE)
+    if not rows:
+        raise RunStoreError(f"{directory / RUNS_FILE} has no rows; {advice}")
+    return rows
+
+
 def states_hash(states: np.ndarray) -> str:
     """sha256 of the bytes of states (m, n): equal for bit-for-bit equal paths."""
     return hashlib.sha256(np.ascontiguousarray(states, dtype=np.float64).tobytes()).hexdigest()

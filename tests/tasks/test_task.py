@@ -57,9 +57,7 @@ SPOILT = {
     "'grasp-can': the attachment is Sphere.*'can' .* Cylinder": lambda task: grasping(
         task, Sphere(1e-3)
     ),
-    "attachment is Cyl.*=0.2.*'can' .*0.242": lambda t: grasping(
-        t, Cylinder(0.0373, 0.2)
-    ),
+    "attachment is Cyl.*=0.2.*'can' .*0.242": lambda t: grasping(t, Cylinder(0.0373, 0.2)),
     "'grasp-can': attachment 'map' is an occupancy map; what is carried is a": grasping_a_map,
     "unknown articulation": lambda task: changed(task, "hold-handle", articulation="lid"),
     "'open-door': value -2.0 of hinge .* outside": lambda t: changed(t, "open-door", value=-2.0),
