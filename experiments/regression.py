@@ -39,7 +39,6 @@ COLUMNS = ("fail_reason", *COUNTS, "path_length_rad", "path_sha256", "g_sampled"
 # any x86-64, which rounds differently, except those of tb-rrt: there they grew up to 2.8 times.
 WITHIN = 0.02
 FORKING = ("tb-rrt",)  # whose sums are not compared on another processor
-# packages whose versions may change results
 
 
 class Case(NamedTuple):

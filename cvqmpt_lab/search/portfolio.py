@@ -44,9 +44,7 @@ class Portfolio(BiRRT):
     costs: Callable[[ConstrainedSpace], EdgeCosts] = scene_costs
     # blocked nodes and edges are known at no cost: a bound of all roadmaps
     oracle: bool = False
-    settings: RoadmapSearchSettings = field(
-        default_factory=lambda: RoadmapSearchSettings(searches=80)
-    )
+    settings: RoadmapSearchSettings = field(default_factory=RoadmapSearchSettings)
     first: int = 2  # iterations of the trees before the roadmap is searched
     turns: tuple[float, float] = (1_500, 4_000)  # work of its two turns
     between: float = 6_000  # work of the trees between them

@@ -30,22 +30,6 @@ NODES = 1024
 NEIGHBOURS = 20  # that each node is linked to, at most
 
 
-def nearest_rows(
-    nodes: np.ndarray, targets: np.ndarray, count: int, apart: bool = False
-) -> np.ndarray:
-    """Rows (t, count) of the nodes (N, n) nearest to each target (t, n) [rad], nearest first.
-
-    apart: targets are the nodes; a node is not its own neighbour.
-    """
-    squares = (targets**2).sum(axis=1)[:, None] + (nodes**2).sum(axis=1) - 2.0 * targets @ nodes.T
-    if apart:
-        np.fill_diagonal(squares, np.inf)
-    count = min(count, len(nodes) - apart)
-    near = np.argpartition(squares, count - 1, axis=1)[:, :count]
-    order = np.argsort(np.take_along_axis(squares, near, axis=1), axis=1, kind="stable")
-    return np.take_along_axis(near, order, axis=1)
-
-
 @dataclass(frozen=True, eq=False)
 class Roadmap:
     """Configurations to plan through, each linked to its nearest ones."""
@@ -58,7 +42,12 @@ class Roadmap:
         """Link each node to its nearest ones; InvalidInputError when there are too few nodes."""
         if len(nodes) <= neighbours:
             raise InvalidInputError(f"a roadmap of {len(nodes)} nodes; give more than {neighbours}")
-        return Roadmap(nodes, nearest_rows(nodes, nodes, neighbours, apart=True).astype(np.int32))
+        own = (nodes**2).sum(axis=1)
+        squares = own[:, None] + own - 2.0 * nodes @ nodes.T
+        np.fill_diagonal(squares, np.inf)
+        near = np.argpartition(squares, neighbours - 1, axis=1)[:, :neighbours]
+        order = np.argsort(np.take_along_axis(squares, near, axis=1), axis=1, kind="stable")
+        return Roadmap(nodes, np.take_along_axis(near, order, axis=1).astype(np.int32))
 
     @property
     def covariance(self) -> np.ndarray:
@@ -200,7 +189,7 @@ class RoadmapSearchSettings:
     links: int = 40  # nodes that the start and each goal are linked to
     penalty: float = 0.5  # edges at a node cost 1 + penalty * |F| times their length
     drift: float = 1.5  # [rad] nodes that lie further from the manifold are left out
-    searches: int = 40  # at most; each ends at a path, or at the first edge that turns out blocked
+    searches: int = 80  # at most; each ends at a path, or at the first edge that turns out blocked
     # A*'s estimate of what is left is the distance times this; above 1 fewer nodes are expanded
     greed: float = 4.0
     # [rad] between the states of an edge; a found path is refined to the space's own step
