@@ -65,7 +65,8 @@ def cage_problem(opening: float, index: int) -> PlanningProblem | UnsolvableProb
     gap = math.pi + rng.uniform(-0.2, 0.2)  # towards the base
     half = math.asin(0.5 * (opening + 0.02) / radius)
     bars = []
-    for k, angle in enumerate(np.arange(half, 2.0 * math.pi - half + 1e-9, math.radians(10.0))):
+    count = 1 + math.ceil((2.0 * math.pi - 2.0 * half) / math.radians(10.0))
+    for k, angle in enumerate(np.linspace(half, 2.0 * math.pi - half, count)):
         x, y = centre + radius * np.array([math.cos(gap + angle), math.sin(gap + angle)])
         bars.append(SceneObject(f"bar_{k}", Cylinder(0.01, 1.1), pose((x, y, 0.35))))
     bars.append(SceneObject("roof", Box((0.62, 0.62, 0.02)), pose((*centre, 0.91))))

@@ -6,6 +6,8 @@ import pytest
 from cvqmpt_lab.benchmarks.passages import cage_problem, maze_problem, slot_problem
 from cvqmpt_lab.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.results.store import states_hash
+from cvqmpt_lab.robot.hulls import coal_distance
+from cvqmpt_lab.scene.coal_shapes import coal_shape, transform
 from cvqmpt_lab.search.cell_grids import empty_grids, free_rows
 from cvqmpt_lab.search.cell_trees import CellTrees
 from cvqmpt_lab.search.result import Budget, PlanStatus
@@ -71,9 +73,22 @@ def test_without_a_constraint_cells_divide_the_joints(maze):
     assert plan.status is PlanStatus.SOLVED
 
 
+def between(scene, one, other):
+    """Distance [m] of two objects of a scene."""
+    found = (item for item in scene.objects if item.name in (one, other))
+    placed = [(coal_shape(item.shape), transform(item.T_world_object)) for item in found]
+    return coal_distance(*placed[0], *placed[1])
+
+
 def test_the_width_of_a_passage_is_the_gap():
-    for make, width in ((maze_problem, 0.05), (cage_problem, 0.21), (slot_problem, 0.19)):
+    for make, width, *sides in (
+        (maze_problem, 0.05, "wall_0", "wall_1"),
+        (maze_problem, 0.05, "wall_1", "wall_2"),
+        (cage_problem, 0.21, "bar_0", "bar_31"),
+        (slot_problem, 0.19, "board_-1", "board_1"),
+    ):
         one, again, other = make(width, 4), make(width, 4), make(width, 5)
+        assert between(one.scene, *sides) == pytest.approx(width, abs=0.005)
         np.testing.assert_array_equal(one.start, again.start)
         assert not np.array_equal(one.start, other.start)
         assert len(with_sampled_goals(one)[0].goals) > 0
