@@ -35,7 +35,8 @@ from cvqmpt_lab.files import json_object, json_text, write_text
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
-from cvqmpt_lab.scene.scene import Scene, check_lengths, read_scene
+from cvqmpt_lab.scene.scene import Scene, check_extent
+from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.sensing.plane import CAMERA_UP
@@ -265,7 +266,7 @@ def motion_problem(args: argparse.Namespace) -> PlanningProblem:
     constraint = tuple(_constraint(text, robot, start) for text in args.constraint)
     if args.scene is not None:
         scene = read_scene(args.scene)
-        check_lengths(scene, robot.reach, f"scene {args.scene}")
+        check_extent(scene, robot.reach, f"scene {args.scene}")
     else:
         arm = arm_of(args, robot, start)
         scene = scene_of(args, scanned(args, arm), arm)

@@ -27,7 +27,7 @@ _HOME = {
     "pose": "poses",
     "read_cloud": "scene.cloud_files",
     "read_mesh": "scene.mesh_files",
-    "read_scene": "scene.scene",
+    "read_scene": "scene.scene_files",
     "region": "constraints.named",
     "robot_from_source": "robot.load",
     "save_trajectory": "trajectory.trajectory",

@@ -57,11 +57,12 @@ from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.coal_shapes import loads_of
 from cvqmpt_lab.scene.scene import (
     Attachment,
+    NamedScene,
     Scene,
-    check_lengths,
+    check_extent,
     refuse_far_poses,
-    with_files_read,
 )
+from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name, frozen
 
 
@@ -107,7 +108,7 @@ class PlanningProblem(Document):
 
     name: Name  # What it is called in results
     robot: RobotOfSource  # What moves; n is the number of its joints
-    scene: Scene  # What it must not touch
+    scene: NamedScene  # What it must not touch
     # (n,) [rad or m], drawn from `start_region` if empty
     start: State = field(default_factory=lambda: np.empty(0))
     # (k, n) [rad or m], drawn from `goal_region` if there are none
@@ -153,7 +154,7 @@ class PlanningProblem(Document):
         Refuses lengths that cannot be metres; warns when nothing of the scene is within reach.
         """
         problem = super().from_dict(_with_numbers(data))
-        check_lengths(problem.scene, reach_with(problem.robot, problem.attachments))
+        check_extent(problem.scene, reach_with(problem.robot, problem.attachments))
         regions = {f"constraint[{k}]": region for k, region in enumerate(problem.constraint)}
         if problem.goal_region is not None:
             regions["goal_region"] = problem.goal_region

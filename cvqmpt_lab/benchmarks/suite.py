@@ -1,8 +1,8 @@
 """The suites by name: each is an ordered set of problems or tasks.
 
 A folder of problem files is one by its path: every ``*.json`` is a problem, in order of file names.
-Modules of suites other than the place task are
-imported when their first problem is made, so that `cvqmpt plan` need not import them.
+Modules of suites other than the place task are imported when their first problem is made, so that
+`cvqmpt plan` need not import them.
 """
 
 import hashlib
@@ -31,7 +31,8 @@ from cvqmpt_lab.results.row import natural_key, one_line
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.robot.source import content_digest
 from cvqmpt_lab.scene.families import FAMILIES
-from cvqmpt_lab.scene.scene import Attachment, named_files
+from cvqmpt_lab.scene.scene import Attachment
+from cvqmpt_lab.scene.scene_files import named_files
 from cvqmpt_lab.tasks.task import Task
 
 SuiteItem = PlanningProblem | UnsolvableProblem | SensedProblem | Task
@@ -168,8 +169,9 @@ def folder_suite(folder: Path) -> Suite:
             digest.update(content_digest(str(other)).encode())
         for _, content in problem.robot.files:
             digest.update(content.encode())
-        problems[name], digests[name] = problem.changed(name=name), digest.hexdigest()
-        paths[name] = file
+        # most have their name already, and a change checks the whole problem again
+        problems[name] = problem if name == problem.name else problem.changed(name=name)
+        digests[name], paths[name] = digest.hexdigest(), file
     if not problems:
         raise InvalidInputError(
             f"{folder} holds no problem files (*.json); write one with: cvqmpt problems new "

@@ -31,11 +31,12 @@ from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.scene.scene import (
     Articulation,
     Attachment,
+    NamedScene,
     Scene,
     SceneObject,
-    check_lengths,
-    with_files_read,
+    check_extent,
 )
+from cvqmpt_lab.scene.scene_files import with_files_read
 from cvqmpt_lab.values import Name
 
 
@@ -110,11 +111,15 @@ class Grasp(Checked):
     def check_shape(self, item: SceneObject) -> None:
         """Refuse an object that cannot be carried, and an attachment of another shape."""
         carried = Attachment(item.name, item.shape, np.eye(4)).shape
-        if self.attachment is not None and self.attachment.shape != carried:
-            raise InvalidInputError(
-                f"the attachment is {shown(self.attachment.shape)}, {item.name!r} in the scene "
-                f"{shown(carried)}; leave 'attachment' out, the object is carried as it is"
-            )
+        if self.attachment is None or self.attachment.shape == carried:
+            return
+        shapes = (self.attachment.shape, carried)
+        written, real = ({"type": type(shape).__name__, **vars(shape)} for shape in shapes)
+        what = next(key for key in real if not np.array_equal(written[key], real[key]))
+        raise InvalidInputError(
+            f"{what} of the attachment is {shown(written[what])}, that of {item.name!r} in the "
+            f"scene {shown(real[what])}; leave 'attachment' out, the object is carried as it is"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +152,7 @@ class Task(Document):
 
     name: Name  # What it is called in results
     robot: Mapping[str, Any]  # What a problem file says of it
-    scene: Scene  # At the beginning
+    scene: NamedScene  # At the beginning
     start: State  # (n,) [rad or m]
     phases: tuple[Phase, ...]  # In their order
 
@@ -186,7 +191,7 @@ class Task(Document):
             robot = robot_from_source(mapping(data.get("robot"), "robot"))
             data = {**data, "start": numbers_of(robot, data["start"], "start")}
         task = super().from_dict(data)
-        check_lengths(task.scene, robot_from_source(task.robot).reach)
+        check_extent(task.scene, robot_from_source(task.robot).reach)
         return task
 
     @property

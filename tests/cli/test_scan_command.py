@@ -10,7 +10,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from cvqmpt_lab.scene.cloud_files import read_cloud
-from cvqmpt_lab.scene.scene import read_scene
+from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.sensing.scan import ScanSettings, near_robot, scan
 from cvqmpt_lab.show.scan_picture import scan_bodies
 

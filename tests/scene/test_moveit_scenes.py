@@ -9,7 +9,7 @@ from refusals import DATA, refused
 
 from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
-from cvqmpt_lab.scene.scene import read_scene
+from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 
 OLDER, NEWER = ((DATA / f"{version}.scene").read_text() for version in ("older", "newer"))

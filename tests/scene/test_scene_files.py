@@ -81,7 +81,7 @@ def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp
     named = data | {"scene": "parts/scene.json"}
     path = saved(named, tmp_path)
     assert PlanningProblem.load(path).scene == whole.scene
-    refused("scene is 'parts/scene.json'; it must be an object", PlanningProblem.from_dict, named)
+    refused("scene is 'parts/scene.json', a file: load what", PlanningProblem.from_dict, named)
     (tmp_path / "parts" / "scene.json").write_text("{}")
     refused(r"parts/scene.json: name is missing", PlanningProblem.load, path)
 

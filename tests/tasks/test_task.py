@@ -54,10 +54,8 @@ SPOILT = {
     "'open-door': the hand holds no door or dr": lambda task: without(task, "hold-handle"),
     "'put-down': the gripper holds nothing to rel": lambda task: without(task, "grasp-can"),
     "'grasp-can': unknown object .*'cup'": lambda t: changed(t, "grasp-can", object="cup"),
-    "'grasp-can': the attachment is Sphere.*'can' .* Cylinder": lambda task: grasping(
-        task, Sphere(1e-3)
-    ),
-    "attachment is Cyl.*=0.2.*'can' .*0.242": lambda t: grasping(t, Cylinder(0.0373, 0.2)),
+    "'grasp-can': type .* is 'Sphere'.*'Cylinder'": lambda task: grasping(task, Sphere(1e-3)),
+    "height .* is 0.2, that of 'can' .* 0.2": lambda t: grasping(t, Cylinder(0.0373, 0.2)),
     "'grasp-can': attachment 'map' is an occupancy map; what is carried is a": grasping_a_map,
     "unknown articulation": lambda task: changed(task, "hold-handle", articulation="lid"),
     "'open-door': value -2.0 of hinge .* outside": lambda t: changed(t, "open-door", value=-2.0),

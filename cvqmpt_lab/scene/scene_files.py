@@ -1,0 +1,138 @@
+"""Shapes that a json file names by path, read and put in place.
+
+`{"type": "cloud_file", "path": "scan.pcd", "radius": 0.01}` becomes a PointCloud, `{"type":
+"map_file", "path": "scan.pcd"}` an OccupancyMap, `{"type": "mesh_file", "path": "shelf.stl",
+"scale": 0.001}` a ConvexMesh; a mesh that is not convex becomes several objects, "shelf/0",
+"shelf/1", ...
+"""
+
+import logging
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.errors import located
+from cvqmpt_lab.files import read_json_object
+from cvqmpt_lab.robot.source import with_absolute_paths
+from cvqmpt_lab.scene.cells import map_of_points
+from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.scene.shapes import (
+    SHAPES_BY_PATH,
+    CloudFile,
+    ConvexMesh,
+    MapFile,
+    MeshFile,
+    OccupancyMap,
+    PointCloud,
+)
+
+log = logging.getLogger(__name__)
+
+
+def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Json of a problem or task with its files read and the paths of its robot's files absolute.
+
+    Args:
+        data: not changed; its scene may be the path of a json file. Read are files that the scene
+            and attachments name; anything that is no object with a shape by path stays as it is.
+        folder: of the json file; relative paths start here.
+    """
+    read = dict(data)
+    if isinstance(data.get("scene"), str):
+        read["scene"] = read_scene(folder / data["scene"])
+    if isinstance(data.get("scene"), dict):
+        read["scene"] = _scene(data["scene"], folder)
+    if "attachments" in data:
+        read["attachments"] = _expanded(data["attachments"], folder, "attachments")[0]
+    if "robot" in data:
+        read["robot"] = with_absolute_paths(folder, data["robot"])
+    return read
+
+
+def read_scene(path: Path | str) -> Scene:
+    """The scene of a json file of its own; errors name the file."""
+    path = Path(path)
+    data = _scene(read_json_object(path, "scene"), path.parent)
+    with located(f"scene {path}"):
+        return from_plain(Scene, data)
+
+
+def named_files(data: Mapping[str, Any], folder: Path) -> Iterator[Path]:
+    """The files that `with_files_read` reads for json that is well-formed."""
+    scene = data.get("scene")
+    if isinstance(scene, str):
+        path = folder / scene
+        yield path
+        yield from named_files({"scene": read_json_object(path, "scene")}, path.parent)
+    items = [
+        *(scene["objects"] if isinstance(scene, Mapping) else ()),
+        *data.get("attachments", ()),
+    ]
+    shapes = [item["shape"] for item in items]
+    yield from (folder / shape["path"] for shape in shapes if shape["type"] in SHAPES_BY_PATH)
+
+
+def _scene(scene: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Json of a scene; what moves an object moves all its pieces."""
+    objects, pieces = _expanded(scene.get("objects"), folder, "scene.objects")
+    joints = scene.get("articulations")
+    if pieces and isinstance(joints, list):
+        joints = [
+            {
+                **joint,
+                "moves": [
+                    piece for name in joint["moves"] for piece in pieces.get(str(name), [name])
+                ],
+            }
+            if isinstance(joint, dict) and isinstance(joint.get("moves"), list)
+            else joint
+            for joint in joints
+        ]
+        scene = {**scene, "articulations": joints}
+    return {**scene, "objects": objects} if pieces else scene
+
+
+def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list[str]]]:
+    """Json of objects with their shapes, and the pieces' names by that of their object."""
+    if not isinstance(items, list):
+        return items, {}
+    found: list[Any] = []
+    pieces: dict[str, list[str]] = {}
+    for k, item in enumerate(items):
+        shape = item.get("shape") if isinstance(item, dict) else None
+        kind = shape.get("type") if isinstance(shape, dict) else None
+        if not isinstance(shape, dict) or not isinstance(kind, str) or kind not in SHAPES_BY_PATH:
+            found.append(item)
+            continue
+        with located(f"{where}[{k}].shape"):
+            fields = {key: value for key, value in shape.items() if key != "type"}
+            shapes = list(_shapes(from_plain(SHAPES_BY_PATH[kind], fields), folder))
+        name = item.get("name")
+        names = [name] if len(shapes) == 1 else [f"{name}/{piece}" for piece in range(len(shapes))]
+        pieces[str(name)] = names
+        parts = zip(names, shapes, strict=True)
+        found.extend({**item, "name": name, "shape": shape} for name, shape in parts)
+    return found, pieces
+
+
+def _shapes(
+    named: CloudFile | MapFile | MeshFile, folder: Path
+) -> Iterator[PointCloud | OccupancyMap | ConvexMesh]:
+    """The shapes of one file."""
+    path = folder / named.path
+    if not isinstance(named, MeshFile):
+        from cvqmpt_lab.scene.cloud_files import read_cloud
+
+        cloud = read_cloud(path, named.scale)
+        log.info(f"{path}: {len(cloud.points)} points, {cloud.dropped} left out, not finite")
+        if isinstance(named, MapFile):
+            yield map_of_points(cloud.points, named.resolution, named.padding)
+        else:
+            yield PointCloud(cloud.points, named.radius)
+        return
+    from cvqmpt_lab.scene.mesh_files import read_mesh  # its parser takes 0.3 s to import
+
+    vertices = read_mesh(path, named.scale)
+    log.info(f"{path}: {len(vertices)} convex pieces")
+    yield from map(ConvexMesh, vertices)
