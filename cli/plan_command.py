@@ -105,10 +105,11 @@ def _solved_problem(
         # the obstacles are those of the suite or file; the cloud is what a network is shown
         method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
     if args.trajectory:
+        from cvqmpt_lab.scene.cloud_files import kind_of
         from cvqmpt_lab.trajectory.trajectory import WRITERS
 
         # a wrong file name or speed is refused before anything is planned
-        file_of_kind("--trajectory", tuple(WRITERS), args.trajectory)
+        kind_of(writable_file(args.trajectory), WRITERS, "trajectory")
         problem.robot.joint_limits.scaled(args.speed)
     margin = Margin(args.margin, args.margin_angle).check()
     warm_up(problem, method, args.backend, log)

@@ -257,6 +257,7 @@ def solve_many(
 
     Options, errors and solutions are those of `solve`, in the order of the problems.
     """
+    method = planner_named(method) if isinstance(method, str) else method
     scenes: dict[Any, list[int]] = {}
     require_kind("problems", problems, Sequence, "a list of problems")
     for index, problem in enumerate(problems):

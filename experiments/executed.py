@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.errors import RunStoreError
+from cvqmpt_lab.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES,
     Execution,
@@ -158,6 +158,8 @@ def read_rows(path: Path) -> list[Row]:
 
 def table(rows: Sequence[Row]) -> str:
     """Markdown: a title, and a line for each suite, speed and controller."""
+    if not rows:
+        raise InvalidInputError("no rows of executed motions")
     heads = (
         "problems | speed | controller | executed | undecided | off path, median (most) [mm] | "
         "tilt, most [rad] | with contacts | at limits, most [ms] | drift, most [mm] | placed"

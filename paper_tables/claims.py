@@ -69,7 +69,7 @@ def judged_claims(found: Mapping[str, Evidence]) -> list[JudgedClaim]:
 
 
 def error_level() -> float:
-    """Of one claim's interval, two-sided: all that can be tested share LEVEL, looks apart."""
+    """Of one interval, two-sided: all claims that can be tested share LEVEL; each look is one."""
     return LEVEL / sum(1 + bool(claim.again) for claim in CLAIMS if not claim.untestable)
 
 

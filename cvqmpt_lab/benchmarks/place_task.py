@@ -38,6 +38,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegionChain,
     upright_box,
 )
+from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.pipeline import drawn_goals, with_sampled_goals
 from cvqmpt_lab.poses import pose, rigid
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
@@ -301,6 +302,10 @@ def sequence_world() -> Scene:
 
 def multi_sequence_task(number: int) -> Task:
     """Task `number`; 0 to 9 are the paper's, others follow the same distribution."""
+    if number < 0:
+        raise InvalidInputError(
+            f"multi-sequence task {number}: give 0 or more, the paper's are 0 to 9"
+        )
     robot = robot_from_source({"name": "panda"})
     rng = np.random.default_rng(100 + number)
     checker = CollisionChecker(robot, sequence_world(), margin=SAMPLE_MARGIN)

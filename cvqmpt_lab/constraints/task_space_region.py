@@ -198,27 +198,23 @@ class TaskSpaceRegionChain(TaskSpaceRegion):
     def links(self, robot: Robot) -> tuple[tuple[int, np.ndarray], tuple[int, np.ndarray]]:
         """As of a `TaskSpaceRegion`; refuses a base that e does not move against."""
         row, T_link_base = robot.link_of(self.base)
+        if row == 0 and not self.fixed:
+            raise InvalidInputError(
+                f"base {self.base!r} stands still: none of the planned joints "
+                f"({', '.join(robot.joint_names)}) moves it. Plan the joints that do, or, if it "
+                'does stand still, give "fixed": true beside "base"'
+            )
+        if row != 0 and self.fixed:
+            raise InvalidInputError(
+                f'base {self.base!r} is moved by the planned joints: leave out "fixed": true'
+            )
         link, T_link_e = robot.hand(self.end_effector)
         moves = robot.kinematics.moves
-        for refused, why in (
-            (
-                row == 0 and not self.fixed,
-                f"stands still: none of the planned joints ({', '.join(robot.joint_names)}) moves "
-                "it. Plan the joints that do, or, if it does stand still, give "
-                '"fixed": true beside "base"',
-            ),
-            (
-                row != 0 and self.fixed,
-                'is moved by the planned joints: leave out "fixed": true',
-            ),
-            (
-                (moves[:, row] == moves[:, link]).all(),
-                f"and end effector {self.end_effector or robot.end_effector!r} do not move against "
-                "each other: name another frame, or leave the region out",
-            ),
-        ):
-            if refused:
-                raise InvalidInputError(f"base {self.base!r} {why}")
+        if (moves[:, row] == moves[:, link]).all():
+            raise InvalidInputError(
+                f"base {self.base!r} and end effector {self.end_effector or robot.end_effector!r} "
+                "do not move against each other: name another frame, or leave the region out"
+            )
         return (row, T_link_base @ self.T0_w), (link, T_link_e)
 
     def reference_poses(self, robot: Robot, q: np.ndarray) -> np.ndarray:

@@ -127,16 +127,20 @@ def solved_way(query: Query, observation: Observation, tries: int = 6) -> CodePr
     return replace(found, goals=states[-1:], ways=(states,))
 
 
-def straight_lines(
-    choose: CodePredictor | None, query: Query, observation: Observation
-) -> CodeProposal:
-    """Straight lines from the start to goals; nothing is checked.
-
-    choose: its goals are taken, which says what its choice is worth; None: the three nearest ones.
-    """
-    goals, timings = query.nearest_goals(3), Timings()
-    if choose is not None:
-        found = choose(query, observation)
-        goals, timings = found.goals, found.timings
+def straight_lines(query: Query, goals: np.ndarray) -> CodeProposal:
+    """Straight lines from the start to goals (k, n); nothing is checked."""
     ways = tuple(np.stack([query.start, goal]) for goal in goals)
-    return CodeProposal(query.uniform, timings, goals=goals, ways=ways)
+    return CodeProposal(query.uniform, goals=goals, ways=ways)
+
+
+def lines_to_nearest_goals(query: Query, observation: Observation) -> CodeProposal:
+    """Straight lines to the three nearest goals."""
+    return straight_lines(query, query.nearest_goals(3))
+
+
+def lines_to_predicted_goals(
+    predict: CodePredictor, query: Query, observation: Observation
+) -> CodeProposal:
+    """Straight lines to the goals that a predictor chooses: what its choice of goals is worth."""
+    found = predict(query, observation)
+    return replace(straight_lines(query, found.goals), timings=found.timings)

@@ -366,7 +366,8 @@ class LinkPositions:
 
     def positions(self, q: Tensor) -> Tensor:
         """Positions (..., 3 k) [m, robot base frame] of joints q (..., n) [rad or m]."""
-        assert self._chain is not None
+        if self._chain is None:
+            raise InvalidInputError("link positions need the dataset's kinematics; it has none")
         flat = q.reshape(-1, q.shape[-1])
         cosine, sine = flat.cos(), flat.sin()
         x, y, z = (self._rotation[0, :, axis].expand(len(flat), 3) for axis in range(3))

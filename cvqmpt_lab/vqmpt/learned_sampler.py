@@ -35,11 +35,12 @@ from cvqmpt_lab.sensing.observation import CameraSettings, Observer
 from cvqmpt_lab.vqmpt.code_predictors import (
     CodePredictor,
     CodeProposal,
+    lines_to_nearest_goals,
+    lines_to_predicted_goals,
     network_codes,
     oracle_codes,
     random_codes,
     solved_way,
-    straight_lines,
 )
 from cvqmpt_lab.vqmpt.codebook import (
     Codebook,
@@ -273,7 +274,7 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
     predictors: dict[str, CodePredictor] = {
         "random": partial(random_codes, len(codebook.vectors)),
         "solved": solved_way,
-        "nearest-lines": partial(straight_lines, None),
+        "nearest-lines": lines_to_nearest_goals,
         "oracle": partial(oracle_codes, read),
     }
     predict = predictors.get(choice.predictor)
@@ -283,7 +284,7 @@ def learned(robot: Robot, model: str, name: str, choice: SamplerChoice) -> Stage
         nodes = dictionary_nodes(model_of(model), robot)
         predict = partial(network_codes, predictor, choice.sequences == "all-beams", nodes)
         if choice.predictor == "transformer-lines":
-            predict = partial(straight_lines, predict)
+            predict = partial(lines_to_predicted_goals, predict)
         clouds: dict[str, Callable[[Scene], np.ndarray]] = {
             "own-cloud": observer(),
             # controls, which see another scene or nothing

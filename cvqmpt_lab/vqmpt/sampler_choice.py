@@ -80,43 +80,39 @@ class SamplerChoice:
         for name, known in CHOICES.items():
             require_choice(f"{name} of a learned sampler", getattr(self, name), known)
         along, every = self.gaussians == "along", self.reading == "every-waypoint"
-        way, still = "along" if along else "every-waypoint", "along" if along else "uniform"
+        if self.sequences == "all-beams" and self.predictor != "transformer":
+            raise InvalidInputError(
+                f"all-beams goes with predictor transformer, not {self.predictor}"
+            )
+        # predictors without configurations from start to goal
+        if (along or every) and self.predictor in ("published", "random", "uniform"):
+            word = "along" if along else "every-waypoint"
+            raise InvalidInputError(
+                f"{word} needs a path or sequence: predictor {self.predictor} has none"
+            )
         # codes of these are read along the way
         of_ways = self.predictor in ("solved", "transformer-lines", "nearest-lines")
-        # these have no configurations from start to goal
-        without = self.predictor in ("published", "random", "uniform")
-        for refused, why in (
-            (
-                self.sequences == "all-beams" and self.predictor != "transformer",
-                f"all-beams goes with predictor transformer, not {self.predictor}",
-            ),
-            (
-                (along or every) and without,
-                f"{way} needs a path or sequence: predictor {self.predictor} has none",
-            ),
-            (
-                of_ways and not (along or every),
-                f"predictor {self.predictor} has no codes of its own: add every-waypoint or along",
-            ),
-            (
-                self.update != "none" and (along or self.predictor == "uniform"),
-                f"{self.update} moves codes: {still} has none; leave one of them out",
-            ),
-            (
-                not 0.0 <= self.uniform_share <= 1.0,
-                f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1",
-            ),
-            (
-                not self.reach > 0.0,
-                f"reach {self.reach} of a learned sampler: give more than 0 [rad]; inf is no limit",
-            ),
-            (
-                not 0.0 < self.std < math.inf,
-                f"std {self.std} of a learned sampler: give a number above 0 [rad]",
-            ),
-        ):
-            if refused:
-                raise InvalidInputError(why)
+        if of_ways and not (along or every):
+            raise InvalidInputError(
+                f"predictor {self.predictor} has no codes of its own: add every-waypoint or along"
+            )
+        if self.update != "none" and (along or self.predictor == "uniform"):
+            word = "along" if along else "uniform"
+            raise InvalidInputError(
+                f"{self.update} moves codes: {word} has none; leave one of them out"
+            )
+        if not 0.0 <= self.uniform_share <= 1.0:
+            raise InvalidInputError(
+                f"uniform share {self.uniform_share} of a learned sampler: give 0 to 1"
+            )
+        if not self.reach > 0.0:
+            raise InvalidInputError(
+                f"reach {self.reach} of a learned sampler: give more than 0 [rad]; inf is no limit"
+            )
+        if not 0.0 < self.std < math.inf:
+            raise InvalidInputError(
+                f"std {self.std} of a learned sampler: give a number above 0 [rad]"
+            )
 
     @classmethod
     def of(cls, text: str, wide_share: float = 0.15) -> Self:

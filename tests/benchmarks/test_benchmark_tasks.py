@@ -79,11 +79,13 @@ def test_the_mirrored_kitchen_is_the_same_modules_on_the_other_side():
 
 @pytest.mark.parametrize("suite", SUITES)
 def test_suites_know_their_problems(suite):
-    """What is none of them is refused: cli/commands.csv."""
-    last = suite_named(suite).problems[-1]
+    first, last = (suite_named(suite).problems[end] for end in (0, -1))
     if suite.startswith("motion-bench"):
         return  # needs an archive, see test_motion_bench
     assert suite_named(suite).item(last).name.partition("/")[0] == str(last)
+    for index in (-1, last + 1, 1000):
+        told = f"problem {index} of suite {suite}.*{first} to {last}"
+        refused(told, suite_named(suite).item, index)
 
 
 def test_a_problem_without_a_start_is_refused():
