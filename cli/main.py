@@ -16,7 +16,7 @@ from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError
 
 COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
     "plan": ("plan", "plan one problem and print a short report"),
-    "certify": ("execute", "judge a path or trajectory, or every path of a run again"),
+    "certify": ("certify", "judge a path or trajectory, or every path of a run again"),
     "execute": ("execute", "execute a motion or task in a physics simulation"),
     "studio": ("plan", "drag start, goal and obstacles in the browser; the path follows"),
     "reproduce": ("reproduce", "run a suite of problems or tasks and write its rows and tables"),
@@ -33,7 +33,7 @@ COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
         "show what is understood of a robot's description, or list the arms that have a name",
     ),
     "check-tables": ("tables", "run a little again and compare with what is expected"),
-    "data": ("reproduce", "make training paths"),
+    "data": ("data", "make training paths"),
     "train": ("model", "train the dictionary, the sequence model or MPNet"),
     "model": ("model", "show weights, convert published ones"),
     "bench": (
@@ -112,6 +112,17 @@ class Parser(argparse.ArgumentParser):
         return super().format_help()
 
 
+class Version(argparse.Action):
+    """Print the version and exit; it is looked up only then."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """Print the version and exit."""
+        from importlib.metadata import version
+
+        print(f"cvqmpt_lab {version('cvqmpt-lab')}")
+        parser.exit()
+
+
 def command_named(name: str) -> tuple[Any, Any]:
     """Function and options of a command (see `options.add_options`); imports its module."""
     module = importlib.import_module(f"cli.{COMMANDS[name][0]}_command")
@@ -135,7 +146,7 @@ def parser_with(filled: Collection[str]) -> Parser:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="store_true", help="print the version")
+    parser.add_argument("--version", action=Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, (_, summary) in COMMANDS.items():
         sub = commands.add_parser(
@@ -187,13 +198,7 @@ def _meant(parser: Parser, command: str, word: str) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run a subcommand; errors of the package become one line and exit code 2."""
     try:
-        words = sys.argv[1:] if argv is None else argv
-        if words[:1] == ["--version"]:
-            from importlib.metadata import version
-
-            print(f"cvqmpt_lab {version('cvqmpt-lab')}")
-            return 0
-        args = _parsed(words)
+        args = _parsed(sys.argv[1:] if argv is None else argv)
         if not gc.isenabled():  # see entry_point
             gc.freeze()
             gc.enable()

@@ -1,0 +1,84 @@
+"""`cvqmpt certify`: judge a path or trajectory of anyone's, or every path of a run again."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
+from cli.problem_options import PROBLEM, ROBOT, problem_asked, robot_source
+from cvqmpt_lab.certificate_record import record, report_lines
+from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.motion_check import dry_run
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.trajectory.trajectory import read_motion
+
+
+def run(args: argparse.Namespace) -> int:
+    """Judge and print; exit code 1 when anything is refused or not proven."""
+    if args.path.is_dir():
+        ours = args.suite, args.problem_file, args.current, args.clearance
+        if any(given is not None for given in ours) or robot_source(args):
+            raise InvalidInputError(
+                "the rows of a run name their problems and robots; give the directory alone"
+            )
+        return _certify_run(args.path, args.problems_dir, args.json)
+    why = "goes with the directory of a run; name one file: --problem-file"
+    refuse_given(args, ["problems_dir"], why)
+    motion = read_motion(args.path)
+    problem = problem_asked(args)
+    if not isinstance(problem, PlanningProblem):
+        raise InvalidInputError(
+            f"suite {args.suite} is of tasks; certify the directory of a run, or one problem"
+        )
+    found = dry_run(problem, motion, args.current, args.tolerance)
+    contents = record(problem, motion, found)
+    lines = report_lines(found, contents)
+    print(json.dumps(contents, indent=1, allow_nan=False) if args.json else "\n".join(lines))
+    return 0 if found.certificate.valid else 1
+
+
+def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> int:
+    from experiments.replay import recertify
+
+    summary = {"paths": 0, "certified": 0, "refused": 0}
+    troubles = []
+    for judged in recertify(directory, problems_dir):
+        certified = judged.certificate is not None and judged.certificate.valid
+        summary["paths"] += 1
+        summary["certified" if certified else "refused"] += 1
+        if judged.trouble:
+            row = judged.row
+            troubles.append(f"{row.problem} {row.planner} seed {row.seed}: {judged.trouble}")
+            log(troubles[-1])
+    if as_json:
+        print(json.dumps({**summary, "troubles": troubles}, indent=1))
+    else:
+        counted = ", ".join(f"{count} {what}" for what, count in summary.items())
+        print(f"{counted}, {len(troubles)} unlike their rows")
+    return 1 if troubles else 0
+
+
+OPTIONS: Options = {
+    "path": option(
+        "states, or a trajectory with times, which is dry-run too; or the directory of a run",
+        type=Path,
+        metavar="PATH.csv|PATH.json|DIR",
+    ),
+    **PROBLEM,
+    "another robot for --problem-file": ROBOT,
+    "--problems-dir": option(
+        "with the directory of a run of problem files: their folder", type=Path, metavar="DIR"
+    ),
+    "--current": option(
+        "where the arm stands now, in quotes [rad]: the motion begins there",
+        type=lambda text: np.array(numbers("--current", text)),
+        metavar="Q",
+    ),
+    "--tolerance": option(
+        "how far from there it may begin (0.01)", type=positive, default=0.01, metavar="RAD"
+    ),
+    "--json": option("print one json object instead, with all that was compared", **FLAG),
+}
+COMMANDS = {"certify": (run, OPTIONS)}

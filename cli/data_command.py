@@ -1,0 +1,86 @@
+"""`cvqmpt data`: make training data."""
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+from cli.options import (
+    Options,
+    ProgressBar,
+    log,
+    not_negative_int,
+    one_of,
+    option,
+    own_command,
+    positive_int,
+)
+from cli.problem_options import ROBOT, robot_source
+from cvqmpt_lab.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.labels.generation import PANDA, PathRecipe, SceneRecipe, Shard, generate
+from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
+from cvqmpt_lab.scene.families import FAMILIES
+from cvqmpt_lab.warm_up import compile_kernels
+from experiments.executors import Lost, local_processes
+from experiments.run import default_jobs
+
+LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": RoadmapRecipe}
+
+
+def run(args: argparse.Namespace) -> None:
+    """Generate the shards that --out does not have yet."""
+    families, robot = tuple(args.family.split(",")), robot_source(args) or PANDA
+    more = {}
+    if args.dictionary is not None:
+        if args.labels != "roadmap":
+            raise InvalidInputError("--dictionary is for --labels roadmap; leave it out")
+        more["model"] = args.dictionary
+    recipe = LABELS[args.labels](
+        args.scenes, args.paths_per_scene, families, args.seed, robot=robot, **more
+    )
+    compile_kernels(log)
+
+    def in_processes(make: Callable[[int], Shard], numbers: list[int]) -> Iterator[Shard]:
+        with local_processes(args.jobs) as executor:
+            for number, shard in executor.results(make, numbers):
+                if isinstance(shard, Lost):
+                    raise CvqmptError(f"shard {number}: {shard.detail}; what was finished is kept")
+                yield shard
+
+    generate(recipe, args.out, own_command(), ProgressBar("data"), in_processes)
+    print((args.out / "README.md").read_text())
+
+
+OPTIONS: Options = {
+    "action": option("generate", type=one_of("action", ("generate",))),
+    "--scenes": option(
+        "number of scenes, of all families", type=positive_int, required=True, metavar="N"
+    ),
+    "--paths-per-scene": option(
+        "pairs of start and goal tried per scene (50)", type=positive_int, default=50, metavar="M"
+    ),
+    "--family": option(
+        f"families of scenes: {', '.join(FAMILIES)} (all in turn)",
+        default=",".join(FAMILIES),
+        metavar="A,B",
+    ),
+    "--labels": option(
+        f"{' or '.join(LABELS)}: near-shortest paths, or a roadmap's free nodes and edges and its "
+        "shortest paths (paths)",
+        type=one_of("kind of labels", LABELS),
+        default="paths",
+    ),
+    "--dictionary --model": option(
+        "dictionary of --labels roadmap: --out of `cvqmpt train stage1` (the shipped one, of the "
+        "Panda)",
+        metavar="DIR",
+    ),
+    "--seed": option("seed of scenes and paths (0)", type=not_negative_int, default=0),
+    "--jobs": option(
+        "processes (one per core)", type=positive_int, default=default_jobs(), metavar="J"
+    ),
+    "--out": option(
+        "folder of the data; continued if it exists", type=Path, required=True, metavar="DIR"
+    ),
+    "another robot than the Panda": ROBOT,
+}
+COMMANDS = {"data": (run, OPTIONS)}
