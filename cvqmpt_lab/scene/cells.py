@@ -88,10 +88,19 @@ def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -
     return OccupancyMap(distinct((place - first).astype(np.int64)) + first, resolution, padding)
 
 
-def distinct(index: np.ndarray) -> np.ndarray:
-    """Sorted distinct rows (k, 3) of indices (m, 3) >= 0."""
+def distinct(index: np.ndarray, dense: int = 1 << 26) -> np.ndarray:
+    """Sorted distinct rows (k, 3) of indices (m, 3) >= 0.
+
+    They are marked in a boolean grid if it has up to `dense` bytes, which is faster than sorting.
+    """
     across = tuple(index.max(axis=0) + 1)
-    keys = np.unique(np.ravel_multi_index(tuple(index.T), across))
+    keys = np.ravel_multi_index(tuple(index.T), across)
+    if np.prod(across) <= dense:
+        taken = np.zeros(across, dtype=bool)
+        taken.ravel()[keys] = True
+        keys = np.flatnonzero(taken)
+    else:
+        keys = np.unique(keys)
     return np.stack(np.unravel_index(keys, across), axis=1)
 
 
@@ -134,5 +143,9 @@ def seen_points(shape: Measured) -> FloatArray:
     across = tuple(from_one.max(axis=0) + 2)
     keys = np.ravel_multi_index(tuple(from_one.T), across)
     steps = np.array([across[1] * across[2], across[2], 1])
-    inside = np.all([np.isin(keys + step, keys) for step in (*steps, *-steps)], axis=0)
+    taken = np.sort(keys)
+    inside = np.ones(len(keys), dtype=bool)
+    for step in (*steps, *-steps):
+        place = np.searchsorted(taken, keys + step).clip(max=len(taken) - 1)
+        inside &= taken[place] == keys + step
     return shape.centres[~inside]

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from cvqmpt_lab.codec import Checked
 from cvqmpt_lab.errors import InvalidInputError
@@ -386,11 +385,15 @@ def measured(
 
 def _edges(view: View, least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Least and largest depth around each pixel; mask of edges of more than `least` [m]."""
-    images = view.depth, np.where(np.isfinite(view.depth), view.depth, -np.inf), view.solid
-    # of each pixel and its neighbours (height, width, 3, 3)
-    depth, seen, solid = (
-        sliding_window_view(np.pad(image, 1, mode="edge"), (3, 3)) for image in images
-    )
-    near, far = depth.min(axis=(2, 3)), seen.max(axis=(2, 3))
-    other = (solid != view.solid[..., None, None]).any(axis=(2, 3))
+    height, width = view.depth.shape
+    depth = np.pad(view.depth, 1, mode="edge")
+    near, far = view.depth.copy(), np.where(np.isfinite(view.depth), view.depth, -np.inf)
+    other = np.zeros((height, width), dtype=bool)
+    solid = np.pad(view.solid, 1, mode="edge")
+    for down in range(3):
+        for right in range(3):
+            around = depth[down : down + height, right : right + width]
+            np.minimum(near, around, out=near)
+            np.maximum(far, around, out=far, where=np.isfinite(around))
+            other |= solid[down : down + height, right : right + width] != view.solid
     return near, far, other & (far > near + least)
