@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
-from cli.problem_options import PROBLEM, ROBOT, problem_asked, robot_source
-from cvqmpt_lab.certificate_record import record, report_lines
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.motion_check import dry_run
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.certificate.motion_check import dry_run
+from cvqmpt_lab.certificate.record import record, report_lines
+from cvqmpt_lab.cli.options import FLAG, Options, log, numbers, option, positive, refuse_given
+from cvqmpt_lab.cli.problem_options import PROBLEM, ROBOT, problem_asked, robot_source
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.trajectory.trajectory import read_motion
 
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _certify_run(directory: Path, problems_dir: Path | None, as_json: bool) -> int:
-    from experiments.replay import recertify
+    from cvqmpt_lab.experiments.replay import recertify
 
     summary = {"paths": 0, "certified": 0, "refused": 0}
     troubles = []

@@ -4,7 +4,8 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from cli.options import (
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError
+from cvqmpt_lab.cli.options import (
     Options,
     ProgressBar,
     log,
@@ -14,14 +15,13 @@ from cli.options import (
     own_command,
     positive_int,
 )
-from cli.problem_options import ROBOT, robot_source
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError
-from cvqmpt_lab.labels.generation import PANDA, PathRecipe, SceneRecipe, Shard, generate
-from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
+from cvqmpt_lab.cli.problem_options import ROBOT, robot_source
+from cvqmpt_lab.experiments.executors import Lost, local_processes
+from cvqmpt_lab.experiments.run import default_jobs
+from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.scene.families import FAMILIES
-from cvqmpt_lab.warm_up import compile_kernels
-from experiments.executors import Lost, local_processes
-from experiments.run import default_jobs
+from cvqmpt_lab.training.generation import PANDA, PathRecipe, SceneRecipe, Shard, generate
+from cvqmpt_lab.training.roadmap_labels import RoadmapRecipe
 
 LABELS: Mapping[str, type[SceneRecipe]] = {"paths": PathRecipe, "roadmap": RoadmapRecipe}
 

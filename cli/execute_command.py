@@ -7,7 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cli.options import (
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import make_folder
+from cvqmpt_lab.certificate.motion_check import certified_motion, dry_run
+from cvqmpt_lab.cli.options import (
     FLAG,
     SEED,
     Options,
@@ -19,15 +22,14 @@ from cli.options import (
     positive,
     refuse_given,
 )
-from cli.plan_command import FILM, MARGIN
-from cli.problem_options import (
+from cvqmpt_lab.cli.plan_command import FILM, MARGIN
+from cvqmpt_lab.cli.problem_options import (
     BUDGET,
     PROBLEM,
     ROBOT,
     budget,
     problem_asked,
 )
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES,
     Execution,
@@ -38,10 +40,8 @@ from cvqmpt_lab.execution.execute import (
     require_simulated,
 )
 from cvqmpt_lab.execution.simulation import CONTROLLERS, Controller, mujoco_module
-from cvqmpt_lab.files import make_folder
-from cvqmpt_lab.margins import Margin, solve_with_margin
-from cvqmpt_lab.motion_check import certified_motion, dry_run
-from cvqmpt_lab.planners import default_planner, planner_named
+from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+from cvqmpt_lab.planning.planners import default_planner, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.solve import solve_task
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     """Plan unless a motion is given, execute, report; exit code 1 if not executed as planned."""
     mujoco_module()  # refused before anything is planned
     if args.suite == EXECUTED or args.out is not None:
-        from experiments.executed import TABLE, run_executed
+        from cvqmpt_lab.experiments.executed import TABLE, run_executed
 
         if args.suite != EXECUTED or args.out is None:
             raise InvalidInputError(f"--out goes with the suite {EXECUTED!r}, which needs it")

@@ -12,9 +12,9 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NoReturn
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, UnknownChoiceError, nearest
 
-COMMANDS = {  # by name: the module cli.NAME_command that has it, and a summary
+COMMANDS = {  # by name: the module cvqmpt_lab.cli.NAME_command that has it, and a summary
     "plan": ("plan", "plan one problem and print a short report"),
     "certify": ("certify", "judge a path or trajectory, or every path of a run again"),
     "execute": ("execute", "execute a motion or task in a physics simulation"),
@@ -125,7 +125,7 @@ class Version(argparse.Action):
 
 def command_named(name: str) -> tuple[Any, Any]:
     """Function and options of a command (see `options.add_options`); imports its module."""
-    module = importlib.import_module(f"cli.{COMMANDS[name][0]}_command")
+    module = importlib.import_module(f"cvqmpt_lab.cli.{COMMANDS[name][0]}_command")
     return module.COMMANDS[name]
 
 
@@ -156,7 +156,7 @@ def parser_with(filled: Collection[str]) -> Parser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         if name in filled:
-            from cli.options import add_options
+            from cvqmpt_lab.cli.options import add_options
 
             add_options(sub, command_named(name)[1])
     return parser

@@ -8,7 +8,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cli.options import (
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.errors import InvalidInputError, require_installed
+from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.cli.options import (
     FLAG,
     ONE_OF,
     Options,
@@ -21,9 +24,6 @@ from cli.options import (
     positive,
     positive_int,
 )
-from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, require_installed
-from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.vqmpt.weights import (
     SHIPPED,

@@ -12,8 +12,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cvqmpt_lab.errors import InvalidInputError, require_choice
-from cvqmpt_lab.files import finite, require_regular_file
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.files import finite, require_regular_file
 
 # By names of options (`-v --verbose`), arguments of argparse's add_argument; by a title, a group.
 Options = Mapping[str, Mapping[str, Any]]

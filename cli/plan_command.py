@@ -14,7 +14,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.options import (
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import csv_table, make_folder, write_text
+from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
+from cvqmpt_lab.cli.options import (
     FLAG,
     REACH,
     REPEATED,
@@ -30,7 +33,7 @@ from cli.options import (
     refuse_given,
     writable_file,
 )
-from cli.problem_options import (
+from cvqmpt_lab.cli.problem_options import (
     BUDGET,
     PROBLEM,
     ROBOT,
@@ -42,19 +45,16 @@ from cli.problem_options import (
     robot_source,
     with_clearance,
 )
-from cli.scan_command import MOTION, SCAN, arm_of, motion_given, motion_problem, scanned
-from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import csv_table, make_folder, write_text
-from cvqmpt_lab.margins import Margin, solve_with_margin
-from cvqmpt_lab.pipeline import Solution
-from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named
+from cvqmpt_lab.cli.scan_command import MOTION, SCAN, arm_of, motion_given, motion_problem, scanned
+from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+from cvqmpt_lab.planning.pipeline import Solution
+from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_named
+from cvqmpt_lab.planning.solution_report import solution_data, solution_lines
+from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
 from cvqmpt_lab.problem import PlanningProblem, with_projected_start
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import SLOW, Robot
-from cvqmpt_lab.solution_report import solution_data, solution_lines
 from cvqmpt_lab.tasks.task import Task
-from cvqmpt_lab.warm_up import compile_kernels, warm_up
 
 if TYPE_CHECKING:
     from cvqmpt_lab.tasks.solve import TaskSolution
@@ -181,7 +181,7 @@ def _problem_or_task(args: argparse.Namespace) -> PlanningProblem | Task:
 
 def _write_trajectory(args: argparse.Namespace, solution: Solution) -> str:
     """Time the certified path, certify and write the motion; return the line to print."""
-    from cvqmpt_lab.motion_check import certified_motion
+    from cvqmpt_lab.certificate.motion_check import certified_motion
     from cvqmpt_lab.trajectory.timing import TimingSettings
     from cvqmpt_lab.trajectory.trajectory import save_trajectory
 

@@ -10,7 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from cli.options import (
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import InvalidInputError, mapping
+from cvqmpt_lab.base.files import read_json_object
+from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
+from cvqmpt_lab.cli.options import (
     REPEATED,
     Options,
     not_negative,
@@ -19,13 +23,9 @@ from cli.options import (
     positive,
     positive_int,
 )
-from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
-from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidInputError, mapping
-from cvqmpt_lab.files import read_json_object
-from cvqmpt_lab.planners import PLANNERS
+from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import group_states, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot

@@ -14,7 +14,26 @@ from pathlib import Path
 import numpy as np
 
 import cvqmpt_lab
-from cli.options import (
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    UnknownChoiceError,
+    located,
+    mapping,
+    require_choice,
+)
+from cvqmpt_lab.base.files import (
+    json_object,
+    json_text,
+    make_folder,
+    read_json_object,
+    read_text,
+    write_text,
+)
+from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.motion_bench import ARCHIVE, ROBOTS, fetch
+from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
+from cvqmpt_lab.cli.options import (
     EXACTLY_ONE_OF,
     FLAG,
     SEED,
@@ -25,30 +44,11 @@ from cli.options import (
     positive_int,
     writable_file,
 )
-from cli.problem_options import ROBOT, pose_region, robot_source
-from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.motion_bench import ARCHIVE, ROBOTS, fetch
-from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.cli.problem_options import ROBOT, pose_region, robot_source
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, find_in_region
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import (
-    InvalidInputError,
-    UnknownChoiceError,
-    located,
-    mapping,
-    require_choice,
-)
-from cvqmpt_lab.files import (
-    json_object,
-    json_text,
-    make_folder,
-    read_json_object,
-    read_text,
-    write_text,
-)
-from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.urdf import read_urdf

@@ -8,7 +8,10 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from cli.options import (
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import write_text
+from cvqmpt_lab.benchmarks.suite import SUITES, folder_suite, suite_named
+from cvqmpt_lab.cli.options import (
     ONE_OF,
     REACH,
     SEED,
@@ -22,26 +25,23 @@ from cli.options import (
     positive_int,
     refuse_given,
 )
-from cli.problem_options import (
+from cvqmpt_lab.cli.problem_options import (
     BUDGET,
     budget,
     optimize_budget,
     optimize_option,
     planner_list,
 )
-from cli.tables_command import page_of, show_tables, verdict_lines, write_report
-from cvqmpt_lab.benchmarks.suite import SUITES, folder_suite, suite_named
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import write_text
-from cvqmpt_lab.planners import PLANNERS
+from cvqmpt_lab.cli.tables_command import page_of, show_tables, verdict_lines, write_report
+from cvqmpt_lab.experiments.experiment import PROFILES, Experiment, parts_of, planners_of
+from cvqmpt_lab.experiments.figures.code_update import UpdateSettings
+from cvqmpt_lab.experiments.figures.paper import FIGURES, reproduce_figure, summary
+from cvqmpt_lab.experiments.run import default_jobs, executor_for, run_experiment
+from cvqmpt_lab.paper_tables.suites import render_directory
+from cvqmpt_lab.planning.planners import PLANNERS
+from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE
 from cvqmpt_lab.tasks.task import Task
-from cvqmpt_lab.warm_up import compile_kernels
-from experiments.experiment import PROFILES, Experiment, parts_of, planners_of
-from experiments.figures.code_update import UpdateSettings
-from experiments.figures.paper import FIGURES, reproduce_figure, summary
-from experiments.run import default_jobs, executor_for, run_experiment
-from paper_tables.suites import render_directory
 
 ALL = "all"
 FIXED = (

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cli.options import FLAG, Options, option, writable_file
-from cli.problem_options import ROBOT_DETAILS, robot_options
+from cvqmpt_lab.cli.options import FLAG, Options, option, writable_file
+from cvqmpt_lab.cli.problem_options import ROBOT_DETAILS, robot_options
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.robot.dynamics import without_effort_limit
 from cvqmpt_lab.robot.hulls import OVERLAP

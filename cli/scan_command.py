@@ -12,7 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from cli.options import (
+from cvqmpt_lab.base.codec import field_kinds, from_plain, to_plain
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.files import json_object, json_text, write_text
+from cvqmpt_lab.cli.options import (
     REPEATED,
     Options,
     file_of_kind,
@@ -24,14 +27,11 @@ from cli.options import (
     refuse_given,
     writable_file,
 )
-from cli.problem_options import ROBOT, chosen_robot, configuration, pose_region
-from cvqmpt_lab.codec import field_kinds, from_plain, to_plain
+from cvqmpt_lab.cli.problem_options import ROBOT, chosen_robot, configuration, pose_region
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidInputError, require_choice
-from cvqmpt_lab.files import json_object, json_text, write_text
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud

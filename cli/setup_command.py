@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 from packaging.requirements import Requirement
 
-from cli.main import THREADS
-from cli.options import Options, log, one_of, option, positive_int, writable_file
-from cvqmpt_lab.errors import CvqmptError, install_command
-from cvqmpt_lab.files import write_text
+from cvqmpt_lab.base.errors import CvqmptError, install_command
+from cvqmpt_lab.base.files import write_text
+from cvqmpt_lab.cli.main import THREADS
+from cvqmpt_lab.cli.options import Options, log, one_of, option, positive_int, writable_file
 
 BENCHES = ("stages", "paper-check")
 REMOVED = dict.fromkeys(
@@ -100,7 +100,7 @@ def _weights() -> Iterator[Finding]:
 
 def _kernels() -> Finding:
     try:
-        from cvqmpt_lab.jit import compiled_before, folder
+        from cvqmpt_lab.base.jit import compiled_before, folder
     except ImportError as error:
         cure = "pip install --force-reinstall numba llvmlite"
         return Finding("kernels", f"numba cannot be used: {error}", cure)
@@ -114,7 +114,7 @@ def _kernels() -> Finding:
 
 def warmup(args: argparse.Namespace) -> None:
     """Compile every kernel ahead of time, or load what is compiled."""
-    from cvqmpt_lab.warm_up import compile_kernels
+    from cvqmpt_lab.planning.warm_up import compile_kernels
 
     seconds = compile_kernels(lambda text: print(text, flush=True))
     print(f"kernels ready after {seconds:.1f} s")
@@ -122,9 +122,9 @@ def warmup(args: argparse.Namespace) -> None:
 
 def bench(args: argparse.Namespace) -> None:
     """Measure and print a table."""
-    from cvqmpt_lab.warm_up import compile_kernels
-    from experiments.paper_check import paper_check
-    from experiments.stage_times import stage_times, tuning_problems
+    from cvqmpt_lab.experiments.paper_check import paper_check
+    from cvqmpt_lab.experiments.stage_times import stage_times, tuning_problems
+    from cvqmpt_lab.planning.warm_up import compile_kernels
 
     compile_kernels(log)
     if args.bench == "stages":

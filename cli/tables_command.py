@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cli.options import (
+from cvqmpt_lab.base.errors import InvalidInputError, in_checkout
+from cvqmpt_lab.base.files import write_bytes, write_text
+from cvqmpt_lab.cli.options import (
     FLAG,
     REPEATED,
     Options,
@@ -18,15 +20,12 @@ from cli.options import (
     refuse_given,
     writable_file,
 )
-from cli.problem_options import planner_list
-from cvqmpt_lab.errors import InvalidInputError, in_checkout
-from cvqmpt_lab.files import write_bytes, write_text
-from cvqmpt_lab.results.store import directory_rows
-from experiments import regression
-from experiments.regression import EXPECTED
-from paper_tables import pages
-from paper_tables.claims import Evidence, banner, evidence_below, judged_claims
-from paper_tables.committed import (
+from cvqmpt_lab.cli.problem_options import planner_list
+from cvqmpt_lab.experiments import regression
+from cvqmpt_lab.experiments.regression import EXPECTED
+from cvqmpt_lab.paper_tables import pages
+from cvqmpt_lab.paper_tables.claims import Evidence, banner, evidence_below, judged_claims
+from cvqmpt_lab.paper_tables.committed import (
     RESULTS,
     committed_directories,
     committed_pages,
@@ -36,8 +35,9 @@ from paper_tables.committed import (
     stale_pages,
     untraceable,
 )
-from paper_tables.suites import render_directory
-from paper_tables.writers import text_lines
+from cvqmpt_lab.paper_tables.suites import render_directory
+from cvqmpt_lab.paper_tables.writers import text_lines
+from cvqmpt_lab.results.store import directory_rows
 
 
 def show_tables(directory: Path) -> None:
@@ -49,7 +49,7 @@ def show_tables(directory: Path) -> None:
 
 def write_report(directory: Path, out: Path | None = None) -> None:
     """Write one html file about results, into their folder unless `out` is given; print where."""
-    from experiments.replay import first_path
+    from cvqmpt_lab.experiments.replay import first_path
 
     found = pages.evidence_of(directory)
     text = pages.report_html(found, ProgressBar("report"), first_path(found))
@@ -60,7 +60,12 @@ def write_report(directory: Path, out: Path | None = None) -> None:
 
 def compare(args: argparse.Namespace) -> int:
     """Pair two runs of the same problems and print what changed."""
-    from paper_tables.compare_runs import clear, compared, comparison_lines, planners_of_one
+    from cvqmpt_lab.paper_tables.compare_runs import (
+        clear,
+        compared,
+        comparison_lines,
+        planners_of_one,
+    )
 
     before, after = directory_rows(args.before), directory_rows(args.after)
     found, alone = compared(before, after), planners_of_one(before, after)
@@ -83,7 +88,7 @@ def compare(args: argparse.Namespace) -> int:
 
 def _rule(text: str) -> Any:
     """The type of --fail-if."""
-    from paper_tables.compare_runs import Rule
+    from cvqmpt_lab.paper_tables.compare_runs import Rule
 
     return Rule.read(text)
 
@@ -148,8 +153,8 @@ def check_tables(args: argparse.Namespace) -> int:
     """
     if args.folder is None:
         return _check_ours(args)
-    from cvqmpt_lab.warm_up import compile_kernels
-    from experiments.run import default_jobs
+    from cvqmpt_lab.experiments.run import default_jobs
+    from cvqmpt_lab.planning.warm_up import compile_kernels
 
     if args.all or args.results != RESULTS:
         raise InvalidInputError("--all and --results go without a folder of problem files")
@@ -192,7 +197,7 @@ def _told(found: Mapping[str, Sequence[str]]) -> int:
 
 def _check_ours(args: argparse.Namespace) -> int:
     """Re-run a tiny profile; compare it and all tables with those committed."""
-    from experiments.experiment import models_of
+    from cvqmpt_lab.experiments.experiment import models_of
 
     of_folder = ("planners", "seeds", "iterations", "jobs")
     refuse_given(args, of_folder, "goes with a folder of problem files; name it")

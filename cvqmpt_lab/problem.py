@@ -34,7 +34,9 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from cvqmpt_lab.codec import Document, OneOrMore
+from cvqmpt_lab.base.codec import Document, OneOrMore
+from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
+from cvqmpt_lab.base.values import TURN, Array, Condition, FloatArray, Name, frozen
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.solids import reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import (
@@ -50,7 +52,6 @@ from cvqmpt_lab.constraints.task_space_region import (
     RegionConstraint,
     TaskSpaceRegionChain,
 )
-from cvqmpt_lab.errors import InvalidProblemError, mapping, unique
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -63,7 +64,6 @@ from cvqmpt_lab.scene.scene import (
     refuse_far_poses,
 )
 from cvqmpt_lab.scene.scene_files import with_files_read
-from cvqmpt_lab.values import TURN, Array, Condition, FloatArray, Name, frozen
 
 
 class RobotForm:

@@ -13,8 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.base.files import csv_table, read_text, write_text
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.certificate.motion_check import certified_motion
 from cvqmpt_lab.execution.execute import (
     CONTACT_TIMES,
     Execution,
@@ -23,15 +25,13 @@ from cvqmpt_lab.execution.execute import (
     execute_motion,
     execute_task,
 )
-from cvqmpt_lab.files import csv_table, read_text, write_text
-from cvqmpt_lab.margins import Margin, solve_with_margin
-from cvqmpt_lab.motion_check import certified_motion
+from cvqmpt_lab.paper_tables.measures import grouped
+from cvqmpt_lab.planning.margins import Margin, solve_with_margin
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import solve_task
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.trajectory.timing import TimingSettings
-from paper_tables.measures import grouped
 
 MOTIONS, TASKS = ("place-task-with-can", 50), ("multi-sequence", 10)
 CONTROLLERS = ("computed-torque", "computed-torque-unknown-load")

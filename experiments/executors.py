@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, require_installed
-from cvqmpt_lab.processes import end_with_parent, limit_memory
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, require_installed
+from cvqmpt_lab.base.processes import end_with_parent, limit_memory
 from cvqmpt_lab.results.row import FailReason
 
 CONNECT_S = 10  # for a scheduler to answer [s]

@@ -7,10 +7,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cvqmpt_lab.base.errors import InvalidInputError, located, require_choice, whole_number
 from cvqmpt_lab.benchmarks.suite import Suite, suite_named
-from cvqmpt_lab.errors import InvalidInputError, located, require_choice, whole_number
-from cvqmpt_lab.external import is_external
-from cvqmpt_lab.planners import PLANNERS, Method, is_removed, planner_named, require_fit
+from cvqmpt_lab.external.door import is_external
+from cvqmpt_lab.paper_tables.suites import SUITES
+from cvqmpt_lab.planning.planners import PLANNERS, Method, is_removed, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason, ResultRow, RowKey, one_line
 from cvqmpt_lab.search.anytime import check_units
@@ -18,7 +19,6 @@ from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
 from cvqmpt_lab.vqmpt.sampler_choice import PREFIX
 from cvqmpt_lab.vqmpt.weights import SHIPPED, resolve_model, weights_digest
-from paper_tables.suites import SUITES
 
 # what is committed, three hours on two cores, and a little of it, 1 to 3 minutes
 PROFILES = ("full", "small")

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.errors import require_installed
+from cvqmpt_lab.base.errors import require_installed
+from cvqmpt_lab.experiments.stage_times import CpuClock, Measured
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
-from experiments.stage_times import CpuClock, Measured
 
 STATES = 100  # random configurations that are checked
 Placement = tuple[list[float], list[float]]  # position [m] and quaternion (x, y, z, w)

@@ -16,18 +16,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, require_kind, whole_number
+from cvqmpt_lab.base.files import read_json_object, write_text
 from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, require_kind, whole_number
-from cvqmpt_lab.files import read_json_object, write_text
-from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.experiments.experiment import Experiment
+from cvqmpt_lab.experiments.run import executor_for, result_row, run_experiment
+from cvqmpt_lab.paper_tables.measures import grouped
+from cvqmpt_lab.paper_tables.statements import PUBLISHED
+from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import cpu_facts, provenance
 from cvqmpt_lab.search.result import Budget
-from experiments.experiment import Experiment
-from experiments.run import executor_for, result_row, run_experiment
-from paper_tables.measures import grouped
-from paper_tables.statements import PUBLISHED
 
 EXPECTED = PUBLISHED.parent / "expected" / "place_task.json"
 SCHEMA = "cvqmpt-expectations/1"

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError, RunStoreError
 from cvqmpt_lab.benchmarks.item import SensedProblem
 from cvqmpt_lab.benchmarks.suite import SUITES, Suite, folder_suite, suite_named
-from cvqmpt_lab.certificate import Certificate, certify
-from cvqmpt_lab.errors import InvalidInputError, RunStoreError
+from cvqmpt_lab.certificate.certificate import Certificate, certify
+from cvqmpt_lab.paper_tables.claims import Evidence
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in
 from cvqmpt_lab.results.row import ResultRow
@@ -19,7 +20,6 @@ from cvqmpt_lab.results.store import directory_rows, stored_paths
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.tasks.world import phase_problems
-from paper_tables.claims import Evidence
 
 
 class Recertified(NamedTuple):

@@ -15,13 +15,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import cvqmpt_lab
+from cvqmpt_lab.base.caches import sources_digest
+from cvqmpt_lab.base.errors import CvqmptError, whole_number
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
-from cvqmpt_lab.caches import sources_digest
-from cvqmpt_lab.certificate import Clearance, FaultKind, certify
-from cvqmpt_lab.errors import CvqmptError, whole_number
-from cvqmpt_lab.external import external_planner
-from cvqmpt_lab.pipeline import Solution, solve, with_sampled_goals
+from cvqmpt_lab.certificate.certificate import Clearance, FaultKind, certify
+from cvqmpt_lab.experiments.executors import Executor, Lost, dask_cluster, local_processes
+from cvqmpt_lab.experiments.experiment import Experiment, Run, externals_of, weights_of
+from cvqmpt_lab.external.door import external_planner
+from cvqmpt_lab.planning.pipeline import Solution, solve, with_sampled_goals
+from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, one_line, phase_problem
@@ -30,9 +34,6 @@ from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
 from cvqmpt_lab.tasks.task import Task
 from cvqmpt_lab.vqmpt.sampler_choice import SamplerChoice
-from cvqmpt_lab.warm_up import compile_kernels
-from experiments.executors import Executor, Lost, dask_cluster, local_processes
-from experiments.experiment import Experiment, Run, externals_of, weights_of
 
 
 class Outcome(NamedTuple):
@@ -274,9 +275,9 @@ def default_jobs() -> int:
 
 def _installed(experiment: Experiment) -> dict[str, object]:
     """Digests of the sources and of the planners' weights on this machine: they decide rows."""
-    root = Path(__file__).resolve().parents[1]
+    library = Path(cvqmpt_lab.__file__).parent
     return {
-        "sources": sources_digest(root / "cvqmpt_lab", root / "experiments"),
+        "sources": sources_digest(library, library / "experiments"),
         "weights": weights_of(experiment.planners, experiment.model),
         "problem files": experiment.digests,
         "planners": externals_of(experiment.planners),

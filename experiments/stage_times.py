@@ -12,8 +12,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
-from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.certificate.certificate import certify
+from cvqmpt_lab.planning.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import Uniform

@@ -8,15 +8,15 @@ from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cvqmpt_lab.paper_tables.judging import LEVEL, Verdict, Word, overall
+from cvqmpt_lab.paper_tables.measures import VALUES, Pair, Rows, grouped, paired
+from cvqmpt_lab.paper_tables.multi_sequence_table import task_rows, task_table
+from cvqmpt_lab.paper_tables.statements import CLAIMS, PREDICTED, Claim, PublishedValue
+from cvqmpt_lab.paper_tables.suites import suite_of
+from cvqmpt_lab.paper_tables.writers import Lines
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions
 from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, ResultRow, read_rows, split_problem
 from cvqmpt_lab.results.statistics import problem_key
-from paper_tables.judging import LEVEL, Verdict, Word, overall
-from paper_tables.measures import VALUES, Pair, Rows, grouped, paired
-from paper_tables.multi_sequence_table import task_rows, task_table
-from paper_tables.statements import CLAIMS, PREDICTED, Claim, PublishedValue
-from paper_tables.suites import suite_of
-from paper_tables.writers import Lines
 
 
 class Evidence(NamedTuple):

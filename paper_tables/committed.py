@@ -8,16 +8,16 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, in_checkout
-from cvqmpt_lab.files import read_text
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, in_checkout
+from cvqmpt_lab.base.files import read_text
+from cvqmpt_lab.paper_tables import pages
+from cvqmpt_lab.paper_tables.claims import Evidence, judged_claims
+from cvqmpt_lab.paper_tables.quoted import Quoted
+from cvqmpt_lab.paper_tables.statements import PUBLISHED
+from cvqmpt_lab.paper_tables.suites import rendered_tables
+from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
-from paper_tables import pages
-from paper_tables.claims import Evidence, judged_claims
-from paper_tables.quoted import Quoted
-from paper_tables.statements import PUBLISHED
-from paper_tables.suites import rendered_tables
-from paper_tables.table_engine import by_planner
 
 RESULTS = PUBLISHED.parent / "results"
 README = PUBLISHED.parent.parent / "README.md"
@@ -150,7 +150,7 @@ def committed_pages(found: Mapping[str, Evidence]) -> dict[Path, str]:
 
 def committed_pictures(found: Mapping[str, Evidence]) -> dict[Path, bytes]:
     """Pictures of all committed rows: every comparison of the claims, and the cost of a check."""
-    from paper_tables import plots  # matplotlib takes a second to import
+    from cvqmpt_lab.paper_tables import plots  # matplotlib takes a second to import
 
     verdicts = [verdict for item in judged_claims(found) for verdict in item.verdicts]
     task = by_planner(found["place-task"].rows, ())

@@ -6,11 +6,11 @@ import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.paper_tables.measures import VALUES, Rows, fraction, mean_ratio, paired, solved
+from cvqmpt_lab.paper_tables.table_engine import by_planner
+from cvqmpt_lab.paper_tables.writers import Lines, change, number
 from cvqmpt_lab.results.statistics import Interval
-from paper_tables.measures import VALUES, Rows, fraction, mean_ratio, paired, solved
-from paper_tables.table_engine import by_planner
-from paper_tables.writers import Lines, change, number
 
 COMPARED = {
     "time": VALUES["time"],

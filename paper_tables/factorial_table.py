@@ -7,11 +7,8 @@ from itertools import product
 from operator import attrgetter
 from typing import NamedTuple
 
-from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.statistics import Interval
-from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED, PREFIX
-from paper_tables import table_engine as table
-from paper_tables.measures import (
+from cvqmpt_lab.paper_tables import table_engine as table
+from cvqmpt_lab.paper_tables.measures import (
     REFERENCE,
     VALUES,
     WORK,
@@ -25,8 +22,11 @@ from paper_tables.measures import (
     share_of,
     solved,
 )
-from paper_tables.statements import PublishedValue
-from paper_tables.table_engine import Column, SuiteTable
+from cvqmpt_lab.paper_tables.statements import PublishedValue
+from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
+from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.statistics import Interval
+from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED, PREFIX
 
 PREDICTORS = (  # in their order in the table
     *("uniform", "nearest-lines", "transformer-lines"),

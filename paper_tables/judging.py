@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.paper_tables.measures import Pair
+from cvqmpt_lab.paper_tables.statements import Claim
+from cvqmpt_lab.paper_tables.writers import Lines
 from cvqmpt_lab.results.statistics import CONFIDENCE, UNDEFINED, Interval, student_interval
-from paper_tables.measures import Pair
-from paper_tables.statements import Claim
-from paper_tables.writers import Lines
 
 NOTHING = "–"
 REACHED = 0.9  # of the paper's number is as good as all of it; within 1 / REACHED is no difference

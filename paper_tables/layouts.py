@@ -4,9 +4,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 
-from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE, ResultRow, split_problem
-from paper_tables import table_engine as table
-from paper_tables.measures import (
+from cvqmpt_lab.paper_tables import table_engine as table
+from cvqmpt_lab.paper_tables.measures import (
     NEWTON_STEP_COST,
     RATIOS,
     REFERENCE,
@@ -22,9 +21,10 @@ from paper_tables.measures import (
     solved,
     solved_within,
 )
-from paper_tables.statements import PublishedValue
-from paper_tables.table_engine import Column, Entry, SuiteTable
-from paper_tables.writers import Lines, Sections, number
+from cvqmpt_lab.paper_tables.statements import PublishedValue
+from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
+from cvqmpt_lab.paper_tables.writers import Lines, Sections, number
+from cvqmpt_lab.results.row import BY_ROLLOUTS, ROLLOUTS_ALONE, ResultRow, split_problem
 
 # ---------------------------------------------------------------- like the paper's Table I
 

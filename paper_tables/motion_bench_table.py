@@ -6,9 +6,8 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
-from paper_tables.layouts import CONSTRAINT_NOTES, CURVE, GROUP_COLUMNS, group_table
-from paper_tables.measures import (
+from cvqmpt_lab.paper_tables.layouts import CONSTRAINT_NOTES, CURVE, GROUP_COLUMNS, group_table
+from cvqmpt_lab.paper_tables.measures import (
     REFERENCE,
     VALUES,
     Rows,
@@ -18,9 +17,10 @@ from paper_tables.measures import (
     paired,
     work,
 )
-from paper_tables.statements import PublishedValue
-from paper_tables.table_engine import Column, SuiteTable, rows_of_one_suite
-from paper_tables.writers import Lines, Sections, estimate
+from cvqmpt_lab.paper_tables.statements import PublishedValue
+from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable, rows_of_one_suite
+from cvqmpt_lab.paper_tables.writers import Lines, Sections, estimate
+from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
 
 # there is no problem to solve; a planner had no part in it
 LEFT_OUT: Mapping[str, str] = {

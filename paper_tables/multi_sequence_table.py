@@ -6,9 +6,8 @@ A row is one planned phase. Times of a task are sums over all phases, or those t
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
-from paper_tables import table_engine as table
-from paper_tables.measures import (
+from cvqmpt_lab.paper_tables import table_engine as table
+from cvqmpt_lab.paper_tables.measures import (
     Measure,
     grouped,
     mean_of,
@@ -16,9 +15,10 @@ from paper_tables.measures import (
     share_of,
     solved,
 )
-from paper_tables.statements import CBIRRT, PublishedValue
-from paper_tables.table_engine import Column, Entry, SuiteTable
-from paper_tables.writers import Lines, number
+from cvqmpt_lab.paper_tables.statements import CBIRRT, PublishedValue
+from cvqmpt_lab.paper_tables.table_engine import Column, Entry, SuiteTable
+from cvqmpt_lab.paper_tables.writers import Lines, number
+from cvqmpt_lab.results.row import PAPER_PHASES, FailReason, ResultRow, sorted_rows, split_problem
 
 # that a time sums over
 PHASES: Mapping[str, Collection[str] | None] = {"paper": PAPER_PHASES, "all": None}

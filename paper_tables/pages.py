@@ -13,10 +13,8 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
-from cvqmpt_lab.results.row import ResultRow
-from paper_tables.claims import (
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.paper_tables.claims import (
     Evidence,
     JudgedClaim,
     banner,
@@ -25,8 +23,8 @@ from paper_tables.claims import (
     price_lines,
     read_evidence,
 )
-from paper_tables.judging import LEVEL, NOTHING, POWER, REACHED, Word, verdict_lines
-from paper_tables.measures import (
+from cvqmpt_lab.paper_tables.judging import LEVEL, NOTHING, POWER, REACHED, Word, verdict_lines
+from cvqmpt_lab.paper_tables.measures import (
     NEWTON_STEP_COST,
     REFERENCE,
     RESIDUAL_COST,
@@ -39,11 +37,13 @@ from paper_tables.measures import (
     paired,
     work,
 )
-from paper_tables.quoted import short
-from paper_tables.statements import BECAUSE, CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
-from paper_tables.suites import Suite, suite_of, table_of
-from paper_tables.table_engine import by_planner
-from paper_tables.writers import Lines, change, markdown_table
+from cvqmpt_lab.paper_tables.quoted import short
+from cvqmpt_lab.paper_tables.statements import BECAUSE, CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
+from cvqmpt_lab.paper_tables.suites import Suite, suite_of, table_of
+from cvqmpt_lab.paper_tables.table_engine import by_planner
+from cvqmpt_lab.paper_tables.writers import Lines, change, markdown_table
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
+from cvqmpt_lab.results.row import ResultRow
 
 PAGE = PUBLISHED.parent / "README.md"
 COMPARED = {"time [%]": "known_time", "work [%]": "work", "length [%]": "path_length"}
@@ -60,7 +60,7 @@ def rendered(template: str, **data: Any) -> str:
     """A template of `templates/` with its data; in html, text from rows is escaped."""
     html = template.endswith(".html.j2")
     environment = Environment(
-        loader=PackageLoader("paper_tables", "templates"),
+        loader=PackageLoader("cvqmpt_lab.paper_tables", "templates"),
         autoescape=html,
         undefined=StrictUndefined,
         trim_blocks=not html,
@@ -265,7 +265,7 @@ def evidence_of(directory: Path) -> dict[str, Evidence]:
 
 def section_of(evidence: Evidence) -> dict[str, Any]:
     """Everything that the report says of a results directory."""
-    from paper_tables import plots  # matplotlib takes a second to import
+    from cvqmpt_lab.paper_tables import plots  # matplotlib takes a second to import
 
     rows, name = evidence.rows, evidence.folder.name
     suite = rows[0].suite if rows else name
@@ -291,7 +291,7 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
 
 def _plots(groups: Mapping[str, Rows]) -> dict[str, dict[str, str]]:
     """Plots of rows, by title: as svg, and what is seen in words."""
-    from paper_tables import plots
+    from cvqmpt_lab.paper_tables import plots
 
     length = VALUES["path_length"]
     boxes = "A box holds the middle half of the runs, its line is the median, whiskers hold 90 %."

@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from cvqmpt_lab.results.row import ResultRow
-from paper_tables.judging import Verdict, Word
-from paper_tables.measures import (
+from cvqmpt_lab.paper_tables.judging import Verdict, Word
+from cvqmpt_lab.paper_tables.measures import (
     REFERENCE,
     STATE_CHECK_COST,
     Value,
@@ -24,6 +23,7 @@ from paper_tables.measures import (
     paired,
     time_at,
 )
+from cvqmpt_lab.results.row import ResultRow
 
 Groups = Mapping[str, Sequence[ResultRow]]  # rows by planner
 STYLE: Any = {

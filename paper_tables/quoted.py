@@ -3,10 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from cvqmpt_lab.results.row import split_problem
-from paper_tables.claims import Evidence
-from paper_tables.factorial_table import CONTRASTS
-from paper_tables.measures import (
+from cvqmpt_lab.paper_tables.claims import Evidence
+from cvqmpt_lab.paper_tables.factorial_table import CONTRASTS
+from cvqmpt_lab.paper_tables.measures import (
     REFERENCE,
     VALUES,
     Rows,
@@ -16,7 +15,8 @@ from paper_tables.measures import (
     paired,
     problem_median,
 )
-from paper_tables.writers import estimate, number
+from cvqmpt_lab.paper_tables.writers import estimate, number
+from cvqmpt_lab.results.row import split_problem
 
 
 @dataclass(frozen=True)

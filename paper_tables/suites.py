@@ -10,13 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cvqmpt_lab.files import write_text
-from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
-from cvqmpt_lab.results.row import ResultRow
-from cvqmpt_lab.results.store import directory_rows
-from paper_tables.factorial_table import PLANNERS as PRODUCTS
-from paper_tables.factorial_table import factorial_table
-from paper_tables.layouts import (
+from cvqmpt_lab.base.files import write_text
+from cvqmpt_lab.paper_tables.factorial_table import PLANNERS as PRODUCTS
+from cvqmpt_lab.paper_tables.factorial_table import factorial_table
+from cvqmpt_lab.paper_tables.layouts import (
     ARM_NOTES,
     CONSTRAINT_NOTES,
     GROUP_COLUMNS,
@@ -25,11 +22,14 @@ from paper_tables.layouts import (
     peer_table,
     place_table,
 )
-from paper_tables.measures import WORK, median_of, solved_within
-from paper_tables.motion_bench_table import motion_bench_table
-from paper_tables.multi_sequence_table import task_table
-from paper_tables.statements import PublishedValue, read_published
-from paper_tables.table_engine import Column, SuiteTable, rows_of_one_suite
+from cvqmpt_lab.paper_tables.measures import WORK, median_of, solved_within
+from cvqmpt_lab.paper_tables.motion_bench_table import motion_bench_table
+from cvqmpt_lab.paper_tables.multi_sequence_table import task_table
+from cvqmpt_lab.paper_tables.statements import PublishedValue, read_published
+from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable, rows_of_one_suite
+from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
+from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.store import directory_rows
 
 LEARNED = ("mpnet", "mpnet-bridged", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned")
 QUICK = ("birrt", "birrt-printed", "cells", "ompl-projected", *LEARNED, "roadmap", "roadmap-cvq")
@@ -214,7 +214,7 @@ SUITES: Mapping[str, Suite] = {
         amounts=(Amount(cutoff=5.0), Amount(profile="small", problems=20, cutoff=2.0)),
         table=partial(group_table, what="arm", notes=ARM_NOTES),
     ),
-    # the last five planners are entry points, see `experiments.peers`; not everybody has them
+    # the last five planners are entry points of `cvqmpt_lab.experiments.peers`, with an extra
     "peers": Suite(
         title="Planners of others, place task with a single goal",
         planners=(

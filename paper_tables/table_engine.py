@@ -5,14 +5,19 @@ from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import csv_table
-from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows, split_problem
-from cvqmpt_lab.results.statistics import Interval, jointly_solved
-from paper_tables import writers
-from paper_tables.measures import REFERENCE, Measure, Rows, SuiteRuns, grouped, split_by_work
-from paper_tables.statements import PublishedValue
-from paper_tables.writers import (
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import csv_table
+from cvqmpt_lab.paper_tables import writers
+from cvqmpt_lab.paper_tables.measures import (
+    REFERENCE,
+    Measure,
+    Rows,
+    SuiteRuns,
+    grouped,
+    split_by_work,
+)
+from cvqmpt_lab.paper_tables.statements import PublishedValue
+from cvqmpt_lab.paper_tables.writers import (
     Lines,
     Sections,
     bounds,
@@ -21,6 +26,8 @@ from paper_tables.writers import (
     number,
     text_lines,
 )
+from cvqmpt_lab.results.row import FailReason, ResultRow, sorted_rows, split_problem
+from cvqmpt_lab.results.statistics import Interval, jointly_solved
 
 
 @dataclass(frozen=True)

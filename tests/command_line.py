@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from cli.main import main
+from cvqmpt_lab.cli.main import main
 
 SCAN_START = "-0.9,0.3,0,-2.0,0,2.3,0.8"  # of the arm in the scan that tests share
 ROOT = Path(__file__).resolve().parents[1]
@@ -38,7 +38,7 @@ def python(code, *words, **changes):
 def start(words, before=None, **changes):
     """Start `cvqmpt WORDS` in a session of its own; `before` is called in the new process first."""
     return subprocess.Popen(
-        [sys.executable, "-m", "cli.main", *map(str, words)],
+        [sys.executable, "-m", "cvqmpt_lab.cli.main", *map(str, words)],
         env=environment(**changes),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 
 DATA = Path(__file__).resolve().parent / "data"
 REFUSALS = (InvalidInputError, UnknownChoiceError)  # their lines tell them apart

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from command_line import python
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import place_problem
-from cvqmpt_lab.certificate import FaultKind, Verdict, certify
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.certificate.certificate import FaultKind, Verdict, certify
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
@@ -73,7 +73,7 @@ def test_paths_of_another_shape_are_rejected(problem, shape):
 AFTER_OTHERS = """
 import sys
 import numpy as np
-from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.search.result import JointPath
 from cvqmpt_lab.benchmarks.place_task import place_problem
 problem, rng = place_problem(2), np.random.default_rng(1)

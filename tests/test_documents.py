@@ -11,7 +11,7 @@ import nbformat
 import pytest
 
 import cvqmpt_lab
-from cli.main import COMMANDS, examples_of, main, parser_with
+from cvqmpt_lab.cli.main import COMMANDS, examples_of, main, parser_with
 from cvqmpt_lab.trajectory.timing import time_path
 from cvqmpt_lab.trajectory.trajectory import save_trajectory
 

@@ -9,10 +9,15 @@ from pathlib import Path
 import pytest
 from refusals import refused
 
-from cvqmpt_lab import caches
-from cvqmpt_lab.caches import cache_folder, trusted_cache
-from cvqmpt_lab.errors import LONGEST_LINE, InvalidInputError, RunStoreError, UnknownChoiceError
-from cvqmpt_lab.files import (
+from cvqmpt_lab.base import caches
+from cvqmpt_lab.base.caches import cache_folder, trusted_cache
+from cvqmpt_lab.base.errors import (
+    LONGEST_LINE,
+    InvalidInputError,
+    RunStoreError,
+    UnknownChoiceError,
+)
+from cvqmpt_lab.base.files import (
     json_value,
     locked,
     make_folder,

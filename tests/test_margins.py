@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cvqmpt_lab.constraints.between_states import least_slack
+from cvqmpt_lab.base.poses import rotation_matrices
+from cvqmpt_lab.certificate.between_states import least_slack
 from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.margins import NO_MARGIN, Margin, solve_with_margin, with_margin
-from cvqmpt_lab.poses import rotation_matrices
+from cvqmpt_lab.planning.margins import NO_MARGIN, Margin, solve_with_margin, with_margin
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import solve_task
 

@@ -22,6 +22,7 @@ from cvqmpt_lab.vqmpt.weights import SHIPPED
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PACKAGES = ("cvqmpt_lab", "paper_tables", "experiments", "cli")
+LINKED = PACKAGES[1:]  # folders at the top that `cvqmpt_lab` holds by links
 EXTRAS = PROJECT["optional-dependencies"]
 RUNTIME = [Requirement(text) for text in PROJECT["dependencies"]]
 DECLARED = [*RUNTIME, *map(Requirement, EXTRAS["dev"] + EXTRAS["docs"] + EXTRAS["train"])]
@@ -127,15 +128,25 @@ def test_the_plan_of_the_house_names_every_room():
     package = ROOT / "cvqmpt_lab"
     found = {path.stem for path in package.glob("*.py")} - {"__init__"}
     found |= {f"{path.parent.name}/" for path in package.glob("*/__init__.py")}
-    assert rooms == found
+    assert rooms == found - {f"{name}/" for name in LINKED}
+
+
+@pytest.mark.parametrize("name", LINKED)
+def test_folders_at_the_top_are_parts_of_the_package_by_links(name):
+    link = ROOT / "cvqmpt_lab" / name
+    assert link.is_symlink() and link.resolve() == ROOT / name
 
 
 @cache
 def modules():
     """The file of each module; a package has the name of its folder."""
     files = [file for name in PACKAGES for file in (ROOT / name).rglob("*.py")]
-    relative = {file: file.relative_to(ROOT).with_suffix("").parts for file in files}
-    return {".".join(part for part in relative[f] if part != "__init__"): f for f in files}
+    names = {}
+    for file in files:
+        parts = file.relative_to(ROOT).with_suffix("").parts
+        parts = parts if parts[0] == "cvqmpt_lab" else ("cvqmpt_lab", *parts)
+        names[".".join(part for part in parts if part != "__init__")] = file
+    return names
 
 
 def imported(file, known):

@@ -9,14 +9,14 @@ import pytest
 from refusals import refused
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.base.processes import end_with_parent, one_thread
 from cvqmpt_lab.benchmarks.place_task import place_problem
-from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.pipeline import NEAR_GOALS, solve, solve_many, with_sampled_goals
-from cvqmpt_lab.planners import Method
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.pipeline import NEAR_GOALS, solve, solve_many, with_sampled_goals
+from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.processes import end_with_parent, one_thread
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import ConvexMesh, Cylinder, PointCloud, Sphere

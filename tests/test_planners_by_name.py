@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab import warm_up
 from cvqmpt_lab.benchmarks.place_task import door_problem, place_problem
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planners import CONTROLS, PLANNERS, planner_named
+from cvqmpt_lab.planning import warm_up
+from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.planning.planners import CONTROLS, PLANNERS, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene

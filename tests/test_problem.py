@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from refusals import DATA, refused
 
+from cvqmpt_lab.base.errors import InvalidProblemError
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import door_problem, place_problem
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
-from cvqmpt_lab.errors import InvalidProblemError
-from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem, with_usable_goals
 from cvqmpt_lab.robot.load import group_states
 from cvqmpt_lab.scene.scene import Scene, SceneObject

@@ -23,7 +23,7 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     skip = shutil.ignore_patterns("__pycache__")
     for name in PACKAGES:
-        shutil.copytree(ROOT / name, folder / "tree" / name, ignore=skip)
+        shutil.copytree(ROOT / name, folder / "tree" / name, symlinks=True, ignore=skip)
     for name in ("pyproject.toml", "README.md", "LICENSE", "LICENSES.md"):
         shutil.copy(ROOT / name, folder / "tree")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
@@ -45,8 +45,14 @@ def test_it_holds_every_module_and_all_data(site):
     for name in PACKAGES:
         found = (path for pattern in DATA for path in (ROOT / name).rglob(pattern))
         wanted = [path.relative_to(ROOT) for path in found if path.suffix != ".pyc"]
-        assert wanted and [path for path in wanted if not (site / path).is_file()] == []
-        assert all(filecmp.cmp(ROOT / path, site / path, shallow=False) for path in wanted)
+        inside = site if name == "cvqmpt_lab" else site / "cvqmpt_lab"
+        assert wanted and [path for path in wanted if not (inside / path).is_file()] == []
+        assert all(filecmp.cmp(ROOT / path, inside / path, shallow=False) for path in wanted)
+
+
+def test_it_installs_no_other_name_than_the_package(site):
+    installed = {path.name for path in site.iterdir() if not path.name.endswith(".dist-info")}
+    assert installed == {"bin", "cvqmpt_lab"}
 
 
 def test_it_plans_from_an_empty_folder(site, tmp_path):
@@ -55,7 +61,7 @@ def test_it_plans_from_an_empty_folder(site, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "status      solved" in done.stdout and "certificate valid" in done.stdout
     assert list(tmp_path.iterdir()) == []
-    found = run(site, tmp_path, ["-c", "import cli.main, cvqmpt_lab; print(cvqmpt_lab.__file__)"])
+    found = run(site, tmp_path, ["-c", "import cvqmpt_lab.cli.main; print(cvqmpt_lab.__file__)"])
     assert Path(found.stdout.strip()) == site / "cvqmpt_lab" / "__init__.py"
 
 

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import GRIP, carried_can, handle_region, place_problem
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import line, plane
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, upright_box
-from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.load import panda, robot_from_source

@@ -7,9 +7,10 @@ from typing import Any, get_args
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import rigid
+from cvqmpt_lab.base.values import TURN
 from cvqmpt_lab.constraints.task_space_region import Axis
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.robot.hulls import convex_hull
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
@@ -17,7 +18,6 @@ from cvqmpt_lab.robot.source import FINGER_OPENING, read_source
 from cvqmpt_lab.robot.urdf import Joint, read_urdf
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.values import TURN
 
 BAR = 0.014  # [m] thickness of a bar
 

@@ -26,8 +26,11 @@ from pathlib import Path
 
 import numpy as np
 
+from cvqmpt_lab.base.caches import cache_folder, trusted_cache, written_by_owner_only
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import make_folder, read_bytes, write_bytes, yaml_value
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.caches import cache_folder, trusted_cache, written_by_owner_only
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.named import upper_axis
 from cvqmpt_lab.constraints.task_space_region import (
@@ -36,9 +39,6 @@ from cvqmpt_lab.constraints.task_space_region import (
     symmetric_region,
     upright,
 )
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import make_folder, read_bytes, write_bytes, yaml_value
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason, phase_problem
 from cvqmpt_lab.robot.load import robot_from_source

@@ -27,8 +27,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from cvqmpt_lab.base.codec import to_plain
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import pose, rigid
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
-from cvqmpt_lab.codec import to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import (
@@ -38,9 +40,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegionChain,
     upright_box,
 )
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.pipeline import drawn_goals, with_sampled_goals
-from cvqmpt_lab.poses import pose, rigid
+from cvqmpt_lab.planning.pipeline import drawn_goals, with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, shared_checker
 from cvqmpt_lab.results.row import PAPER_PHASES, FailReason
 from cvqmpt_lab.robot.load import FINGER_OPENING, panda, robot_from_source

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.benchmarks.family_task import PANDA, upright_problem
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import CAN, CRACKER_BOX, DOOR, DOOR_ANGLE, MUSTARD_BOTTLE
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.robot.load import robot_from_source

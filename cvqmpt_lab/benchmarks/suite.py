@@ -13,6 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import (
     ENVIRONMENTS,
@@ -24,8 +26,6 @@ from cvqmpt_lab.benchmarks.place_task import (
     place_problem,
     single_goal_problem,
 )
-from cvqmpt_lab.errors import InvalidInputError, require_choice
-from cvqmpt_lab.files import read_json_object
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import natural_key, one_line
 from cvqmpt_lab.robot.robot import SLOW

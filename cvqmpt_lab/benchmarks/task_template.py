@@ -6,6 +6,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import pose, rigid
 from cvqmpt_lab.benchmarks.hold_handle import BAR, Grip, hold_of
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import (
@@ -16,9 +18,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import (
     solve_poses,
 )
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.margins import Margin
-from cvqmpt_lab.poses import pose, rigid
+from cvqmpt_lab.planning.margins import Margin
 from cvqmpt_lab.robot.robot import SLOW
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import solve_task

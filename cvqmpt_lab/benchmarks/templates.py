@@ -9,8 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.two_arms import two_arms_template
-from cvqmpt_lab.codec import from_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, hand_reach
 from cvqmpt_lab.constraints.named import upper_axis
@@ -22,9 +24,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegion,
     upright,
 )
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot

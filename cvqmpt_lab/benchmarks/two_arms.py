@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import pose, rigid
 from cvqmpt_lab.benchmarks.hold_handle import outward, pieces_of
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import with_first_goal
@@ -23,9 +25,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import (
 )
 from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion, symmetric_region
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.poses import pose, rigid
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import phase_problem
 from cvqmpt_lab.robot.kinematics import link_poses

@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.caches import cached_arrays
+from cvqmpt_lab.base.caches import cached_arrays
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.jit import SOURCES
+from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.collision.covers import ANY_RADIUS, Cloud
 from cvqmpt_lab.collision.geometry import (
     CELL,
@@ -22,13 +25,10 @@ from cvqmpt_lab.collision.geometry import (
 )
 from cvqmpt_lab.collision.separation import BOX, CYLINDER, HULL, SPHERE, ConvexShapes
 from cvqmpt_lab.collision.solids import carried_pairs, reach_with
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.jit import SOURCES
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Measured, Shape, Sphere
-from cvqmpt_lab.values import frozen
 
 
 @lru_cache(maxsize=8)

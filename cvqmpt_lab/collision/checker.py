@@ -8,9 +8,9 @@ as collisions.
 
 import numpy as np
 
+from cvqmpt_lab.base.jit import kernel
 from cvqmpt_lab.collision.distance_grid import REACH, cell_of, known_distance
 from cvqmpt_lab.collision.separation import box_separated, compose, separated
-from cvqmpt_lab.jit import kernel
 
 
 @kernel(inline="machine")

@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.jit import entry
+from cvqmpt_lab.base.jit import entry
 
 LARGEST_RADIUS = 0.08  # [m] pieces are cut until their ball is this small
 MOST_PIECES = 8  # per shape; more only while a ball is larger than ANY_RADIUS

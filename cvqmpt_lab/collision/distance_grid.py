@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.jit import entry, kernel
+from cvqmpt_lab.base.jit import entry, kernel
 
 NEAREST, FARTHEST = -0.1, 0.15  # [m] clearances of edges are cut off here
 RANGE = 0.3  # [m] distances are cut off here

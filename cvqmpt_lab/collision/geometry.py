@@ -11,6 +11,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.covers import (
     Cloud,
     Piece,
@@ -35,7 +36,6 @@ from cvqmpt_lab.collision.separation import (
     SPHERE,
     ConvexShapes,
 )
-from cvqmpt_lab.errors import InvalidInputError
 
 CELL = 0.04  # [m] of the distance grid
 

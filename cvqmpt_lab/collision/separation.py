@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.jit import kernel
+from cvqmpt_lab.base.jit import kernel
 
 _ORIGIN = (0.0, 0.0, 0.0)
 _FLAT = 1e-12

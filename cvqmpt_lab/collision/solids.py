@@ -6,7 +6,7 @@ from typing import NamedTuple
 import coal
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import blocks_of
 from cvqmpt_lab.scene.coal_shapes import coal_shape

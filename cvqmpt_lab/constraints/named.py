@@ -5,7 +5,17 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
-from cvqmpt_lab.codec import COMMENT, field_kinds, from_plain
+from cvqmpt_lab.base.codec import COMMENT, field_kinds, from_plain
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    at,
+    mapping,
+    nearest,
+    require_choice,
+    shown,
+)
+from cvqmpt_lab.base.poses import Placement, Pose, pose, rigid
+from cvqmpt_lab.base.values import Angle, Condition, Name, frozen
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     Axis,
@@ -15,16 +25,6 @@ from cvqmpt_lab.constraints.task_space_region import (
     upright,
     upright_box,
 )
-from cvqmpt_lab.errors import (
-    InvalidInputError,
-    at,
-    mapping,
-    nearest,
-    require_choice,
-    shown,
-)
-from cvqmpt_lab.poses import Placement, Pose, pose, rigid
-from cvqmpt_lab.values import Angle, Condition, Name, frozen
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

@@ -13,8 +13,8 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
-from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
 DAMPING = 1e-9  # relative to the trace of J J^T

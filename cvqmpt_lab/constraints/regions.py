@@ -23,7 +23,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.jit import entry, kernel
+from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
 SMALL_ANGLE = 1e-5  # [rad] below it, series are exact to double precision

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvqmpt_lab.base.poses import rotation_matrices, rotation_vectors, tilts
 from cvqmpt_lab.constraints.task_space_region import ROWS, TOLERANCE, UNITS, TaskSpaceRegion
-from cvqmpt_lab.poses import rotation_matrices, rotation_vectors, tilts
 from cvqmpt_lab.robot.robot import Robot
 
 

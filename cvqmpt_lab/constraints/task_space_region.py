@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 
-from cvqmpt_lab.codec import Checked
+from cvqmpt_lab.base.codec import Checked
+from cvqmpt_lab.base.errors import InvalidInputError, shown
+from cvqmpt_lab.base.poses import Pose, rigid, rotation_matrices, tilts
+from cvqmpt_lab.base.values import TURN, Angle, FloatArray, Name, frozen, numbers
 from cvqmpt_lab.constraints.project import project, projection_scratch
 from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
-from cvqmpt_lab.errors import InvalidInputError, shown
-from cvqmpt_lab.poses import Pose, rigid, rotation_matrices, tilts
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.values import TURN, Angle, FloatArray, Name, frozen, numbers
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 TOLERANCE = 1e-4  # on |F|, OMPL's default

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.certificate import TOLERANCE
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import finite
+from cvqmpt_lab.certificate.certificate import TOLERANCE
 from cvqmpt_lab.constraints.report import displacements, excess
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.execution.mjcf import LOAD, Physics
 from cvqmpt_lab.execution.simulation import GRIP, OPEN, Contact, Controller, Sample, Simulation
-from cvqmpt_lab.files import finite
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot

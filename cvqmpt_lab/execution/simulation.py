@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, require_choice, require_installed
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice, require_installed
+from cvqmpt_lab.base.poses import rigid
 from cvqmpt_lab.execution.mjcf import ARMATURE, DAMPING, HAND, LOAD, Physics, mjcf_of
-from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.robot.dynamics import Dynamics, Load, without_effort_limit
 from cvqmpt_lab.robot.load import with_gripper
 from cvqmpt_lab.robot.robot import Robot

@@ -13,9 +13,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import RunStoreError, located
-from cvqmpt_lab.files import differences, read_json_object, write_text
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import RunStoreError, located
+from cvqmpt_lab.base.files import differences, read_json_object, write_text
 
 PROVENANCE_FILE = "provenance.json"
 

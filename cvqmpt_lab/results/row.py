@@ -15,15 +15,15 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cvqmpt_lab.errors import (
+from cvqmpt_lab.base.errors import (
     CvqmptError,
     InvalidInputError,
     RunStoreError,
     UnknownChoiceError,
     shown,
 )
-from cvqmpt_lab.files import csv_table, read_text, write_text
-from cvqmpt_lab.values import scalar
+from cvqmpt_lab.base.files import csv_table, read_text, write_text
+from cvqmpt_lab.base.values import scalar
 
 SCHEMA = "2"
 RUNS_FILE = "runs.csv"

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.errors import RunStoreError
-from cvqmpt_lab.files import locked, make_folder, read_bytes, write_bytes
+from cvqmpt_lab.base.errors import RunStoreError
+from cvqmpt_lab.base.files import locked, make_folder, read_bytes, write_bytes
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile
 from cvqmpt_lab.results.row import (
     RUNS_FILE,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.robot import JointLimits, Robot, axis_frames, in_link
 
 

@@ -15,9 +15,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.caches import cached_arrays, sources_digest
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import read_text
+from cvqmpt_lab.base.caches import cached_arrays, sources_digest
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import read_text
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
 from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry, in_link
 from cvqmpt_lab.robot.urdf import Urdf

@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.jit import entry, kernel
+from cvqmpt_lab.base.jit import entry, kernel
 
 _S = [(-1.0) ** k / float(np.prod(np.arange(1.0, 2 * k + 2))) for k in range(9)]  # 1 / (2 k + 1)!
 _C = [(-1.0) ** k / float(np.prod(np.arange(1.0, 2 * k + 1))) for k in range(9)]  # 1 / (2 k)!

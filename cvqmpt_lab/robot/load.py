@@ -13,8 +13,15 @@ from typing import Annotated, Any
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, mapping, require_choice, shown
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    UnknownChoiceError,
+    mapping,
+    require_choice,
+    shown,
+)
+from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.robot.hulls import (
     checked_pairs,
     hulls_of_meshes,
@@ -50,7 +57,6 @@ from cvqmpt_lab.robot.urdf import (
     one_coordinate_a_joint,
     read_urdf,
 )
-from cvqmpt_lab.values import Array, FloatArray
 
 MOST_REACH = 10.0  # [m] from the origin; the kernels' distance grid then takes 125 MB
 

@@ -12,12 +12,12 @@ from typing import Annotated, Literal
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.codec import Checked, to_plain
-from cvqmpt_lab.errors import InvalidInputError, require_choice, unique
-from cvqmpt_lab.poses import Pose
+from cvqmpt_lab.base.codec import Checked, to_plain
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice, unique
+from cvqmpt_lab.base.poses import Pose
+from cvqmpt_lab.base.values import Array, FloatArray, Length, Name
 from cvqmpt_lab.robot.hulls import convex_hull, link_geometry, require_volume
 from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, kinematics_arrays
-from cvqmpt_lab.values import Array, FloatArray, Length, Name
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from cvqmpt_lab.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.robot.kinematics import Kinematics
 from cvqmpt_lab.robot.urdf import HeldJoint
-from cvqmpt_lab.values import frozen
 
 
 class LeftOut(NamedTuple):

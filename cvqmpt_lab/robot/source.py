@@ -14,11 +14,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, mapping, unique
-from cvqmpt_lab.poses import Pose
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, located, mapping, unique
+from cvqmpt_lab.base.poses import Pose
+from cvqmpt_lab.base.values import FloatArray, numbers
 from cvqmpt_lab.robot.urdf import collada_unit
-from cvqmpt_lab.values import FloatArray, numbers
 
 ARTICULATED = "articulated"
 WHERE = "robot"  # the field's name in errors

@@ -15,15 +15,15 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
-from cvqmpt_lab.errors import (
+from cvqmpt_lab.base.errors import (
     InvalidInputError,
     located,
     require_choice,
     shown,
     unique,
 )
-from cvqmpt_lab.files import read_text
-from cvqmpt_lab.values import TURN, scalar
+from cvqmpt_lab.base.files import read_text
+from cvqmpt_lab.base.values import TURN, scalar
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.base.values import FloatArray
 from cvqmpt_lab.robot.hulls import hull_vertices
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, Part
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
-from cvqmpt_lab.values import FloatArray
 
 # [m] fixed objects closer than REST_GAP to the moving object become its casing, but stay obstacles
 # if the moving object penetrates them deeper than DEEPEST

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.values import FloatArray
 from cvqmpt_lab.scene.shapes import Measured, OccupancyMap, PointCloud, require_resolution
-from cvqmpt_lab.values import FloatArray
 
 MOST_BALLS = 1000  # clouds of more points are checked as boxes that contain their balls
 # edge of a cloud's cells, in radii of its balls; larger: fewer boxes, but more free space in them

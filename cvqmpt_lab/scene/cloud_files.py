@@ -16,9 +16,9 @@ from typing import Any
 import lzf
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, require_choice
-from cvqmpt_lab.files import read_bytes, write_bytes
-from cvqmpt_lab.values import FloatArray
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.files import read_bytes, write_bytes
+from cvqmpt_lab.base.values import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, require_choice, whole_number
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice, whole_number
+from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.base.values import FloatArray
 from cvqmpt_lab.scene.kitchen import PUBLISHED, kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, Sphere
-from cvqmpt_lab.values import FloatArray
 
 
 def random_scene(seed: int, n_cubes: int = 8, n_spheres: int = 8) -> Scene:

@@ -16,12 +16,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, require_choice
-from cvqmpt_lab.poses import pose, rigid
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.poses import pose, rigid
+from cvqmpt_lab.base.values import FloatArray, Length
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder
-from cvqmpt_lab.values import FloatArray, Length
 
 PUBLISHED: Mapping[str, float] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
 """Dimensions of the published kitchen [m], and its doors' range [rad], by name."""

@@ -19,11 +19,11 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.values import FloatArray
 from cvqmpt_lab.robot.urdf import collada_unit
 from cvqmpt_lab.scene.cloud_files import check_lengths, parsing, read_by_suffix
 from cvqmpt_lab.scene.shapes import MIN_THICKNESS, check_volume, thickness
-from cvqmpt_lab.values import FloatArray
 
 MOST_TRIANGLES = 200_000  # of a file
 MOST_PIECES = 48

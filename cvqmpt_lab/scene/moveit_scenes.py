@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import (
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import (
     InvalidInputError,
     UnknownChoiceError,
     at,
@@ -22,14 +22,14 @@ from cvqmpt_lab.errors import (
     require_choice,
     shown,
 )
-from cvqmpt_lab.files import yaml_value
-from cvqmpt_lab.poses import Placement, ros_vector
+from cvqmpt_lab.base.files import yaml_value
+from cvqmpt_lab.base.poses import Placement, ros_vector
+from cvqmpt_lab.base.values import FloatArray, numbers
 from cvqmpt_lab.robot.source import mesh_path
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
 from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, convex_pieces, read_mesh
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
-from cvqmpt_lab.values import FloatArray, numbers
 
 SOLIDS: Mapping[str, tuple[int, Callable[..., Shape]]] = {
     "box": (3, lambda *size: Box(size)),

@@ -18,11 +18,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from cvqmpt_lab.codec import Checked, from_plain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, at, shown, unique
-from cvqmpt_lab.poses import Pose, pose
+from cvqmpt_lab.base.codec import Checked, from_plain
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, at, shown, unique
+from cvqmpt_lab.base.poses import Pose, pose
+from cvqmpt_lab.base.values import FloatArray, Mass, Name
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Measured, OccupancyMap, Shape, bounding_radius
-from cvqmpt_lab.values import FloatArray, Mass, Name
 
 
 @dataclass(frozen=True, eq=False)

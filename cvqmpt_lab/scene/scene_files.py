@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import located
-from cvqmpt_lab.files import read_json_object
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import located
+from cvqmpt_lab.base.files import read_json_object
 from cvqmpt_lab.robot.source import with_absolute_paths
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.scene import Scene

@@ -12,9 +12,9 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.codec import Checked, Tagged
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.values import LARGEST, Array, FloatArray, Length, Name, Padding
+from cvqmpt_lab.base.codec import Checked, Tagged
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.values import LARGEST, Array, FloatArray, Length, Name, Padding
 
 Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]", LARGEST)]
 MIN_THICKNESS = 1e-4  # [m] below which hulls are not built: their faces would be noise

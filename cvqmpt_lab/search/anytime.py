@@ -15,8 +15,8 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.jit import entry
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.jit import entry
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.edge_costs import EdgeCosts
 from cvqmpt_lab.search.lazy_roadmap import FREE

@@ -21,8 +21,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.jit import entry, kernel
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.search.motion import (
     DEVIATION,
     DRAW_NEWTON_ITERATIONS,

@@ -10,8 +10,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.constraints.regions import residual
-from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search.space import ConstrainedSpace
 

@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.jit import entry, kernel
+from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.results.row import CLEARANCE_COST
 from cvqmpt_lab.search.birrt import (
     CONNECTED,

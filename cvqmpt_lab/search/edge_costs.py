@@ -12,9 +12,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.collision.checker import ball_clearance
 from cvqmpt_lab.collision.distance_grid import NEAREST, DistanceGrid
-from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search.motion import CLEARANCES, GAP, Space
 

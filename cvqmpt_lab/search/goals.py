@@ -6,6 +6,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.collision.arrays import robot_arrays, scene_arrays
 from cvqmpt_lab.collision.checker import in_contact
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
@@ -23,7 +24,6 @@ from cvqmpt_lab.constraints.inverse_kinematics import (
 from cvqmpt_lab.constraints.project import ProjectionScratch, newton, projection_scratch
 from cvqmpt_lab.constraints.regions import Regions
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, stack_regions
-from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
 from cvqmpt_lab.robot.robot import Robot

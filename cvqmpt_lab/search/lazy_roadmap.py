@@ -15,9 +15,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.collision.distance_grid import FARTHEST, NEAREST
 from cvqmpt_lab.constraints.regions import residual
-from cvqmpt_lab.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search.edge_costs import EdgeCosts, negative_log, reading, readings
 from cvqmpt_lab.search.motion import (

@@ -7,12 +7,12 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.jit import call_address, entry, kernel
 from cvqmpt_lab.collision.checker import in_contact
 from cvqmpt_lab.collision.distance_grid import REACH
 from cvqmpt_lab.collision.geometry import RobotGeometry, SceneGeometry
 from cvqmpt_lab.constraints.project import ProjectionScratch, project
 from cvqmpt_lab.constraints.regions import Regions, residual
-from cvqmpt_lab.jit import call_address, entry, kernel
 from cvqmpt_lab.robot.kinematics import Kinematics, forward_kinematics
 
 # rows of Space.counters

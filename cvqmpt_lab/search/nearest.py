@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.jit import kernel
+from cvqmpt_lab.base.jit import kernel
 
 BLOCK = 1024  # nodes
 LEAF = 16  # nodes in a leaf; BLOCK is LEAF times a power of two

@@ -12,7 +12,7 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.motion import ITERATIONS
 from cvqmpt_lab.search.result import (

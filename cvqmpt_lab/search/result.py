@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, require_kind, shown, whole_number
+from cvqmpt_lab.base.errors import InvalidInputError, require_kind, shown, whole_number
 from cvqmpt_lab.results.row import search_work
 
 

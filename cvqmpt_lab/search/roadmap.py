@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cvqmpt_lab.caches import cached_arrays, sources_digest
+from cvqmpt_lab.base.caches import cached_arrays, sources_digest
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.arrays import robot_arrays
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene

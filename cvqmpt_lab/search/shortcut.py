@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.jit import entry, kernel
+from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.search.motion import Space, bisect_motion, distance, segment_valid
 from cvqmpt_lab.search.result import Counters, JointPath
 from cvqmpt_lab.search.space import ConstrainedSpace

@@ -5,14 +5,14 @@ from typing import Annotated
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
+from cvqmpt_lab.base.jit import check_arrays, entry
 from cvqmpt_lab.collision.arrays import robot_arrays, robot_swing, scene_arrays
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.solids import reach_with
 from cvqmpt_lab.constraints.project import projection_scratch
 from cvqmpt_lab.constraints.regions import Regions, jacobian, residual
 from cvqmpt_lab.constraints.task_space_region import MAX_ITERATIONS, TOLERANCE, stack_regions
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.jit import check_arrays, entry
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import forward_kinematics
 from cvqmpt_lab.search import motion

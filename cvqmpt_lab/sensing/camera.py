@@ -18,10 +18,10 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.codec import Checked
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.poses import rigid
-from cvqmpt_lab.values import Condition, FloatArray, Length
+from cvqmpt_lab.base.codec import Checked
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import rigid
+from cvqmpt_lab.base.values import Condition, FloatArray, Length
 
 Pixels = Annotated[int, Condition(int, lambda n: 1 <= n <= 2**14, f"1 to {2**14} pixels")]
 

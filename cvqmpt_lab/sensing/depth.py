@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, located, mapping
-from cvqmpt_lab.files import json_value, write_bytes, write_text, yaml_value
-from cvqmpt_lab.poses import MATRIX, Placement, Pose, ros_vector
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.errors import InvalidInputError, located, mapping
+from cvqmpt_lab.base.files import json_value, write_bytes, write_text, yaml_value
+from cvqmpt_lab.base.poses import MATRIX, Placement, Pose, ros_vector
+from cvqmpt_lab.base.values import Array, FloatArray
 from cvqmpt_lab.scene.cloud_files import (
     Cloud,
     check_lengths,
@@ -24,7 +25,6 @@ from cvqmpt_lab.scene.cloud_files import (
     read_cloud,
 )
 from cvqmpt_lab.sensing.camera import Intrinsics, View
-from cvqmpt_lab.values import Array, FloatArray
 
 
 def read_capture(

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cvqmpt_lab.caches import LruCache, cached_arrays, sources_digest
-from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, whole_number
-from cvqmpt_lab.poses import rigid
+from cvqmpt_lab.base.caches import LruCache, cached_arrays, sources_digest
+from cvqmpt_lab.base.codec import to_plain
+from cvqmpt_lab.base.errors import InvalidInputError, whole_number
+from cvqmpt_lab.base.poses import rigid
+from cvqmpt_lab.base.values import FloatArray, frozen
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import seen_points
@@ -32,7 +33,6 @@ from cvqmpt_lab.sensing.camera import (
     view_of,
 )
 from cvqmpt_lab.sensing.scan import BallCrop, BoxCrop, voxel_means
-from cvqmpt_lab.values import FloatArray, frozen
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.poses import rigid
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import rigid
+from cvqmpt_lab.base.values import FloatArray
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
-from cvqmpt_lab.values import FloatArray
 
 TOLERANCE = 0.01  # [m] from a plane that counts as on it: table tops bend, and cameras err
 CAMERA_UP = np.array([0.0, -1.0, 0.0])  # of an optical frame: x right, y down, z ahead

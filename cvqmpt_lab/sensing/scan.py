@@ -10,8 +10,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.values import FloatArray
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.cells import distinct, map_of_points
@@ -27,7 +28,6 @@ from cvqmpt_lab.sensing.plane import (
     supporting_plane,
     table_below,
 )
-from cvqmpt_lab.values import FloatArray
 
 RESOLUTION = 0.02  # edge of a map's cells [m]
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.pipeline import Solution
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.planning.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Attachment, Scene

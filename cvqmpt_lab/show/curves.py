@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvqmpt_lab.base.poses import rotation_matrices
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.constraints.task_space_region import ROWS, UNITS, TaskSpaceRegion
-from cvqmpt_lab.poses import rotation_matrices
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 

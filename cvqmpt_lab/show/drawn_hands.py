@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query
 from cvqmpt_lab.search.portfolio import Portfolio

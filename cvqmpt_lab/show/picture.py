@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_choice
-from cvqmpt_lab.files import replacing
-from cvqmpt_lab.pipeline import Solution
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, require_choice
+from cvqmpt_lab.base.files import replacing
+from cvqmpt_lab.base.processes import one_thread
+from cvqmpt_lab.planning.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search.result import JointPath

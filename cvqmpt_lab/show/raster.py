@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.jit import entry
+from cvqmpt_lab.base.jit import entry
 from cvqmpt_lab.show.meshes import Colour, Mesh, joined, unit
 
 

@@ -14,9 +14,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import replacing
-from cvqmpt_lab.pipeline import Solution
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import replacing
+from cvqmpt_lab.planning.pipeline import Solution
 from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.show.bodies import GHOST, GOAL, Body, Seen, seen_of_solution
 from cvqmpt_lab.show.meshes import Colour

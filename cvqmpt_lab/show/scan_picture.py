@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cvqmpt_lab.base.processes import one_thread
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import PointCloud
 from cvqmpt_lab.sensing.scan import Arm, Scan

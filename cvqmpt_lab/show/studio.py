@@ -15,11 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region, why_none
-from cvqmpt_lab.constraints.named import upper_axis
-from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
-from cvqmpt_lab.errors import (
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import (
     CvqmptError,
     InvalidInputError,
     UnknownChoiceError,
@@ -27,12 +24,17 @@ from cvqmpt_lab.errors import (
     require_installed,
     require_kind,
 )
-from cvqmpt_lab.files import json_text
-from cvqmpt_lab.margins import Margin, solve_with_margin
-from cvqmpt_lab.motion_check import certified_motion
-from cvqmpt_lab.pipeline import LOAD, Solution
-from cvqmpt_lab.planners import PLANNERS, default_planner, planner_named, require_fit
-from cvqmpt_lab.poses import Placement, Pose
+from cvqmpt_lab.base.files import json_text
+from cvqmpt_lab.base.poses import Placement, Pose
+from cvqmpt_lab.certificate.motion_check import certified_motion
+from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region, why_none
+from cvqmpt_lab.constraints.named import upper_axis
+from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright
+from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+from cvqmpt_lab.planning.pipeline import LOAD, Solution
+from cvqmpt_lab.planning.planners import PLANNERS, default_planner, planner_named, require_fit
+from cvqmpt_lab.planning.solution_report import solution_lines
+from cvqmpt_lab.planning.warm_up import warm_up
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.show.bodies import in_view, robot_bodies, scene_bodies, seen_of_problem, whole
@@ -41,9 +43,7 @@ from cvqmpt_lab.show.meshes import Colour
 from cvqmpt_lab.show.picture import png_of
 from cvqmpt_lab.show.raster import clear_viewpoint
 from cvqmpt_lab.show.web_page import path_html
-from cvqmpt_lab.solution_report import solution_lines
 from cvqmpt_lab.trajectory.trajectory import as_ros_json
-from cvqmpt_lab.warm_up import warm_up
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError, require_kind, whole_number
-from cvqmpt_lab.margins import NO_MARGIN, Margin, solve_with_margin
-from cvqmpt_lab.motion_check import certified_motion
-from cvqmpt_lab.pipeline import Solution, no_plan
-from cvqmpt_lab.planners import Method, planner_named
+from cvqmpt_lab.base.codec import to_plain
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    InvalidProblemError,
+    require_kind,
+    whole_number,
+)
+from cvqmpt_lab.certificate.motion_check import certified_motion
+from cvqmpt_lab.planning.margins import NO_MARGIN, Margin, solve_with_margin
+from cvqmpt_lab.planning.pipeline import Solution, no_plan
+from cvqmpt_lab.planning.planners import Method, planner_named
+from cvqmpt_lab.planning.solution_report import solution_data
 from cvqmpt_lab.search.result import Budget, PlanStatus
-from cvqmpt_lab.solution_report import solution_data
 from cvqmpt_lab.tasks.task import Move, Phase, PlannedPhase, Task
 from cvqmpt_lab.tasks.world import World, phase_goals, prepare
 from cvqmpt_lab.trajectory.timing import TimingSettings

@@ -23,10 +23,18 @@ from typing import Annotated, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.codec import Checked, Document, OneOrMore, Tagged
+from cvqmpt_lab.base.codec import Checked, Document, OneOrMore, Tagged
+from cvqmpt_lab.base.errors import (
+    InvalidInputError,
+    UnknownChoiceError,
+    located,
+    mapping,
+    shown,
+    unique,
+)
+from cvqmpt_lab.base.values import Name
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import Axis, TaskSpaceRegionChain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, located, mapping, shown, unique
 from cvqmpt_lab.robot.load import State, numbers_of, robot_from_source
 from cvqmpt_lab.scene.scene import (
     Articulation,
@@ -37,7 +45,6 @@ from cvqmpt_lab.scene.scene import (
     check_extent,
 )
 from cvqmpt_lab.scene.scene_files import with_files_read
-from cvqmpt_lab.values import Name
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.poses import pose, rotation_vectors
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import INSIDE, SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegion
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.pipeline import MAX_GOALS
-from cvqmpt_lab.poses import pose, rotation_vectors
+from cvqmpt_lab.planning.pipeline import MAX_GOALS
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.mechanism import with_articulated_object

@@ -12,9 +12,9 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import read_bytes, read_json_object
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import read_bytes, read_json_object
 from cvqmpt_lab.training.shards import (
     DESCRIPTION_FILE,
     FULL_SCALE,

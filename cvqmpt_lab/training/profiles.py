@@ -6,8 +6,8 @@ from pathlib import Path
 
 import torch
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.training.dataset import PathDataset, open_dataset, open_labels
 from cvqmpt_lab.training.dictionary_stage import DictionaryStage, Stage1Settings
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.training.dataset import (
     SequenceDataset,
     holds_labels,

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.training.clouds import CloudSettings, sample_cloud
 from cvqmpt_lab.training.dataset import VALIDATION_EVERY, SequenceDataset
 from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage, means

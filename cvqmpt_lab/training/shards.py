@@ -19,8 +19,8 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import read_bytes, write_bytes
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import read_bytes, write_bytes
 
 DESCRIPTION_FILE = "dataset.json"
 ROADMAP_FILE = "roadmap.npz"

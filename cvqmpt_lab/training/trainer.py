@@ -29,9 +29,9 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, require_choice, whole_number
-from cvqmpt_lab.files import (
+from cvqmpt_lab.base.codec import to_plain
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice, whole_number
+from cvqmpt_lab.base.files import (
     csv_table,
     differences,
     locked,

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.interpolate import BSpline
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.robot import JointLimits
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PPoly
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.dynamics import Dynamics
 from cvqmpt_lab.robot.robot import SLOW, JointLimits
 from cvqmpt_lab.trajectory.squared_speeds import SmoothCurve, smooth_curve, squared_speeds

@@ -26,16 +26,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.errors import (
+from cvqmpt_lab.base.errors import (
     InvalidInputError,
     mapping,
     require_choice,
     shown,
     whole_number,
 )
-from cvqmpt_lab.files import csv_table, json_value, write_text
+from cvqmpt_lab.base.files import csv_table, json_value, write_text
+from cvqmpt_lab.base.values import numbers
 from cvqmpt_lab.scene.cloud_files import kind_of, read_by_suffix
-from cvqmpt_lab.values import numbers
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly  # half a second to import

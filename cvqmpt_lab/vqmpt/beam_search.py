@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 
 
 class StepDecoder(Protocol):

@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.files import read_bytes, read_json_object
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.files import read_bytes, read_json_object
 from cvqmpt_lab.vqmpt.config import ModelConfig, TransformerConfig
 from cvqmpt_lab.vqmpt.dictionary import Dictionary
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel

@@ -10,8 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.vqmpt.config import EPSILON, SerialChain

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.values import Array, Condition, FloatArray, Length
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.values import Array, Condition, FloatArray, Length
 
 EPSILON = 1e-6  # of the layer norms of attention and feed-forward blocks, and of the dictionary
 

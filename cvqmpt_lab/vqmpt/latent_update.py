@@ -19,9 +19,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from cvqmpt_lab.codec import Checked
+from cvqmpt_lab.base.codec import Checked
+from cvqmpt_lab.base.values import Condition
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint
-from cvqmpt_lab.values import Condition
 from cvqmpt_lab.vqmpt.codebook import Codebook, CodeGaussians
 
 Count = Annotated[int, Condition(int, lambda n: n >= 1, "1 or more")]

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.beam_search import StepDecoder, log_softmax
 from cvqmpt_lab.vqmpt.config import (
     EPSILON,

@@ -36,7 +36,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError, require_choice
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError, require_choice
 
 PREFIX = "cvq:"
 CHOICES = {

@@ -10,8 +10,8 @@ from typing import Annotated
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.jit import entry, kernel
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.jit import entry, kernel
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.lazy_roadmap import drop_smallest, push

@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cvqmpt_lab.caches import LruCache
-from cvqmpt_lab.errors import require_installed
+from cvqmpt_lab.base.caches import LruCache
+from cvqmpt_lab.base.errors import require_installed
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.sensing.observation import CameraSettings, thinned
 from cvqmpt_lab.vqmpt.beam_search import CodeSequence, beam_search, log_softmax

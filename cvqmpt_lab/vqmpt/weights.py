@@ -19,9 +19,9 @@ import safetensors.numpy
 from safetensors import SafetensorError
 
 import cvqmpt_lab
-from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError, require_choice
-from cvqmpt_lab.files import read_bytes, read_json_object, write_bytes
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice
+from cvqmpt_lab.base.files import read_bytes, read_json_object, write_bytes
 from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig
 
 FORMAT = "cvqmpt-model-1"

@@ -13,10 +13,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError, whole_number
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint
-from cvqmpt_lab.errors import InvalidInputError, whole_number
-from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.planning.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Observation, Query
 from cvqmpt_lab.search.result import Budget

@@ -14,16 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from cvqmpt_lab.base.errors import RunStoreError
+from cvqmpt_lab.base.files import csv_table, make_folder, write_bytes
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.errors import RunStoreError
-from cvqmpt_lab.files import csv_table, make_folder, write_bytes
-from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
-from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.show.picture import still_image
-from cvqmpt_lab.show.raster import Viewpoint
-from cvqmpt_lab.vqmpt.weights import VQ_MPT, resolve_model, weights_digest
-from experiments.figures.code_update import (
+from cvqmpt_lab.experiments.figures.code_update import (
     WHEN,
     CodeUpdate,
     UpdateSettings,
@@ -33,7 +27,13 @@ from experiments.figures.code_update import (
     squared_residual,
     update_codes,
 )
-from paper_tables.plots import figure_bytes
+from cvqmpt_lab.paper_tables.plots import figure_bytes
+from cvqmpt_lab.problem import PlanningProblem
+from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, provenance
+from cvqmpt_lab.robot.robot import Robot
+from cvqmpt_lab.show.picture import still_image
+from cvqmpt_lab.show.raster import Viewpoint
+from cvqmpt_lab.vqmpt.weights import VQ_MPT, resolve_model, weights_digest
 
 FIGURES = ("histogram", "concept")
 PICTURE = (900, 690)  # [pixels] width and height of pictures of the scene

@@ -10,8 +10,8 @@ from importlib import metadata
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError, install_command
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
-from cvqmpt_lab.errors import InvalidInputError, install_command
 from cvqmpt_lab.problem import PlanningProblem
 
 

@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cvqmpt_lab.base.poses import rigid
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.execution.mjcf import Body, bodies_of, unchecked_pairs
-from cvqmpt_lab.poses import rigid
+from cvqmpt_lab.experiments.peers import rpy_box, upright_region, versions
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 from cvqmpt_lab.search.result import Budget
-from experiments.peers import rpy_box, upright_region, versions
 
 MADE_BY = versions("drake", "drake")
 

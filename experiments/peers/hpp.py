@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from cvqmpt_lab.experiments.peers import fixed_holds, upright_region, versions
+from cvqmpt_lab.experiments.peers.world_files import urdf_of
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.search.result import Budget
-from experiments.peers import fixed_holds, upright_region, versions
-from experiments.peers.world_files import urdf_of
 
 MADE_BY = versions("hpp", "hpp-python")
 

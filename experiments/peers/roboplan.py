@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
+from cvqmpt_lab.experiments.peers import rpy_box, upright_region, versions
+from cvqmpt_lab.experiments.peers.world_files import TOOL, urdf_of
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
-from experiments.peers import rpy_box, upright_region, versions
-from experiments.peers.world_files import TOOL, urdf_of
 
 MADE_BY = versions("roboplan", "roboplan")
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.execution.mjcf import HAND, mjcf_of
+from cvqmpt_lab.experiments.peers import rpy_box, upright_region, versions
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.result import Budget
-from experiments.peers import rpy_box, upright_region, versions
 
 MADE_BY = versions("sscbirrt", "sscbirrt", "mujoco", "ssik")
 

@@ -14,8 +14,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from trimesh import Trimesh
 
+from cvqmpt_lab.base.poses import rigid
 from cvqmpt_lab.execution.mjcf import Body, bodies_of, numbers_text, unchecked_pairs
-from cvqmpt_lab.poses import rigid
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Attachment, Scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere

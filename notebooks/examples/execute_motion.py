@@ -2,8 +2,8 @@
 
 from cvqmpt_lab import Budget, Margin, TimingSettings, solve_with_margin
 from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.certificate.motion_check import certified_motion
 from cvqmpt_lab.execution.execute import execute_motion
-from cvqmpt_lab.motion_check import certified_motion
 
 problem = suite_named("place-task-with-can").solvable(3)
 shorter = Budget(0.5)  # [s] for a shorter path after the first one

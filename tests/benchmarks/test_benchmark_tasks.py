@@ -23,8 +23,8 @@ from cvqmpt_lab.benchmarks.place_task import (
     place_problem,
 )
 from cvqmpt_lab.benchmarks.suite import SUITES, Suite, suite_named
-from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import planner_named
+from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.results.row import split_problem
 from cvqmpt_lab.search.motion import motion_free

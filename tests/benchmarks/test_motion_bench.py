@@ -9,6 +9,8 @@ import pytest
 from command_line import refused as command_refused
 from refusals import refused
 
+from cvqmpt_lab.base.caches import cache_folder
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.motion_bench import (
     ARCHIVE,
@@ -23,9 +25,7 @@ from cvqmpt_lab.benchmarks.motion_bench import (
     robot_file,
     unpack,
 )
-from cvqmpt_lab.caches import cache_folder
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.search.result import Budget
 

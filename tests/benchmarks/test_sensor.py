@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.sensor_task import ROOM, scanned_scene, sensor_problem
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.experiments.experiment import Experiment
+from cvqmpt_lab.experiments.run import outcome_of
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Sphere
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.sensing.observation import solids_of
-from experiments.experiment import Experiment
-from experiments.run import outcome_of
 
 ENOUGH = Budget(iterations=20_000)
 

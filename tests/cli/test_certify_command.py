@@ -8,11 +8,13 @@ import pytest
 from command_line import refused
 from numpy.polynomial import Polynomial
 
-from cli.main import main
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import DOOR, carried_can
+from cvqmpt_lab.cli.main import main
 from cvqmpt_lab.constraints import between_states
 from cvqmpt_lab.constraints.report import displacements
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.experiments.experiment import Experiment
+from cvqmpt_lab.experiments.run import executor_for, run_experiment
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PATHS_FILE, states_hash, stored_paths
@@ -21,8 +23,6 @@ from cvqmpt_lab.scene.shapes import Box, Sphere
 from cvqmpt_lab.search.result import Budget, JointPath
 from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
 from cvqmpt_lab.trajectory.trajectory import as_csv, as_ros_json
-from experiments.experiment import Experiment
-from experiments.run import executor_for, run_experiment
 
 MIDDLE = 40
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from command_line import ROOT, SCAN_START, run
 
-from cli.main import COMMANDS, entry_point, main
+from cvqmpt_lab.cli.main import COMMANDS, entry_point, main
 
 with Path(__file__).with_name("commands.csv").open(newline="") as file:
     TABLE = list(csv.DictReader(file))
@@ -58,7 +58,7 @@ def test_a_command_ends_with_its_code_and_first_line(row, places, capsys, monkey
 
 
 def test_help_is_fast():
-    words, seconds = [sys.executable, "-m", "cli.main", "--help"], []
+    words, seconds = [sys.executable, "-m", "cvqmpt_lab.cli.main", "--help"], []
     for _ in range(3):
         began = time.perf_counter()
         subprocess.run(words, cwd=ROOT, capture_output=True, check=True)
@@ -81,7 +81,7 @@ def test_no_verdict_where_standard_output_is_closed():
 
 
 def test_a_fault_of_ours_is_no_verdict(monkeypatch, capsys):
-    monkeypatch.setattr("cli.main.main", lambda: 1 // 0)
+    monkeypatch.setattr("cvqmpt_lab.cli.main.main", lambda: 1 // 0)
     with pytest.raises(SystemExit, match="2"):
         entry_point()
     assert "ZeroDivisionError" in capsys.readouterr().err
@@ -101,7 +101,7 @@ def test_a_process_that_cannot_do_or_print_it_ends_in_one_line(where, words, cod
         os.close(reading)
     else:
         writing = os.open(where, os.O_WRONLY)
-    words = [sys.executable, "-m", "cli.main", *words]
+    words = [sys.executable, "-m", "cvqmpt_lab.cli.main", *words]
     done = subprocess.run(words, cwd=ROOT, stdout=writing, stderr=subprocess.PIPE, text=True)
     os.close(writing)
     assert done.returncode == code and done.stderr.startswith(told)

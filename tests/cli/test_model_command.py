@@ -10,7 +10,7 @@ from command_line import refused
 from published_files import STAGE1
 from small_models import random_checkpoint
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor
 from cvqmpt_lab.vqmpt.weights import (

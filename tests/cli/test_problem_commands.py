@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from cvqmpt_lab.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.pipeline import with_sampled_goals
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import read_source
 from cvqmpt_lab.search.space import ConstrainedSpace, direct_motion

@@ -6,9 +6,9 @@ import re
 import pytest
 from command_line import refused, run_here
 
+from cvqmpt_lab.base.codec import to_plain
+from cvqmpt_lab.base.files import json_text
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, place_problem
-from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.files import json_text
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.scene.kitchen import kitchen

@@ -4,17 +4,17 @@ import json
 
 import pytest
 
-from cli.reproduce_command import Whole
+from cvqmpt_lab.base.errors import UnknownChoiceError
 from cvqmpt_lab.benchmarks.suite import SUITES
-from cvqmpt_lab.errors import UnknownChoiceError
-from cvqmpt_lab.planners import CONTROLS, PLANNERS
+from cvqmpt_lab.cli.reproduce_command import Whole
+from cvqmpt_lab.experiments import experiment
+from cvqmpt_lab.experiments.experiment import Experiment, parts_of
+from cvqmpt_lab.paper_tables.statements import CLAIMS
+from cvqmpt_lab.paper_tables.suites import ALL, Amount, Suite
+from cvqmpt_lab.paper_tables.suites import SUITES as reported
+from cvqmpt_lab.planning.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
 from cvqmpt_lab.search.result import Budget
-from experiments import experiment
-from experiments.experiment import Experiment, parts_of
-from paper_tables.statements import CLAIMS
-from paper_tables.suites import ALL, Amount, Suite
-from paper_tables.suites import SUITES as reported
 
 
 def test_every_suite_and_the_controls_are_part_of_everything():

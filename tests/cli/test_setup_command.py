@@ -6,7 +6,7 @@ from importlib import metadata
 
 import pytest
 
-from cli import setup_command
+from cvqmpt_lab.cli import setup_command
 from cvqmpt_lab.vqmpt import weights
 from cvqmpt_lab.vqmpt.weights import weights_digest
 

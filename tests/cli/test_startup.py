@@ -7,8 +7,8 @@ from functools import partial
 import pytest
 from command_line import ROOT, python, run
 
-from cli.model_command import PROFILE_NAMES, STAGES
-from cvqmpt_lab.planners import PLANNERS
+from cvqmpt_lab.cli.model_command import PROFILE_NAMES, STAGES
+from cvqmpt_lab.planning.planners import PLANNERS
 
 HEAVY = (
     "torch", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.ndimage", "matplotlib",
@@ -20,7 +20,7 @@ REPORT = "import json, sys; print(json.dumps(sorted(sys.modules)))"
 PEAK = (
     "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
 )
-PACKAGES = ("cvqmpt_lab", "paper_tables", "experiments", "cli")
+PACKAGES = ("cvqmpt_lab",)
 MOST_MODULES = 105  # of our own that a classical plan imports
 MOST_OF_ALL = 690  # that it imports where machine code is on disk
 COMPILING = ("numba.np.linalg", "scipy.linalg")  # of what numba imports to compile
@@ -36,7 +36,11 @@ def without_torch(tmp_path):
 
 def imported(*words):
     """Modules imported at the end of a command."""
-    run = f"from cli.main import main; assert main({list(words)!r}) == 0; " if words else ""
+    run = (
+        f"from cvqmpt_lab.cli.main import main; assert main({list(words)!r}) == 0; "
+        if words
+        else ""
+    )
     return set(json.loads(python(run + REPORT).splitlines()[-1]))
 
 
@@ -46,7 +50,7 @@ def test_a_classical_plan_imports_nothing_heavy_and_few_modules(planner):
     modules = imported(*words)
     if modules & {*COMPILING}:
         modules = imported(*words)
-    assert "cvqmpt_lab.pipeline" in modules
+    assert "cvqmpt_lab.planning.pipeline" in modules
     assert not modules & {*COMPILING}
     assert len(modules) <= MOST_OF_ALL
     assert not modules & {*HEAVY, *LEARNED}
@@ -56,9 +60,9 @@ def test_a_classical_plan_imports_nothing_heavy_and_few_modules(planner):
 
 def test_a_command_collects_garbage_but_not_what_was_imported():
     code = (
-        "import atexit, cli.main, gc, sys; sys.argv = ['cvqmpt', 'robot']; "
+        "import atexit, cvqmpt_lab.cli.main, gc, sys; sys.argv = ['cvqmpt', 'robot']; "
         "atexit.register(lambda: print(gc.isenabled(), gc.get_freeze_count() > 0)); "
-        "cli.main.entry_point()"
+        "cvqmpt_lab.cli.main.entry_point()"
     )
     assert python(code).endswith("True True\n")
 
@@ -73,15 +77,14 @@ def test_weights_and_prediction_need_little_memory():
     peaks = {}
     for planner in ("birrt", "opt-cvq-mpt"):
         words = ["plan", "place-task", "--problem", "7", "--planner", planner]
-        told = python(f"from cli.main import main; main({words!r}); {PEAK}")
+        told = python(f"from cvqmpt_lab.cli.main import main; main({words!r}); {PEAK}")
         peaks[planner] = int(told.splitlines()[-1])  # [kB]
     assert peaks["opt-cvq-mpt"] - peaks["birrt"] <= 1000 * MOST_MB
 
 
 def test_the_package_alone_and_help_import_next_to_nothing():
     code = (
-        "import cvqmpt_lab; from cli.main import main\ntry: main(['--help'])\nexcept SystemExit: "
-        + REPORT
+        "from cvqmpt_lab.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: " + REPORT
     )
     modules = set(json.loads(python(code).splitlines()[-1]))
     assert "argparse" in modules

@@ -8,11 +8,11 @@ from jsonschema import Draft202012Validator
 from refusals import refused
 
 import cvqmpt_lab
-from cvqmpt_lab.codec import field_defaults, field_kinds
+from cvqmpt_lab.base.codec import field_defaults, field_kinds
+from cvqmpt_lab.base.files import json_text
+from cvqmpt_lab.base.poses import Placement
 from cvqmpt_lab.constraints.named import NAMED
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, TaskSpaceRegionChain
-from cvqmpt_lab.files import json_text
-from cvqmpt_lab.poses import Placement
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.source import RobotSource
 from cvqmpt_lab.scene.scene import Articulation, Attachment, Scene, SceneObject

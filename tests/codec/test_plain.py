@@ -7,8 +7,8 @@ import pytest
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.poses import Placement, pose
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.poses import Placement, pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Attachment
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import DOOR, DOOR_ANGLE, carried_can, door_problem, door_world
 from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.covers import cut_into_pieces
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.cells import MOST_BALLS
 from cvqmpt_lab.scene.families import random_scene

@@ -7,10 +7,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import carried_can
+from cvqmpt_lab.certificate.motion_proof import prove_free
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.collision.motion_proof import prove_free
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.scene.coal_shapes import transform

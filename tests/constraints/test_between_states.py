@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from properties.random_arms import ARMS, two_armed
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.two_arms import hold
-from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.constraints.between_states import _between, evenly_spaced, largest_violation
+from cvqmpt_lab.certificate.between_states import _between, evenly_spaced, largest_violation
 from cvqmpt_lab.constraints.named import Region, relative_pose
 from cvqmpt_lab.constraints.report import bound_usage, displacements, excess
 from cvqmpt_lab.constraints.task_space_region import (
@@ -25,7 +26,6 @@ from cvqmpt_lab.constraints.task_space_region import (
     upright,
     upright_box,
 )
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.load import robot_from_source
 
 HOME = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])

@@ -9,6 +9,9 @@ import pytest
 from constraints.test_task_space_region import of_hand
 from refusals import refused
 
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.errors import CvqmptError
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import (
     BAR,
     DOOR,
@@ -18,8 +21,7 @@ from cvqmpt_lab.benchmarks.place_task import (
     door_world,
     handle_region,
 )
-from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.inverse_kinematics import sample_region
 from cvqmpt_lab.constraints.named import Region
@@ -27,10 +29,8 @@ from cvqmpt_lab.constraints.task_space_region import (
     TOLERANCE,
     RegionConstraint,
 )
-from cvqmpt_lab.errors import CvqmptError
-from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import planner_named
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.kitchen import kitchen

@@ -5,8 +5,9 @@ import pytest
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import DOOR
-from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import (
     RegionConstraint,
@@ -16,7 +17,6 @@ from cvqmpt_lab.constraints.task_space_region import (
     upright,
     upright_box,
 )
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.kitchen import kitchen

@@ -8,19 +8,19 @@ import pinocchio as pin
 import pytest
 from refusals import refused
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.certificate.motion_check import certified_motion
 from cvqmpt_lab.execution import execute
 from cvqmpt_lab.execution.execute import Outcome, agreed, execute_motion, execute_task
 from cvqmpt_lab.execution.mjcf import ARMATURE, HAND, Physics, mjcf_of
 from cvqmpt_lab.execution.simulation import Controller
-from cvqmpt_lab.margins import Margin, solve_with_margin
-from cvqmpt_lab.motion_check import certified_motion
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.experiments.executed import FILE, read_rows, run_executed
+from cvqmpt_lab.planning.margins import Margin, solve_with_margin
 from cvqmpt_lab.robot.load import robot_from_source, with_gripper
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, PointCloud
 from cvqmpt_lab.search.result import Budget
-from experiments.executed import FILE, read_rows, run_executed
 
 mujoco = pytest.importorskip("mujoco")
 FINGERS = {"panda_finger_joint1": "", "panda_finger_joint2": "panda_finger_joint1"}

@@ -10,25 +10,25 @@ import pytest
 from made_rows import CLEAN, a_results_folder, a_row
 from refusals import refused
 
-from cvqmpt_lab import planners as table
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import multi_sequence_task
 from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.certificate import Fault, FaultKind
-from cvqmpt_lab.pipeline import solve, with_sampled_goals
-from cvqmpt_lab.planners import Method
+from cvqmpt_lab.certificate.certificate import Fault, FaultKind
+from cvqmpt_lab.experiments import regression
+from cvqmpt_lab.experiments.experiment import Experiment
+from cvqmpt_lab.experiments.regression import CASES, EXPECTED, Case, Expectations, compare, sample
+from cvqmpt_lab.experiments.run import failed_rows, outcome_of, result_row
+from cvqmpt_lab.paper_tables.committed import committed_directories, differing_cells, untraceable
+from cvqmpt_lab.paper_tables.suites import SUITES, render_directory
+from cvqmpt_lab.planning import planners as table
+from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.results.row import FailReason, read_rows
 from cvqmpt_lab.results.store import RunStore, states_hash
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget, PlanStatus, Timings
 from cvqmpt_lab.vqmpt import scene_predictor
-from experiments import regression
-from experiments.experiment import Experiment
-from experiments.regression import CASES, EXPECTED, Case, Expectations, compare, sample
-from experiments.run import failed_rows, outcome_of, result_row
-from paper_tables.committed import committed_directories, differing_cells, untraceable
-from paper_tables.suites import SUITES, render_directory
 
 HERE = {"cpu_model": "this one", "numba": "1"}
 ELSEWHERE = {"cpu_model": "another one", "numba": "1"}

@@ -13,17 +13,17 @@ from command_line import start
 from made_rows import differences
 from refusals import refused
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, RunStoreError
+from cvqmpt_lab.experiments import executors
+from cvqmpt_lab.experiments import run as runner
+from cvqmpt_lab.experiments.executors import Lost, dask_cluster, local_processes
+from cvqmpt_lab.experiments.experiment import Experiment, weights_of
+from cvqmpt_lab.experiments.run import executor_for, run_experiment
+from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.results.provenance import ProvenanceFile
 from cvqmpt_lab.results.row import RUNS_FILE, FailReason, read_rows, sorted_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE
 from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.warm_up import compile_kernels
-from experiments import executors
-from experiments import run as runner
-from experiments.executors import Lost, dask_cluster, local_processes
-from experiments.experiment import Experiment, weights_of
-from experiments.run import executor_for, run_experiment
 
 ENOUGH = Budget(iterations=20_000)
 ONE = Experiment("place-task", (2,), ("birrt",), (0,), ENOUGH)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pebble import ProcessExpired, ProcessPool
 
-from cvqmpt_lab.errors import LONGEST_LINE, CvqmptError
+from cvqmpt_lab.base.errors import LONGEST_LINE, CvqmptError
 
 MEMORY = 2**30  # [bytes] more than the process had at first
 HANG = 20.0  # [s] of wall time after which a file is given up

@@ -26,10 +26,11 @@ from properties.random_arms import random_urdf
 from refusals import DATA
 from training_data import write_dataset
 
-from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.motion_check import dry_run
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base.codec import to_plain
+from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.certificate.motion_check import dry_run
+from cvqmpt_lab.paper_tables.suites import render_directory
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, provenance
 from cvqmpt_lab.results.row import RUNS_FILE, csv_text, read_rows
@@ -48,7 +49,6 @@ from cvqmpt_lab.trajectory.trajectory import read_motion, save_trajectory
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint, read_tensors, save_checkpoint
 from cvqmpt_lab.vqmpt.config import MPNetConfig
 from cvqmpt_lab.vqmpt.weights import read_model, robot_signature
-from paper_tables.suites import render_directory
 
 SIDE = 24  # of depth images
 SHARD = "shards/000000.npz"  # of training data

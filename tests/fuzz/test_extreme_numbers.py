@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.constraints.task_space_region import FREE, TaskSpaceRegion
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.scene import Scene, SceneObject

@@ -10,16 +10,16 @@ import pytest
 import torch
 from refusals import refused
 
+from cvqmpt_lab.base.files import locked
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.files import locked
-from cvqmpt_lab.labels import generation
-from cvqmpt_lab.labels.generation import PathRecipe, SceneRecipe, generate
-from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.search.anytime import NearShortestSettings
+from cvqmpt_lab.training import generation
 from cvqmpt_lab.training.dataset import open_dataset, open_labels
+from cvqmpt_lab.training.generation import PathRecipe, SceneRecipe, generate
+from cvqmpt_lab.training.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.training.shards import (
     FULL_SCALE,
     LABEL_ARRAYS,

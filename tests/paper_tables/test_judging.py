@@ -9,11 +9,10 @@ import pytest
 from made_rows import a_failure, a_results_folder, a_row
 from refusals import refused
 
-from cvqmpt_lab.results.statistics import Interval, student_interval
-from paper_tables.claims import verdicts_of
-from paper_tables.compare_runs import Rule, clear, compared
-from paper_tables.judging import Word, sample_size, word_of
-from paper_tables.measures import (
+from cvqmpt_lab.paper_tables.claims import verdicts_of
+from cvqmpt_lab.paper_tables.compare_runs import Rule, clear, compared
+from cvqmpt_lab.paper_tables.judging import Word, sample_size, word_of
+from cvqmpt_lab.paper_tables.measures import (
     NEWTON_STEP_COST,
     RESIDUAL_COST,
     STATE_CHECK_COST,
@@ -25,7 +24,8 @@ from paper_tables.measures import (
     time_at,
     work,
 )
-from paper_tables.statements import Claim, PublishedValue
+from cvqmpt_lab.paper_tables.statements import Claim, PublishedValue
+from cvqmpt_lab.results.statistics import Interval, student_interval
 
 REPLICATED, SMALLER, SAME = Word.REPLICATED, Word.SMALLER, Word.SAME
 OPPOSITE, OPEN, NO_ROWS = Word.OPPOSITE, Word.OPEN, Word.NO_ROWS

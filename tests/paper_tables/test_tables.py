@@ -11,20 +11,20 @@ from command_line import refused as command_refused
 from made_rows import a_failure, a_results_folder, a_row
 from refusals import refused
 
-from cvqmpt_lab.errors import RunStoreError
-from cvqmpt_lab.planners import PLANNERS
+from cvqmpt_lab.base.errors import RunStoreError
+from cvqmpt_lab.paper_tables import committed, pages
+from cvqmpt_lab.paper_tables.claims import evidence_below, judged_claims
+from cvqmpt_lab.paper_tables.committed import RESULTS
+from cvqmpt_lab.paper_tables.judging import Word
+from cvqmpt_lab.paper_tables.layouts import place_table
+from cvqmpt_lab.paper_tables.motion_bench_table import class_lines
+from cvqmpt_lab.paper_tables.plots import COLOURS, OURS, line_style
+from cvqmpt_lab.paper_tables.statements import read_published
+from cvqmpt_lab.paper_tables.suites import render_directory, table_of
+from cvqmpt_lab.paper_tables.writers import latex_table
+from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows
 from cvqmpt_lab.results.store import PARTIAL_FILE, RunStore
-from paper_tables import committed, pages
-from paper_tables.claims import evidence_below, judged_claims
-from paper_tables.committed import RESULTS
-from paper_tables.judging import Word
-from paper_tables.layouts import place_table
-from paper_tables.motion_bench_table import class_lines
-from paper_tables.plots import COLOURS, OURS, line_style
-from paper_tables.statements import read_published
-from paper_tables.suites import render_directory, table_of
-from paper_tables.writers import latex_table
 
 
 def rows(suite="place-task", count=10):

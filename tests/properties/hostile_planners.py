@@ -156,7 +156,7 @@ def writes_the_limits_of_pinocchio(problem):
 def patches_the_certificate(problem):
     valid = certificate.Certificate((), 0.0, 0.0, 1.0, 2)
     certificate.certify = lambda *_, **__: valid
-    from cvqmpt_lab import pipeline
+    from cvqmpt_lab.planning import pipeline
 
     pipeline.certify = certificate.certify
 

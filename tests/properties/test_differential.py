@@ -9,10 +9,10 @@ from ompl import base as ob
 from toppra_duration import toppra_duration, weak_efforts
 
 from cvqmpt_lab.benchmarks.place_task import TUNING_ENVIRONMENTS, place_problem
-from cvqmpt_lab.certificate import TOLERANCE, certify
-from cvqmpt_lab.constraints.between_states import evenly_spaced
+from cvqmpt_lab.certificate.between_states import evenly_spaced
+from cvqmpt_lab.certificate.certificate import TOLERANCE, certify
 from cvqmpt_lab.constraints.report import bound_usage
-from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.search.result import Budget, JointPath

@@ -22,8 +22,8 @@ import pytest
 from command_line import run, run_here, start
 from made_rows import untimed
 
-from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.files import locked
+from cvqmpt_lab.base.codec import to_plain
+from cvqmpt_lab.base.files import locked
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows
 from cvqmpt_lab.training.shards import shard_files
 

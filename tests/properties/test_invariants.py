@@ -11,7 +11,8 @@ from hypothesis.extra.numpy import arrays
 from properties.random_arms import ARMS, WIDTHS, arm, problem_around
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.poses import Placement
 from cvqmpt_lab.constraints.task_space_region import (
     FREE,
     TOLERANCE,
@@ -19,8 +20,7 @@ from cvqmpt_lab.constraints.task_space_region import (
     TaskSpaceRegion,
     TaskSpaceRegionChain,
 )
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.poses import Placement
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import random_scene

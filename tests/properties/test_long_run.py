@@ -35,8 +35,8 @@ def live(plans):
     from process_memory import resident
     from properties.test_differential import tuning_problems
 
-    from cvqmpt_lab.pipeline import solve, with_sampled_goals
-    from cvqmpt_lab.planners import PLANNERS
+    from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
+    from cvqmpt_lab.planning.planners import PLANNERS
     from cvqmpt_lab.search.result import Budget
 
     problems = [with_sampled_goals(problem)[0] for problem, *_ in islice(tuning_problems(3, 1), 3)]

@@ -7,8 +7,8 @@ import pytest
 from properties.test_differential import simplified, tuning_problems
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.certificate import FaultKind, certify
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.certificate.certificate import FaultKind, certify
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.result import JointPath

@@ -11,7 +11,7 @@ from properties.hostile_planners import HOSTILE
 
 from cvqmpt_lab import external
 from cvqmpt_lab.benchmarks.place_task import single_goal_problem
-from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.search.result import Budget
 
 SECONDS = 1.0  # given to each

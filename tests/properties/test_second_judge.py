@@ -16,13 +16,13 @@ from properties.random_arms import random_urdf
 from scipy.spatial.transform import Rotation
 from second_judge import WORLD, Arm, Judge, body_of
 
+from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.benchmarks.two_arms import LAYOUTS, hold
-from cvqmpt_lab.certificate import TOLERANCE, certify
-from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.certificate.certificate import TOLERANCE, certify
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.named import relative_pose
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint, TaskSpaceRegion
-from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.hulls import OVERLAP
 from cvqmpt_lab.robot.load import robot_from_source

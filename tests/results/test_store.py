@@ -8,7 +8,7 @@ import pytest
 from made_rows import CONFIGURATION, a_failure, a_row, names
 from refusals import refused
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, RunStoreError
+from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, RunStoreError
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, provenance
 from cvqmpt_lab.results.row import COLUMNS, RUNS_FILE, one_line, read_rows, write_rows
 from cvqmpt_lab.results.store import (

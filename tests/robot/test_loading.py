@@ -11,7 +11,7 @@ import trimesh
 from command_line import python
 from refusals import refused, table
 
-from cvqmpt_lab.errors import CvqmptError
+from cvqmpt_lab.base.errors import CvqmptError
 from cvqmpt_lab.robot.load import MOST_REACH, load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import pose

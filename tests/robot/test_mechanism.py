@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from refusals import refused
 
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.errors import CvqmptError, InvalidProblemError, UnknownChoiceError
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import BAR, DOOR, GRIP, door_problem, door_world
-from cvqmpt_lab.codec import from_plain, to_plain
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import CvqmptError, InvalidProblemError, UnknownChoiceError
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planners import planner_named
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import load_robot, robot_from_source

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.scene.cells import CELL, blocks_of
 from cvqmpt_lab.scene.shapes import OccupancyMap, PointCloud
 

@@ -7,7 +7,7 @@ import pytest
 from command_line import refused as refused_command
 from refusals import DATA, refused
 
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.scene.moveit_scenes import read_moveit_scene
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere

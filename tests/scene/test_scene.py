@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.scene.cells import map_of_points
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.kitchen import kitchen

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from refusals import refused
 
-from cvqmpt_lab.codec import from_plain, to_plain
+from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.scene.scene import Articulation, Scene
 from cvqmpt_lab.scene.shapes import ConvexMesh, OccupancyMap, PointCloud

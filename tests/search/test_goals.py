@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.family_task import other_robot_problem
 from cvqmpt_lab.benchmarks.place_task import place_problem
 from cvqmpt_lab.constraints.inverse_kinematics import SAMPLE_MARGIN, sample_region
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene

@@ -5,11 +5,11 @@ import pytest
 from compiled_kernels import from_python
 from properties.test_differential import near_contact
 
-from cvqmpt_lab.certificate import SPACING, TOLERANCE
+from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.certificate.between_states import largest_violation
+from cvqmpt_lab.certificate.certificate import SPACING, TOLERANCE
 from cvqmpt_lab.collision.arrays import robot_swing
-from cvqmpt_lab.constraints.between_states import largest_violation
 from cvqmpt_lab.constraints.task_space_region import FREE, symmetric_region
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject

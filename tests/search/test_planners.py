@@ -10,14 +10,14 @@ import pytest
 from process_memory import in_use
 from refusals import refused
 
-from cvqmpt_lab.certificate import certify
+from cvqmpt_lab.base.errors import CvqmptError, InvalidProblemError
+from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.errors import CvqmptError, InvalidProblemError
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planners import PLANNERS, Method, planner_named
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.planning.planners import PLANNERS, Method, planner_named
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.store import states_hash
 from cvqmpt_lab.scene.scene import Attachment, SceneObject

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.templates import problem_template
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.planners import Method
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.planning.pipeline import solve
+from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS

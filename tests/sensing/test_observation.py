@@ -6,10 +6,10 @@ import numpy as np
 from refusals import refused
 from scipy.spatial import cKDTree
 
-from cvqmpt_lab import caches as kept
-from cvqmpt_lab.caches import cached_arrays
-from cvqmpt_lab.planners import Method
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base import caches as kept
+from cvqmpt_lab.base.caches import cached_arrays
+from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.search.planner_interface import Stages

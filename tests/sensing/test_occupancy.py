@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.scene.cloud_files import Cloud
 from cvqmpt_lab.sensing.scan import Arm, MapSettings, occupancy_map
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Sphere
 from cvqmpt_lab.sensing.camera import (

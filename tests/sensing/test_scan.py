@@ -9,8 +9,8 @@ import pytest
 from refusals import refused
 from scipy.spatial import cKDTree
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.collision.exact import CollisionChecker
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.robot.hulls import coal_distance
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.coal_shapes import transform

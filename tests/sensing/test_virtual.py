@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from refusals import refused
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import CAN
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.cloud_files import Cloud
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject

@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 from rerun.chunk import RrdReader
 
-from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.search.result import Budget
 
 

@@ -8,12 +8,12 @@ from matplotlib.image import imread
 from PIL import Image
 from refusals import refused
 
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import CAN_NAME, DOOR, carried_can
-from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.codec import from_plain
+from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.constraints.named import Region
 from cvqmpt_lab.constraints.task_space_region import upright, upright_box
-from cvqmpt_lab.poses import pose
 from cvqmpt_lab.scene.scene import Attachment, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
 from cvqmpt_lab.search.result import JointPath

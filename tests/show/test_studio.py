@@ -9,8 +9,8 @@ import pytest
 from command_line import start
 from refusals import refused
 
-from cvqmpt_lab.certificate import certify
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.base.poses import pose
+from cvqmpt_lab.certificate.certificate import certify
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.show.studio import Studio, studio, text_of
 from cvqmpt_lab.trajectory.trajectory import read_motion

@@ -5,9 +5,9 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab.certificate.motion_check import certified_motion
 from cvqmpt_lab.execution.execute import execute_motion
-from cvqmpt_lab.motion_check import certified_motion
-from cvqmpt_lab.pipeline import solve
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.show import picture

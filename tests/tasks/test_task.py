@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from refusals import refused
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import CAN_NAME, carried_can
-from cvqmpt_lab.certificate import FaultKind, certify
+from cvqmpt_lab.certificate.certificate import FaultKind, certify
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
-from cvqmpt_lab.planners import Method
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.experiments.experiment import Experiment
+from cvqmpt_lab.experiments.run import phase_rows
+from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box, Cylinder, OccupancyMap, Sphere
 from cvqmpt_lab.search.birrt import BiRRT
@@ -19,8 +21,6 @@ from cvqmpt_lab.search.result import Budget, Counters, PlanResult, PlanStatus
 from cvqmpt_lab.tasks.solve import solve_task
 from cvqmpt_lab.tasks.task import Grasp, Release
 from cvqmpt_lab.tasks.world import World
-from experiments.experiment import Experiment
-from experiments.run import phase_rows
 
 
 def changed(task, which, **fields):

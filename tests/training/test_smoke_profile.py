@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from command_line import python
 
-from cvqmpt_lab.codec import to_plain
+from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.training.profiles import PROFILES
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, stored
@@ -65,7 +65,7 @@ class Blocked:
         if name.split(".")[0] in "scipy pinocchio coal ompl numba rerun cvxpy matplotlib".split():
             raise ImportError(f"{name} is not on a bare machine")
 sys.meta_path.insert(0, Blocked())
-from cli.main import main
+from cvqmpt_lab.cli.main import main
 sys.exit(main(["train", "stage1", "--profile", "smoke", "--print-config"]))
 """
 

@@ -13,12 +13,12 @@ from command_line import refused as command_refused
 from refusals import refused
 from training_data import kinematics, write_dataset
 
-from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import CvqmptError
-from cvqmpt_lab.labels.generation import generate
-from cvqmpt_lab.labels.roadmap_labels import RoadmapRecipe
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.errors import CvqmptError
 from cvqmpt_lab.training.dataset import open_dataset
+from cvqmpt_lab.training.generation import generate
 from cvqmpt_lab.training.profiles import PROFILES, Profile
+from cvqmpt_lab.training.roadmap_labels import RoadmapRecipe
 from cvqmpt_lab.training.stage import OptimizerSettings
 from cvqmpt_lab.training.trainer import run_training
 from cvqmpt_lab.vqmpt.checkpoint import load_checkpoint, save_checkpoint

@@ -12,14 +12,14 @@ from scipy.spatial import cKDTree
 from small_models import compact_config, published_config, random_checkpoint
 from training_data import LOWER, SPAN, UPPER, kinematics, shard, write_dataset, write_shard
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.labels.generation import scene_arrays
+from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.sensing.camera import KINECT, Camera, DepthNoise, look_at
 from cvqmpt_lab.sensing.observation import CameraSettings, visible_points
 from cvqmpt_lab.sensing.scan import BallCrop
 from cvqmpt_lab.training.clouds import CloudSettings, CropSettings, measured_points, sample_cloud
 from cvqmpt_lab.training.dataset import BaseTurn, Shapes, open_dataset
+from cvqmpt_lab.training.generation import scene_arrays
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage, SceneBatchSettings, turned
 from cvqmpt_lab.training.sequence_networks import open_sequences
 from cvqmpt_lab.vqmpt.config import MPNetConfig, SerialChain

@@ -11,11 +11,11 @@ from properties.test_differential import tuning_problems
 from refusals import refused, table
 from toppra_duration import weak_efforts
 
+from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import place_problem
-from cvqmpt_lab.certificate import FaultKind
-from cvqmpt_lab.motion_check import certified_motion, dry_run
-from cvqmpt_lab.pipeline import solve
-from cvqmpt_lab.poses import pose
+from cvqmpt_lab.certificate.certificate import FaultKind
+from cvqmpt_lab.certificate.motion_check import certified_motion, dry_run
+from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.robot.dynamics import Dynamics, without_effort_limit
 from cvqmpt_lab.robot.load import load_robot, panda, robot_from_source
 from cvqmpt_lab.robot.robot import JointLimits

@@ -10,8 +10,8 @@ from published_files import waves
 from refusals import refused
 from torch.nn import functional as F
 
-from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import CvqmptError
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.errors import CvqmptError
 from cvqmpt_lab.training.dictionary_stage import stage1_loss
 from cvqmpt_lab.vqmpt import config, dictionary, published_network
 from cvqmpt_lab.vqmpt.beam_search import beam_search

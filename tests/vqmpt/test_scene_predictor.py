@@ -9,9 +9,9 @@ from refusals import refused
 from small_models import compact_config, random_checkpoint
 from torch.nn import functional as F
 
-from cvqmpt_lab.labels.generation import serial_chain
-from cvqmpt_lab.labels.roadmap_labels import body_points
 from cvqmpt_lab.robot.load import robot_from_source
+from cvqmpt_lab.training.generation import serial_chain
+from cvqmpt_lab.training.roadmap_labels import body_points
 from cvqmpt_lab.training.sequence_stage import roadmap_successors
 from cvqmpt_lab.vqmpt.checkpoint import stored
 from cvqmpt_lab.vqmpt.codebook import dictionary_nodes

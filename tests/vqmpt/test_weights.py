@@ -13,8 +13,8 @@ from refusals import refused
 from small_models import METADATA, compact_config, random_checkpoint
 from training_data import LOWER, UPPER
 
-from cvqmpt_lab.codec import from_plain, to_plain
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.codec import from_plain, to_plain
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.vqmpt import weights
 from cvqmpt_lab.vqmpt.checkpoint import (
     Checkpoint,

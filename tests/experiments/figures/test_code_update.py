@@ -12,22 +12,22 @@ from command_line import refused as command_refused
 from refusals import refused
 from small_models import random_checkpoint
 
-from cvqmpt_lab.planners import planner_named
-from cvqmpt_lab.search.planner_interface import Observation, Query
-from cvqmpt_lab.search.result import Budget
-from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
-from cvqmpt_lab.vqmpt.weights import weights_digest
-from experiments.figures import paper
-from experiments.figures.code_update import (
+from cvqmpt_lab.experiments.figures import paper
+from cvqmpt_lab.experiments.figures.code_update import (
     UpdateSettings,
     histogram_rows,
     squared_residual,
     update_codes,
 )
-from experiments.figures.paper import figure_bytes, histogram_figure
-from paper_tables.claims import updated_codes
-from paper_tables.statements import PREDICTED, Claim
+from cvqmpt_lab.experiments.figures.paper import figure_bytes, histogram_figure
+from cvqmpt_lab.paper_tables.claims import updated_codes
+from cvqmpt_lab.paper_tables.statements import PREDICTED, Claim
+from cvqmpt_lab.planning.planners import planner_named
+from cvqmpt_lab.search.planner_interface import Observation, Query
+from cvqmpt_lab.search.result import Budget
+from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
+from cvqmpt_lab.vqmpt.weights import weights_digest
 
 SETTINGS = UpdateSettings(samples=300)
 

@@ -3,9 +3,9 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from cvqmpt_lab.certificate import Certificate
+from cvqmpt_lab.certificate.certificate import Certificate
 from cvqmpt_lab.constraints.report import BoundUse, bound_usage
-from cvqmpt_lab.pipeline import Solution
+from cvqmpt_lab.planning.pipeline import Solution
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import Improvement
 from cvqmpt_lab.search.result import PlanStatus
@@ -120,8 +120,8 @@ def solution_data(
     certificate = None
     if shorter is not None and solution.certificate is not None:
         # these need scipy.interpolate, half a second to import
-        from cvqmpt_lab.certificate_record import record
-        from cvqmpt_lab.motion_check import DryRun
+        from cvqmpt_lab.certificate.motion_check import DryRun
+        from cvqmpt_lab.certificate.record import record
         from cvqmpt_lab.trajectory.trajectory import Motion
 
         asked, states = asked or problem, shorter.path.states

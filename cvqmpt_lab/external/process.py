@@ -16,14 +16,14 @@ import weakref
 from multiprocessing.connection import wait
 from typing import Any
 
-from cvqmpt_lab.errors import InvalidInputError, one_line
-from cvqmpt_lab.external_worker import LENGTH, MOST_BYTES, Answer
+from cvqmpt_lab.base.errors import InvalidInputError, one_line
+from cvqmpt_lab.external.worker import LENGTH, MOST_BYTES, Answer
 from cvqmpt_lab.problem import PlanningProblem
 
 START_S = 300.0  # [s] for importing and making a planner, and for preparing a problem
 RUN = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from cvqmpt_lab.external_worker import main; main(int(sys.argv[2]), int(sys.argv[3]))"
+    "from cvqmpt_lab.external.worker import main; main(int(sys.argv[2]), int(sys.argv[3]))"
 )
 
 

@@ -140,7 +140,7 @@ def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
 
 def in_checkout() -> bool:
     """Whether this runs in a checkout of the project, not as an installed wheel."""
-    return (Path(__file__).parents[1] / "constraints.txt").is_file()
+    return (Path(__file__).parents[2] / "constraints.txt").is_file()
 
 
 def install_command(extra: str) -> str:

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from cvqmpt_lab.base.jit import compile_all, compiled_before
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion, upright_box
-from cvqmpt_lab.jit import compile_all, compiled_before
-from cvqmpt_lab.pipeline import with_sampled_goals
-from cvqmpt_lab.planners import Method, planner_named, require_fit
+from cvqmpt_lab.planning.pipeline import with_sampled_goals
+from cvqmpt_lab.planning.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.scene import Scene

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from cvqmpt_lab.errors import InvalidInputError, shown
+from cvqmpt_lab.base.errors import InvalidInputError, shown
 
 
 @contextlib.contextmanager

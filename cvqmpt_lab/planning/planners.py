@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegionChain
-from cvqmpt_lab.errors import InvalidInputError, UnknownChoiceError
-from cvqmpt_lab.external import entry_point_names, external_planner, is_external, refuse_clash
+from cvqmpt_lab.external.door import entry_point_names, external_planner, is_external, refuse_clash
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.anytime import informed_roadmap_path
 from cvqmpt_lab.search.birrt import BiRRT
@@ -238,7 +238,7 @@ def is_removed(name: str) -> bool:
 
 
 def planner_named(name: str, model: str | None = None, reach: float | None = None) -> Method:
-    """The planner or control of that name, also an external one, see `cvqmpt_lab.external`.
+    """The planner or control of that name, also an external one, see `cvqmpt_lab.external.door`.
 
     Args:
         name: of the planner.

@@ -19,7 +19,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.errors import (
+from cvqmpt_lab.base.errors import (
     InvalidInputError,
     UnknownChoiceError,
     at,
@@ -29,8 +29,8 @@ from cvqmpt_lab.errors import (
     require_choice,
     shown,
 )
-from cvqmpt_lab.files import json_text, read_json_object, write_text
-from cvqmpt_lab.values import scalar
+from cvqmpt_lab.base.files import json_text, read_json_object, write_text
+from cvqmpt_lab.base.values import scalar
 
 Reader: TypeAlias = Callable[[Any, str], Any]
 COMMENT = "_comment"

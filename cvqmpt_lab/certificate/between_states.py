@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cvqmpt_lab.base.values import frozen
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.values import frozen
 
 # Bound on the second derivative of a rotation vector's entry per D^2, D = sum_j |dq_j|: |Jl^-1| is
 # at most pi / 2, its derivative 1.29, and the angular velocity changes by half.

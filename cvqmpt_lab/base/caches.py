@@ -18,8 +18,8 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, shown
-from cvqmpt_lab.files import replacing
+from cvqmpt_lab.base.errors import InvalidInputError, shown
+from cvqmpt_lab.base.files import replacing
 
 Made = TypeVar("Made")
 _WARNED = threading.Event()  # set once this process has warned of a cache folder

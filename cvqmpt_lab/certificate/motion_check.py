@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.certificate import Certificate, Fault, FaultKind, certify
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.certificate.certificate import Certificate, Fault, FaultKind, certify
 from cvqmpt_lab.collision.solids import reach_with
-from cvqmpt_lab.errors import InvalidInputError
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import JointLimits
 from cvqmpt_lab.search.result import JointPath

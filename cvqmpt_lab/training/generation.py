@@ -12,9 +12,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cvqmpt_lab.codec import to_plain
-from cvqmpt_lab.errors import InvalidInputError, require_choice, whole_number
-from cvqmpt_lab.files import locked, make_folder, read_json_object, write_bytes, write_text
+from cvqmpt_lab.base.codec import to_plain
+from cvqmpt_lab.base.errors import InvalidInputError, require_choice, whole_number
+from cvqmpt_lab.base.files import locked, make_folder, read_json_object, write_bytes, write_text
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
 from cvqmpt_lab.robot.kinematics import link_poses

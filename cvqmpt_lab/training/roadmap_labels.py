@@ -10,20 +10,20 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.collision.arrays import robot_arrays
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.labels.generation import (
-    SceneRecipe,
-    free_configurations,
-    near_obstacles,
-    unconstrained_space,
-)
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.scene.scene import Scene
 from cvqmpt_lab.search.motion import edge_verdicts, motion_free
 from cvqmpt_lab.search.space import ConstrainedSpace
+from cvqmpt_lab.training.generation import (
+    SceneRecipe,
+    free_configurations,
+    near_obstacles,
+    unconstrained_space,
+)
 from cvqmpt_lab.training.shards import (
     LABEL_ARRAYS,
     LINKS,

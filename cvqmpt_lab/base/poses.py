@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cvqmpt_lab.codec import from_plain
-from cvqmpt_lab.errors import InvalidInputError
-from cvqmpt_lab.values import LARGEST, TURN, Array, FloatArray
+from cvqmpt_lab.base.codec import from_plain
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.base.values import LARGEST, TURN, Array, FloatArray
 
 MATRIX = Array((4, 4), "numbers, or {xyz, rpy} or {xyz, quaternion}")
 

@@ -5,12 +5,12 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from cvqmpt_lab.certificate import deviation_tolerated
+from cvqmpt_lab.base.errors import InvalidInputError, InvalidProblemError
+from cvqmpt_lab.certificate.certificate import deviation_tolerated
 from cvqmpt_lab.constraints.report import displacements, excess
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE
-from cvqmpt_lab.errors import InvalidInputError, InvalidProblemError
-from cvqmpt_lab.pipeline import Solution, solve, with_sampled_goals
-from cvqmpt_lab.planners import Method
+from cvqmpt_lab.planning.pipeline import Solution, solve, with_sampled_goals
+from cvqmpt_lab.planning.planners import Method
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.search.result import Budget
 

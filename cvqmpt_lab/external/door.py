@@ -4,7 +4,7 @@ An external planner is a function (problem, budget, seed), or a class without ar
 instances are called so. It returns a path, an array (m, n) from the start to one of the goals
 [rad or m], straight between its rows; None where it found none; or a
 `search.planner_interface.Proposal`, from which the search of this package goes on. Only its answer
-comes into this process (`external_process`): it cannot change what it is judged by.
+comes into this process (`external.process`): it cannot change what it is judged by.
 """
 
 from collections.abc import Collection
@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.errors import InvalidInputError, one_line
-from cvqmpt_lab.external_process import NoAnswer, PlannerProcess
+from cvqmpt_lab.base.errors import InvalidInputError, one_line
+from cvqmpt_lab.external.process import NoAnswer, PlannerProcess
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.planner_interface import (
@@ -86,7 +86,7 @@ class ExternalPlanner:
 def answered(
     words: dict[str, Any], arrays: dict[str, np.ndarray], robot: Robot, path_alone: Proposal
 ) -> Proposal:
-    """The proposal of an answer (see `external_worker.Worker.plan`).
+    """The proposal of an answer (see `external.worker.Worker.plan`).
 
     path_alone: the proposal of a path, without it. InvalidInputError: what it returned is no path
     and no proposal; NoAnswer: it cannot be read.

@@ -21,10 +21,16 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from cvqmpt_lab.errors import CvqmptError, InvalidInputError, UnknownChoiceError, one_line, shown
-from cvqmpt_lab.jit import compile_all
+from cvqmpt_lab.base.errors import (
+    CvqmptError,
+    InvalidInputError,
+    UnknownChoiceError,
+    one_line,
+    shown,
+)
+from cvqmpt_lab.base.jit import compile_all
+from cvqmpt_lab.base.processes import end_with_parent, limit_memory, one_thread
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.processes import end_with_parent, limit_memory, one_thread
 from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Uniform
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from cvqmpt_lab.errors import InvalidInputError, shown
+from cvqmpt_lab.base.errors import InvalidInputError, shown
 
 Kept = TypeVar("Kept")
 FloatArray: TypeAlias = npt.NDArray[np.float64]

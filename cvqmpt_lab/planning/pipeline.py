@@ -9,13 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cvqmpt_lab.certificate import Certificate, certify
+from cvqmpt_lab.base.errors import require_kind, whole_number
+from cvqmpt_lab.base.processes import one_thread
+from cvqmpt_lab.base.values import frozen
+from cvqmpt_lab.certificate.certificate import Certificate, certify
 from cvqmpt_lab.constraints.inverse_kinematics import GoalSample, reaches_no_pose
 from cvqmpt_lab.constraints.task_space_region import TOLERANCE, TaskSpaceRegionChain
-from cvqmpt_lab.errors import require_kind, whole_number
-from cvqmpt_lab.planners import Method, planner_named, require_fit
+from cvqmpt_lab.planning.planners import Method, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem, check_problem, with_usable_goals
-from cvqmpt_lab.processes import one_thread
 from cvqmpt_lab.search.anytime import Improvement, check_units, improve, restarted
 from cvqmpt_lab.search.birrt import BiRRT
 from cvqmpt_lab.search.goals import sample_goals
@@ -31,7 +32,6 @@ from cvqmpt_lab.search.planner_interface import (
 from cvqmpt_lab.search.result import Budget, Counters, JointPath, PlanResult, PlanStatus
 from cvqmpt_lab.search.shortcut import Simplified, simplify
 from cvqmpt_lab.search.space import ConstrainedSpace
-from cvqmpt_lab.values import frozen
 
 MAX_GOALS = 20
 NEAR_GOALS = 5  # that are tried first where joints turn more than once

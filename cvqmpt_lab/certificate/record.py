@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cvqmpt_lab.certificate import (
+from cvqmpt_lab.base.files import finite
+from cvqmpt_lab.certificate.certificate import (
     END_TOLERANCE,
     LARGEST_STEP,
     TOLERANCE,
@@ -18,10 +19,9 @@ from cvqmpt_lab.certificate import (
     FaultKind,
     Verdict,
 )
+from cvqmpt_lab.certificate.motion_check import DryRun
 from cvqmpt_lab.collision.exact import ROUNDING
 from cvqmpt_lab.collision.solids import carried_pairs, obstacles_within, reach_with, solids
-from cvqmpt_lab.files import finite
-from cvqmpt_lab.motion_check import DryRun
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import LeftOut
 from cvqmpt_lab.scene.scene import Scene

@@ -31,14 +31,14 @@ from numba.core.caching import FunctionCache, UserProvidedCacheLocator
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
-from cvqmpt_lab.caches import (
+from cvqmpt_lab.base.caches import (
     cache_folder,
     named_folder,
     sources_digest,
     trusted_cache,
     written_by_owner_only,
 )
-from cvqmpt_lab.errors import InvalidInputError
+from cvqmpt_lab.base.errors import InvalidInputError
 
 OPTIONS = {
     "error_model": "numpy",
@@ -52,8 +52,10 @@ INLINE: dict[str | None, dict] = {
     "source": {"inline": "always"},
 }
 NUMBERS = {float: types.float64, int: types.int64, bool: types.boolean}
-PACKAGE = Path(__file__).parent
-FILES = [file for file in sorted(PACKAGE.rglob("*.py")) if b"cvqmpt_lab.jit" in file.read_bytes()]
+PACKAGE = Path(__file__).parents[1]
+FILES = [
+    file for file in sorted(PACKAGE.rglob("*.py")) if b"cvqmpt_lab.base.jit" in file.read_bytes()
+]
 # digest of all files with kernels: numba does not notice when a function that another calls is new
 SOURCES = sources_digest(*FILES)
 

@@ -1,0 +1,1 @@
+"""What every file uses: errors, files, values, compiled functions."""

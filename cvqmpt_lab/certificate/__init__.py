@@ -1,0 +1,1 @@
+"""Certificates of paths and motions, without the planners' code."""

@@ -1,0 +1,1 @@
+"""Planners of other people, in a process of their own."""

@@ -1,0 +1,1 @@
+"""Planners by name and the run of one problem."""
