@@ -10,8 +10,8 @@ from numpy.polynomial import Polynomial
 
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.benchmarks.place_task import DOOR, carried_can
+from cvqmpt_lab.certificate import between_states
 from cvqmpt_lab.cli.main import main
-from cvqmpt_lab.constraints import between_states
 from cvqmpt_lab.constraints.report import displacements
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, run_experiment

@@ -22,7 +22,7 @@ from fuzz.mutation import damaged, hostile_json, hostile_xml, rarely
 from hypothesis import strategies as st
 from made_rows import a_row
 from PIL import Image
-from properties.random_arms import random_urdf
+from random_arms import random_urdf
 from refusals import DATA
 from training_data import write_dataset
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from properties.random_arms import ARMS, WIDTHS, arm, problem_around
+from random_arms import ARMS, WIDTHS, arm, problem_around
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.base.codec import from_plain, to_plain

@@ -23,7 +23,8 @@ TESTS = Path(__file__).resolve().parents[1]
 )
 def test_memory_and_time_of_a_long_run(trials):
     code = f"from properties.test_long_run import live; live({trials})"
-    code = f"import sys; sys.path[:0] = {[*map(str, (TESTS, TESTS.parent))]}; {code}"
+    folders = [str(folder) for folder in (TESTS, TESTS / "helpers", TESTS.parent)]
+    code = f"import sys; sys.path[:0] = {folders}; {code}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0 and done.stderr == "", done.stderr[-400:]
     growth, objects, slowdown = json.loads(done.stdout)

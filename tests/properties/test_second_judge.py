@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 from judged_bodies import furthest, moved
-from properties.random_arms import ARMS as RANDOM_ARMS
-from properties.random_arms import random_urdf
+from random_arms import ARMS as RANDOM_ARMS
+from random_arms import random_urdf
 from scipy.spatial.transform import Rotation
 from second_judge import WORLD, Arm, Judge, body_of
 

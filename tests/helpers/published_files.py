@@ -20,7 +20,7 @@ SEQUENCE = {
 }  # fmt: skip
 
 
-SHAPES = json.loads((Path(__file__).parent / "data" / "published_shapes.json").read_text())
+SHAPES = json.loads((Path(__file__).parents[1] / "data" / "published_shapes.json").read_text())
 
 
 def waves(positions, width):

@@ -8,7 +8,7 @@ from pathlib import Path
 from cvqmpt_lab.cli.main import main
 
 SCAN_START = "-0.9,0.3,0,-2.0,0,2.3,0.8"  # of the arm in the scan that tests share
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def refused(capsys, *words):

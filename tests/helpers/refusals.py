@@ -7,7 +7,7 @@ import pytest
 
 from cvqmpt_lab.base.errors import InvalidInputError, UnknownChoiceError
 
-DATA = Path(__file__).resolve().parent / "data"
+DATA = Path(__file__).resolve().parents[1] / "data"
 REFUSALS = (InvalidInputError, UnknownChoiceError)  # their lines tell them apart
 
 
