@@ -53,7 +53,7 @@ from cvqmpt_lab.planning.solution_report import solution_data, solution_lines
 from cvqmpt_lab.planning.warm_up import compile_kernels, warm_up
 from cvqmpt_lab.problem import PlanningProblem, with_projected_start
 from cvqmpt_lab.robot.load import robot_from_source
-from cvqmpt_lab.robot.robot import SLOW, Robot
+from cvqmpt_lab.robot.robot import SLOW_SPEED, Robot
 from cvqmpt_lab.tasks.task import Task
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     item = _problem_or_task(args)
     if args.speed is not None and args.trajectory is None and not isinstance(item, Task):
         raise InvalidInputError(f"--speed {args.speed} is that of --trajectory OUT.csv; give it")
-    args.speed = SLOW if args.speed is None else args.speed
+    args.speed = SLOW_SPEED if args.speed is None else args.speed
     if isinstance(item, Task):
         solution, report = _solved_task(args, item)
     else:

@@ -33,9 +33,9 @@ from cvqmpt_lab.results.store import directory_rows
 
 LEARNED = ("mpnet", "mpnet-bridged", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned")
 QUICK = ("birrt", "birrt-printed", "cells", "ompl-projected", *LEARNED, "roadmap", "roadmap-cvq")
-SLOW = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
+SLOW_SPEED = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
 KPIECE = ("ompl-bkpiece",)
-ALL = (*QUICK[:4], *SLOW, *KPIECE, *QUICK[4:])
+ALL = (*QUICK[:4], *SLOW_SPEED, *KPIECE, *QUICK[4:])
 JUDGED = ("ompl-projected", "cvq-mpt", "opt-cvq-mpt")
 SOME = ("birrt", "ompl-projected", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq")
 TUNED = (*SOME, "birrt-printed", "cvq-tuned")
@@ -128,7 +128,7 @@ SUITES: Mapping[str, Suite] = {
         amounts=(
             Amount(seeds=5, planners=QUICK),
             Amount(problems=60, cutoff=5.0, planners=CONTROLLED, folder="controls"),
-            Amount(planners=SLOW, late=True),
+            Amount(planners=SLOW_SPEED, late=True),
             Amount(problems=30, planners=KPIECE, late=True),
             Amount(profile="small", problems=10, cutoff=2.0),
             Amount(profile="small", problems=3, cutoff=2.0, planners=CONTROLLED, folder="controls"),
@@ -188,7 +188,7 @@ SUITES: Mapping[str, Suite] = {
     # no shipped weights fit the arm with the door as its eighth joint
     "open-door": Suite(
         title="Open the shelf's door, the hand on its handle",
-        planners=("birrt", "ompl-projected", *SLOW, *KPIECE, "roadmap"),
+        planners=("birrt", "ompl-projected", *SLOW_SPEED, *KPIECE, "roadmap"),
         amounts=(Amount(),),
     ),
     "passages": Suite(
@@ -254,7 +254,7 @@ SUITES: Mapping[str, Suite] = {
         title="Scanned scenes, hand upright: planned in the map, judged in truth",
         amounts=(
             Amount(seeds=3, planners=QUICK),
-            Amount(planners=SLOW, late=True),
+            Amount(planners=SLOW_SPEED, late=True),
             Amount(profile="small", problems=2, cutoff=2.0),
         ),
         table=partial(place_table, sensed=True),
@@ -297,7 +297,7 @@ SUITES: Mapping[str, Suite] = {
         title="Multi-sequence task: open the shelf, take the can, stand it on the counter",
         amounts=(
             Amount(planners=QUICK),
-            Amount(problems=16, planners=SLOW, late=True),
+            Amount(problems=16, planners=SLOW_SPEED, late=True),
             Amount(profile="small", problems=2, cutoff=2.0, planners=SOME),
         ),
         table=task_table,

@@ -28,7 +28,7 @@ from cvqmpt_lab.benchmarks.place_task import (
 )
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import natural_key, one_line
-from cvqmpt_lab.robot.robot import SLOW
+from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.robot.source import content_digest
 from cvqmpt_lab.scene.families import FAMILIES
 from cvqmpt_lab.scene.scene import Attachment
@@ -120,7 +120,9 @@ SUITES: Mapping[str, Suite] = {
             for name in ("motion-bench", "motion-bench-upright")
         ),
         *(
-            Suite(name, tasks, multi_sequence_task, new_scenes=False, settings={"speed": SLOW})
+            Suite(
+                name, tasks, multi_sequence_task, new_scenes=False, settings={"speed": SLOW_SPEED}
+            )
             for name, tasks in (
                 ("multi-sequence", range(66)),
                 ("multi-sequence-more", range(66, 816)),

@@ -19,7 +19,7 @@ from cvqmpt_lab.constraints.inverse_kinematics import (
 )
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.planning.margins import Margin
-from cvqmpt_lab.robot.robot import SLOW
+from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import solve_task
 from cvqmpt_lab.tasks.task import Move, Slide, Task, Turn
@@ -93,7 +93,7 @@ def task_template(source: Mapping[str, Any], what: Furniture = "drawer") -> dict
             "birrt",
             Budget(seconds=3.0),
             seed=0,
-            timing=TimingSettings(speed=SLOW),
+            timing=TimingSettings(speed=SLOW_SPEED),
             margin=Margin(),
         )
         if solution.solved:

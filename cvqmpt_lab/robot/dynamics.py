@@ -1,9 +1,9 @@
-"""Inverse dynamics of an arm and what it carries: efforts of a motion, and bounds between samples.
+"""Inverse dynamics of an arm and its loads: efforts of a motion, and bounds between samples.
 
     tau = M(q) q'' + C(q, q') q' + g(q)
 
-Efforts of a motion in `slower` times its time are (tau - g) / slower^2 + g. Friction and the
-inertia of rotors are not known, nor what a door asks for.
+A motion that takes `slower` times as long needs efforts (tau - g) / slower^2 + g. The model has
+neither friction nor inertia of rotors, nor forces of a door.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from cvqmpt_lab.robot.robot import JointLimits, Robot, axis_frames, in_link
 
 
 class Load(NamedTuple):
-    """The mass of something fixed to an end effector."""
+    """Mass and inertia of an object fixed to an end effector."""
 
     T_hand_object: np.ndarray  # (4, 4) [m]
     mass: float  # [kg]
-    centre: np.ndarray  # of mass (3,), in the object's frame [m]
-    tensor: np.ndarray  # of inertia about the centre of mass (3, 3) [kg m^2]
-    end_effector: str | None = None  # None: the robot's first
+    centre: np.ndarray  # (3,) centre of mass in the object's frame [m]
+    tensor: np.ndarray  # (3, 3) inertia about the centre of mass [kg m^2]
+    end_effector: str | None = None  # None: the robot's first one
 
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """An arm's links with their masses, and what its hand carries as part of the last one."""
+    """Rigid-body model of an arm; its loads are parts of the links that carry them."""
 
     model: pin.Model
 
     @staticmethod
     def of(robot: Robot, loads: Iterable[Load] = ()) -> Dynamics | None:
-        """The dynamics of a robot; None where no effort is limited, see `without_effort_limit`."""
+        """Return a robot's dynamics; None if no effort is limited, see `without_effort_limit`."""
         if robot.weightless or np.isinf(robot.limits["effort"]).all():
             return None
         model = robot.model.copy()
@@ -51,43 +51,44 @@ class Dynamics:
         return Dynamics(model)
 
     def efforts(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Efforts tau (k, n) [Nm or N] at q, q', q'' (k, n)."""
+        """Return efforts tau (k, n) [Nm or N] at q, v = q', a = q'' (k, n)."""
         data = self.model.createData()
         rows = zip(*(np.ascontiguousarray(x) for x in (q, v, a)), strict=True)
         return np.array([pin.rnea(self.model, data, *row) for row in rows]).reshape(np.shape(q))
 
     def gravity(self, q: np.ndarray) -> np.ndarray:
-        """g(q) (k, n) [Nm or N]."""
+        """Return the efforts g(q) (k, n) [Nm or N] that hold the arm still at q (k, n)."""
         still = np.zeros_like(q)
         return self.efforts(q, still, still)
 
     def weights(self, q: np.ndarray, limits: JointLimits) -> np.ndarray:
-        """g(q) (k, n) [Nm or N]; InvalidInputError where it takes the whole effort limit."""
+        """Return g(q) as `gravity` does; refuse it if it reaches the effort limit of a joint."""
         efforts = self.gravity(q)
         assert limits.effort is not None
         k, joint = np.unravel_index(int((np.abs(efforts) / limits.effort).argmax()), q.shape)
         if abs(efforts[k, joint]) >= limits.effort[joint]:
             raise InvalidInputError(
                 f"joint {limits.joint_names[joint]!r} needs {abs(efforts[k, joint]):.3g} of "
-                f"{limits.effort[joint]:.3g} Nm standing still: carry less, raise --effort, or "
+                f"{limits.effort[joint]:.3g} Nm to stand still: carry less, raise --effort, or "
                 "plan another path"
             )
         return efforts
 
     def curvature(self, places: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """A bound on |tau''| (k, n) [Nm/s^2 or N/s^2] on each of k pieces of a motion.
+        """Return an upper bound of |tau''| (k, n) [Nm/s^2 or N/s^2] on each of k motion pieces.
 
         Vectors of the links are bounded by their lengths, with derivatives up to the fourth: a
         vector r fixed to a link with angular velocity w has r' = w x r, and the k-th derivative of
-        a product is sum_m C(k, m) |x^(m)| |y^(k - m)|.
+        a product x y is at most sum_m C(k, m) |x^(m)| |y^(k - m)|.
 
         Args:
-            places: bounds on |q| (k, n) [rad or m].
-            rates: on the first to the fourth derivative of q (4, k, n).
+            places: (k, n) upper bounds of |q| [rad or m].
+            rates: (4, k, n) upper bounds of the first to fourth derivatives of q.
         """
         model, rows = self.model, range(1, self.model.njoints)
         still = np.zeros((5, rates.shape[1]))
-        turns, moves, axes, arms = [still[:4]], [still], [still[:4]], [still]
+        turns, axes = [still[:4]], [still[:4]]
+        moves, arms = [still], [still]
         forces, moments = [still[:3]], [still[:3]]
         slides = [joint.shortname().startswith("JointModelP") for joint in model.joints]
         for i in rows:
@@ -106,7 +107,7 @@ class Dynamics:
             # m (c'' - g) and its derivatives
             force = body.mass * (move + lever)[2:]
             force[0] += body.mass * float(np.linalg.norm(model.gravity.linear))
-            # the momentum I w, whose I = R I_0 R^T turns: I' = w x I - I x w
+            # the angular momentum is I w; I = R I_0 R^T has the derivative I' = w x I - I x w
             inertia = float(np.linalg.eigvalsh(body.inertia).max())
             tensor = _attached(inertia, 2.0 * turn)[:4]
             moments.append(_product(lever[:3], force) + _product(tensor, turn)[1:])
@@ -125,9 +126,10 @@ class Dynamics:
 
 
 def link_inertias(robot: Robot) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) of what each joint moves.
+    """Return mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2] of each joint's body.
 
-    Without what later joints move; in the frames of `Robot.kinematics`, whose z is the axis.
+    Bodies of later joints are not included. Vectors are in the joint frames of `Robot.kinematics`,
+    whose z axis is the joint's axis; the inertia is about the centre of mass.
     """
     frames = axis_frames(robot.model)
     bodies = [
@@ -138,26 +140,29 @@ def link_inertias(robot: Robot) -> list[tuple[float, np.ndarray, np.ndarray]]:
 
 
 def without_effort_limit(robot: Robot) -> str:
-    """Which efforts are not limited, and why; "" if all of the arm are."""
+    """Return which of the arm's efforts are not limited and why; "" if all are limited."""
     if names := robot.weightless:
-        return f"efforts not limited: the URDF states no mass of what {', '.join(names)} moves"
+        return f"efforts not limited: the URDF states no mass of the links of {', '.join(names)}"
     stated = zip(
         robot.joint_names, robot.limits["effort"], robot.model.upperEffortLimit, strict=True
     )
-    # the joint of a door, which has no motor, states infinity
+    # a door's joint has no motor: its limit is infinite in the model, too
     odd = [f"{name} ({x:g})" for name, limit, x in stated if np.isinf(limit) and np.isfinite(x)]
-    return f"effort not limited of {', '.join(odd)}: not plausible in the URDF" if odd else ""
+    return f"effort not limited: {', '.join(odd)} not plausible in the URDF" if odd else ""
 
 
 def _product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bounds on the derivatives (k, ...) of a product, from those of its factors."""
+    """Return bounds of a product and its derivatives (k, ...) from those of both factors."""
     return np.array(
         [sum(comb(k, m) * x[m] * y[k - m] for m in range(k + 1)) for k in range(len(x))]
     )
 
 
 def _attached(length: float, turn: np.ndarray) -> np.ndarray:
-    """Bounds on r and its derivatives (5, ...), r fixed to what turns with w (4, ...)."""
+    """Return bounds of r and its derivatives (5, ...), fixed to a body of angular velocity `turn`.
+
+    turn: (4, ...) bounds of the angular velocity and its derivatives.
+    """
     r = np.full((5, *turn.shape[1:]), length)
     for k in range(1, 5):
         r[k] = sum(comb(k - 1, m) * turn[m] * r[k - 1 - m] for m in range(k))

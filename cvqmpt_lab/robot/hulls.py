@@ -1,8 +1,8 @@
-"""Collision shapes of links as convex polytopes, and which pairs of links are checked.
+"""Convex polytopes of the links' collision shapes; choice of the link pairs that are checked.
 
-An SRDF names the pairs that its maker leaves out. Without one, a pair is left out if its links are
-fixed to each other or neighbours (one joint moves them, and no other body lies between), or if they
-overlap in nearly every random configuration. The result depends on the robot alone.
+An SRDF lists the pairs that are not checked. Without an SRDF, a pair is left out if its links are
+fixed to each other, if they are neighbours (one joint and no other body is between them), or if
+they overlap in nearly every random configuration. The result depends on the robot alone.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -22,9 +22,9 @@ from cvqmpt_lab.robot.kinematics import Kinematics, link_poses
 from cvqmpt_lab.robot.robot import LeftOut, LinkGeometry, in_link
 from cvqmpt_lab.robot.urdf import Urdf
 
-# In coal 3.0 the direction of a process's first support point of a box decides, for all boxes after
-# it, on which side they are larger by 1e-10. It is set here: else the last digits of all distances
-# would depend on the first problem of a process.
+# In coal 3.0 the first distance of a box in a process decides on which side all later boxes are
+# larger by 1e-10. This call makes it the same in every process: else the last digits of all
+# distances would depend on the first problem of the process.
 _BOX, _BESIDE = coal.Box(1.0, 1.0, 1.0), coal.Transform3s(np.eye(3), np.array([2.0, 0.0, 0.0]))
 coal.distance(
     _BOX, coal.Transform3s(), _BOX, _BESIDE, coal.DistanceRequest(), coal.DistanceResult()
@@ -32,23 +32,24 @@ coal.distance(
 
 
 def coal_distance(*bodies: Any) -> float:
-    """Distance [m] of two of coal's objects or shapes, a pose after each; negative in overlap."""
+    """Return the distance [m] of two coal objects, or of shape, pose, shape, pose; < 0: overlap."""
     return float(coal.distance(*bodies, coal.DistanceRequest(), coal.DistanceResult()))
 
 
 def hulls_of_meshes(
     root: ElementTree.Element, digests: Mapping[str, str]
 ) -> dict[str, coal.CollisionGeometry]:
-    """Convex hulls of a URDF's collision meshes by pinocchio's name of the body.
+    """Return the convex hulls of a URDF's collision meshes by pinocchio's name of the body.
 
-    They are kept in the user's cache, and in the URDF a box stands for each mesh: pinocchio would
-    read all triangles, which takes more than a second for finely drawn robots.
+    They are kept in the user's cache. In `root` each mesh is replaced by a box: pinocchio would
+    read all triangles, which takes more than a second for fine meshes.
 
     Args:
-        root: of the URDF, with full paths of meshes; it is changed.
-        digests: of the files' contents, by path.
+        root: root element of the URDF, with full paths of meshes; it is changed.
+        digests: sha256 of the mesh files by path.
 
-    Raises InvalidInputError, which names a mesh that cannot be read or has no hull.
+    Raises:
+        InvalidInputError: a mesh cannot be read or has no hull; the message names it.
     """
     wanted: dict[str, tuple[str, tuple[float, ...]]] = {}
     for link in root.findall("link"):
@@ -83,7 +84,7 @@ def hulls_of_meshes(
 
 
 def _hull_of(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) [m] of a mesh's hull, and the corners (m, 3) of its triangles among them."""
+    """Return a mesh's hull: its points (n, 3) [m] and the point indices (m, 3) of its triangles."""
     what = f"collision mesh {path}"
     try:
         mesh = coal.MeshLoader().load(path, np.array(scale))
@@ -106,7 +107,7 @@ def _hull_of(path: str, scale: Sequence[float]) -> tuple[np.ndarray, np.ndarray]
 
 
 def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:
-    """Whether arrays can be those of `_hull_of`."""
+    """Return whether arrays from the cache have the form that `_hull_of` returns."""
     return bool(
         points.dtype == np.float64
         and corners.dtype == np.int32
@@ -118,7 +119,7 @@ def _are_polytope(points: np.ndarray, corners: np.ndarray) -> bool:
 
 
 def _require_near(points: np.ndarray, what: str, farthest: float = 1e4) -> None:
-    """Refuse vertices (n, 3) further than that [m] from the origin of their frame."""
+    """Refuse vertices (n, 3) [m] with a coordinate beyond `farthest` [m]."""
     far = float(np.abs(points).max())
     if not far <= farthest:
         raise InvalidInputError(
@@ -127,9 +128,9 @@ def _require_near(points: np.ndarray, what: str, farthest: float = 1e4) -> None:
 
 
 def require_volume(points: np.ndarray, what: str, thinnest: float = 1e-6) -> None:
-    """Refuse points (n, 3) too far away, or with too thin a hull: Qhull would end the process.
+    """Refuse points (n, 3) [m] far from the origin or of a flat hull: Qhull would end the process.
 
-    thinnest: [m] of a mesh up to 1 m across; of a larger one in proportion.
+    thinnest: smallest thickness [m] of points up to 1 m across; it grows in proportion with size.
     """
     _require_near(points, what)
     centred = points - points.mean(axis=0)
@@ -144,7 +145,7 @@ def require_volume(points: np.ndarray, what: str, thinnest: float = 1e-6) -> Non
 
 
 def convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
-    """The convex hull of points (n, 3) [m] in coal; InvalidInputError if it has no volume."""
+    """Return coal's convex hull of points (n, 3) [m]; InvalidInputError if it has no volume."""
     require_volume(points, "a convex mesh")
     listed = coal.StdVec_Vec3s()
     listed.extend(list(points))
@@ -152,7 +153,7 @@ def convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
 
 
 def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeometry:
-    """A convex piece as arrays; frames: of `axis_frames`."""
+    """Return a convex piece as arrays; frames: result of `axis_frames`."""
     link, T_link_geometry = in_link(frames, item.parentJoint, item.placement)
     vertices = hull_vertices(item.geometry)
     _require_near(vertices, f"collision shape {item.name}")
@@ -160,9 +161,9 @@ def link_geometry(item: pin.GeometryObject, frames: list[np.ndarray]) -> LinkGeo
 
 
 def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
-    """Vertices (n, 3) [m] of a polytope that contains the shape: exact for hulls and boxes.
+    """Return vertices (n, 3) [m] of a polytope that contains the shape; exact for hulls and boxes.
 
-    Cylinders and capsules are circumscribed by 24-sided prisms, spheres by 98 points.
+    A cylinder or capsule is inside a prism of 24 sides, a sphere inside a polytope of 98 vertices.
     """
     corners = np.array(list(product((-1.0, 1.0), repeat=3)))
     match shape:
@@ -182,7 +183,7 @@ def hull_vertices(shape: coal.CollisionGeometry) -> np.ndarray:
 
 
 def enclosing_points(shape: coal.CollisionGeometry) -> np.ndarray:
-    """Points (n, 3) [m] whose hull contains any shape: those of a polytope, else of its box."""
+    """Return points (n, 3) [m] whose hull contains a shape: a polytope's, else those of its box."""
     if isinstance(shape, coal.ConvexBase):
         return hull_vertices(shape)
     shape.computeLocalAABB()
@@ -191,9 +192,10 @@ def enclosing_points(shape: coal.CollisionGeometry) -> np.ndarray:
 
 
 def prism_vertices(radius: float, half_length: float, sides: int = 24) -> np.ndarray:
-    """Vertices (2 sides, 3) [m] of the prism around a cylinder along z.
+    """Return the vertices (2 sides, 3) [m] of a prism around a cylinder along z.
 
-    Its edges are radius / cos(pi / sides) from the axis, so that its sides touch the cylinder.
+    Its edges have the distance radius / cos(pi / sides) from the axis: its sides touch the
+    cylinder.
     """
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = radius / np.cos(np.pi / sides) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -201,19 +203,18 @@ def prism_vertices(radius: float, half_length: float, sides: int = 24) -> np.nda
 
 
 def ball_vertices(radius: float) -> np.ndarray:
-    """Vertices (98, 3) [m] of a polytope around a ball: they stand 1 / 0.965 of its radius off.
+    """Return the vertices (98, 3) [m] of a polytope around a ball, at radius / 0.965.
 
-    They are a grid on the faces of a cube, moved to a sphere: the corners of a box alone would
-    stand 1.73 radii off.
+    They are a grid on the faces of a cube, projected to a sphere. The corners of a box would be at
+    1.73 radii.
     """
     grid = [p for p in product(range(-2, 3), repeat=3) if max(map(abs, p)) == 2]
     points = np.tan(np.pi / 8 * np.array(grid))
     return radius / 0.965 * points / np.linalg.norm(points, axis=1)[:, None]
 
 
-# reasons for leaving out a pair; after the last two follow the share of random states, or the
-# reason of the SRDF
-FIXED, ADJACENT, OVERLAP, FROM_SRDF = "fixed to each other", "adjacent", "overlap in ", "SRDF: "
+# start of the reason why a pair is not checked: overlap in a share of random configurations
+OVERLAP = "overlap in "
 
 Pair = tuple[str, str]
 
@@ -231,35 +232,35 @@ def left_out_pairs(
     few: int = 50,
     contact: float = 1e-6,
 ) -> tuple[LeftOut, ...]:
-    """The pairs that an SRDF leaves out; without one those found by the rule above.
+    """Return the link pairs that are not checked: those of an SRDF, else by the rule at the top.
 
     Args:
-        model: of the joints.
-        geometry: of the pieces.
+        model: pinocchio's model of the joints.
+        geometry: pinocchio's model of the convex pieces.
         links: the pieces as arrays.
-        kinematics: arrays of the joints.
-        urdf: the file.
+        kinematics: the joints as arrays.
+        urdf: content of the URDF.
         srdf: path of an SRDF, or "".
-        samples: random configurations.
-        always: share of them in which two hulls overlap because of their shapes.
-        spread: by which that share may be smaller among the first `few` configurations: five
-            standard deviations.
-        few: configurations after which most pairs are decided.
-        contact: [m] of an overlap; at 0 coal calls hulls free that overlap by 1.3 mm.
+        samples: number of random configurations.
+        always: a pair that overlaps in this share of the configurations is left out.
+        spread: a pair is dismissed after `few` configurations if its share is below `always` by
+            more than this: five standard deviations.
+        few: number of configurations after which most pairs are dismissed.
+        contact: distance [m] that counts as overlap; with 0, coal misses overlaps of 1.3 mm.
     """
     if srdf:
         return tuple(
             LeftOut(
                 item.get("link1", ""),
                 item.get("link2", ""),
-                FROM_SRDF + item.get("reason", "left out by the SRDF"),
+                "SRDF: " + item.get("reason", "left out by the SRDF"),
             )
             for item in srdf_root(Path(srdf)).findall("disable_collisions")
         )
     pieces: dict[str, list[int]] = {}
     for k, item in enumerate(geometry.geometryObjects):
         pieces.setdefault(model.frames[item.parentFrame].name, []).append(k)
-    # the nearest link towards the base that has bodies
+    # for each link, the next link towards the base that has pieces
     above = {
         link: next((joint.parent for joint in urdf.chain(link)[::-1] if joint.parent in pieces), "")
         for link in pieces
@@ -271,9 +272,9 @@ def left_out_pairs(
         a, b = joints[pair[0]], joints[pair[1]]
         neighbours = above[pair[1]] == pair[0] or above[pair[0]] == pair[1]
         if neighbours and a in (model.parents[b], *model.children[b]):
-            reasons[pair] = ADJACENT
+            reasons[pair] = "adjacent"
         if a == b:
-            reasons[pair] = FIXED
+            reasons[pair] = "fixed to each other"
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     states = np.random.default_rng(0).uniform(lower, upper, (samples, model.nq))
     robot = model, geometry, links, kinematics, pieces
@@ -289,7 +290,7 @@ def left_out_pairs(
 def checked_pairs(
     model: pin.Model, geometry: pin.GeometryModel, left_out: Sequence[LeftOut]
 ) -> tuple[tuple[int, int], ...]:
-    """Set the pairs that the geometry model checks; return their indices."""
+    """Set the pairs of pieces that the geometry model checks; return their indices."""
     skipped = {frozenset((pair.first, pair.second)) for pair in left_out}
     names = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
     geometry.addAllCollisionPairs()
@@ -311,7 +312,7 @@ def _touching(
     states: np.ndarray,
     margin: float,
 ) -> dict[Pair, np.ndarray]:
-    """Whether each pair of links is closer than margin [m], (k,) in states (k, n)."""
+    """Return (k,) bool by pair: are its links closer than margin [m] in each of states (k, n)?"""
     tested = pin.GeometryModel(geometry)
     tested.removeAllCollisionPairs()
     indices = [(k, i, j) for k, (a, b) in enumerate(pairs) for i in pieces[a] for j in pieces[b]]
@@ -338,7 +339,7 @@ def _touching(
 
 
 def srdf_root(path: Path) -> ElementTree.Element:
-    """The content of an SRDF file; InvalidInputError names a file that is none."""
+    """Read an SRDF file; InvalidInputError if it is malformed."""
     try:
         root = ElementTree.fromstring(read_text(path, "SRDF file"))
     except ElementTree.ParseError as error:

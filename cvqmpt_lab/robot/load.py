@@ -1,4 +1,4 @@
-"""Building a `Robot` from a URDF, an arm that has a name or the user's own; its named states."""
+"""Build a `Robot` from a named arm or a URDF file; read configurations by name or from an SRDF."""
 
 import copyreg
 import json
@@ -39,10 +39,7 @@ from cvqmpt_lab.robot.robot import (
     positive_per_joint,
 )
 from cvqmpt_lab.robot.source import (
-    ARTICULATED,
     FINGER_OPENING,
-    ROS_VARIABLE,
-    WHERE,
     RobotSource,
     content_digest,
     find_collision_meshes,
@@ -58,14 +55,14 @@ from cvqmpt_lab.robot.urdf import (
     read_urdf,
 )
 
-MOST_REACH = 10.0  # [m] from the origin; the kernels' distance grid then takes 125 MB
+MAX_REACH_M = 10.0  # from the origin; the kernels' distance grid then takes 125 MB
 
 State = Annotated[FloatArray, Array((None,), "numbers [rad or m]")]
-"""A configuration: numbers; in a file also {"joint": value} or the name of a group_state."""
+"""A configuration: numbers; in a file also {"joint": value} or a group_state of the SRDF."""
 
 
 def panda(finger_opening: float = FINGER_OPENING) -> Robot:
-    """Franka Emika Panda with hand; both fingers fixed at finger_opening [m], frame panda_hand."""
+    """Load the Franka Emika Panda with its hand, both fingers held at `finger_opening` [m]."""
     return robot_from_source({"name": "panda", "finger_opening": finger_opening})
 
 
@@ -81,30 +78,29 @@ def load_robot(
     torque_rate_limits: float | Sequence[float] | None = None,
     base: np.ndarray | None = None,
 ) -> Robot:
-    """Load the arm of hinge and slider joints between the base of a URDF and a frame of it.
+    """Load the arm of revolute and prismatic joints from the base of a URDF to one of its frames.
 
-    Continuous joints turn by up to 2 pi either way. Joints outside the chain are held at the value
-    nearest to 0; those that mimic them, at the value that follows.
+    Continuous joints turn by up to 2 pi either way. A joint outside the chain is held at its value
+    nearest to 0; a joint that mimics it is held at the value that follows from it.
 
     Args:
-        urdf: file.
-        end_effector: frame that constraints and goals are about; several: all their joints move.
-        srdf: file with the link pairs to skip; without one they are found by sampling.
-        locked: joints to fix, with their values [rad or m].
-        package_dirs: folders in which ``package://`` mesh paths are looked up first.
-        acceleration_limits: one a joint, or one for all [rad/s^2 or m/s^2], for timing only.
-        jerk_limits: likewise [rad/s^3 or m/s^3].
-        effort_limits: likewise [Nm or N]; None: those of the URDF that are plausible.
-        torque_rate_limits: likewise [Nm/s or N/s].
-        base: (4, 4), pose of the base link in the world.
+        urdf: path of the URDF file.
+        end_effector: frame of constraints and goals; or several frames, whose joints all move.
+        srdf: file with the link pairs that are not checked; None: they are found by sampling.
+        locked: values of the joints that are held [rad or m], by name.
+        package_dirs: folders that are searched first for ``package://`` mesh paths.
+        acceleration_limits: (n,), or one for all joints [rad/s^2 or m/s^2]; used for timing only.
+        jerk_limits: (n,), or one for all joints [rad/s^3 or m/s^3].
+        effort_limits: (n,), or one for all joints [Nm or N]; None: plausible ones of the URDF.
+        torque_rate_limits: (n,), or one for all joints [Nm/s or N/s].
+        base: (4, 4) pose of the base link in the world; None: the identity.
     """
-    source: dict[str, Any] = {
-        "urdf": str(Path(urdf).resolve()),
-        **(
-            {"end_effector": end_effector}
-            if isinstance(end_effector, str)
-            else {"end_effectors": list(end_effector)}
-        ),
+    source: dict[str, Any] = {"urdf": str(Path(urdf).resolve())}
+    if isinstance(end_effector, str):
+        source["end_effector"] = end_effector
+    else:
+        source["end_effectors"] = list(end_effector)
+    source |= {
         "srdf": str(Path(srdf).resolve()) if srdf else None,
         "locked": dict(locked or {}),
         "package_dirs": [str(Path(folder).resolve()) for folder in package_dirs],
@@ -121,21 +117,22 @@ def load_robot(
 
 
 def robot_from_source(source: Mapping[str, Any]) -> Robot:
-    """The robot that a problem file names, kept in memory while its files are the same.
+    """Return the robot of a problem file; it is kept in memory until one of its files changes.
 
     Args:
-        source: ``{"name": "panda"}`` or ``{"urdf": ..., "end_effector": ...}``, with options; with
-            "articulated", the json of an `ArticulatedObject`, whose joint then comes last.
+        source: ``{"name": "panda"}`` or ``{"urdf": ..., "end_effector": ...}``, with options;
+            "articulated" is the JSON of an `ArticulatedObject`, whose joint becomes the last one.
     """
     try:
-        alone = {k: v for k, v in mapping(source, WHERE).items() if k != ARTICULATED}
-        arm, door = json.dumps(alone, sort_keys=True), ""
-        if ARTICULATED in source:
-            door = json.dumps(source[ARTICULATED], sort_keys=True)
+        alone = {k: v for k, v in mapping(source, "robot").items() if k != "articulated"}
+        arm = json.dumps(alone, sort_keys=True)
+        door = ""
+        if "articulated" in source:
+            door = json.dumps(source["articulated"], sort_keys=True)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"problem field 'robot' is malformed: {error}") from error
-    # folders in which meshes are looked for, too
-    packages = os.environ.get(ROS_VARIABLE, "")
+    # meshes are searched in these folders, too
+    packages = os.environ.get("ROS_PACKAGE_PATH", "")
     robot = _cached_robot(arm, packages)
     if any(content_digest(path) != digest for path, digest in robot.files):
         _cached_robot.cache_clear()
@@ -150,33 +147,32 @@ def _cached_robot(source: str, packages: str) -> Robot:
 
 @lru_cache(maxsize=8)
 def _cached_mechanism(robot: Robot, articulated: str) -> Robot:
-    item = from_plain(ArticulatedObject, json.loads(articulated), f"{WHERE}.{ARTICULATED}")
+    item = from_plain(ArticulatedObject, json.loads(articulated), "robot.articulated")
     return with_articulated_object(robot, item)
 
 
 def unpickled(source: Mapping[str, Any], files: Sequence[tuple[str, str]]) -> Robot:
-    """The robot of a source, built again; refused if its files are not those that were pickled."""
+    """Build a pickled robot again from its source; refuse if one of its files has changed."""
     robot = robot_from_source(source)
     if [digest for _, digest in robot.files] != [digest for _, digest in files]:
         changed = next((path for path, digest in files if content_digest(path) != digest), source)
         raise InvalidInputError(
-            f"robot {robot.name} was pickled from other files than there are now, see {changed}: "
-            "make the pickle anew"
+            f"robot {robot.name} was pickled before a change of its file {changed}: pickle it again"
         )
     return robot
 
 
-# worker processes build pinocchio's objects again
+# pinocchio's objects are not pickled: worker processes build them again
 copyreg.pickle(Robot, lambda robot: (unpickled, (robot.source, robot.files)))
 
 
 def with_gripper(robot: Robot) -> Robot:
-    """The arm whose gripper moves, too: the joints that its source locks; without limits."""
+    """Return the arm with a moving gripper: joints locked by its source move, without limits."""
     return _built(robot.source, [j.name for j in robot.held_joints if j.reason == LOCKED])
 
 
 def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
-    """The robot of a source that has no articulated object; free: held joints that move, too."""
+    """Build the robot of a source without articulated object; free: locked joints that move."""
     given = read_source(source)
     read = {path: content_digest(path) for path in (given.urdf, given.srdf) if path}
     urdf = read_urdf(Path(given.urdf))
@@ -185,14 +181,16 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
     model, geometry, meshes = _models(urdf, given, held)
     axes = axis_frames(model)
     kinematics = kinematics_arrays(model, axes)
-    # no motor of an arm has more [Nm or N]: that stands where a URDF must state something
-    efforts, most = np.array(model.upperEffortLimit), np.where(kinematics.prismatic, 1e4, 1e3)
-    plausible = np.where((efforts > 0.0) & (efforts < most), efforts, np.inf)
+    # A URDF must state an effort limit. Larger values than any arm's motor has [Nm or N] are
+    # placeholders.
+    efforts = np.array(model.upperEffortLimit)
+    placeholder = np.where(kinematics.prismatic, 1e4, 1e3)
+    plausible = np.where((efforts > 0.0) & (efforts < placeholder), efforts, np.inf)
     names = list(model.names)[1:]
     limits = {
         kind: positive_per_joint(kind, values, names, LIMIT_UNITS[kind])
         for kind, values in ((k.removesuffix("_limits"), v) for k, v in given.limits.items())
-        # those of the source have no entries for joints that are free beside the arm's
+        # limits of the source have no entries for `free` joints
         if values is not None and not free
     }
     hands = {
@@ -214,15 +212,15 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
         limits={"effort": plausible, **limits},
         files=tuple({**read, **meshes}.items()),
     )
-    if robot.reach > MOST_REACH:
+    if robot.reach > MAX_REACH_M:
         far = [
             f"joint {joint.name!r} slides to {max(-joint.lower, joint.upper):g} m"
             for joint in urdf.joints.values()
-            if joint.kind == "prismatic" and max(-joint.lower, joint.upper) > MOST_REACH / 2
+            if joint.kind == "prismatic" and max(-joint.lower, joint.upper) > MAX_REACH_M / 2
         ]
         raise InvalidInputError(
             f"{urdf.path.name} reaches {robot.reach:.3g} m from the origin, because "
-            f"{', '.join(far) or 'its links or base lie far away'}: at most {MOST_REACH:g} m; are "
+            f"{', '.join(far) or 'its links or base lie far away'}: at most {MAX_REACH_M:g} m; are "
             "all lengths in metres?"
         )
     left_out = left_out_pairs(model, geometry, robot.links, robot.kinematics, urdf, given.srdf)
@@ -233,9 +231,10 @@ def _built(source: Mapping[str, Any], free: Sequence[str] = ()) -> Robot:
 def _models(
     urdf: Urdf, given: RobotSource, held: Sequence[HeldJoint], prefix: str = "joint: "
 ) -> tuple[pin.Model, pin.GeometryModel, dict[str, str]]:
-    """Pinocchio's models of the joints that are not held, on the given base; digests of meshes.
+    """Return pinocchio's models of kinematics and shapes, and the sha256 of each mesh by path.
 
-    prefix: of names of joints being fixed: pinocchio confuses joints and links of one name.
+    Held joints are fixed, and the robot stands on the given base. prefix: put in front of the
+    joints' names meanwhile: pinocchio confuses a joint and a link of the same name.
     """
     check_bodies(urdf.root, urdf.path)
     root = one_coordinate_a_joint(urdf)
@@ -253,11 +252,12 @@ def _models(
         raise InvalidInputError(f"cannot load {given.urdf}: {said}") from error
     if len(geometry.geometryObjects) != len(root.findall("link/collision")):
         raise InvalidInputError(
-            f"cannot load {given.urdf}: its parser leaves collision bodies out; see its words above"
+            f"cannot load {given.urdf}: the parser skipped collision bodies, see its output above"
         )
     for item in geometry.geometryObjects:
         item.geometry = hulls.get(item.name, item.geometry)
-    q, ids = pin.neutral(model), []
+    q = pin.neutral(model)
+    ids = []
     for joint in held:
         # floating and planar joints are fixed by now
         if model.existJointName(prefix + joint.name):
@@ -280,11 +280,12 @@ def _models(
 
 
 def numbers_of(robot: Robot, value: Any, where: str) -> Any:
-    """The numbers, in the robot's order, of a configuration as people name it.
+    """Return a configuration as a list of numbers [rad or m] in the order of the robot's joints.
 
     Args:
-        robot: whose joints.
-        value: {"joint": number} or the name of a group_state of its SRDF; else returned as it is.
+        robot: the robot.
+        value: {"joint": number} or the name of a group_state of its SRDF; any other value is
+            returned unchanged.
         where: the field's name in errors.
     """
     if isinstance(value, str):
@@ -308,7 +309,7 @@ def numbers_of(robot: Robot, value: Any, where: str) -> Any:
 
 
 def group_states(robot: Robot) -> dict[str, dict[str, float]]:
-    """Values of joints [rad or m] of each group_state in the robot's SRDF, by name."""
+    """Return the joints' values [rad or m] of each group_state in the robot's SRDF, by name."""
     path = read_source(robot.source).srdf
     if not path:
         return {}
@@ -318,7 +319,7 @@ def group_states(robot: Robot) -> dict[str, dict[str, float]]:
             joints = states.setdefault(state.get("name", ""), {})
             for joint in state.iter("joint"):
                 values = joint.get("value", "").split()
-                # an arm has no joints of several coordinates
+                # a joint of several coordinates is none of the arm's
                 if len(values) == 1:
                     joints[joint.get("name", "")] = float(values[0])
     except ValueError as error:

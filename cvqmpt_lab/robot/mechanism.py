@@ -1,9 +1,9 @@
-"""A robot and the door or drawer it moves, as one kinematic tree of n + 1 joints.
+"""A robot and the door or drawer that it moves, as one kinematic tree of n + 1 joints.
 
 Planners and kernels treat the door as part of the arm: its pieces are links, its handle is a frame.
 """
 
-from __future__ import annotations  # so `help` shows forms by their names
+from __future__ import annotations  # `help` then shows types by their names
 
 from dataclasses import dataclass, replace
 from itertools import product
@@ -24,8 +24,8 @@ from cvqmpt_lab.robot.robot import LeftOut, Robot, axis_frames, kinematics_array
 class Part(Checked):
     """A convex piece of an articulated object."""
 
-    name: Name  # also of a frame of the robot, if the piece moves
-    T: Pose  # (4, 4), in the joint frame at value 0 for a piece that moves, else in the world
+    name: Name  # if the piece moves, the robot has a frame of this name
+    T: Pose  # (4, 4) in the joint frame at value 0 if the piece moves, else in the world
     vertices: Annotated[FloatArray, Array((None, 3), "corners [m]")]  # (n, 3), in its own frame [m]
 
     def _check(self) -> None:
@@ -34,26 +34,26 @@ class Part(Checked):
 
 @dataclass(frozen=True, eq=False)
 class ArticulatedObject(Checked):
-    """A door or drawer: one joint, the pieces it moves, and the fixed pieces these rest against."""
+    """A door or drawer: one joint, the pieces that it moves, and the fixed pieces around them."""
 
     name: Name  # of the joint
     kind: Literal["hinge", "slider"]  # turns about the z axis of the joint frame, or moves along it
     T_world_joint: Pose  # (4, 4) at value 0
     lower: float  # [rad or m]
     upper: float  # [rad or m]
-    parts: tuple[Part, ...]  # what moves
-    casing: tuple[Part, ...] = ()  # fixed pieces beside the parts, checked against the robot alone
-    # (robot piece, part) pairs not checked: at the handle
+    parts: tuple[Part, ...]  # pieces that move
+    casing: tuple[Part, ...] = ()  # fixed pieces, checked against the robot but not the parts
+    # (robot piece, part) pairs that are not checked, e.g. finger and handle
     may_touch: tuple[tuple[str, str], ...] = ()
-    velocity: Length = 1.0  # limit [rad/s or m/s]; only timing a path needs it
-    acceleration: Length = 2.0  # limit [rad/s^2 or m/s^2]; only timing a path needs it
+    velocity: Length = 1.0  # limit [rad/s or m/s], used only for timing
+    acceleration: Length = 2.0  # limit [rad/s^2 or m/s^2], used only for timing
 
     def _check(self) -> None:
         what = f"articulated object {self.name!r}"
         if not self.lower < self.upper:
             raise InvalidInputError(
-                f"{what} has range [{self.lower}, {self.upper}]: lower < upper needed, else leave "
-                "it in the scene"
+                f"{what} has range [{self.lower}, {self.upper}]: it needs lower < upper; something "
+                "that does not move belongs in the scene"
             )
         if not self.parts:
             raise InvalidInputError(f"{what} moves nothing: give 'parts'")
@@ -61,13 +61,14 @@ class ArticulatedObject(Checked):
 
 
 def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
-    """The robot with one more joint, its last: that of a door or drawer, whose pieces become links.
+    """Return the robot with a door or drawer: its joint becomes the last one, its pieces links.
 
     A part's pose is T_world_joint Rot_z(q_n) T for a hinge, T_world_joint Trans_z(q_n) T for a
-    slider. The scene must not hold these pieces any more: `scene.articulation.take_out` gives both.
+    slider. The scene must not contain these pieces: `scene.articulation.take_out` removes them.
     """
     _check_names(robot, item)
-    model, geometry = robot.model.copy(), robot.collision_model.copy()
+    model = robot.model.copy()
+    geometry = robot.collision_model.copy()
     joint = model.addJoint(
         0,
         pin.JointModelRZ() if item.kind == "hinge" else pin.JointModelPZ(),
@@ -124,14 +125,15 @@ def with_articulated_object(robot: Robot, item: ArticulatedObject) -> Robot:
 def _check_names(robot: Robot, item: ArticulatedObject) -> None:
     if "articulated" in robot.source:
         raise InvalidInputError(
-            f"robot {robot.name} has an articulated object already: start from the arm"
+            f"robot {robot.name} has an articulated object already: give the arm without it"
         )
-    pieces, parts = [piece.name for piece in robot.links], [part.name for part in item.parts]
+    pieces = [piece.name for piece in robot.links]
+    parts = [part.name for part in item.parts]
     known = {*pieces, *robot.frame_names, *robot.joint_names}
     for name in (item.name, *(part.name for part in (*item.parts, *item.casing))):
         if name in known:
             raise InvalidInputError(
-                f"robot {robot.name} has a {name!r} already: rename that of {item.name!r}"
+                f"robot {robot.name} has a {name!r} already: use another name in {item.name!r}"
             )
     for pair in item.may_touch:
         for what, name, names in zip(("robot piece", "part"), pair, (pieces, parts), strict=True):

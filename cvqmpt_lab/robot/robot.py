@@ -1,7 +1,7 @@
 """A robot arm: its joints, limits and collision geometry.
 
-`Robot` has its model twice: as pinocchio objects for the exact backend and the certificate, and as
-arrays for the compiled kernels. Tests compare the two.
+`Robot` has two models: pinocchio objects for the exact backend and the certificate, and arrays for
+the compiled kernels. Tests compare the two.
 """
 
 import hashlib
@@ -20,16 +20,16 @@ from cvqmpt_lab.robot.urdf import HeldJoint
 
 
 class LeftOut(NamedTuple):
-    """Two links, or a link and a piece of a door, that are not checked against each other, and why.
+    """Pair of links, or of a link and a piece of a door, that is not checked; and the reason.
 
-    Reasons: "SRDF: " and its maker's word; "fixed to each other"; "adjacent" (one joint between
-    them); "overlap in N % of random states" (by sampling: convex hulls too large); "may touch" (a
-    hand and the door it holds, says the problem file); "casing" (a door and its fixed frame).
+    Reasons: "SRDF: " and the reason in the SRDF; "fixed to each other"; "adjacent" (one joint
+    between them); "overlap in N % of random states" (the convex hulls are too large); "may touch"
+    (hand and handle, named in the problem file); "casing" (a door and its fixed frame).
     """
 
     first: str
     second: str
-    reason: str  # as in the docstring
+    reason: str  # one of those above
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class LinkGeometry:
     """One convex piece of a link."""
 
     name: str  # as in the URDF, e.g. ``panda_link5_0``
-    link: int  # pose row that carries it: 0 is the world, j + 1 joint j
+    link: int  # pose row that it is fixed to: 0 is the world, j + 1 joint j
     T_link_geometry: np.ndarray  # (4, 4)
     vertices: np.ndarray  # (n, 3) corners of the hull in the geometry frame [m]
 
@@ -46,12 +46,12 @@ class LinkGeometry:
 
     @property
     def vertices_in_link(self) -> np.ndarray:
-        """The same (n, 3) in the frame of the link [m]."""
+        """Vertices (n, 3) in the frame of the link [m]."""
         return self.vertices @ self.T_link_geometry[:3, :3].T + self.T_link_geometry[:3, 3]
 
     @property
     def ball(self) -> tuple[np.ndarray, float]:
-        """Centre (3,) in the link's frame and radius of a ball around the piece [m]."""
+        """Centre (3,) in the link's frame and radius of a ball that contains the piece [m]."""
         points = self.vertices_in_link
         centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
         return centre, float(np.linalg.norm(points - centre, axis=1).max())
@@ -64,32 +64,32 @@ LIMIT_UNITS = {
     "effort": "Nm",
     "torque_rate": "Nm/s",
 }
-SLOW = 0.1  # share of the speed limits for first tries on a real arm: 0.2 rad/s on the Panda
+SLOW_SPEED = 0.1  # factor of the speed limits for a first try on a real arm (Panda: 0.2 rad/s)
 
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Largest rates and efforts of each joint, both directions alike; None: not known."""
+    """Largest rates and efforts of each joint, the same in both directions; None: unknown."""
 
-    joint_names: tuple[str, ...]  # n names, for messages
+    joint_names: tuple[str, ...]  # (n,), for messages
     velocity: np.ndarray  # (n,) [rad/s or m/s]
     acceleration: np.ndarray  # (n,) [rad/s^2 or m/s^2]
     jerk: np.ndarray | None = None  # (n,) [rad/s^3 or m/s^3]
-    effort: np.ndarray | None = None  # torque or force of the motor (n,) [Nm or N]
-    torque_rate: np.ndarray | None = None  # change of effort within 1 ms, a second (n,) [Nm/s, N/s]
+    effort: np.ndarray | None = None  # (n,) torque or force of the motor [Nm or N]
+    torque_rate: np.ndarray | None = None  # (n,) change of effort, over 1 ms [Nm/s or N/s]
 
     def __post_init__(self) -> None:
         for kind, unit in LIMIT_UNITS.items():
             if getattr(self, kind) is not None:
-                # a door that is moved limits neither jerk nor effort
-                known = kind in ("jerk", "effort", "torque_rate")
+                # the joint of a door has infinite limits of these kinds
+                unlimited = kind in ("jerk", "effort", "torque_rate")
                 values = positive_per_joint(
-                    kind, getattr(self, kind), self.joint_names, unit, unlimited=known
+                    kind, getattr(self, kind), self.joint_names, unit, unlimited
                 )
                 object.__setattr__(self, kind, values)
 
     def scaled(self, speed: float) -> "JointLimits":
-        """Rates times speed, a number above 0 and at most 1; efforts as they are."""
+        """Return limits with rates times `speed`, 0 < speed <= 1, and unchanged efforts."""
         if not 0.0 < speed <= 1.0:
             raise InvalidInputError(
                 f"speed factor {speed}: give a number above 0 and at most 1 (full speed)"
@@ -109,9 +109,17 @@ def positive_per_joint(
     unit: str,
     unlimited: bool = False,
 ) -> np.ndarray:
-    """Limits (n,), positive and finite, one a joint; a single number is used for all joints.
+    """Return limits (n,) of n joints after checks; a single number is used for all joints.
 
-    unlimited: infinity is allowed.
+    Args:
+        what: kind of limit, for messages, e.g. "jerk".
+        values: (n,) or one number, above 0 and finite.
+        joint_names: names of the n joints.
+        unit: unit of the values, for messages.
+        unlimited: whether infinity is allowed.
+
+    Raises:
+        InvalidInputError: wrong number of values, or a value out of range.
     """
     n = len(joint_names)
     try:
@@ -135,27 +143,27 @@ def positive_per_joint(
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A tree of n one-degree-of-freedom joints: an arm, or an arm and the door it moves.
+    """A tree of n joints of one degree of freedom: an arm, or an arm and the door that it moves.
 
-    Made by `panda`, `load_robot` or `with_articulated_object`.
+    Robots are made by `panda`, `load_robot` or `with_articulated_object`.
     """
 
     name: str
     source: dict  # field "robot" of a problem file that loads this robot again
     model: pin.Model
     collision_model: pin.GeometryModel  # meshes replaced by their convex hulls
-    # frames that constraints and goals are about, the first where a region names none: pose row of
-    # the link, T_link_frame (4, 4)
+    # frames of constraints and goals, by name: pose row of the link, T_link_frame (4, 4). A region
+    # without a frame refers to the first one.
     end_effectors: Mapping[str, tuple[int, np.ndarray]]
     kinematics: Kinematics  # arrays for the kernels
     links: tuple[LinkGeometry, ...]  # convex pieces
-    # indices into `links` of the pairs that are checked
+    # pairs of indices into `links`: these are checked
     self_collision_pairs: tuple[tuple[int, int], ...]
     left_out_pairs: tuple[LeftOut, ...] = ()
     held_joints: tuple[HeldJoint, ...] = ()  # joints of the URDF that planning does not move
-    # (n,) each, of the kinds of `JointLimits` that are known, without velocity
+    # (n,) each, by the field's name in `JointLimits`; unknown ones and velocity are left out
     limits: Mapping[str, np.ndarray] = field(default_factory=dict)
-    files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each file that it was built from
+    files: tuple[tuple[str, str], ...] = ()  # path and sha256 of each source file
 
     def __post_init__(self) -> None:
         # problems share robots
@@ -171,7 +179,7 @@ class Robot:
 
     @property
     def end_effector(self) -> str:
-        """The first end effector's frame."""
+        """Name of the first end effector's frame."""
         return next(iter(self.end_effectors))
 
     @property
@@ -180,7 +188,7 @@ class Robot:
         return next(iter(self.end_effectors.values()))
 
     def hand(self, end_effector: str | None = None) -> tuple[int, np.ndarray]:
-        """Pose row of an end effector's link, None: the first one's, and T_link_frame (4, 4)."""
+        """Return the pose row of an end effector and T_link_frame (4, 4); None: the first."""
         name = end_effector or self.end_effector
         require_choice(f"end effector of robot {self.name}", name, self.end_effectors)
         return self.end_effectors[name]
@@ -207,19 +215,19 @@ class Robot:
 
     @cached_property
     def turning(self) -> np.ndarray:
-        """Which joints turn more than once, (n,) bool."""
+        """(n,) bool: joints whose range is more than one turn."""
         return frozen(~self.kinematics.prismatic & (self.upper - self.lower > 2.0 * np.pi))
 
     @property
     def weightless(self) -> list[str]:
-        """Joints of the arm whose link has no mass in the URDF: no effort can be computed."""
+        """Joints of the arm whose link has no mass in the URDF; their efforts are unknown."""
         arm = self.dof - ("articulated" in self.source)
-        masses = zip(self.joint_names[:arm], list(self.model.inertias)[1:], strict=False)
-        return [name for name, body in masses if body.mass <= 0.0]
+        bodies = zip(self.joint_names[:arm], list(self.model.inertias)[1:], strict=False)
+        return [name for name, body in bodies if body.mass <= 0.0]
 
     @property
     def joint_limits(self) -> JointLimits:
-        """Velocity limits of the URDF and all others that are known, of acceleration at least."""
+        """Velocity limits of the URDF and the known others; refused without acceleration limits."""
         if "acceleration" not in self.limits:
             raise InvalidInputError(
                 f"robot {self.name} has no acceleration limits, which a URDF cannot state: give "
@@ -231,21 +239,21 @@ class Robot:
 
     @cached_property
     def kinematics_digest(self) -> str:
-        """Hash of joint names, placements, axes and limits, not shapes; weights belong to one."""
+        """Hash of joint names, placements, axes and limits; weights of a network belong to one."""
         k = self.kinematics
         digest = hashlib.sha256("\n".join(self.joint_names).encode())
         for array in (k.parent, k.prismatic, k.rotation, k.translation, k.lower, k.upper):
-            # rounding of compilers and processors must not show in the digest; no minus zero
+            # rounding errors of processors must not change the digest; + 0.0 turns -0.0 into 0.0
             rounded = np.round(array.astype(np.float64), 9) + 0.0
             digest.update(rounded.astype("<f8").tobytes())
         return digest.hexdigest()[:32]
 
     @cached_property
     def reach(self) -> float:
-        """Radius [m] of a ball around the base that no moving link or end-effector frame leaves.
+        """Radius [m] of a ball around the base that contains all moving links and end effectors.
 
-        The distance of joint j's origin is at most that of its parent's plus |t_j|, and for a
-        slider plus max(|lower|, |upper|).
+        The origin of joint j is at most |t_j| farther from the base than its parent's origin, for
+        a prismatic joint |t_j| + max(|lower|, |upper|).
         """
         k = self.kinematics
         distance = np.zeros(self.dof + 1)
@@ -261,13 +269,14 @@ class Robot:
         return float(max(ends))
 
     def levers(self, carried: float = 0.0) -> np.ndarray:
-        """Bounds (n,) on the speed of any point, per unit speed of each joint [m/rad or m/m].
+        """Return bounds (n,) of any point's speed per unit speed of each joint [m/rad or m/m].
 
-        Of a hinge, the largest distance from its origin to a point that it moves.
+        For a revolute joint it is the largest distance from its origin to a point that it moves.
 
-        carried: radius of a ball around each end effector with what it carries [m].
+        carried: radius [m] of a ball around each end effector that contains its load.
         """
-        k, far = self.kinematics, np.zeros(self.dof + 1)
+        k = self.kinematics
+        far = np.zeros(self.dof + 1)
         for link, T in self.end_effectors.values():
             far[link] = max(far[link], np.linalg.norm(T[:3, 3]) + carried)
         for piece in self.links:
@@ -280,25 +289,26 @@ class Robot:
         return np.where(k.prismatic, 1.0, far[1:])
 
     def pose(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
-        """T_world_frame (4, 4) of the end effector or a named body frame, at q (n,) [rad or m]."""
+        """Return T_world_frame (4, 4) of the end effector or a body frame at q (n,) [rad or m]."""
         return self.poses(np.asarray(q)[None], frame)[0]
 
     def poses(self, q: np.ndarray, frame: str | None = None) -> np.ndarray:
-        """T_world_frame (k, 4, 4) at configurations (k, n), by pinocchio."""
+        """Return T_world_frame (k, 4, 4) at configurations (k, n), computed by pinocchio."""
         name = frame or self.end_effector
         if not self.model.existFrame(name, pin.FrameType.BODY):
             raise InvalidInputError(
                 f"robot {self.name} has no frame {name!r}; see `Robot.frame_names`"
             )
         frame_id = self.model.getFrameId(name, pin.FrameType.BODY)
-        poses, data = np.empty((len(q), 4, 4)), self.model.createData()
+        poses = np.empty((len(q), 4, 4))
+        data = self.model.createData()
         for T, row in zip(poses, np.asarray(q, dtype=float), strict=True):
             pin.forwardKinematics(self.model, data, row)
             T[:] = pin.updateFramePlacement(self.model, data, frame_id).homogeneous
         return poses
 
     def link_of(self, frame: str) -> tuple[int, np.ndarray]:
-        """Pose row that carries a body frame, and T_link_frame (4, 4)."""
+        """Return the pose row that a body frame is fixed to, and T_link_frame (4, 4)."""
         require_choice(f"frame of robot {self.name}", frame, self.frame_names)
         body = self.model.frames[self.model.getFrameId(frame, pin.FrameType.BODY)]
         return in_link(axis_frames(self.model), body.parentJoint, body.placement)
@@ -311,7 +321,7 @@ class Robot:
     def joint_outside_limits(
         self, q: np.ndarray, tolerance: float = 1e-9
     ) -> tuple[str, float] | None:
-        """Name of the joint furthest outside its limits and by how much [rad or m], or None."""
+        """Return the joint farthest outside its limits and its excess [rad or m], or None."""
         excess = np.maximum(self.lower - q, q - self.upper)
         worst = int(np.argmax(excess))
         if excess[worst] <= tolerance:
@@ -319,14 +329,14 @@ class Robot:
         return self.joint_names[worst], float(excess[worst])
 
     def random_configurations(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Uniform configurations (count, n) inside the limits [rad or m]."""
+        """Draw uniform configurations (count, n) inside the limits [rad or m]."""
         return rng.uniform(self.lower, self.upper, (count, self.dof))
 
 
 def axis_frames(model: pin.Model) -> list[np.ndarray]:
-    """Rotation (3, 3) of each pose row that turns pinocchio's joint frame: its z is the joint axis.
+    """Return the rotation (3, 3) of the kernels' joint frame in pinocchio's, for each pose row.
 
-    The kernels' joint frames are these.
+    The z axis of a kernels' joint frame is the axis of the joint.
     """
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
@@ -334,7 +344,7 @@ def axis_frames(model: pin.Model) -> list[np.ndarray]:
     frames = [np.eye(3)]
     for j in range(1, model.njoints):
         jacobian = pin.getJointJacobian(model, data, j, pin.ReferenceFrame.LOCAL)
-        # of one joint, pinocchio gives a vector
+        # pinocchio returns a vector for a model of one joint
         motion = jacobian.reshape(6, -1)[:, j - 1]
         axis = motion[3:] if np.linalg.norm(motion[3:]) > 0.5 else motion[:3]
         frames.append(pin.Quaternion.FromTwoVectors(z, axis).toRotationMatrix())
@@ -342,13 +352,14 @@ def axis_frames(model: pin.Model) -> list[np.ndarray]:
 
 
 def kinematics_arrays(model: pin.Model, frames: list[np.ndarray]) -> Kinematics:
-    """Arrays of a model for the kernels; frames: of `axis_frames`."""
+    """Return a model's arrays for the kernels; frames: result of `axis_frames`."""
     n = model.nq
     parent = np.array([model.parents[j + 1] for j in range(n)], dtype=np.int64)
     rotation, translation = np.empty((n, 3, 3)), np.empty((n, 3))
     moves = np.zeros((n, n + 1), dtype=bool)
     for j in range(n):
-        placement, R_parent = model.jointPlacements[j + 1], frames[parent[j]]
+        placement = model.jointPlacements[j + 1]
+        R_parent = frames[parent[j]]
         rotation[j] = R_parent.T @ placement.rotation @ frames[j + 1]
         translation[j] = R_parent.T @ placement.translation
         moves[[above - 1 for above in model.supports[j + 1] if above > 0], j + 1] = True
@@ -365,7 +376,7 @@ def kinematics_arrays(model: pin.Model, frames: list[np.ndarray]) -> Kinematics:
 
 
 def in_link(frames: list[np.ndarray], joint: int, placement: pin.SE3) -> tuple[int, np.ndarray]:
-    """Pose row and (4, 4) placement of something that pinocchio attaches to a joint."""
+    """Return the pose row and (4, 4) placement of an item that pinocchio attaches to a joint."""
     T = placement.homogeneous
     T[:3] = frames[joint].T @ T[:3]
     return int(joint), T

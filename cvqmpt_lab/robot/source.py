@@ -1,4 +1,4 @@
-"""The field "robot" of a problem file: an arm's name or a URDF, with options. The named arms."""
+"""Source of a robot, the field "robot" of a problem file; table of the arms that have a name."""
 
 import hashlib
 import os
@@ -20,27 +20,24 @@ from cvqmpt_lab.base.poses import Pose
 from cvqmpt_lab.base.values import FloatArray, numbers
 from cvqmpt_lab.robot.urdf import collada_unit
 
-ARTICULATED = "articulated"
-WHERE = "robot"  # the field's name in errors
-
 
 class PerJoint:
-    """A number for all joints, or one for each."""
+    """One number for each joint, or a single number for all joints."""
 
     def read(self, value: Any, where: str) -> FloatArray:
-        """An array (n,) or ()."""
+        """Return an array (n,), or () for a single number."""
         return numbers(value, where, "a number, or one a joint")
 
 
 @dataclass(frozen=True, eq=False)
 class RobotSource:
-    """The source of a robot: a URDF file or an arm's name, and options; "" means: not given."""
+    """Source of a robot: a URDF file or an arm's name, with options; "": not given."""
 
     urdf: str = ""  # path of the file
-    end_effector: str = ""  # frame that constraints and goals refer to; by default the named arm's
-    # file with the link pairs not to check; "": the named arm's file, or pairs found by sampling
+    end_effector: str = ""  # frame of constraints and goals; "": the named arm's
+    # file with the link pairs that are not checked; "": the named arm's, or found by sampling
     srdf: str = ""
-    # joints to fix, with their values [rad or m]
+    # values of the joints that are held [rad or m]
     locked: Mapping[str, float] = field(default_factory=dict)
     # (n,), or () for all joints [rad/s^2 or m/s^2]
     acceleration_limits: Annotated[FloatArray, PerJoint()] | None = None
@@ -48,34 +45,34 @@ class RobotSource:
     jerk_limits: Annotated[FloatArray, PerJoint()] | None = None
     # (n,), or () for all joints [Nm or N]; None: the URDF's, where they are plausible
     effort_limits: Annotated[FloatArray, PerJoint()] | None = None
-    # (n,), or () for all joints [Nm/s or N/s], for a controller that runs at 1 kHz
+    # (n,), or () for all joints [Nm/s or N/s], of a controller that runs at 1 kHz
     torque_rate_limits: Annotated[FloatArray, PerJoint()] | None = None
-    # folders in which ``package://`` mesh paths are looked up first
+    # folders that are searched first for ``package://`` mesh paths
     package_dirs: tuple[str, ...] = ()
-    # (4, 4), pose of the URDF's base link in the world; None: the identity
+    # (4, 4) pose of the URDF's base link in the world; None: the identity
     base: Pose | None = None
-    name: str = ""  # a key of `ARMS`, instead of a URDF; options given beside it replace the arm's
-    finger_opening: float | None = None  # [m] of each finger of the Panda
-    # several frames instead of `end_effector`; regions name theirs, or mean the first
+    name: str = ""  # a key of `ARMS`, instead of a URDF; other fields replace the named arm's
+    finger_opening: float | None = None  # of each finger of the Panda [m]
+    # several frames instead of `end_effector`; a region without a frame refers to the first
     end_effectors: tuple[str, ...] = ()
 
     @property
     def limits(self) -> dict[str, FloatArray | None]:
-        """Its fields that are limits, by name."""
+        """Fields that are limits, by name; None: not given."""
         return {name: values for name, values in vars(self).items() if name.endswith("_limits")}
 
 
 def with_absolute_paths(folder: Path, source: Any) -> Any:
-    """A robot's source in which paths relative to a folder are made absolute.
+    """Return a robot's source in which paths relative to `folder` are made absolute.
 
-    source: json of the field "robot"; anything but a mapping is returned unchanged.
+    source: JSON of the field "robot"; anything but a mapping is returned unchanged.
     """
     if not isinstance(source, Mapping):
         return source
     files: dict[str, Any] = {
         name: str((folder / source[name]).absolute())
         for name in ("urdf", "srdf")
-        # "" means: not given
+        # "" stands for an absent file
         if isinstance(source.get(name), str) and source[name]
     }
     folders = source.get("package_dirs")
@@ -85,59 +82,64 @@ def with_absolute_paths(folder: Path, source: Any) -> Any:
 
 
 def read_source(source: Mapping[str, Any]) -> RobotSource:
-    """Check a robot's source from json, and look up a named arm in `ARMS`.
+    """Return a robot's source from JSON, after checks; a named arm is looked up in `ARMS`.
 
     Args:
-        source: fields of `RobotSource`; "articulated" is left to `robot.load`.
+        source: fields of `RobotSource`; "articulated" is ignored here (`load` reads it).
 
-    Raises InvalidInputError or UnknownChoiceError, which name the field, or list the arms.
+    Raises:
+        InvalidInputError: a field is wrong; the message names it.
+        UnknownChoiceError: no arm has this name; the message lists the arms.
     """
     values = {
         name: value
-        for name, value in mapping(source, WHERE).items()
-        # null means: not given
-        if name != ARTICULATED and (value is not None or name not in ("end_effector", "srdf"))
+        for name, value in mapping(source, "robot").items()
+        # null stands for an absent field
+        if name != "articulated" and (value is not None or name not in ("end_effector", "srdf"))
     }
-    given = from_plain(RobotSource, values, WHERE)
+    given = from_plain(RobotSource, values, "robot")
     if given.end_effector and given.end_effectors:
-        raise InvalidInputError(
-            f"{WHERE} has 'end_effector' and 'end_effectors': give one of the two"
-        )
-    unique(given.end_effectors, f"{WHERE}.end_effectors")
+        raise InvalidInputError("robot has 'end_effector' and 'end_effectors': give one of the two")
+    unique(given.end_effectors, "robot.end_effectors")
     if given.end_effectors:
         given = replace(given, end_effector=given.end_effectors[0])
     if given.name and given.urdf:
-        raise InvalidInputError(f"{WHERE} has 'name' and 'urdf': give one of the two")
+        raise InvalidInputError("robot has 'name' and 'urdf': give one of the two")
     if given.name:
         given = _of_arm(given)
     elif not given.urdf:
         raise InvalidInputError(
-            f"{WHERE} needs 'name' ({', '.join(ARMS)}) or 'urdf' and 'end_effector'"
+            f"robot needs 'name' ({', '.join(ARMS)}) or 'urdf' and 'end_effector'"
         )
     elif not given.end_effector:
-        raise InvalidInputError(f"{WHERE}.end_effector is missing: a frame of {given.urdf}")
+        raise InvalidInputError(f"robot.end_effector is missing: give a frame of {given.urdf}")
     elif given.finger_opening is not None:
-        raise InvalidInputError(f"{WHERE}.finger_opening is that of 'name': 'panda'; use 'locked'")
+        raise InvalidInputError(
+            "robot.finger_opening needs 'name': 'panda'; hold the joints of other grippers by "
+            "'locked'"
+        )
     return replace(given, end_effectors=given.end_effectors or (given.end_effector,))
 
 
 def _of_arm(given: RobotSource) -> RobotSource:
-    """The source of a named arm; given options replace those of `ARMS`."""
-    elsewhere = ELSEWHERE.get(given.name.lower().replace("-", "").replace("_", ""))
-    if elsewhere is not None:
+    """Return the source of a named arm; fields of `given` replace those of `ARMS`."""
+    ros_package = ARMS_IN_ROS_PACKAGES.get(given.name.lower().replace("-", "").replace("_", ""))
+    if ros_package is not None:
         raise InvalidInputError(
-            f"robot {given.name!r} is not in the package {EXAMPLES}: its URDF comes with ROS's "
-            f"{elsewhere}; give its file as --urdf, or 'urdf' and 'end_effector' in a problem file"
+            f"robot {given.name!r} is not in the package {ROBOT_DATA}: its URDF comes with "
+            f"ROS's {ros_package}; give its file as --urdf, or 'urdf' and 'end_effector' in a "
+            "problem file"
         )
     name = ALIASES.get(given.name, given.name)
     if name not in ARMS:
         raise UnknownChoiceError("robot", given.name, [*ARMS, "or 'urdf' and 'end_effector'"])
-    arm, robots = ARMS[name], example_robots()
+    arm = ARMS[name]
+    folder = example_robots()
     fingers: Mapping[str, float] = {}
     if given.finger_opening is not None:
         if name != "panda":
             raise InvalidInputError(
-                f"'finger_opening' is the panda's, not that of {given.name!r}; use 'locked'"
+                f"'finger_opening' is an option of 'panda', not of {given.name!r}; use 'locked'"
             )
         if not 0.0 <= given.finger_opening <= FINGER_OPENING:
             raise InvalidInputError(
@@ -151,20 +153,18 @@ def _of_arm(given: RobotSource) -> RobotSource:
     }
     return replace(
         given,
-        urdf=str(robots / arm.urdf),
+        urdf=str(folder / arm.urdf),
         end_effector=given.end_effector or arm.end_effector or arm.end_effectors[0],
         end_effectors=given.end_effectors or (() if given.end_effector else arm.end_effectors),
-        srdf=given.srdf or (arm.srdf and str(robots / arm.srdf)),
+        srdf=given.srdf or (arm.srdf and str(folder / arm.srdf)),
         locked={**arm.locked, **fingers, **given.locked},
         **limits,
     )
 
 
-FINGER_OPENING = 0.04  # [m] largest opening of each finger of the Panda's hand
+FINGER_OPENING = 0.04  # largest opening of each finger of the Panda's hand [m]
 
-UR, XARM = "ur_description", "xarm_description"
-
-# Robots with two arms: NAME is both, NAME-left and NAME-right (of talos NAME-left-arm) are one
+# Robots with two arms, which `ARMS` also has with one arm: NAME-left and NAME-right
 TWO_ARMS: Mapping[str, RobotSource] = {
     "tiago-dual": RobotSource(
         "tiago_description/robots/tiago_dual.urdf",
@@ -194,12 +194,23 @@ TWO_ARMS: Mapping[str, RobotSource] = {
         end_effectors=("left_hand_palm_link", "right_hand_palm_link"),
     ),
 }
-SIDES = ("left", "right")
 
-# Arms with a fixed base, legs held; paths of files are relative to the folder of `example_robots`.
-# Velocity and effort limits are those of the URDF. Limits of acceleration and jerk are stated for
-# the Panda alone. Left out: alex (no commercial use), icub (velocity limits of 100 rad/s),
-# centauro (a mesh without hull), arms of humanoids without collision bodies at the hand.
+
+def _single_arms() -> dict[str, RobotSource]:
+    """Return the robots of `TWO_ARMS` with one of their arms each, by name."""
+    arms = {}
+    for name, robot in TWO_ARMS.items():
+        # "talos-left" alone would not say that only an arm is meant
+        ending = "-arm" if name == "talos" else ""
+        for side, hand in zip(("left", "right"), robot.end_effectors, strict=True):
+            arms[f"{name}-{side}{ending}"] = replace(robot, end_effector=hand, end_effectors=())
+    return arms
+
+
+# Arms with a fixed base (legs are held); paths are relative to the folder of `example_robots`.
+# Velocity and effort limits are those of the URDF. Only the Panda has published limits of
+# acceleration and jerk. Left out: alex (no commercial use), icub (velocity limits of 100 rad/s),
+# centauro (a mesh without a convex hull), arms of humanoids without collision bodies at the hand.
 ARMS: Mapping[str, RobotSource] = {
     "panda": RobotSource(
         "panda_description/urdf/panda.urdf",
@@ -210,21 +221,23 @@ ARMS: Mapping[str, RobotSource] = {
         acceleration_limits=np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]),
         jerk_limits=np.array([7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0]),
     ),
-    "ur3": RobotSource(f"{UR}/urdf/ur3_robot.urdf", "tool0"),
-    "ur5": RobotSource(f"{UR}/urdf/ur5_robot.urdf", "tool0"),
-    "ur10": RobotSource(f"{UR}/urdf/ur10_robot.urdf", "tool0"),
-    "ur3-limited": RobotSource(f"{UR}/urdf/ur3_joint_limited_robot.urdf", "tool0"),
-    "ur5-limited": RobotSource(f"{UR}/urdf/ur5_joint_limited_robot.urdf", "tool0"),
-    "ur10-limited": RobotSource(f"{UR}/urdf/ur10_joint_limited_robot.urdf", "tool0"),
+    "ur3": RobotSource("ur_description/urdf/ur3_robot.urdf", "tool0"),
+    "ur5": RobotSource("ur_description/urdf/ur5_robot.urdf", "tool0"),
+    "ur10": RobotSource("ur_description/urdf/ur10_robot.urdf", "tool0"),
+    "ur3-limited": RobotSource("ur_description/urdf/ur3_joint_limited_robot.urdf", "tool0"),
+    "ur5-limited": RobotSource("ur_description/urdf/ur5_joint_limited_robot.urdf", "tool0"),
+    "ur10-limited": RobotSource("ur_description/urdf/ur10_joint_limited_robot.urdf", "tool0"),
     # two fixed fingers
     "ur3-gripper": RobotSource(
-        f"{UR}/urdf/ur3_gripper.urdf", "tool0", f"{UR}/srdf/ur3_gripper.srdf"
+        "ur_description/urdf/ur3_gripper.urdf", "tool0", "ur_description/srdf/ur3_gripper.srdf"
     ),
     "ur5-gripper": RobotSource(
-        f"{UR}/urdf/ur5_gripper.urdf", "tool0", f"{UR}/srdf/ur5_gripper.srdf"
+        "ur_description/urdf/ur5_gripper.urdf", "tool0", "ur_description/srdf/ur5_gripper.srdf"
     ),
     "kinova": RobotSource("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
-    "xarm7": RobotSource(f"{XARM}/urdf/xarm7.urdf", "link_eef", f"{XARM}/srdf/xarm7.srdf"),
+    "xarm7": RobotSource(
+        "xarm_description/urdf/xarm7.urdf", "link_eef", "xarm_description/srdf/xarm7.srdf"
+    ),
     "z1": RobotSource("z1_description/urdf/z1.urdf", "gripperStator"),
     "so-arm": RobotSource("so_arm_description/urdf/so100.urdf", "gripper"),
     "so-arm101": RobotSource("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
@@ -233,18 +246,12 @@ ARMS: Mapping[str, RobotSource] = {
         "tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"
     ),
     **TWO_ARMS,
-    **{
-        f"{name}-{side}" + "-arm" * (name == "talos"): replace(
-            robot, end_effector=hand, end_effectors=()
-        )
-        for name, robot in TWO_ARMS.items()
-        for side, hand in zip(SIDES, robot.end_effectors, strict=True)
-    },
+    **_single_arms(),
     **{
         f"romeo-{side}": RobotSource(
             "romeo_description/urdf/romeo.urdf", f"{side[0]}_wrist", locked={"TrunkYaw": 0.0}
         )
-        for side in SIDES
+        for side in ("left", "right")
     },
     "anymal-kinova": RobotSource(
         "anymal_b_simple_description/robots/anymal-kinova.urdf", "j2s6s200_end_effector"
@@ -255,8 +262,8 @@ ARMS: Mapping[str, RobotSource] = {
 }
 
 ALIASES = {"so100": "so-arm", "so101": "so-arm101", "j2s6s200": "kinova", "franka": "panda"}
-# arms that `EXAMPLES` lacks, without - and _: the ROS package that has their URDF, and where it is
-ELSEWHERE = {
+# names, without - and _, of arms that `ROBOT_DATA` lacks, and the ROS package that has their URDF
+ARMS_IN_ROS_PACKAGES = {
     arm: package
     for package, arms in {
         "kortex_description (github.com/Kinovarobotics/ros2_kortex)": "gen3 gen3lite",
@@ -276,17 +283,21 @@ ELSEWHERE = {
 }
 
 
-@lru_cache(maxsize=1024)
-def _digest(path: str, stamp: tuple[int, ...]) -> str:
-    """The sha256 of a file; the stamp is part of the cache's key."""
+def _sha256(path: str) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
+@lru_cache(maxsize=1024)
+def _kept_sha256(path: str, stamp: tuple[int, ...]) -> str:
+    """Return the sha256 of a file; it is computed once for each stamp of times and size."""
+    return _sha256(path)
+
+
 def content_digest(path: str, settled: float = 1e8) -> str:
-    """The sha256 of a regular file's content; "" if there is no such file.
+    """Return the sha256 of a regular file's content; "" if there is no such file.
 
     The digest is kept in memory. The file is read again if its times or size have changed, or if
-    it changed less than `settled` [ns] ago: a second change could then have the same time.
+    its last change is less than `settled` [ns] old: a second change could have the same time.
     """
     try:
         # making a Path takes 20 us
@@ -294,31 +305,28 @@ def content_digest(path: str, settled: float = 1e8) -> str:
         if not stat.S_ISREG(status.st_mode):
             return ""
         stamp = status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
-        fresh = time.time_ns() - max(stamp[:2]) <= settled
-        # __wrapped__ is the function without its cache
-        return (_digest.__wrapped__ if fresh else _digest)(path, stamp)
+        age = time.time_ns() - max(stamp[:2])
+        return _sha256(path) if age <= settled else _kept_sha256(path, stamp)
     except OSError:
         return ""
 
 
-EXAMPLES = "example-robot-data"
-ROS_VARIABLE = "ROS_PACKAGE_PATH"
-SCHEME = "package://"
+ROBOT_DATA = "example-robot-data"  # package on the index with descriptions of robots
 
 
 def example_robots() -> Path:
-    """The folder of robots of the package example-robot-data; InvalidInputError without it."""
-    robots = _installed_share() / EXAMPLES / "robots"
+    """Return the package's folder of robots; InvalidInputError if it is not installed."""
+    robots = _installed_share() / ROBOT_DATA / "robots"
     if not robots.is_dir():
-        raise InvalidInputError(f"robots by name need their descriptions: pip install {EXAMPLES}")
+        raise InvalidInputError(f"robots by name need their descriptions: pip install {ROBOT_DATA}")
     return robots
 
 
 def _installed_share() -> Path:
-    """The share folder in which example-robot-data is, or would be, installed."""
+    """Return the share folder in which `ROBOT_DATA` is installed, else the default one."""
     for entry in sys.path:
         share = Path(entry) / "cmeel.prefix" / "share"
-        if (share / EXAMPLES).is_dir():
+        if (share / ROBOT_DATA).is_dir():
             return share
     return Path(sys.prefix) / "share"
 
@@ -332,14 +340,15 @@ def find_collision_meshes(
     pinocchio's loader ignores that unit.
 
     Args:
-        root: of the URDF; it is changed.
-        urdf: its file; relative names of meshes start at its folder.
-        package_dirs: folders in which ``package://`` names are looked up first.
+        root: root element of the URDF; it is changed.
+        urdf: path of the URDF; relative names of meshes start at its folder.
+        package_dirs: folders that are searched first for ``package://`` names.
 
     Returns:
         The absolute paths, one for each mesh.
 
-    Raises InvalidInputError, which names a mesh that is not found or has an unknown unit.
+    Raises:
+        InvalidInputError: a mesh is not found, or its unit is not a number; the message names it.
     """
     found = []
     for mesh in root.findall("link/collision/geometry/mesh"):
@@ -356,25 +365,27 @@ def find_collision_meshes(
 
 
 def mesh_path(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
-    """The file that a URDF or scene names: a path, or "package://PACKAGE/REST".
+    """Return the file that a URDF or scene names by a path or by "package://PACKAGE/REST".
 
-    A package is looked for in `package_dirs`, the folders of ROS_PACKAGE_PATH, the folders above
+    A package is searched in `package_dirs`, the folders of ROS_PACKAGE_PATH, the folders above
     the URDF and the share folder of example-robot-data, in this order.
 
     Args:
-        name: of the file.
-        urdf: file that names it; relative paths start at its folder.
+        name: path of the file, or "package://PACKAGE/REST".
+        urdf: file that contains the name; relative paths start at its folder.
         package_dirs: folders that hold packages, or are packages.
 
-    Raises InvalidInputError, which lists the folders, if none has the file.
+    Raises:
+        InvalidInputError: no folder has the file; the message lists the folders.
     """
-    if not name.startswith(SCHEME):
+    scheme = "package://"
+    if not name.startswith(scheme):
         path = urdf.parent / name.removeprefix("file://")
         if path.is_file():
             return path
-        raise InvalidInputError(f"{urdf.name}: mesh {name!r} is not there: {path} is no file")
-    package, _, rest = name.removeprefix(SCHEME).partition("/")
-    ros_path = os.environ.get(ROS_VARIABLE, "")
+        raise InvalidInputError(f"{urdf.name}: mesh {name!r} is not found: there is no file {path}")
+    package, _, rest = name.removeprefix(scheme).partition("/")
+    ros_path = os.environ.get("ROS_PACKAGE_PATH", "")
     ros_folders = [Path(name) for name in ros_path.split(os.pathsep) if name]
     for folder in (*package_dirs, *ros_folders, *urdf.resolve().parents, _installed_share()):
         # the folder holds the package, or is the package
@@ -384,7 +395,7 @@ def mesh_path(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> Path:
             return folder / rest
     given = ", ".join(str(folder) for folder in package_dirs) or "not given"
     raise InvalidInputError(
-        f"{urdf.name}: mesh {SCHEME}{package}/{rest} is in none of these places: --package-dir "
-        f"({given}), {ROS_VARIABLE} ({ros_path or 'not set'}), the folders "
+        f"{urdf.name}: mesh {scheme}{package}/{rest} is in none of these places: --package-dir "
+        f"({given}), ROS_PACKAGE_PATH ({ros_path or 'not set'}), the folders "
         f"above {urdf.resolve().parent}; give --package-dir DIR, the folder that holds {package}"
     )

@@ -1,7 +1,7 @@
 """URDF files: read and check links and joints; find the joints that planning does not move.
 
-pinocchio's parser leaves out what it does not understand, and only prints a message. So everything
-that planning needs is checked here before, and a malformed file gives an error of one line.
+pinocchio's parser skips malformed elements and only prints a message. Therefore all elements that
+planning needs are checked here first; a malformed file gives an error of one line.
 """
 
 import copy
@@ -36,13 +36,13 @@ class Joint:
     child: str  # link
     lower: float  # [rad or m]; nan if the file states none
     upper: float  # [rad or m]; nan if the file states none
-    mimics: str | None  # joint m that it follows: q = multiplier * q_m + offset; None: no joint
+    mimics: str | None  # joint m that it follows, q = multiplier * q_m + offset, or None
     multiplier: float
     offset: float  # [rad or m]
 
     @property
     def immovable_reason(self) -> str | None:
-        """Why planning cannot move it; None if it can."""
+        """Reason why planning cannot move the joint; None if it can."""
         if self.mimics is not None:
             return f"mimics {self.mimics}"
         if self.kind not in ("revolute", "prismatic", "continuous"):
@@ -54,19 +54,19 @@ class Joint:
 
     @property
     def neutral(self) -> float:
-        """The value nearest to 0 inside the limits [rad or m]; 0 without limits."""
+        """Value nearest to 0 inside the limits [rad or m]; 0 without limits."""
         return min(max(0.0, self.lower), self.upper) if self.lower <= self.upper else 0.0
 
 
-LOCKED = "as asked for"  # reason of a joint that is locked by its name
+LOCKED = "locked by name"  # reason of a joint in `RobotSource.locked`
 
 
 class HeldJoint(NamedTuple):
     """A joint that planning does not move."""
 
     name: str
-    value: float  # at which it stays [rad or m]
-    reason: str  # why it is not moved
+    value: float  # constant value [rad or m]
+    reason: str  # why planning does not move it
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Urdf:
     joints: Mapping[str, Joint]  # by name
 
     def chain(self, link: str) -> list[Joint]:
-        """Joints from the base to a link, in this order."""
+        """Return the joints from the base to a link, in this order."""
         joint_above = {joint.child: joint for joint in self.joints.values()}
         chain: list[Joint] = []
         while link in joint_above:
@@ -88,10 +88,10 @@ class Urdf:
         return chain[::-1]
 
     def likely_end_effectors(self, least_arm: int = 3) -> list[str]:
-        """Last links of the chains with the most movable joints, tool frames first.
+        """Return the last links of the chains with the most movable joints, tool frames first.
 
-        A link that carries several moving joints, after at least `least_arm` movable ones, counts
-        as a hand. The hand is named in place of its fingers.
+        A link that carries several moving joints, after at least `least_arm` movable joints, is
+        taken as a hand and listed instead of its fingers.
         """
         moving = Counter(joint.parent for joint in self.joints.values() if joint.kind != "fixed")
         parents = {joint.parent for joint in self.joints.values()}
@@ -111,7 +111,7 @@ class Urdf:
 
 
 def read_urdf(path: Path) -> Urdf:
-    """Read a URDF file; InvalidInputError if it is malformed, or its joints form no tree."""
+    """Read a URDF file; InvalidInputError if it is malformed or its joints are not a tree."""
     try:
         root = ElementTree.fromstring(read_text(path, "URDF"))
     except ElementTree.ParseError as error:
@@ -128,8 +128,8 @@ def read_urdf(path: Path) -> Urdf:
 
 
 def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> Joint:
-    """The joint of an element; a limit beyond `most_turn` [rad] is refused: sines lose digits."""
-    # in place of parts that the file leaves out; it has no attributes
+    """Read a joint; a limit beyond `most_turn` [rad] is refused because sines lose digits."""
+    # stands for elements that the file does not have
     nothing = ElementTree.Element("nothing")
     parts = {part.tag: part for part in reversed(element)}
     parent, child, limit, mimic = (
@@ -141,7 +141,7 @@ def _joint(element: ElementTree.Element, path: Path, most_turn: float = 1e5) -> 
         try:
             return default if text is None else float(text)
         except ValueError as error:
-            raise InvalidInputError(f"{attribute} is {shown(text)}, no number") from error
+            raise InvalidInputError(f"{attribute} is {shown(text)}, not a number") from error
 
     with located(f"joint {shown(element.get('name', ''))} of {path.name}"):
         for attribute in ("velocity", "effort"):
@@ -183,7 +183,7 @@ def _check_tree(file: str, links: Sequence[str], joints: Sequence[Joint]) -> Non
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links_below:
                 raise InvalidInputError(
-                    f"joint {shown(joint.name)} of {file}: its {role} {shown(link)} is no link"
+                    f"joint {shown(joint.name)} of {file}: its {role} {shown(link)} is not a link"
                 )
         joints_above[joint.child].append(joint.name)
         links_below[joint.parent].append(joint.child)
@@ -195,7 +195,7 @@ def _check_tree(file: str, links: Sequence[str], joints: Sequence[Joint]) -> Non
     reached = [link for link in links if not joints_above[link]]
     if len(reached) != 1:
         raise InvalidInputError(
-            f"{file} needs one link that no joint moves; it has {_listed(reached) or 'none'}"
+            f"{file} needs one base link, no joint's child; it has {_listed(reached) or 'none'}"
         )
     # the list grows during the loop, until all links below the root are in it
     for link in reached:
@@ -203,7 +203,8 @@ def _check_tree(file: str, links: Sequence[str], joints: Sequence[Joint]) -> Non
     loose = [link for link in links if link not in reached]
     if loose:
         raise InvalidInputError(
-            f"links {_listed(loose)} of {file} hang on no link that stands still: a ring of joints"
+            f"links {_listed(loose)} of {file} are not connected to the base link: their joints "
+            "form a loop"
         )
 
 
@@ -214,20 +215,21 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
 def held_joints(
     urdf: Urdf, end_effectors: Sequence[str], locked: Mapping[str, float], base_given: bool
 ) -> tuple[HeldJoint, ...]:
-    """The joints that planning does not move: locked ones, and those outside the chains.
+    """Return the joints that planning does not move: locked ones, and those outside the chains.
 
     Args:
-        urdf: the robot.
+        urdf: content of the URDF.
         end_effectors: links at the ends of the chains, which begin at the base.
-        locked: values [rad or m] of joints by name.
-        base_given: whether the pose of the base is given: then a floating joint of the chain is
-            held, too.
+        locked: values [rad or m] of joints to hold, by name.
+        base_given: whether the pose of the base is given; floating joints are then held, too.
 
     Returns:
         The joints in the order of the file.
 
-    Raises UnknownChoiceError for a name that the URDF lacks. Raises InvalidInputError if a joint
-    can be neither moved nor held (it names options that help), or if no joint is left to move.
+    Raises:
+        UnknownChoiceError: the URDF has no link or joint of this name.
+        InvalidInputError: a joint can be neither moved nor held (the message has options that
+            help), or no joint is left to move.
     """
     for name in end_effectors:
         require_choice("end-effector frame", name, urdf.links)
@@ -245,9 +247,10 @@ def held_joints(
     chains = {name: {joint.name for joint in urdf.chain(name)} for name in end_effectors}
     chain = set[str]().union(*chains.values())
     free = [joint for name, joint in movable.items() if name not in held]
-    # mimicking joints come last: whether they are held can depend on the joint that they follow
+    # joints that mimic come last: the joint that they follow decides whether they are held
     for joint in sorted(free, key=lambda joint: joint.mimics is not None):
-        leader, off_chain = held.get(joint.mimics or ""), joint.name not in chain
+        leader = held.get(joint.mimics or "")
+        off_chain = joint.name not in chain
         if joint.mimics is not None and off_chain and (leader or joint.mimics not in chain):
             value, reason = joint.neutral, f"mimics {joint.mimics}"
             if leader is not None:
@@ -279,10 +282,10 @@ def held_joints(
 
 
 def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
-    """A copy of the URDF in which every joint has one coordinate, or none.
+    """Return a copy of the URDF in which every joint has one coordinate or is fixed.
 
-    Continuous joints become revolute ones with limits of one turn either way, -2 pi and 2 pi.
-    Floating and planar joints become fixed.
+    Continuous joints become revolute with limits -2 pi and 2 pi; floating and planar joints become
+    fixed.
     """
     root = copy.deepcopy(urdf.root)
     for element in root.findall("joint"):
@@ -301,10 +304,7 @@ def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
 
 
 def collada_unit(data: bytes) -> float:
-    """The unit [m] that the content of a COLLADA file states; 1 if it states none.
-
-    InvalidInputError: the unit is not a positive number.
-    """
+    """Return the unit [m] that a COLLADA file states, 1 without one; refuse one that is not > 0."""
     stated = re.search(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']*)", data)
     if stated is None:
         return 1.0
@@ -318,16 +318,12 @@ def collada_unit(data: bytes) -> float:
     return unit
 
 
-SHAPES = ("box", "cylinder", "sphere", "mesh")
-
-
 def check_bodies(root: ElementTree.Element, path: Path) -> None:
-    """Raise InvalidInputError or UnknownChoiceError for a malformed collision body, origin or axis.
+    """Refuse a malformed collision body, origin or axis; the message names its link or joint.
 
-    Args:
-        root: of the URDF.
-        path: its file; errors name it, and the link or joint.
+    root: root element of the URDF. path: its file, for messages.
     """
+    known = ("box", "cylinder", "sphere", "mesh")
     for link in root.findall("link"):
         for body in link.findall("collision"):
             with located(f"link {shown(link.get('name'))} of {path.name}, collision"):
@@ -335,9 +331,9 @@ def check_bodies(root: ElementTree.Element, path: Path) -> None:
                 if len(shapes) != 1:
                     raise InvalidInputError(
                         f"it has {len(shapes)} shapes; give one <geometry> with one of "
-                        f"{', '.join(SHAPES)}"
+                        f"{', '.join(known)}"
                     )
-                require_choice("shape", shapes[0].tag, SHAPES)
+                require_choice("shape", shapes[0].tag, known)
                 _check_numbers([shapes[0], *body.findall("origin")])
     for joint in root.findall("joint"):
         axes = [] if joint.get("type") == "fixed" else joint.findall("axis")
@@ -346,13 +342,13 @@ def check_bodies(root: ElementTree.Element, path: Path) -> None:
 
 
 class NumbersOf(NamedTuple):
-    """The numbers that an attribute of a collision body or joint must hold."""
+    """Numbers that an attribute of a collision body or joint must have."""
 
-    tag: str  # of the element with the attribute
+    tag: str  # element that has the attribute
     attribute: str
-    length: int  # how many numbers
+    length: int  # count of numbers
     fits: Callable[[Sequence[float]], bool] = lambda _: True  # condition on the numbers
-    cure: str = ""  # what to give instead of numbers that do not fit
+    cure: str = ""  # description of numbers that fit, for messages
     has_default: bool = False  # whether the attribute may be left out
 
 
@@ -360,7 +356,7 @@ def _positive(values: Sequence[float]) -> bool:
     return min(values) > 0.0
 
 
-ATTRIBUTES = (
+URDF_NUMBERS = (
     NumbersOf("box", "size", 3, _positive, "more than 0 [m]"),
     NumbersOf("cylinder", "radius", 1, _positive, "more than 0 [m]"),
     NumbersOf("cylinder", "length", 1, _positive, "more than 0 [m]"),
@@ -373,8 +369,8 @@ ATTRIBUTES = (
 
 
 def _check_numbers(elements: Sequence[ElementTree.Element]) -> None:
-    """Refuse elements whose attributes do not hold the numbers of `ATTRIBUTES`."""
-    for element, wanted in product(elements, ATTRIBUTES):
+    """Refuse elements whose attributes do not have the numbers that `URDF_NUMBERS` demands."""
+    for element, wanted in product(elements, URDF_NUMBERS):
         text = element.get(wanted.attribute, "")
         stated = wanted.attribute in element.attrib
         if element.tag != wanted.tag or (wanted.has_default and not stated):

@@ -22,7 +22,7 @@ from scipy.interpolate import PPoly
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.dynamics import Dynamics
-from cvqmpt_lab.robot.robot import SLOW, JointLimits
+from cvqmpt_lab.robot.robot import SLOW_SPEED, JointLimits
 from cvqmpt_lab.trajectory.squared_speeds import SmoothCurve, smooth_curve, squared_speeds
 from cvqmpt_lab.trajectory.trajectory import Trajectory, extremes, quintic
 
@@ -31,7 +31,7 @@ from cvqmpt_lab.trajectory.trajectory import Trajectory, extremes, quintic
 class TimingSettings:
     """Settings of `time_path`."""
 
-    speed: float = SLOW  # factor on velocity and acceleration limits, above 0 and at most 1
+    speed: float = SLOW_SPEED  # factor on velocity and acceleration limits, above 0 and at most 1
     deviation: float = 1e-3  # of the motion from the polyline at rounded corners, at most [rad]
 
 

@@ -20,8 +20,8 @@ REFUSED = {  # and what their refusal says
     "so-arm": "no collision bodies at gripper",
     "two-dof": "no collision bodies at Tip",
     "finger": "its 3 joints bring finger_tip_link, -z ahead, to 0 of 320 places",
-    "pr2-left": "joint 'l_shoulder_lift_joint' needs .* Nm standing still",
-    "pr2-right": "joint 'r_shoulder_lift_joint' needs .* Nm standing still",
+    "pr2-left": "joint 'l_shoulder_lift_joint' needs .* Nm to stand still",
+    "pr2-right": "joint 'r_shoulder_lift_joint' needs .* Nm to stand still",
     "romeo-left": "its 7 joints bring l_wrist",
     "romeo-right": "its 7 joints bring r_wrist",
 }

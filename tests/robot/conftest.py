@@ -5,7 +5,7 @@ import pytest
 
 @pytest.fixture
 def edited(slider_arm_urdf, tmp_path):
-    """Writes the slider arm with some text replaced, and returns the path."""
+    """Return a function that writes the slider arm with some text replaced and returns the path."""
 
     def write(*replacements, name="arm.urdf"):
         text = slider_arm_urdf.read_text()

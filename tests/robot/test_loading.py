@@ -12,7 +12,7 @@ from command_line import python
 from refusals import refused, table
 
 from cvqmpt_lab.base.errors import CvqmptError
-from cvqmpt_lab.robot.load import MOST_REACH, load_robot, robot_from_source
+from cvqmpt_lab.robot.load import MAX_REACH_M, load_robot, robot_from_source
 from cvqmpt_lab.robot.source import ARMS
 from cvqmpt_lab.scene.scene import pose
 
@@ -123,7 +123,7 @@ def test_a_floating_base_is_fixed_at_a_pose(edited):
 def test_hulls_are_the_same_from_the_cache_which_is_written_anew_if_broken(
     edited, tmp_path, monkeypatch
 ):
-    """Bit for bit, also in what distances are computed of; meshes are not read again."""
+    """Hulls of coal agree bit for bit, and the second load reads no mesh."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     trimesh.creation.icosphere(radius=0.05).export(tmp_path / "part.stl")
     mesh = '<mesh filename="part.stl" scale="1 1 -2"/>'
@@ -155,7 +155,7 @@ def test_hulls_are_the_same_from_the_cache_which_is_written_anew_if_broken(
 
 
 def test_a_robot_whose_files_changed_is_built_anew_and_its_pickles_are_refused(edited, tmp_path):
-    """Changes of URDF, mesh or SRDF count; a file touched or rewritten with equal content not."""
+    """A new content of URDF, mesh or SRDF counts; a new time of the same content does not."""
     urdf = edited((BOX, '<geometry><mesh filename="part.obj"/></geometry>'))
     mesh, srdf = tmp_path / "part.obj", tmp_path / "arm.srdf"
     trimesh.creation.box((0.1, 0.1, 0.1)).export(mesh)
@@ -174,7 +174,7 @@ def test_a_robot_whose_files_changed_is_built_anew_and_its_pickles_are_refused(e
         file.write_text(file.read_text().replace(old, new))
         again = robot_from_source(source)
         assert again is not robot and again is robot_from_source(source)
-        refused(f"pickled from other files .* {file}", pickle.loads, kept)
+        refused(f"pickled before a change of its file {file}", pickle.loads, kept)
     assert again.upper[0] == 0.6 and len(again.left_out_pairs) == 1
     assert np.abs(again.links[1].vertices).max() == pytest.approx(0.06)
 
@@ -187,7 +187,7 @@ def test_a_file_that_is_no_robot_is_refused_with_one_line(edited, capfd):
     for row in table("wrong_urdfs"):
         urdf = edited((row["was"], row["now"]))
         refused(row["pattern"], load_robot, urdf, "tool", error=CvqmptError)
-    assert capfd.readouterr() == ("", ""), "the parser of URDF files, which prints, was not asked"
+    assert capfd.readouterr() == ("", ""), "pinocchio's parser, which prints, must not run"
 
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 0]], dtype=float)
@@ -220,9 +220,9 @@ def test_a_mesh_without_a_hull_ends_in_one_line_not_in_the_process(edited, tmp_p
     """In a separate process: the hull of a flat mesh once crashed it."""
     (tmp_path / "m.stl").write_bytes(binary_stl(*mesh))
     urdf = edited((SPHERE, '<mesh filename="m.stl"/>'))
-    told = python(LOADING, urdf)
-    assert told.startswith("InvalidInputError collision mesh")
-    assert "m.stl" in told and pattern in told
+    printed = python(LOADING, urdf)
+    assert printed.startswith("InvalidInputError collision mesh")
+    assert "m.stl" in printed and pattern in printed
 
 
 def test_a_mesh_is_found_in_package_folders_and_in_ros_s(edited, tmp_path, monkeypatch):
@@ -239,11 +239,11 @@ def test_a_mesh_is_found_in_package_folders_and_in_ros_s(edited, tmp_path, monke
     assert load_robot(urdf, "tool").dof == 4
 
 
-def test_an_arm_is_loaded_by_its_name_and_what_is_given_beside_it_overrides_it():
+def test_options_given_with_the_name_of_an_arm_override_those_of_the_arm():
     for name in ("ur5", "xarm7", "so-arm", "talos-left-arm"):
         robot = robot_from_source({"name": name})
         assert robot.end_effector == ARMS[name].end_effector and 5 <= robot.dof <= 8
-        assert (robot.upper > robot.lower).all() and 0.4 < robot.reach < MOST_REACH
+        assert (robot.upper > robot.lower).all() and 0.4 < robot.reach < MAX_REACH_M
         states = robot.random_configurations(np.random.default_rng(0), 20)
         assert all(np.linalg.norm(robot.pose(q)[:3, 3]) <= robot.reach for q in states)
     source = {"name": "ur5", "locked": {"elbow_joint": 1.0}, "end_effector": "ee_link"}

@@ -1,4 +1,4 @@
-"""A door or drawer as a robot joint, and robots of one's own: collisions, plans, errors."""
+"""A door or drawer as a joint of the robot, and robots of the user: collisions, plans, errors."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 from cvqmpt_lab.trajectory.timing import time_path
 
-AWAY = np.array([2.8, 0.3, 0.0, -1.5, 0.0, 1.571, 0.785])  # the arm looks away from the kitchen
+AWAY = np.array([2.8, 0.3, 0.0, -1.5, 0.0, 1.571, 0.785])  # the arm points away from the kitchen
 DRAWER = "hitman_drawer_top"
 
 
@@ -78,7 +78,7 @@ def test_parts_move_as_in_the_scene(panda, name, taken_at):
 
 @pytest.mark.parametrize("name", [DOOR, "dagger_door_right", DRAWER, "indigo_door_right"])
 def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
-    """At rest there is no collision, and excused pairs never overlap."""
+    """A door is free of collisions at all values, and door and casing overlap by < `DEEPEST`."""
     whole = kitchen()
     joint = whole.articulation(name)
     scene, robot = mechanism(panda, whole, name)
@@ -99,7 +99,7 @@ def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
 
 
 def test_only_the_named_contact_is_allowed(panda, grasp):
-    """Closed fingers collide with the bar unless pads and bar are named; others stay checked."""
+    """Closed fingers collide with the bar unless `may_touch` has both; other pairs are checked."""
     source = {"name": "panda", "finger_opening": GRIP}
     scene, item = take_out(kitchen(), DOOR)
     strict = with_articulated_object(robot_from_source(source), item)
@@ -123,14 +123,14 @@ def test_a_load_is_checked_against_door_and_casing(world, grasp):
     assert checker.in_collision(grasp) and not ConstrainedSpace(problem).valid(grasp)
 
 
-def test_what_is_no_door_or_measured_is_refused():
+def test_an_unknown_door_and_a_door_of_measured_points_are_refused():
     scene = kitchen()
     part = scene.articulation(DOOR).moves[0]
     measured = replace(scene[part], shape=PointCloud(np.zeros((3, 3)), 0.01))
     objects = tuple(measured if item.name == part else item for item in scene.objects)
-    told = f"'{part}', a part of '{DOOR}', is measured points"
+    message = f"'{part}', a part of '{DOOR}', is measured points"
     refused(r"'fridge'.*dagger_door_left", take_out, scene, "fridge", error=UnknownChoiceError)
-    refused(told, take_out, replace(scene, objects=objects), DOOR)
+    refused(message, take_out, replace(scene, objects=objects), DOOR)
 
 
 def test_bad_objects_are_refused(panda, world):
@@ -186,6 +186,6 @@ def test_an_srdf_that_keeps_overlapping_pairs_is_named_by_the_pair(slider_arm_ur
     robot = load_robot(urdf, "tool", srdf=srdf)
     assert robot.left_out_pairs == ()
     problem = PlanningProblem("bulky", robot, NOTHING, np.zeros(4), [[0.1, 0.05, -0.1, 0.2]])
-    told = r"start is in collision: .*_0 and tool_0"
-    refused(told, check_problem, problem, error=InvalidProblemError)
+    message = r"start is in collision: .*_0 and tool_0"
+    refused(message, check_problem, problem, error=InvalidProblemError)
     assert not ConstrainedSpace(problem).valid(problem.start)

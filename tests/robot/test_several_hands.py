@@ -1,4 +1,4 @@
-"""Robots with several end effectors: joints of all, poses of each, from names, URDFs and json."""
+"""Robots with several end effectors: their joints and frames, from names, URDFs and JSON."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from cvqmpt_lab.scene.shapes import Box
 
 @pytest.mark.parametrize("name", ["baxter", pytest.param("tiago-pro", marks=pytest.mark.slow)])
 def test_planned_joints_are_those_of_both_hands(name):
-    """In the order of the model, each once: a lift that both hang on, too."""
+    """A joint that moves both hands, such as the lift of the torso, is listed once."""
     robot = robot_from_source({"name": name})
     alone = [
         robot_from_source({"name": name, "end_effector": hand}).joint_names
@@ -30,7 +30,7 @@ def test_planned_joints_are_those_of_both_hands(name):
 
 
 def test_hands_of_a_name_or_a_urdf_are_chosen_on_the_command_line(cvqmpt):
-    """By name, other ones than the arm's own; in a URDF, any two frames."""
+    """Frames other than those of the named arm, and any two frames of a URDF file."""
     urdf = example_robots() / NAMED["baxter"].urdf
     frames = "left_wrist", "right_gripper"
     for robot in ("baxter", urdf):
@@ -52,7 +52,7 @@ def test_the_source_in_json_makes_the_same_robot():
 
 @pytest.mark.parametrize("carrier", ["left_gripper", "right_gripper"])
 def test_what_both_hands_hold_may_touch_both_and_nothing_else(carrier):
-    """A tray between both grippers, held by one of them or by both; forearms are never excused."""
+    """A tray is held by one gripper or by both; it must never touch a forearm."""
     robot = robot_from_source({"name": "baxter"})
     other = next(hand for hand in robot.end_effectors if hand != carrier)
     one = Attachment("tray", Box((0.1, 0.1, 0.1)), np.eye(4), end_effector=carrier)
