@@ -2,8 +2,8 @@
 
     P(h_1 ... h_n | M) = prod_i pi(h_i | h_1 ... h_(i-1), M),
 
-with pi the autoregressive model and M the context of scene, start and goal. The last token of a
-sequence is the goal token.
+where pi is the autoregressive model and M the context of scene, start and goal. The last token of
+a sequence is the goal token.
 """
 
 from dataclasses import dataclass
@@ -15,31 +15,37 @@ from cvqmpt_lab.base.errors import InvalidInputError
 
 
 class StepDecoder(Protocol):
-    """Log-probabilities, float32, of what can follow prefixes of codes, one prefix a row.
+    """Sequence model that continues prefixes of codes step by step; each row is one prefix.
 
-    Rows of one query (start and goal) lie together, queries in their order. Classes are the codes
-    and the goal token; impossible ones have -inf.
+    Rows of one query (start and goal) are consecutive, and queries keep their order. Classes are
+    the codes and the goal token. Log-probabilities are float32, -inf for impossible classes.
     """
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:
-        """Classes (queries, l) that can come first, and their log-probabilities; called once."""
+        """Return the possible first classes (queries, l) and their log-probabilities.
+
+        Called once, before `advance`.
+        """
 
     def advance(self, parents: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Replace the rows; classes (rows, w), the last the goal token, and log-probabilities.
+        """Replace the prefixes by longer ones and return what can follow them.
 
         Args:
-            parents: (rows,) int64, the earlier row that each new row continues.
-            codes: (rows,) int64, the code it adds.
+            parents: (rows,) int64, index of the earlier row that each new row continues.
+            codes: (rows,) int64, the code that is appended to it.
+
+        Returns:
+            Classes (rows, w), the last of which is the goal token, and their log-probabilities.
         """
 
 
 @dataclass(frozen=True)
 class CodeSequence:
-    """A predicted sequence."""
+    """A predicted sequence of codes."""
 
     codes: tuple[int, ...]  # without the goal token
-    finished: bool  # ends with the goal token; if not, the codes do not lead to the goal
-    score: float  # what the search ranked by
+    finished: bool  # whether it ends with the goal token; else the codes do not lead to the goal
+    score: float  # rank in the beam search: log P, or the published score
 
 
 def beam_search(
@@ -50,43 +56,50 @@ def beam_search(
     every: bool = False,
     published: bool = False,
 ) -> list[list[CodeSequence]]:
-    """Hypotheses for each query, finished ones first, then by score; all queries in one batch.
+    """Find the most probable sequences of each query; all queries are searched in one batch.
 
-    Scores are log P. A finished hypothesis stays in the beam as it is. Since going on only lowers
-    the others, a query leaves the batch once its best hypothesis is finished, or every one.
+    The score is log P. A finished hypothesis stays in the beam unchanged. Further tokens only lower
+    the score of the others, so a query ends when its best hypothesis is finished (or all of them).
 
     Args:
         decoder: the sequence model.
-        beams: K, hypotheses kept per query.
-        max_length: predicted tokens at most, the goal token included (published code: 50 for
-            CVQ-MPT, 30 for Opt-CVQ-MPT).
-        every: go on until every hypothesis is finished, not only the best.
-        published: the rules of the authors' code. The score is the logarithm of the first
-            probability plus the sum of the others; the last code of any beam is forbidden to all;
-            a query ends at the first goal token of any beam. (Not copied is that their code then
-            reads embeddings that were not reordered with the beams.)
+        beams: K, number of hypotheses kept for each query.
+        max_length: maximum number of predicted tokens, the goal token included (published code: 50
+            for CVQ-MPT, 30 for Opt-CVQ-MPT).
+        every: continue until every hypothesis is finished, not only the best one.
+        published: follow the authors' code: the score is the logarithm of the first probability
+            plus the sum of the other probabilities; the last code of each hypothesis is forbidden
+            to all hypotheses; a query ends at the first goal token. One of its errors is not
+            copied: after the beam is reordered, their code reads embeddings in the old order.
+
+    Returns:
+        Hypotheses of each query, the finished ones first, then by decreasing score.
 
     Raises:
-        InvalidInputError: no such number of beams, or log-probabilities are not numbers.
+        InvalidInputError: the number of beams is out of range, or log-probabilities are NaN.
     """
     classes, log_p = decoder.start()
     if np.isnan(log_p).any():
         raise InvalidInputError("predicted logits are not finite; start, goal or weights hold NaN")
-    most = int(np.isfinite(log_p).sum(axis=1).min())  # only possible classes start hypotheses
+    most = int(np.isfinite(log_p).sum(axis=1).min())  # a hypothesis begins with a possible class
     if not 1 <= beams <= most:
         raise InvalidInputError(f"{beams} beams; give 1 to {most}")
     column, score = _largest(log_p, beams)
     codes = np.take_along_axis(classes, column, axis=1)[..., None]  # (queries, beams, t)
-    query, found = np.arange(len(codes)), dict[int, list[CodeSequence]]()
-    parents, ended = query.repeat(beams), np.zeros(score.shape, dtype=bool)
+    query = np.arange(len(codes))
+    parents = query.repeat(beams)
+    ended = np.zeros(score.shape, dtype=bool)
+    found: dict[int, list[CodeSequence]] = {}
     for _ in range(max_length - 1):
-        # a finished hypothesis has no code to add; its row is ignored below
+        # a finished hypothesis adds no code: it advances by code 0, and its gain is replaced below
         classes, log_p = decoder.advance(parents, np.where(ended, 0, codes[..., -1]).ravel())
-        gain, width = log_p.reshape(*score.shape, -1), classes.shape[1]
+        gain = log_p.reshape(*score.shape, -1)
+        width = classes.shape[1]
         if published:
             last = (classes.reshape(gain.shape)[..., None] == codes[:, None, None, :, -1]).any(-1)
             gain = np.where(last | np.isneginf(gain), -np.inf, np.exp(gain))
-        gain[ended] = -np.inf  # a finished hypothesis goes on as it is, at no cost
+        # a finished hypothesis can only repeat its goal token, which leaves its score unchanged
+        gain[ended] = -np.inf
         gain[ended, -1] = 0.0
         column, score = _largest((score[..., None] + gain).reshape(len(query), -1), beams)
         rank, column = np.divmod(column, width)
@@ -110,7 +123,7 @@ def beam_search(
 
 
 def _hypotheses(codes: np.ndarray, score: np.ndarray, ended: np.ndarray) -> list[CodeSequence]:
-    """Hypotheses (beams, t) in order, each up to its first goal token."""
+    """Return the hypotheses (beams, t), finished ones first, each up to its first goal token."""
     sequences = []
     for one in np.argsort(~ended, kind="stable").tolist():
         row = codes[one].tolist()
@@ -120,13 +133,16 @@ def _hypotheses(codes: np.ndarray, score: np.ndarray, ended: np.ndarray) -> list
 
 
 def _largest(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and values (q, count) of the largest in each row (q, n), ties by column."""
+    """Return columns and values (q, count) of the largest values in each row (q, n).
+
+    Equal values are ordered by column.
+    """
     columns = np.argsort(-values, axis=1, kind="stable")[:, :count]
     return columns, np.take_along_axis(values, columns, axis=1)
 
 
 def log_softmax(logits: np.ndarray) -> np.ndarray:
-    """Log-probabilities x_i - log sum_j exp(x_j) of rows (r, w), in place."""
+    """Return log-probabilities x_i - log sum_j exp(x_j) of rows (r, w), computed in place."""
     logits -= logits.max(axis=1, keepdims=True)
     logits -= np.log(np.exp(logits).sum(axis=1, keepdims=True))
     return logits

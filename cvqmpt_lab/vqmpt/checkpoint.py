@@ -1,7 +1,7 @@
-"""Trained models as torch modules: to and from weights on disk, and from the authors' checkpoints.
+"""Trained models as torch modules: read, write, and import the authors' checkpoints.
 
-Every tensor is checked. The authors' models are two folders with three json files and two pickles
-of tensors; a pickle that wants to run code is refused.
+Every tensor is checked. A model of the authors is two folders with three json files and two pickles
+of tensors. A pickle that would run code is refused.
 """
 
 import io
@@ -32,16 +32,16 @@ Module = TypeVar("Module", bound=nn.Module)
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A trained model as torch modules, and what it belongs to."""
+    """A trained model as torch modules, with its configuration and robot."""
 
-    config: Any  # of a type of `weights.ARCHITECTURES`
+    config: Any  # an instance of a configuration class of `weights.ARCHITECTURES`
     robot: RobotSignature
-    modules: Mapping[str, Any]  # by the names of their weights files
+    modules: Mapping[str, Any]  # torch modules by the name of their weights file
     metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
 
 
 def stored(checkpoint: Checkpoint) -> StoredModel:
-    """A checkpoint's weights as they are now, copied to plain arrays."""
+    """Copy a checkpoint's present weights to plain arrays."""
     parts = {
         name: {
             key: tensor.detach().cpu().numpy().copy() for key, tensor in module.state_dict().items()
@@ -52,17 +52,21 @@ def stored(checkpoint: Checkpoint) -> StoredModel:
 
 
 def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint; see `write_model`, also for errors."""
+    """Write a checkpoint to a folder; errors as in `write_model`."""
     write_model(folder, stored(checkpoint))
 
 
 def load_checkpoint(folder: Path, robot: RobotSignature | None = None) -> Checkpoint:
-    """Read a VQ-MPT checkpoint; errors as of `read_model` and `as_modules`."""
+    """Read a VQ-MPT checkpoint; errors as in `read_model` and `as_modules`."""
     return as_modules(read_model(folder, robot, VQ_MPT))
 
 
 def as_modules(model: StoredModel) -> Checkpoint:
-    """VQ-MPT's weights as CPU modules in evaluation mode; InvalidInputError if sizes do not fit."""
+    """Return VQ-MPT's weights as torch modules on the CPU, in evaluation mode.
+
+    Raises:
+        InvalidInputError: tensors do not fit the sizes of the configuration.
+    """
     builders: dict[str, Callable[[], nn.Module]] = {
         "dictionary": lambda: Dictionary(model.config),
         "sequence_model": lambda: PublishedSequenceModel(model.config),
@@ -81,25 +85,26 @@ def filled(
     where: str,
     tolerance: float = 1e-4,
 ) -> Module:
-    """Make a module with exactly these trained tensors, in evaluation mode.
+    """Build a module, in evaluation mode, that has exactly these trained tensors.
 
-    Names and shapes are compared first, so that sizes from a wrong file cost no time or memory.
+    Names and shapes are compared before memory is allocated: a wrong file may ask for huge sizes.
 
     Args:
-        build: makes the module.
-        tensors: its state.
-        where: begins the error line.
-        tolerance: of constant buffers, and of the length of codes.
+        build: builds the module.
+        tensors: tensors of the module's state by name.
+        where: file or part, at the beginning of an error message.
+        tolerance: largest error of constant buffers, and of the unit length of codes.
 
     Raises:
-        InvalidInputError: tensors are missing, left over, of another shape or kind, or not finite,
-            or impossible after training: negative variances, codes that are not of unit length,
-            constants of another model.
+        InvalidInputError: a tensor is missing or left over, has another shape or dtype, is not
+            finite, or is impossible after training: a negative variance, a code that is not of
+            unit length, a constant of another model.
     """
     # a "meta" module has shapes but no data
     with torch.device("meta"):
         _require_fit(build(), tensors, where)
-    module, faults = build().eval(), []
+    module = build().eval()
+    faults = []
     expected = module.state_dict()
     for name, tensor in tensors.items():
         if not tensor.to(expected[name].dtype).isfinite().all():
@@ -144,14 +149,15 @@ def _refuse(faults: list[str], where: str) -> None:
 
 
 def import_published(dictionary_dir: Path, ar_dir: Path, robot: RobotSignature) -> Checkpoint:
-    """Convert published checkpoints; every tensor finds its place and none is left over.
+    """Convert a published checkpoint; every tensor must fit, and none may be left over.
 
     Args:
-        dictionary_dir: folder of ``model_params.json`` and ``best_model.pkl`` (stage 1).
-        ar_dir: folder of ``cross_attn.json``, ``ar_params.json`` and ``best_model.pkl`` (stage 2).
-        robot: by whose joint limits the training data were scaled; the files do not say.
+        dictionary_dir: folder with ``model_params.json`` and ``best_model.pkl`` (stage 1).
+        ar_dir: folder with ``cross_attn.json``, ``ar_params.json``, ``best_model.pkl`` (stage 2).
+        robot: robot by whose joint limits the training data were scaled; not part of the files.
 
-    InvalidInputError names the file, field or tensors that do not fit.
+    Raises:
+        InvalidInputError: a file, field or tensor does not fit; the message names it.
     """
     dictionary_dir, ar_dir = Path(dictionary_dir), Path(ar_dir)
     config = _config(dictionary_dir, ar_dir)
@@ -194,7 +200,7 @@ def _config(dictionary_dir: Path, ar_dir: Path) -> ModelConfig:
             "transformer": sizes1,
             "n_position": stage1["n_position"],
             "n_codes": sequence["num_keys"] - 2,
-            # a constant of the published scripts, in none of the json files
+            # constant in the published scripts, which the json files do not hold
             "code_dim": 8,
         },
         "point_cloud": {"sa2": {"radius": 0.4, "widths": [256, stage1["d_model"]]}},
@@ -217,7 +223,13 @@ def _fields(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
 def _together(
     content: Mapping[str, Any], places: Mapping[str, str], where: Path
 ) -> dict[str, Tensor]:
-    """All tensors of a stage by the names that our module has for them."""
+    """Return all tensors of a stage, by the names that our module has for them.
+
+    Args:
+        content: states of the published modules by name.
+        places: name of a published state -> name of our submodule.
+        where: file, at the beginning of an error message.
+    """
     tensors: dict[str, Tensor] = {}
     for name, part in places.items():
         state = content.get(name)
@@ -233,10 +245,11 @@ def _together(
 
 
 def read_tensors(path: Path) -> dict[str, Any]:
-    """Read a pickle that may hold tensors and plain values, nothing that runs.
+    """Read a pickle that may hold tensors and plain values, but no code.
 
-    Raises InvalidInputError, which says what the file is instead: missing, a web page, empty, cut,
-    or a pickle that wants to run code.
+    Raises:
+        InvalidInputError: the file is missing, empty, cut short, a web page, a tar archive, or a
+            pickle that would run code; the message says which.
     """
     data = read_bytes(path)
     if tarfile.is_tarfile(io.BytesIO(data)):  # torch would unpack it to a folder
@@ -247,10 +260,9 @@ def read_tensors(path: Path) -> dict[str, Any]:
     harmless = [scalar, (scalar, "numpy.core.multiarray.scalar"), np.dtype, *kinds]
     try:
         with torch.serialization.safe_globals(harmless), warnings.catch_warnings():
-            # about other pickles than we read
-            warnings.simplefilter("ignore")
+            warnings.simplefilter("ignore")  # they concern kinds of pickles that are refused
             content = torch.load(path, map_location="cpu", weights_only=True)
-    # what a damaged pickle raises depends on the byte
+    # a damaged pickle can raise any exception
     except Exception as error:
         raise InvalidInputError(_refusal(path, data[:512], error)) from error
     if not isinstance(content, dict):
@@ -261,14 +273,15 @@ def read_tensors(path: Path) -> dict[str, Any]:
 
 
 def _refusal(path: Path, beginning: bytes, error: Exception) -> str:
+    """Return the error message for a file that is no torch checkpoint."""
     if not beginning:
         return f"{path} is empty; fetch it again"
     if beginning.lstrip()[:1] == b"<":
         return f"{path} is a web page or xml, no torch checkpoint; fetch the file itself"
-    asks = re.search(r"GLOBAL ([\w.]+)", str(error))
-    if isinstance(error, pickle.UnpicklingError) and asks:
+    name = re.search(r"GLOBAL ([\w.]+)", str(error))
+    if isinstance(error, pickle.UnpicklingError) and name:
         return (
-            f"{path} is refused: it holds {asks[1]}, more than tensors, and would run code, or is "
+            f"{path} is refused: it holds {name[1]}, more than tensors, and would run code, or is "
             "cut short"
         )
     return f"{path} is no torch checkpoint, or cut short ({type(error).__name__}); fetch it again"

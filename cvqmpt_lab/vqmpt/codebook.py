@@ -1,8 +1,8 @@
 """The dictionary at planning time, in numpy: decoder g(z), its gradient, codes of configurations.
 
-Same mathematics as the torch modules of `dictionary`, which train it; tests compare values and
-gradients. For a few dozen codes a torch call costs several times what it computes, and Algorithm 2
-needs many.
+It computes the same as the torch modules of `dictionary`, which are trained; tests compare values
+and gradients. Planning uses numpy because Algorithm 2 makes many calls with a few dozen codes each,
+for which the overhead of a torch call is several times the computation.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.vqmpt.config import EPSILON, SerialChain
+from cvqmpt_lab.vqmpt.config import LAYER_NORM_EPSILON, SerialChain
 from cvqmpt_lab.vqmpt.weights import (
     TRAINED_BY,
     TRANSFORMER,
@@ -23,7 +23,7 @@ from cvqmpt_lab.vqmpt.weights import (
     robot_signature,
 )
 
-DICTIONARY = "dictionary"  # name of the part
+DICTIONARY = "dictionary"  # name of this part of a model
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class CodeGaussians:
 
     mean: np.ndarray  # (c, n), mu
     scale: np.ndarray  # (c, n, n), L D^(1/2), lower triangular
-    saved: tuple[np.ndarray, ...]  # what CodeDecoder.gradient needs of the forward pass
+    saved: tuple[np.ndarray, ...]  # intermediate values for `CodeDecoder.gradient`
 
     @property
     def covariance(self) -> np.ndarray:
@@ -48,12 +48,12 @@ class CodeDecoder:
         mu = (tanh(W_mu y + b_mu) + 1) / 2,                D = softplus(W_D y + b_D),
         L  = I + strict lower triangle of (W_L y + b_L).
 
-    W is multiplied into the layers behind it, and the layer norm's centring, scale and shift into
-    those around it.
+    For speed, W is multiplied into the following layers, and the mean, scale and shift of the layer
+    norm into the layers before and after it.
     """
 
     def __init__(self, model: StoredModel, dtype: type = np.float32) -> None:
-        """Take over the weights; InvalidInputError where they do not fit the configuration."""
+        """Read a model's decoder; InvalidInputError if weights do not fit the configuration."""
         sizes, n = model.config.dictionary, model.config.joint_dim
         d, inner = sizes.transformer.d_model, sizes.transformer.d_inner
 
@@ -74,16 +74,18 @@ class CodeDecoder:
         head_w, head_b = (np.concatenate(parts) for parts in zip(*heads, strict=True))
         self.n, self.dtype = n, dtype
         # products of two layers, so that decoding and its gradient take fewer steps
-        self._inner, self._inner_bias = as_used(w_1 @ w_out), as_used(w_1 @ b_out + b_1)
+        self._inner = as_used(w_1 @ w_out)
+        self._inner_bias = as_used(w_1 @ b_out + b_1)
         self._direct = as_used(w_out - w_out.mean(axis=0))
         self._second = as_used(w_2 - w_2.mean(axis=0))
         bias = b_out + b_2
         self._bias = as_used(bias - bias.mean())
-        self._heads, self._heads_bias = as_used(head_w * gain), as_used(head_b + head_w @ offset)
+        self._heads = as_used(head_w * gain)
+        self._heads_bias = as_used(head_b + head_w @ offset)
         self._rows, self._columns = np.tril_indices(n, -1)
 
     def decode(self, z: np.ndarray) -> CodeGaussians:
-        """Gaussians of code vectors z (c, code_dim)."""
+        """Compute the Gaussians g(z) of code vectors z (c, code_dim)."""
         n = self.n
         z = np.asarray(z, dtype=self.dtype)
         hidden = z @ self._inner.T
@@ -92,9 +94,8 @@ class CodeDecoder:
         y = hidden @ self._second.T
         y += z @ self._direct.T
         y += self._bias
-        rate = 1.0 / np.sqrt(
-            np.einsum("cd,cd->c", y, y)[:, None] / y.shape[1] + self.dtype(EPSILON)
-        )
+        variance = np.einsum("cd,cd->c", y, y)[:, None] / y.shape[1]
+        rate = 1.0 / np.sqrt(variance + self.dtype(LAYER_NORM_EPSILON))
         y *= rate
         heads = y @ self._heads.T
         heads += self._heads_bias
@@ -109,15 +110,15 @@ class CodeDecoder:
     def gradient(
         self, gaussians: CodeGaussians, by_mean: np.ndarray, by_scale: np.ndarray
     ) -> np.ndarray:
-        """dL/dz = dL/dmu dmu/dz + dL/d(L D^(1/2)) d(L D^(1/2))/dz, by the chain rule.
+        """Compute dL/dz = dL/dmu dmu/dz + dL/d(L D^(1/2)) d(L D^(1/2))/dz, by the chain rule.
 
         Args:
-            gaussians: of `decode`.
+            gaussians: result of `decode` for the codes z.
             by_mean: (c, n), dL/dmu.
             by_scale: (c, n, n), dL/d(L D^(1/2)).
 
         Returns:
-            (c, code_dim).
+            dL/dz (c, code_dim).
         """
         n = self.n
         by_mean = by_mean.astype(self.dtype, copy=False)
@@ -126,8 +127,8 @@ class CodeDecoder:
         by_heads: np.ndarray = np.zeros((len(y), len(self._heads)), dtype=self.dtype)
         by_heads[:, :n] = 0.5 * by_mean * (1.0 - tanh * tanh)
         by_root = np.einsum("cij,cij->cj", by_scale, lower)
-        # d sqrt(softplus(x)) / dx = sigmoid(x) / (2 sqrt(softplus(x))),
-        # sigmoid(x) = 1 - exp(-softplus(x))
+        # d sqrt(softplus(x)) / dx = sigmoid(x) / (2 sqrt(softplus(x))), and
+        # sigmoid(x) = 1 - exp(-softplus(x)) with softplus(x) = root^2
         by_heads[:, n : 2 * n] = 0.5 * by_root * -np.expm1(-(root**2)) / np.maximum(root, 1e-12)
         by_heads[:, 2 * n :] = (by_scale * root[:, None, :])[:, self._rows, self._columns]
         by_y = by_heads @ self._heads
@@ -139,29 +140,30 @@ class CodeDecoder:
 
 
 class ModelConfigurations:
-    """A model's inputs for q: u = (q - q_min) / (q_max - q_min), and link positions [m], if any.
+    """Inputs of a model for configurations q: joints in [0, 1], and link positions if it has any.
 
-    The model's metadata names the links and points that are features; their positions come from
-    the robot's own kinematics.
+    u = (q - q_min) / (q_max - q_min). The model's metadata names the links and points whose
+    positions are inputs; the positions are computed by the robot's kinematics.
     """
 
     def __init__(self, model: StoredModel, robot: Robot) -> None:
-        """Raises InvalidInputError if the robot or the described features are not the model's."""
+        """Prepare the inputs; InvalidInputError if robot or features are not those of the model."""
         model.robot.require_same(robot_signature(robot))
         self._robot = robot
-        self.lower, self.range = robot.lower, robot.upper - robot.lower
+        self.lower = robot.lower  # (n,) [rad or m]
+        self.range = robot.upper - robot.lower  # (n,) [rad or m]
         self._chain = _feature_chain(model, robot) if model.config.feature_dim else None
 
     def normalised(self, q: np.ndarray) -> np.ndarray:
-        """Joints u (..., n) in [0, 1] of q (..., n) [rad or m]."""
+        """Scale joints q (..., n) [rad or m] to u (..., n) in [0, 1]."""
         return (q - self.lower) / self.range
 
     def radians(self, u: np.ndarray) -> np.ndarray:
-        """Joints q (..., n) [rad or m] of u (..., n)."""
+        """Scale u (..., n) in [0, 1] back to joints q (..., n) [rad or m]."""
         return self.lower + u * self.range
 
     def of(self, q: np.ndarray) -> np.ndarray:
-        """Configurations (b, n + 3 k) float32: u and positions [m] of joints q (b, n)."""
+        """Return inputs (b, n + 3 k) float32 of joints q (b, n): u, and k link positions [m]."""
         parts = [self.normalised(q)]
         if self._chain is not None:
             states = np.ascontiguousarray(q, dtype=float)
@@ -173,7 +175,7 @@ class ModelConfigurations:
 
 
 def _feature_chain(model: StoredModel, robot: Robot) -> SerialChain:
-    """The chain whose points are features."""
+    """Return the serial chain of the model's metadata, whose points are inputs of the model."""
     data = model.metadata.get("kinematics")
     if data is None:
         raise InvalidInputError(
@@ -193,12 +195,13 @@ class Codebook:
     """A dictionary's decoder and code vectors, for one robot."""
 
     def __init__(self, model: StoredModel, robot: Robot, dtype: type = np.float32) -> None:
-        """Take over a model's dictionary; errors as of `ModelConfigurations` and `CodeDecoder`."""
+        """Read a model's dictionary; errors as in `ModelConfigurations` and `CodeDecoder`."""
         self.configurations = ModelConfigurations(model, robot)
-        self.decoder, self.vectors = CodeDecoder(model, dtype), code_vectors(model)
+        self.decoder = CodeDecoder(model, dtype)
+        self.vectors = code_vectors(model)  # (n_codes, code_dim)
 
     def gaussians(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """g(z) in radians: q_min + R mu and R Sigma R, R = diag(q_max - q_min).
+        """Decode codes to Gaussians in radians: q_min + R mu and R Sigma R, R = diag(range).
 
         Args:
             z: (c, code_dim).
@@ -206,13 +209,14 @@ class Codebook:
         Returns:
             Means (c, n) [rad] and covariances (c, n, n) [rad^2].
         """
-        gaussians, of = self.decoder.decode(z), self.configurations
-        covariances = gaussians.covariance * np.outer(of.range, of.range)
-        return of.radians(gaussians.mean.astype(np.float64)), covariances
+        gaussians = self.decoder.decode(z)
+        means = self.configurations.radians(gaussians.mean.astype(np.float64))
+        span = self.configurations.range
+        return means, gaussians.covariance * np.outer(span, span)
 
 
 def code_vectors(model: StoredModel) -> np.ndarray:
-    """The code vectors (n_codes, code_dim) float32, of unit length."""
+    """Return the code vectors (n_codes, code_dim) float32, of unit length."""
     sizes = model.config.dictionary
     vectors = model.array(DICTIONARY, "quantizer.embedding.weight", sizes.n_codes, sizes.code_dim)
     if (np.abs(np.linalg.norm(vectors, axis=1) - 1.0) > 1e-4).any():
@@ -225,20 +229,20 @@ def code_vectors(model: StoredModel) -> np.ndarray:
 def dictionary_gaussians(
     model: StoredModel, robot: Robot | RobotSignature
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Means (codes, n) [rad] and covariances (codes, n, n) [rad^2] of all codes, in float64."""
+    """Return means (codes, n) [rad] and covariances (codes, n, n) [rad^2] of all codes, float64."""
     lower, span = np.asarray(robot.lower), np.subtract(robot.upper, robot.lower)
     gaussians = CodeDecoder(model, np.float64).decode(code_vectors(model))
     return lower + gaussians.mean * span, gaussians.covariance * np.outer(span, span)
 
 
 def dictionary_nodes(model: StoredModel, robot: Robot | RobotSignature) -> np.ndarray:
-    """A configuration (codes, n) [rad] for each code, the nodes of the dictionary's roadmap."""
+    """Return a configuration for each code (codes, n) [rad], the nodes of the roadmap."""
     means, covariances = dictionary_gaussians(model, robot)
     return drawn_nodes(means, covariances, robot, code_noise(*means.shape))
 
 
 def codes_of(model: StoredModel, robot: Robot, configurations: np.ndarray) -> np.ndarray:
-    """Code (b,) int64 of each configuration (b, n) [rad] of one path."""
+    """Return the code (b,) int64 of each configuration (b, n) [rad]."""
     if model.config.dictionary.encoder != "mlp":
         raise InvalidInputError(
             f"a dictionary with encoder {model.config.dictionary.encoder!r} encodes whole "
@@ -248,10 +252,10 @@ def codes_of(model: StoredModel, robot: Robot, configurations: np.ndarray) -> np
 
 
 def waypoint_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray:
-    """Quantisation: argmax_i z_i . z with z = W layer norm(perceptron(x)) + b, z_i the codes.
+    """Quantise configurations: argmax_i z_i . z, z = W layer norm(perceptron(x)) + b, codes z_i.
 
     Args:
-        model: its encoder takes single waypoints.
+        model: a model whose encoder takes single waypoints.
         configurations: x (b, configuration_dim).
 
     Returns:
@@ -263,22 +267,24 @@ def waypoint_codes(model: StoredModel, configurations: np.ndarray) -> np.ndarray
     x = configurations.astype(np.float64)
     for i, (before, after) in enumerate(widths):
         weight, bias = model.linear(DICTIONARY, f"encoder.layers.{2 * i}", before, after)
-        x = (x if i == 0 else np.maximum(x, 0.0)) @ weight.T + bias  # none before the first
+        if i > 0:  # ReLU between layers
+            x = np.maximum(x, 0.0)
+        x = x @ weight.T + bias
     gain, offset = (
         model.array(DICTIONARY, f"encoder.layers.5.{name}", d) for name in ("weight", "bias")
     )
     x = x - x.mean(axis=1, keepdims=True)
-    x = x / np.sqrt(np.square(x).mean(axis=1, keepdims=True) + EPSILON) * gain + offset
+    x = x / np.sqrt(np.square(x).mean(axis=1, keepdims=True) + LAYER_NORM_EPSILON) * gain + offset
     weight, bias = model.linear(DICTIONARY, "quantizer.input_linear_map", d, sizes.code_dim)
     return ((x @ weight.T + bias) @ code_vectors(model).T).argmax(axis=1)
 
 
 def require_own_dictionary(model: StoredModel, tolerance: float = 1e-3) -> None:
-    """Compare the codes' nodes in the transformer's training with those of the dictionary.
+    """Refuse a transformer that was trained on another dictionary: their nodes are compared.
 
     Args:
-        model: with a transformer.
-        tolerance: of nodes [rad or m].
+        model: a model with a transformer.
+        tolerance: largest difference of a joint of a node [rad or m].
 
     Raises:
         InvalidInputError: the transformer was trained on another dictionary.
@@ -294,23 +300,27 @@ def require_own_dictionary(model: StoredModel, tolerance: float = 1e-3) -> None:
 def drawn_nodes(
     means: np.ndarray, covariances: np.ndarray, robot: Robot | RobotSignature, noise: np.ndarray
 ) -> np.ndarray:
-    """One configuration from each code's Gaussian, clipped to the limits: q_i = mu_i + L_i eps_i.
+    """Draw one configuration from each code's Gaussian: q_i = mu_i + L_i eps_i, within the limits.
 
-    Means crowd in the middle of where paths pass; draws cover it as training's waypoints do.
+    Means concentrate near the centre of the training paths; samples cover the distribution of their
+    waypoints.
 
     Args:
         means: mu (codes, n) [rad].
         covariances: L L^T (codes, n, n) [rad^2].
-        robot: whose limits.
+        robot: arm to whose joint limits the samples are clipped.
         noise: eps (codes, n), standard normal.
 
     Returns:
-        (codes, n) [rad].
+        Configurations (codes, n) [rad].
     """
     draws = means + np.einsum("kij,kj->ki", np.linalg.cholesky(covariances), noise)
     return np.clip(draws, robot.lower, robot.upper)
 
 
 def code_noise(codes: int, n: int, seed: int = 4) -> np.ndarray:
-    """Standard normal (codes, n) for `drawn_nodes`; the seed was the best of six in tuning."""
+    """Return standard normal numbers (codes, n) for `drawn_nodes`.
+
+    The seed was the best of six on the tuning problems.
+    """
     return np.random.default_rng(seed).standard_normal((codes, n))

@@ -1,6 +1,6 @@
-"""Sizes and options of VQ-MPT and MPNet, as in the json file beside weights; checks of inputs.
+"""Sizes and options of VQ-MPT and MPNet, stored in ``config.json`` with the weights.
 
-Defaults are those of the published models.
+Defaults are those of the published models. Values are checked when a configuration is made.
 """
 
 from dataclasses import dataclass, field
@@ -11,8 +11,8 @@ import numpy as np
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.values import Array, Condition, FloatArray, Length
 
-EPSILON = 1e-6  # of the layer norms of attention and feed-forward blocks, and of the dictionary
-
+# added to variances in layer norms of the published architecture and of the dictionary
+LAYER_NORM_EPSILON = 1e-6
 
 Size = Annotated[int, Condition(int, lambda n: 1 <= n <= 1 << 16, f"1 to {1 << 16}")]
 Depth = Annotated[int, Condition(int, lambda n: 1 <= n <= 64, "1 to 64")]
@@ -27,8 +27,8 @@ class TransformerConfig:
 
     n_layers: Depth = 3
     n_heads: Size = 3
-    d_k: Size = 512  # width of queries and keys, per head
-    d_v: Size = 256  # width of values, per head
+    d_k: Size = 512  # width of queries and keys of each head
+    d_v: Size = 256  # width of values of each head
     d_model: Size = 512
     d_inner: Size = 1024  # width between the two layers of a feed-forward block
     dropout: Dropout = 0.1
@@ -39,36 +39,36 @@ class DictionaryConfig:
     """Stage 1: waypoint -> code z -> Gaussian g(z)."""
 
     encoder: Literal["transformer", "mlp"] = "transformer"
-    """``transformer`` over the trajectory (published), or ``mlp`` on each waypoint.
+    """``transformer`` over the whole trajectory (published), or ``mlp`` on each waypoint.
 
     ``mlp`` uses only `d_model` and `d_inner` of `transformer`.
     """
     transformer: TransformerConfig = field(default_factory=TransformerConfig)
-    n_position: Size = 1000  # longest trajectory of the transformer's position table [waypoints]
+    n_position: Size = 1000  # longest trajectory that the position table covers [waypoints]
     n_codes: Size = 2048
     code_dim: Size = 8
     decoder_dropout: Dropout = 0.5
     commitment: float = 0.25  # beta of the quantization loss
     data_initialised: bool = False
-    """Start and restart codes from data (`Quantizer.restart_codes`); else only by gradient."""
+    """Initialise and restart codes from data (`Quantizer.restart_codes`); else only by gradient."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetAbstractionConfig:
-    """One PointNet++ level: centres, their neighbourhoods and the perceptron over each."""
+    """One PointNet++ level: centres, balls around them, and the perceptron over each ball."""
 
     # share of the points that become centres
     ratio: Annotated[
         float, Condition(float, lambda share: 0.0 < share <= 1.0, "more than 0, at most 1")
     ] = 0.75
     radius: Length  # of the ball around a centre [m]
-    max_neighbours: Size = 64  # points used of each ball
+    max_neighbours: Size = 64  # maximum number of points used of each ball
     widths: tuple[Size, Size]  # outputs of the perceptron's two layers
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointCloudConfig:
-    """Two levels of set abstraction; the second one's centres are the scene tokens."""
+    """Two levels of set abstraction; the centres of the second level are the scene tokens."""
 
     sa1: SetAbstractionConfig = SetAbstractionConfig(radius=0.2, widths=(64, 128))
     sa2: SetAbstractionConfig = SetAbstractionConfig(radius=0.4, widths=(256, 512))
@@ -80,22 +80,22 @@ class SequenceConfig:
 
     context: TransformerConfig = field(default_factory=TransformerConfig)  # of start and goal
     transformer: TransformerConfig = field(default_factory=TransformerConfig)  # autoregressive
-    max_length: Size = 50  # tokens predicted at most, the goal token included
+    max_length: Size = 50  # maximum number of predicted tokens, the goal token included
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelConfig:
-    """A VQ-MPT model: the published architecture, or the smaller dictionary alone ("compact")."""
+    """A VQ-MPT model: the published architecture, or a smaller dictionary alone ("compact")."""
 
     kind: Literal["published", "compact"] = "published"
     joint_dim: Size = 7
-    feature_dim: int = 0  # features beside the joints, such as link positions [m] (compact only)
+    # number of inputs in addition to the joints, such as link positions [m] (compact only)
+    feature_dim: int = 0
     dictionary: DictionaryConfig = field(default_factory=DictionaryConfig)
-    # of the sequence model
+    # encoder and sequence model of the published architecture; both None if it has none
     point_cloud: PointCloudConfig | None = field(default_factory=PointCloudConfig)
-    # as published; None without one
     sequence: SequenceConfig | None = field(default_factory=SequenceConfig)
-    transformer: "SceneTransformerConfig | None" = None  # the scene transformer's, if there is one
+    transformer: "SceneTransformerConfig | None" = None  # of the scene transformer, if it has one
 
     def __post_init__(self) -> None:
         if (self.point_cloud is None) != (self.sequence is None):
@@ -108,24 +108,25 @@ class ModelConfig:
                 "dictionary.encoder": dictionary.encoder != "transformer",
                 "dictionary.data_initialised": dictionary.data_initialised,
             }
-            for name in (name for name, departs in departures.items() if departs):
-                raise InvalidInputError(f"kind 'published' has no {name}; use kind 'compact'")
+            for name, departs in departures.items():
+                if departs:
+                    raise InvalidInputError(f"kind 'published' has no {name}; use kind 'compact'")
             if dictionary.transformer.d_model != width:
                 raise InvalidInputError(
                     f"kind 'published' has one latent width: {width} is not "
                     f"{dictionary.transformer.d_model}"
                 )
         if self.point_cloud is not None and self.sequence is not None:
-            widths = (self.point_cloud.sa2.widths[1], self.sequence.context.d_model)
-            if {*widths} != {self.sequence.transformer.d_model}:
+            width = self.sequence.transformer.d_model
+            others = (self.point_cloud.sa2.widths[1], self.sequence.context.d_model)
+            if others != (width, width):
                 raise InvalidInputError(
-                    f"a sequence model has one latent width: {self.sequence.transformer.d_model} "
-                    f"is not {widths}"
+                    f"a sequence model has one latent width: {width} is not {others}"
                 )
 
     @property
     def stage2(self) -> tuple[PointCloudConfig, SequenceConfig]:
-        """Sizes of the sequence model; raises InvalidInputError for a model without one."""
+        """Sizes of the published sequence model; InvalidInputError if the model has none."""
         if self.point_cloud is None or self.sequence is None:
             raise InvalidInputError(
                 f"a model of kind {self.kind!r} without point_cloud and sequence has no sequence "
@@ -135,12 +136,12 @@ class ModelConfig:
 
     @property
     def configuration_dim(self) -> int:
-        """Numbers a configuration is given by: joints and features."""
+        """Number of inputs of a configuration: joints and features."""
         return self.joint_dim + self.feature_dim
 
     @property
     def goal_class(self) -> int:
-        """Class of the token that ends a sequence; the one before it is the start token's."""
+        """Class of the goal token, which ends a sequence; the class before it: the start token."""
         return self.dictionary.n_codes + 1
 
 
@@ -149,11 +150,12 @@ class MPNetConfig:
     """Sizes of MPNet; defaults are those of the published 7-joint model."""
 
     joint_dim: Size = 7
-    n_points: Size = 4120  # of a cloud, drawn at random from what there is
+    n_points: Size = 4120  # points of a cloud, drawn at random from a larger cloud
     encoder_widths: tuple[Size, ...] = (786, 512, 256)  # hidden layers of the cloud encoder
-    code_dim: Size = 60  # of an encoded cloud
-    planner_widths: tuple[Size, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)  # of the planner
-    dropout: Dropout = 0.5  # after every hidden layer of the planner but the last
+    code_dim: Size = 60  # width of an encoded cloud
+    # hidden layers of the planning network
+    planner_widths: tuple[Size, ...] = (1280, 896, 512, 384, 256, 128, 64, 32)
+    dropout: Dropout = 0.5  # after each hidden layer of the planning network except the last
 
     def __post_init__(self) -> None:
         if not self.encoder_widths or not self.planner_widths:
@@ -164,14 +166,14 @@ class MPNetConfig:
 class SerialChain:
     """A serial chain of joints, T_j = T_(j-1) (R_j, t_j) Rz(q_j), and points on its links.
 
-    Sliders have Tz(q_j); T_0 is the robot's base.
+    T_0 is the robot's base. A prismatic joint has Tz(q_j) instead of Rz(q_j).
     """
 
-    rotation: Annotated[FloatArray, Array((None, 3, 3))]  # (n, 3, 3), between joint frames
-    translation: Annotated[FloatArray, Array((None, 3), "[m]")]  # (n, 3) [m], likewise
-    points: tuple[int, ...]  # (k,), the frame that each point moves with
-    offsets: Annotated[FloatArray, Array((None, 3), "[m]")]  # (k, 3) [m], where in that frame
-    sliders: tuple[int, ...] = ()  # the joints that slide
+    rotation: Annotated[FloatArray, Array((None, 3, 3))]  # (n, 3, 3), R_j
+    translation: Annotated[FloatArray, Array((None, 3), "[m]")]  # (n, 3) [m], t_j
+    points: tuple[int, ...]  # (k,), index of the joint frame that each point is fixed to
+    offsets: Annotated[FloatArray, Array((None, 3), "[m]")]  # (k, 3) [m], position in that frame
+    sliders: tuple[int, ...] = ()  # indices of the prismatic joints
 
     def __post_init__(self) -> None:
         joints = len(self.rotation)
@@ -182,8 +184,8 @@ class SerialChain:
         ):
             raise InvalidInputError(
                 f"rotation, translation, points and offsets describe {joints}, "
-                f"{len(self.translation)}, {len(self.points)} and {len(self.offsets)}; give as "
-                "many of each pair, and one point at least"
+                f"{len(self.translation)}, {len(self.points)} and {len(self.offsets)}; give equal "
+                "numbers of each pair, and at least one point"
             )
         for name, listed in (("points", self.points), ("sliders", self.sliders)):
             if max(listed, default=0) >= joints:
@@ -191,12 +193,12 @@ class SerialChain:
 
     @property
     def feature_dim(self) -> int:
-        """Numbers that the points' positions are."""
+        """Number of coordinates of all points, 3 k."""
         return 3 * len(self.points)
 
     @property
     def turns_about_base(self) -> bool:
-        """The first joint's axis is the base's z axis, so that turning it turns the whole robot."""
+        """Whether joint 1 rotates the whole robot: its axis is the z axis of the base."""
         if 0 in self.sliders:
             return False
         on_axis = np.abs(self.translation[0, :2]).max() < 1e-6
@@ -210,12 +212,12 @@ class SceneTransformerSizes:
     width: Size = 128
     layers: Depth = 3  # of the causal transformer
     heads: Size = 4
-    groups: Size = 128  # scene tokens
-    group_size: Size = 32  # points that each is made of
-    values: Size = 8  # that a body point reads from the tokens
+    groups: Size = 128  # groups of points, one scene token each
+    group_size: Size = 32  # points of each group
+    values: Size = 8  # m, numbers that a body point reads from the tokens
     edge_width: Size = 64
-    links: Size = 20  # codes near a start or goal that it is linked to
-    stride: Size = 4  # every so many-th code is a landmark that sequences attend to
+    links: Size = 20  # number of nearest codes that a start or goal is linked to
+    stride: Size = 4  # codes 0, stride, 2 stride, ... are landmarks that sequences attend to
 
     def __post_init__(self) -> None:
         if self.width % 8 or self.width % self.heads:
@@ -226,12 +228,12 @@ class SceneTransformerSizes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneTransformerConfig:
-    """Sizes of a scene transformer, and what its buffers and kinematics are for."""
+    """Sizes of a scene transformer, with the kinematics and roadmap that it is made for."""
 
     lower: tuple[float, ...]  # (n,) joint limits [rad or m]
-    upper: tuple[float, ...]  # (n,)
-    body: SerialChain  # kinematics, and the body points that look at the scene
-    n_nodes: Size  # codes of the dictionary, a node of the roadmap each
+    upper: tuple[float, ...]  # (n,) joint limits [rad or m]
+    body: SerialChain  # kinematics, and the body points that attend to the scene
+    n_nodes: Size  # nodes of the roadmap: one for each code of the dictionary
     n_edges: Size
     sizes: SceneTransformerSizes = field(default_factory=SceneTransformerSizes)
 
@@ -248,5 +250,5 @@ class SceneTransformerConfig:
 
     @property
     def features(self) -> int:
-        """Numbers that a configuration is given by."""
+        """Number of inputs of a configuration: scaled joints, sines, cosines and body points."""
         return 3 * self.joint_dim + self.body.feature_dim

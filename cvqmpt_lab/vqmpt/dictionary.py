@@ -1,7 +1,8 @@
 """Stage 1 of VQ-MPT: the dictionary Z_Q = {z_1 ... z_N}, which divides the planning space.
 
-A waypoint is encoded, its latent replaced by the nearest code z_i, and the code decoded to a
-Gaussian over configurations, g(z_i) = N(mu, Sigma) (paper, eqn. decoder_eqn), Sigma = L D L^T.
+A waypoint is encoded to a latent, the latent is replaced by the nearest code z_i, and the code is
+decoded to a Gaussian over configurations, g(z_i) = N(mu, Sigma) (paper, eqn. decoder_eqn), with
+Sigma = L D L^T.
 """
 
 import math
@@ -12,13 +13,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.vqmpt.config import EPSILON, ModelConfig, SerialChain, TransformerConfig
+from cvqmpt_lab.vqmpt.config import LAYER_NORM_EPSILON, ModelConfig, SerialChain, TransformerConfig
 
 
 class MultiHeadAttention(nn.Module):
     """x + W_o [softmax(q_h k_h^T / sqrt(d_k)) v_h]_h, with q, k, v projected without bias.
 
-    q is from the query x, k and v are from the context, all after the same layer norm.
+    q is computed from the query x, k and v from the context, all after the same layer norm.
     """
 
     def __init__(self, sizes: TransformerConfig) -> None:
@@ -28,7 +29,7 @@ class MultiHeadAttention(nn.Module):
         self.w_ks = nn.Linear(sizes.d_model, sizes.n_heads * sizes.d_k, bias=False)
         self.w_vs = nn.Linear(sizes.d_model, sizes.n_heads * sizes.d_v, bias=False)
         self.fc = nn.Linear(sizes.n_heads * sizes.d_v, sizes.d_model, bias=False)
-        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
+        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=LAYER_NORM_EPSILON)
         self.dropout = sizes.dropout
 
     def forward(self, query: Tensor, context: Tensor) -> Tensor:
@@ -37,15 +38,18 @@ class MultiHeadAttention(nn.Module):
         Args:
             query: (b, t, d_model).
             context: (b, m, d_model); the query itself in self-attention.
+
+        Returns:
+            (b, t, d_model).
         """
-        keys_of = self.layer_norm(context)
-        queries_of = keys_of if query is context else self.layer_norm(query)
+        context_tokens = self.layer_norm(context)
+        query_tokens = context_tokens if query is context else self.layer_norm(query)
         q, k, v = (
             projection(tokens).unflatten(-1, (self.n_heads, -1)).transpose(1, 2)
             for projection, tokens in (
-                (self.w_qs, queries_of),
-                (self.w_ks, keys_of),
-                (self.w_vs, keys_of),
+                (self.w_qs, query_tokens),
+                (self.w_ks, context_tokens),
+                (self.w_vs, context_tokens),
             )
         )
         dropout = self.dropout if self.training else 0.0
@@ -55,7 +59,7 @@ class MultiHeadAttention(nn.Module):
 
 
 class FeedForward(nn.Module):
-    """x + W_2 relu(W_1 norm(x)), or norm(x + W_2 relu(W_1 x))."""
+    """x + W_2 relu(W_1 norm(x)) if `norm_first`, else norm(x + W_2 relu(W_1 x))."""
 
     def __init__(
         self, d_model: int, d_inner: int, dropout: float, *, norm_first: bool = True
@@ -63,7 +67,7 @@ class FeedForward(nn.Module):
         super().__init__()
         self.w_1 = nn.Linear(d_model, d_inner)
         self.w_2 = nn.Linear(d_inner, d_model)
-        self.layer_norm = nn.LayerNorm(d_model, eps=EPSILON)
+        self.layer_norm = nn.LayerNorm(d_model, eps=LAYER_NORM_EPSILON)
         self.dropout = dropout
         self.norm_first = norm_first
 
@@ -75,7 +79,7 @@ class FeedForward(nn.Module):
 
 
 class SelfAttentionLayer(nn.Module):
-    """Tokens attend to each other, then a feed-forward block."""
+    """Self-attention of tokens, then a feed-forward block."""
 
     def __init__(self, sizes: TransformerConfig) -> None:
         super().__init__()
@@ -87,13 +91,13 @@ class SelfAttentionLayer(nn.Module):
 
         Args:
             tokens: (b, t, d_model).
-            read: (b, r, d_model), those of the tokens whose outputs alone are wanted.
+            read: (b, r, d_model), the tokens whose outputs are computed; None for all.
         """
         return self.pos_ffn(self.slf_attn(tokens if read is None else read, tokens))
 
 
 class PositionTable(nn.Module):
-    """Fixed code of the position p: sin(p 10000^(-2 i / d)) at 2 i, cos at 2 i + 1; a buffer."""
+    """Fixed encoding of position p: column 2 i has sin(p 10000^(-2 i / d)), column 2 i + 1 cos."""
 
     pos_table: Tensor
 
@@ -106,7 +110,7 @@ class PositionTable(nn.Module):
         self.register_buffer("pos_table", table.float()[None])
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """Add the code to tokens (b, t, d_model); InvalidInputError when t is beyond the table."""
+        """Add position encodings to tokens (b, t, d_model); InvalidInputError if t is too large."""
         length, longest = tokens.shape[1], self.pos_table.shape[1]
         if length > longest:
             raise InvalidInputError(
@@ -118,8 +122,8 @@ class PositionTable(nn.Module):
 class TrajectoryEncoder(nn.Module):
     """Transformer over a whole trajectory, as published.
 
-    One layer norm serves three times: after the embedding, after the position code and at the end.
-    Padded waypoints are attended to, as in the published code; only the losses mask them.
+    The same layer norm is applied three times: after the embedding, after the position encoding
+    and at the end. As in the published code padding is attended to; only the losses mask it.
     """
 
     def __init__(self, input_dim: int, n_position: int, sizes: TransformerConfig) -> None:
@@ -129,7 +133,7 @@ class TrajectoryEncoder(nn.Module):
         )
         self.position_enc = PositionTable(n_position, sizes.d_model)
         self.layer_stack = nn.ModuleList(SelfAttentionLayer(sizes) for _ in range(sizes.n_layers))
-        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
+        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=LAYER_NORM_EPSILON)
         self.dropout = sizes.dropout
 
     def forward(self, waypoints: Tensor) -> Tensor:
@@ -142,7 +146,7 @@ class TrajectoryEncoder(nn.Module):
 
 
 class WaypointEncoder(nn.Module):
-    """Perceptron on each waypoint alone: a configuration's code does not depend on its path."""
+    """Perceptron on each waypoint: the code of a configuration does not depend on its path."""
 
     def __init__(self, input_dim: int, sizes: TransformerConfig) -> None:
         super().__init__()
@@ -152,7 +156,7 @@ class WaypointEncoder(nn.Module):
             nn.Linear(sizes.d_inner, sizes.d_inner),
             nn.ReLU(),
             nn.Linear(sizes.d_inner, sizes.d_model),
-            nn.LayerNorm(sizes.d_model, eps=EPSILON),
+            nn.LayerNorm(sizes.d_model, eps=LAYER_NORM_EPSILON),
         )
 
     def forward(self, waypoints: Tensor) -> Tensor:
@@ -165,23 +169,24 @@ class Quantized:
     """Latents before and after quantization."""
 
     latent: Tensor  # (..., d_model)
-    quantized: Tensor  # (..., d_model), of the nearest code
-    codes: Tensor  # (...) int64: which that is
+    quantized: Tensor  # (..., d_model), latent of the nearest code
+    codes: Tensor  # (...) int64, index of the nearest code
 
 
 class Quantizer(nn.Module):
-    """Vector quantisation: z = W_in x / |W_in x|, i = argmax_j z_j . z, and W_out z_i back.
+    """Vector quantisation: z = W_in x / |W_in x|, i = argmax_j z_j . z, result W_out z_i.
 
-    Codes z_j have unit length: every forward call scales them, in place; after the last optimizer
-    step call `normalise_codes` before saving. The batch norm is never applied; published
-    checkpoints have its buffers.
+    Codes z_j have unit length: every forward call scales them in place. Call `normalise_codes`
+    after the last optimizer step, before saving. The batch norm is never applied; it exists because
+    published checkpoints have its buffers.
     """
 
     def __init__(self, n_codes: int, code_dim: int, d_model: int) -> None:
         super().__init__()
         self.input_linear_map = nn.Linear(d_model, code_dim)
         self.output_linear_map = nn.Linear(code_dim, d_model)
-        weight = torch.empty(n_codes, code_dim)  # filled below: randn on "meta" imports sympy (4 s)
+        # filled below: torch.randn on device "meta" would import sympy, which takes 4 s
+        weight = torch.empty(n_codes, code_dim)
         self.embedding = nn.Embedding(n_codes, code_dim, _weight=weight)
         nn.init.xavier_uniform_(self.embedding.weight)
         self.batch_norm = nn.BatchNorm1d(code_dim, affine=False)
@@ -190,11 +195,11 @@ class Quantizer(nn.Module):
     @torch.no_grad()
     def normalise_codes(self) -> None:
         """Scale every code to unit length, in place."""
-        if not self.embedding.weight.is_meta:  # there a norm imports sympy
+        if not self.embedding.weight.is_meta:  # on device "meta" a norm would import sympy
             self.embedding.weight.copy_(F.normalize(self.embedding.weight, dim=1))
 
     def project(self, latent: Tensor) -> Tensor:
-        """Unit vectors (..., code_dim) that stand for latents (..., d_model)."""
+        """Project latents (..., d_model) to unit vectors z (..., code_dim)."""
         return F.normalize(self.input_linear_map(latent), dim=-1)
 
     def nearest(self, z: Tensor) -> Tensor:
@@ -205,26 +210,26 @@ class Quantizer(nn.Module):
     def forward(self, latent: Tensor) -> Quantized:
         """Quantise latents (..., d_model), with the straight-through estimator z + e - sg(z).
 
-        That is the code e in value; the gradient reaches the encoder, as if z had been passed on,
-        and e alike.
+        Its value is the code e; its gradient reaches both the encoder, as that of z, and the code.
         """
         self.normalise_codes()
         z = self.project(latent)
         codes = self.nearest(z)
-        # the code is not detached: it learns by gradient, without moving averages
+        # the code is not detached: codes are trained by gradient, without moving averages
         through = z + self.embedding(codes) - z.detach()
         return Quantized(latent, self.output_linear_map(through), codes)
 
     def lookup(self, codes: Tensor) -> Tensor:
-        """Latents (..., d_model) of codes (...), ready for the decoder."""
+        """Latents (..., d_model) of codes (...), the input of the decoder."""
         return self.output_linear_map(self.embedding(codes))
 
     def restart_codes(self, dead: Tensor, latents: Tensor) -> None:
-        """Put codes onto encoded waypoints drawn at random.
+        """Replace codes by encoded waypoints that are drawn at random.
 
         Args:
-            dead: (n_codes,) bool, codes that no waypoint used lately; all to initialise from data.
-            latents: (m, d_model), encoded waypoints, drawn without replacement while they last.
+            dead: (n_codes,) bool, the codes to replace: those no waypoint used lately, or all.
+            latents: (m, d_model), encoded waypoints; each is drawn at most once if there are
+                enough.
 
         Raises:
             InvalidInputError: there are no latents.
@@ -236,7 +241,7 @@ class Quantizer(nn.Module):
             raise InvalidInputError(
                 "restart of codes from 0 latents; give at least one encoded waypoint"
             )
-        # codes beyond the number of latents take the same ones again
+        # with fewer latents than codes, latents repeat
         order = torch.randperm(len(latents))
         chosen = order[torch.arange(len(indices)) % len(latents)].to(latents.device)
         with torch.no_grad():
@@ -247,8 +252,8 @@ class Quantizer(nn.Module):
 class Gaussians:
     """A batch of Gaussians with covariance L D L^T (published code; the paper prints L D^2 L^T)."""
 
-    mean: Tensor  # (..., n), mu, normalised joints
-    lower: Tensor  # (..., n, n), L, ones on the diagonal
+    mean: Tensor  # (..., n), mu, of normalised joints
+    lower: Tensor  # (..., n, n), L, with ones on the diagonal
     diagonal: Tensor  # (..., n), D, positive
 
     @property
@@ -257,14 +262,14 @@ class Gaussians:
         return (self.lower * self.diagonal[..., None, :]) @ self.lower.mT
 
     def log_prob(self, u: Tensor) -> Tensor:
-        """Log density -1/2 (|D^(-1/2) L^(-1) (u - mu)|^2 + sum log D + n log 2 pi) [nats].
+        """Log density -1/2 (|D^(-1/2) L^(-1) (u - mu)|^2 + sum log D + n log 2 pi) (...) [nats].
 
         Args:
             u: (..., n), normalised joints.
         """
         offset = (u - self.mean)[..., None]
         lower = self.lower.expand(*offset.shape[:-2], *self.lower.shape[-2:])
-        # L is unit triangular, so that its determinant is 1 and no inverse is needed
+        # L is unit triangular: its determinant is 1, and L^(-1) needs no inverse
         whitened = torch.linalg.solve_triangular(lower, offset, upper=False, unitriangular=True)
         mahalanobis = (whitened[..., 0].square() / self.diagonal).sum(-1)
         n = self.mean.shape[-1]
@@ -277,9 +282,10 @@ class Gaussians:
 
 
 class GaussianDecoder(nn.Module):
-    """The decoder g(z) = N(mu, L D L^T), y a feed-forward block of the latent with layer norm.
+    """The decoder g(z) = N(mu, L D L^T).
 
-    mu = (tanh(W_mu y + b_mu) + 1) / 2, D = softplus(W_D y + b_D), L = I + lower(W_L y + b_L).
+    mu = (tanh(W_mu y + b_mu) + 1) / 2, D = softplus(W_D y + b_D), L = I + lower(W_L y + b_L), where
+    y is the output of a feed-forward block with layer norm.
     """
 
     l_index: Tensor
@@ -295,7 +301,7 @@ class GaussianDecoder(nn.Module):
         )
 
     def forward(self, latent: Tensor) -> Gaussians:
-        """Decode latents (..., d_model)."""
+        """Decode latents (..., d_model) to Gaussians (...)."""
         hidden = self.pos_ffn(latent)
         mean = 0.5 * (self.mu(hidden) + 1.0)
         n = mean.shape[-1]
@@ -307,11 +313,12 @@ class GaussianDecoder(nn.Module):
 
 
 class Dictionary(nn.Module):
-    """Encoder, quantizer and decoder; the last two are what planning uses."""
+    """Encoder, quantizer and decoder; planning uses quantizer and decoder."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
-        sizes, options = config.dictionary.transformer, config.dictionary
+        options = config.dictionary
+        sizes = options.transformer
         self.encoder: nn.Module
         if options.encoder == "transformer":
             self.encoder = TrajectoryEncoder(config.configuration_dim, options.n_position, sizes)
@@ -323,25 +330,28 @@ class Dictionary(nn.Module):
         )
 
     def forward(self, waypoints: Tensor) -> tuple[Gaussians, Quantized]:
-        """Encode, quantise and decode waypoints; padded ones too, mask them in the losses.
+        """Encode, quantise and decode waypoints, padding included; the losses must mask it.
 
         Args:
-            waypoints: (b, t, configuration_dim), joints in [0, 1], then features [m], if any.
+            waypoints: (b, t, configuration_dim), joints in [0, 1], then link positions [m] if any.
         """
         quantized = self.quantizer(self.encoder(waypoints))
         return self.decoder(quantized.quantized), quantized
 
     def encode(self, waypoints: Tensor) -> Tensor:
-        """Codes (b, t) int64 of waypoints (b, t, configuration_dim)."""
+        """Return codes (b, t) int64 of waypoints (b, t, configuration_dim)."""
         return self.quantizer.nearest(self.quantizer.project(self.encoder(waypoints)))
 
     def decode(self, z: Tensor) -> Gaussians:
-        """Gaussians g(z) (...) of code vectors z (..., code_dim), in the dictionary or not."""
+        """Gaussians g(z) (...) of code vectors z (..., code_dim), also of others than the codes."""
         return self.decoder(self.quantizer.output_linear_map(z))
 
 
 class LinkPositions:
-    """Configurations as models take them: u = (q - q_min) / (q_max - q_min), link positions."""
+    """Inputs of a model for configurations: normalised joints u, and positions of link points.
+
+    u = (q - q_min) / (q_max - q_min).
+    """
 
     def __init__(
         self,
@@ -350,6 +360,14 @@ class LinkPositions:
         chain: SerialChain | None,
         device: torch.device | str = "cpu",
     ) -> None:
+        """Prepare the inputs of one robot.
+
+        Args:
+            lower: (n,) joint limits [rad or m].
+            upper: (n,) joint limits [rad or m].
+            chain: kinematics and the k link points; None if joints are the only inputs.
+            device: device of the tensors.
+        """
         self._lower = torch.tensor(lower, dtype=torch.float32, device=device)
         self._range = torch.tensor(upper, dtype=torch.float32, device=device) - self._lower
         self._chain = chain
@@ -359,7 +377,7 @@ class LinkPositions:
             self._offsets = torch.tensor(chain.offsets, dtype=torch.float32, device=device)
 
     def configurations(self, u: Tensor) -> Tensor:
-        """Configurations (..., n + 3 k) of normalised joints u (..., n); differentiable."""
+        """Inputs (..., n + 3 k) of normalised joints u (..., n); differentiable."""
         if self._chain is None:
             return u
         return torch.cat((u, self.positions(self._lower + u * self._range)), dim=-1)
@@ -370,9 +388,10 @@ class LinkPositions:
             raise InvalidInputError("link positions need the dataset's kinematics; it has none")
         flat = q.reshape(-1, q.shape[-1])
         cosine, sine = flat.cos(), flat.sin()
+        # axes (b, 3) and origin (b, 3) of the current joint frame
         x, y, z = (self._rotation[0, :, axis].expand(len(flat), 3) for axis in range(3))
         origin = self._translation[0].expand(len(flat), 3)
-        places: dict[int, Tensor] = {}
+        positions: dict[int, Tensor] = {}
         last = max(self._chain.points)
         for joint in range(last + 1):
             if joint:
@@ -384,8 +403,9 @@ class LinkPositions:
             else:
                 c, s = cosine[:, joint, None], sine[:, joint, None]
                 x, y = x * c + y * s, y * c - x * s
-            for point in (k for k, frame in enumerate(self._chain.points) if frame == joint):
-                offset = self._offsets[point]
-                places[point] = origin + x * offset[0] + y * offset[1] + z * offset[2]
-        stacked = torch.cat([places[point] for point in range(len(places))], dim=-1)
+            for point, frame in enumerate(self._chain.points):
+                if frame == joint:
+                    offset = self._offsets[point]
+                    positions[point] = origin + x * offset[0] + y * offset[1] + z * offset[2]
+        stacked = torch.cat([positions[point] for point in range(len(positions))], dim=-1)
         return stacked.reshape(*q.shape[:-1], -1)

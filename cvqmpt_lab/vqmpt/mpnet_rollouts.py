@@ -1,19 +1,18 @@
 """MPNet with projection, the paper's learned baseline: a network proposes the path step by step.
 
-Two sides grow in turn, from the start and from the nearest goal, each towards the other's last
-state: a proposal is clipped, projected and kept if it is free. When a straight joint line without
-collision connects the sides, each pair of neighbouring states is connected by a constrained motion:
-the direct one, else one by tree growth. If the sides do not meet or a pair is not connected, the
-rollout has failed and the next one starts.
+Two sides grow in turn, one from the start and one from the nearest goal, each towards the last
+state of the other. A proposal is clipped and projected, and kept if it is free of collision. When a
+straight joint line without collision joins the sides, each pair of neighbouring states is connected
+by a constrained motion: a direct one, else one found by tree growth. A rollout fails if the sides
+do not meet or a pair cannot be connected; then the next rollout starts.
 
-Differences to the published code, as far as known: proposals to one state are bounded, not repeated
-for ever; a pair is first tried with the direct motion; the tree growth is the project's own and
-gets a share of the budget (there 5 of 50 s); the time to encode the cloud counts. There are 50
-rollouts: the published ten for each of five goals, which are identical there.
+Known differences from the published code: the number of proposals for one state is limited; the
+direct motion is tried before tree growth; the tree growth is that of this project and gets a share
+of the budget (there 5 of 50 s); the time to encode the cloud counts. There are 50 rollouts, because
+the published code makes ten for each of five goals, which are identical there.
 
-In the bridged variant tree growth connects what the network does not, also sides that have not
-met; all goals take turns in ten rollouts, sides meet along a constrained motion, and the network
-gets projected states as input.
+In the bridged variant, tree growth also connects sides that have not met. All goals take turns in
+ten rollouts, sides meet along a constrained motion, and the network gets projected states as input.
 """
 
 import time
@@ -36,15 +35,16 @@ from cvqmpt_lab.vqmpt.weights import StoredModel
 
 
 class MPNetNetwork:
-    """MPNet's weights, ready to propose."""
+    """MPNet in numpy."""
 
     def __init__(self, model: StoredModel) -> None:
-        """Copy the weights; raises InvalidInputError when they do not fit the configuration."""
+        """Copy the weights; InvalidInputError if they do not fit the configuration."""
         self.config: MPNetConfig = model.config
-        config, layers = self.config, Layers(model, "mpnet")
+        config = self.config
+        layers = Layers(model, "mpnet")
         encoder = (3 * config.n_points, *config.encoder_widths)
         hidden = (config.code_dim + 2 * config.joint_dim, *config.planner_widths)
-        # a linear layer, then PReLU with slope a: y if y > 0, else a y
+        # pairs of a linear layer and the slope a of its PReLU: y if y > 0, else a y
         self._encoder = [
             (layers.linear(f"encoder.{k}", *widths), layers.array(f"encoder.{k + 1}.weight", 1))
             for k, widths in zip(count(step=2), pairwise(encoder), strict=False)
@@ -59,7 +59,7 @@ class MPNetNetwork:
         self._out = layers.linear("out", hidden[-1], config.joint_dim)
 
     def encode(self, points: np.ndarray) -> np.ndarray:
-        """Code (code_dim,) of points (n_points, 3) [m]."""
+        """Encode points (n_points, 3) [m] to a code (code_dim,)."""
         x = np.ascontiguousarray(points, dtype=np.float32).ravel()
         for linear, slope in self._encoder:
             y = linear(x)
@@ -76,13 +76,13 @@ class MPNetNetwork:
         """Propose the next configuration.
 
         Args:
-            current: (joint_dim,) normalised to [-1, 1].
-            goal: (joint_dim,) likewise.
-            code: (code_dim,) of `encode`.
-            rng: draws dropout; without it there is none.
+            current: (joint_dim,), normalised to [-1, 1].
+            goal: (joint_dim,), normalised to [-1, 1].
+            code: (code_dim,), encoded cloud.
+            rng: random numbers for dropout; None for no dropout.
 
         Returns:
-            (joint_dim,), not clipped.
+            (joint_dim,), normalised but not clipped.
         """
         x = np.concatenate((code, current, goal)).astype(np.float32)
         share = np.float32(self.config.dropout)
@@ -96,12 +96,12 @@ class MPNetNetwork:
 
 
 class Rollout(NamedTuple):
-    """States and proposals of one rollout from start to goal."""
+    """States of one rollout from start to goal."""
 
     states: np.ndarray  # (k, n) [rad or m]
-    meeting: int  # row after which the other side's states come
-    met: bool  # otherwise the sides are to be joined by tree growth
-    joint: JointPath | None  # direct motion between the states that meet, if there is one
+    meeting: int  # last row of the side of the start; the rows after it are the side of the goal
+    met: bool  # whether the sides met; if not, tree growth must join them
+    joint: JointPath | None  # direct motion between the last states of both sides, if there is one
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,21 +109,21 @@ class MPNetRollouts:
     """A trained MPNet that proposes whole paths; see the module."""
 
     network: MPNetNetwork
-    bridged: bool = False  # unconnected rollouts are connected by tree growth
-    rollouts: int = 50  # tried before giving up
-    predictions: int = 10  # states of one rollout
-    attempts: int = 32  # proposals (they differ by dropout) per state before giving up
-    share: float = 0.1  # of the whole budget, that joining two neighbouring states may take
+    bridged: bool = False  # whether tree growth joins sides that did not meet
+    rollouts: int = 50  # maximum number of rollouts
+    predictions: int = 10  # maximum number of predicted states in one rollout
+    attempts: int = 32  # maximum number of proposals for one state; they differ by dropout
+    share: float = 0.1  # share of the whole budget for tree growth between two states
 
     def __call__(self, query: Query, observation: Observation) -> Proposal:
         """Roll out until a path is found, the budget is spent or all rollouts have failed.
 
-        An iteration is one proposal tested or one sample used. The detail says what joined the
-        path's states, or why rollouts failed.
+        An iteration is one tested proposal or one used sample. The detail of the result says how
+        the path's states were joined, or why rollouts failed.
         """
         assert observation.cloud is not None
         began = query.deadline.seconds
-        # shuffled, and repeated where there are too few
+        # random points; they repeat if the cloud has too few
         order = query.rng.permutation(len(observation.cloud))
         drawn = order[np.arange(self.network.config.n_points) % len(order)]
         code = self.network.encode(observation.cloud[drawn])
@@ -149,36 +149,36 @@ class MPNetRollouts:
 
 @dataclass(eq=False)
 class _Run:
-    """One call of `MPNetRollouts`: rollouts, and the paths through them."""
+    """State of one call of `MPNetRollouts`."""
 
     planner: MPNetRollouts
     query: Query
-    code: np.ndarray  # of the cloud
+    code: np.ndarray  # (code_dim,), encoded cloud
     predict_seconds: float = 0.0
     vertices: int = 0
     joined: str = ""  # how the states of the last path were joined
-    failures: Counter[str] = field(default_factory=Counter)  # of rollouts, by reason
+    failures: Counter[str] = field(default_factory=Counter)  # number of failed rollouts by reason
 
     @property
     def failed(self) -> str:
-        """How many rollouts failed, and why."""
+        """Number of failed rollouts with the reasons, as text."""
         failed, tried = self.failures.total(), self.planner.rollouts
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.failures.items()))
         return f"{'all ' if failed == tried else ''}{failed} of {tried} rollouts failed: {reasons}"
 
     def attempt(self, start: np.ndarray, goal: np.ndarray) -> JointPath | None:
-        """The path through one rollout, or None."""
+        """Roll out once from start to goal (n,); return the path, or None."""
         rollout = self._rollout(start, goal)
-        failure = rollout if isinstance(rollout, str) else "with a pair not joined"
         path = None if isinstance(rollout, str) else self._path(rollout)
         if path is None:
-            self.failures[
-                "cut short by the budget" if self.query.deadline.spent() else failure
-            ] += 1
+            failure = rollout if isinstance(rollout, str) else "with a pair not joined"
+            if self.query.deadline.spent():
+                failure = "cut short by the budget"
+            self.failures[failure] += 1
         return path
 
     def _rollout(self, start: np.ndarray, goal: np.ndarray) -> Rollout | str:
-        """Grow both sides in turn until they meet; on failure, the reason as text."""
+        """Grow both sides in turn until they meet; if that fails, return the reason as text."""
         robot, space = self.query.space.robot, self.query.space
         sides: tuple[list[np.ndarray], list[np.ndarray]] = ([start], [goal])
         latest = [_normalised(robot, start), _normalised(robot, goal)]
@@ -205,15 +205,15 @@ class _Run:
     def _next_state(
         self, current: np.ndarray, towards: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """The first proposal that is free once clipped and projected.
+        """Return the first proposal that is free of collision after clipping and projection.
 
         Args:
-            current: (n,) in [-1, 1].
-            towards: (n,) in [-1, 1].
+            current: (n,), normalised to [-1, 1].
+            towards: (n,), normalised to [-1, 1].
 
         Returns:
-            The state (n,) [rad or m] and the clipped proposal (n,); None when attempts or budget
-            are used up.
+            The state (n,) [rad or m] and the clipped proposal (n,); None if attempts or budget are
+            used up.
         """
         robot = self.query.space.robot
         for _ in range(self.planner.attempts):
@@ -230,12 +230,13 @@ class _Run:
         return None
 
     def _path(self, rollout: Rollout) -> JointPath | None:
-        """Join every two neighbouring states, directly or by tree growth; None if a pair fails."""
+        """Join all neighbouring states, directly or by tree growth; None if a pair fails."""
         motions, grown = [], 0
         for i, (a, b) in enumerate(pairwise(rollout.states)):
-            motion = (
-                rollout.joint if i == rollout.meeting else direct_motion(self.query.space, a, b)
-            )
+            if i == rollout.meeting:
+                motion = rollout.joint
+            else:
+                motion = direct_motion(self.query.space, a, b)
             if motion is None:
                 motion = self._grown(a, b)
                 grown += 1
@@ -248,7 +249,7 @@ class _Run:
         return JointPath(np.concatenate(motions))
 
     def _grown(self, a: np.ndarray, b: np.ndarray) -> JointPath | None:
-        """A path from a to b (n,) by tree growth within its share of the budget."""
+        """Find a path from a to b (n,) by tree growth within its share of the budget."""
         if self.query.deadline.spent():
             return None
         part = self.query.deadline.rest(self.planner.share)
@@ -260,13 +261,19 @@ class _Run:
 
 
 def line_free(space: ConstrainedSpace, a: np.ndarray, b: np.ndarray, states: int = 100) -> bool:
-    """Whether `states` even states (published: 100) of the joint line from a to b (n,) are free.
+    """Whether the straight joint line between two states is free of collision.
 
-    The constraint need not hold.
+    The constraint is not checked.
+
+    Args:
+        space: checks collision.
+        a: (n,) [rad or m].
+        b: (n,) [rad or m].
+        states: number of evenly spaced states that are checked (published: 100).
     """
     return all(space.valid(q) for q in np.linspace(a, b, states))
 
 
 def _normalised(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Configuration q (n,) [rad or m] in [-1, 1]."""
+    """Normalise a configuration q (n,) [rad or m] to [-1, 1]."""
     return 2.0 * (q - robot.lower) / (robot.upper - robot.lower) - 1.0

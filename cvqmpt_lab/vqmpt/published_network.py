@@ -1,13 +1,15 @@
 """The authors' sequence model (stage 2 of VQ-MPT): from scene, start and goal to codes.
 
-PointNet++ set abstraction turns the point cloud into scene tokens E = e_1 ... e_n, in two levels.
-Each takes farthest points as centres p_i and summarises the ball around each by the maximum, over
-its points p_j with features x_j, of a perceptron of [x_j, p_j - p_i].
+PointNet++ set abstraction turns the point cloud into scene tokens E = e_1 ... e_n in two levels.
+Each level takes farthest points as centres p_i. It summarises the ball around a centre by the
+maximum of a perceptron of [x_j, p_j - p_i] over the points p_j of the ball, with features x_j.
 
 Start and goal, embedded by a perceptron, attend to E and give the context M (two tokens). The
 autoregressive transformer predicts the next code (paper, eqn. ar_prob),
 
-    pi(h_j = i | z_(h_1) ... z_(h_(j-1)), M) = p_i,   i one of the N codes or the goal token.
+    pi(h_j = i | z_(h_1) ... z_(h_(j-1)), M) = p_i,
+
+where i is one of the N codes or the goal token.
 """
 
 import math
@@ -20,7 +22,7 @@ from torch import Tensor, nn
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.beam_search import StepDecoder, log_softmax
 from cvqmpt_lab.vqmpt.config import (
-    EPSILON,
+    LAYER_NORM_EPSILON,
     ModelConfig,
     PointCloudConfig,
     SetAbstractionConfig,
@@ -36,9 +38,10 @@ from cvqmpt_lab.vqmpt.dictionary import (
 
 
 class PointConvolution(nn.Module):
-    """Perceptron over every edge, maximum over the edges of a centre: max_j h([x_j, p_j - p_i]).
+    """Perceptron of every edge and maximum over the edges of a centre: max_j h([x_j, p_j - p_i]).
 
-    Each layer of h is linear, ReLU, batch norm, in this order; the statistics are taken over edges.
+    An edge joins a centre and a point of its ball. Each layer of h is linear, ReLU and batch norm
+    in this order; its statistics are over edges.
     """
 
     def __init__(self, input_dim: int, widths: tuple[int, ...]) -> None:
@@ -54,8 +57,8 @@ class PointConvolution(nn.Module):
         """Reduce edges to centres.
 
         Args:
-            edges: (e, d + 3).
-            centre: (e,) int64, ascending: the centre each edge belongs to; each has one at least.
+            edges: (e, d + 3), inputs of the perceptron.
+            centre: (e,) int64, centre of each edge, ascending; every centre has an edge.
             n_centres: number of centres.
 
         Returns:
@@ -67,7 +70,7 @@ class PointConvolution(nn.Module):
 
 
 class SetAbstraction(nn.Module):
-    """One level."""
+    """One level of set abstraction."""
 
     def __init__(self, input_dim: int, config: SetAbstractionConfig) -> None:
         super().__init__()
@@ -94,7 +97,7 @@ class SetAbstraction(nn.Module):
 
 
 class PointCloudEncoder(nn.Module):
-    """Two set abstractions on raw metric points; no further code of position is added."""
+    """Two set abstractions of points in metres; no position encoding is added."""
 
     def __init__(self, config: PointCloudConfig) -> None:
         super().__init__()
@@ -108,16 +111,16 @@ class PointCloudEncoder(nn.Module):
 
 
 def farthest_point_sampling(points: Tensor, count: int) -> Tensor:
-    """Indices (b, count) of points (b, n, 3), each the farthest from those before it.
+    """Return indices (b, count) of points (b, n, 3), each the farthest from those before it.
 
-    The first is 0, ties go to the lowest index.
+    The first index is 0. Of equally far points the one with the lowest index is taken.
     """
     each = [_farthest_of_one(cloud.detach().cpu().numpy(), count) for cloud in points]
     return torch.from_numpy(np.stack(each)).to(points.device)
 
 
 def _farthest_of_one(points: np.ndarray, count: int) -> np.ndarray:
-    """Farthest points (count,) of one cloud (n, 3); numpy is five times as fast as torch here."""
+    """Return farthest points (count,) of one cloud (n, 3), in numpy: 5 times as fast as torch."""
     axes = points.T.copy()
     indices = np.zeros(count, dtype=np.int64)
     nearest = np.full(len(points), np.inf, dtype=points.dtype)
@@ -140,18 +143,18 @@ def ball_query(
     max_neighbours: int,
     pairs_at_once: int = 1 << 17,
 ) -> tuple[Tensor, Tensor]:
-    """Points in balls around centres; a centre that is one of the points is its own neighbour.
+    """Find the points in balls around centres; a centre that is a point is its own neighbour.
 
     Args:
         points: (b, n, 3) [m].
         centres: (b, m, 3) [m].
-        radius: of the balls [m]; points are closer than that.
-        max_neighbours: points of each centre; of more, those of lowest index are taken.
-        pairs_at_once: distances held at once: half a megabyte stays in the cache.
+        radius: radius of the balls [m]; a point on the surface is not in the ball.
+        max_neighbours: maximum number of points of a centre; those of lowest index are taken.
+        pairs_at_once: number of distances in memory; half a megabyte fits the processor's cache.
 
     Returns:
-        Pairs (e,), (e,) int64 of a point and a centre, indices into the clouds laid end to end.
-        Centres ascend, and the points of one centre too.
+        Points (e,) and centres (e,) of the pairs, int64 indices into all clouds concatenated.
+        Pairs are sorted by centre, then by point.
     """
     batch, n, m = len(points), points.shape[1], centres.shape[1]
     axes = points.mT.contiguous()
@@ -163,19 +166,19 @@ def ball_query(
         for axis in (1, 2):
             squares += (axes[:, None, axis] - block[:, :, axis]).square_()
         torch.lt(squares, radius * radius, out=near[:, first : first + at_once])
-    # the pairs that are near, row by row; on a CPU numpy is ten times as fast as torch
+    # numbers of the near pairs, row by row; on a CPU numpy is ten times as fast as torch
     flat = near.flatten()
     pairs = torch.from_numpy(np.flatnonzero(flat)) if flat.is_cpu else flat.nonzero()[:, 0]
     row, point = pairs // n, pairs % n
     sizes = torch.bincount(row, minlength=batch * m)
     rank = torch.arange(len(row), device=row.device) - (sizes.cumsum(0) - sizes)[row]
-    first_ones = rank < max_neighbours
-    row, point = row[first_ones], point[first_ones]
+    kept = rank < max_neighbours
+    row, point = row[kept], point[kept]
     return row // m * n + point, row
 
 
 class CrossAttentionLayer(nn.Module):
-    """Queries attend to a context, not to each other, then a feed-forward block."""
+    """Attention of queries to a context, not to each other, then a feed-forward block."""
 
     def __init__(self, sizes: TransformerConfig) -> None:
         super().__init__()
@@ -188,7 +191,7 @@ class CrossAttentionLayer(nn.Module):
 
 
 class CrossAttentionContext(nn.Module):
-    """Embeds start and goal and lets each attend to the scene tokens, but not to the other."""
+    """Embedding of start and goal, which attend to the scene tokens, but not to each other."""
 
     def __init__(self, joint_dim: int, sizes: TransformerConfig) -> None:
         super().__init__()
@@ -200,14 +203,14 @@ class CrossAttentionContext(nn.Module):
             nn.LayerNorm(sizes.d_model),
         )
         self.layer_stack = nn.ModuleList(CrossAttentionLayer(sizes) for _ in range(sizes.n_layers))
-        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
+        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=LAYER_NORM_EPSILON)
 
     def forward(self, start_goal: Tensor, scene: Tensor) -> Tensor:
-        """Context M (b, t, d_model).
+        """Compute the context M (b, t, d_model).
 
         Args:
-            start_goal: (b, t, joint_dim) normalised joints.
-            scene: (b, m, d_model) tokens.
+            start_goal: (b, t, joint_dim), normalised joints.
+            scene: (b, m, d_model), scene tokens.
         """
         tokens = self.to_latent_embedding(start_goal)
         for layer in self.layer_stack:
@@ -227,16 +230,16 @@ class SceneContext(nn.Module):
 
 
 class AutoRegressiveModel(nn.Module):
-    """Transformer without position encoding whose tokens all attend to each other."""
+    """Transformer without position encoding; all tokens attend to each other."""
 
     def __init__(self, n_classes: int, sizes: TransformerConfig) -> None:
         super().__init__()
         self.layer_stack = nn.ModuleList(SelfAttentionLayer(sizes) for _ in range(sizes.n_layers))
-        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=EPSILON)
+        self.layer_norm = nn.LayerNorm(sizes.d_model, eps=LAYER_NORM_EPSILON)
         self.class_pred = nn.Linear(sizes.d_model, n_classes)
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """Logits (b, n_classes) of what follows tokens (b, t, d_model), read at the last one."""
+        """Logits (b, n_classes) of the next class after tokens (b, t, d_model)."""
         *before, last = self.layer_stack
         for layer in before:
             tokens = layer(tokens)
@@ -247,10 +250,10 @@ class AutoRegressiveModel(nn.Module):
 class PublishedSequenceModel(nn.Module):
     """Context and autoregressive model.
 
-    The sequence is [M_start, M_goal, S, c_1, ..., c_i], S a constant. The attention is not causal,
-    so each prefix is a sample of its own, and prediction is read at its last token. Codes enter
-    through the dictionary's `Quantizer.lookup`, without gradient, and a linear layer if the
-    dictionary has another width.
+    The input is [M_start, M_goal, S, c_1, ..., c_i] with a constant start token S. The attention is
+    not causal: each prefix is a separate sample, and its last token gives the prediction. Codes
+    are embedded by the dictionary's `Quantizer.lookup`, without gradient, and by a linear layer if
+    the dictionary has another width.
     """
 
     def __init__(self, config: ModelConfig) -> None:
@@ -262,9 +265,10 @@ class PublishedSequenceModel(nn.Module):
         self.enter = nn.Identity() if given == width else nn.Linear(given, width)
 
     def encode_scene(self, clouds: Sequence[Tensor] | Tensor) -> Tensor:
-        """Scene tokens (s, m, d_model) of clouds (n, 3) [m, robot base frame], as many points each.
+        """Encode s clouds (n, 3) [m, robot base frame] to scene tokens (s, m, d_model).
 
-        InvalidInputError: fewer than two points.
+        Raises:
+            InvalidInputError: clouds have fewer than two points.
         """
         if len(clouds[0]) < 2:
             raise InvalidInputError(f"point cloud of {len(clouds[0])} points; give at least 2")
@@ -276,25 +280,34 @@ class PublishedSequenceModel(nn.Module):
         return self.encode_scene([torch.tensor(points)])
 
     def encode_context(self, scene: Tensor, start: Tensor, goal: Tensor) -> Tensor:
-        """Context M (b, 2, d_model) of starts and goals (b, joint_dim), as many of each scene."""
-        # starts and goals of a scene ignore each other
+        """Compute the context M of starts and goals.
+
+        Args:
+            scene: (s, m, d_model), scene tokens.
+            start: (b, joint_dim), normalised joints; b / s of each scene, in the scenes' order.
+            goal: (b, joint_dim), likewise.
+
+        Returns:
+            (b, 2, d_model).
+        """
+        # starts and goals of a scene do not attend to each other, so they are one batch
         ends = torch.stack((start, goal), 1).view(len(scene), 2 * len(start) // len(scene), -1)
         return self.context.context_encoder(ends, scene).view(len(start), 2, -1)
 
     def prefix_logits(self, context: Tensor, codes: Tensor, quantizer: Quantizer) -> Tensor:
-        """Logits of what follows a prefix, of pi(h_j = i | h_1 ... h_(j-1), M).
+        """Logits of the next class after a prefix, those of pi(h_j = i | h_1 ... h_(j-1), M).
 
         Args:
-            context: (b, 2, d_model) M, of `encode_context`.
+            context: (b, 2, d_model), M of `encode_context`.
             codes: (b, t) int64, h_1 ... h_t.
-            quantizer: the dictionary's, frozen.
+            quantizer: quantizer of the dictionary, which is not trained.
 
         Returns:
-            (b, n_classes): the codes, the start token and the goal token.
+            (b, n_classes); the classes are the codes, the start token and the goal token.
         """
         with torch.no_grad():
             embedded = quantizer.lookup(codes)
-        start_token = torch.full_like(context[:, :1], -1.0)  # between context and first code
+        start_token = torch.full_like(context[:, :1], -1.0)
         tokens = torch.cat((context, start_token, self.enter(embedded)), dim=1)
         return self.autoregressive(tokens)
 
@@ -306,28 +319,36 @@ class PublishedSequenceModel(nn.Module):
         start: np.ndarray | Tensor,
         goal: np.ndarray | Tensor,
     ) -> StepDecoder:
-        """A `StepDecoder` for starts and goals (q, joint_dim), queries grouped by scene."""
+        """Return a `StepDecoder` for queries, which are grouped by scene.
+
+        Args:
+            dictionary: dictionary whose codes are predicted.
+            scene: (s, m, d_model), scene tokens.
+            start: (q, joint_dim), normalised joints; q / s of each scene, in the scenes' order.
+            goal: (q, joint_dim), likewise.
+        """
         context = self.encode_context(scene, torch.as_tensor(start), torch.as_tensor(goal))
         return _PrefixDecoder(self, dictionary.quantizer, context)
 
 
 class _PrefixDecoder:
-    """A `StepDecoder` that stores only the prefixes and runs the model on each whole prefix."""
+    """A `StepDecoder` that stores the prefixes and evaluates the model on each whole prefix."""
 
     def __init__(
         self, model: PublishedSequenceModel, quantizer: Quantizer, context: Tensor
     ) -> None:
-        self._model, self._quantizer, self._context = model, quantizer, context  # (rows, 2, d)
+        self._model, self._quantizer = model, quantizer
+        self._context = context  # (rows, 2, d_model)
         self._codes = torch.zeros(len(context), 0, dtype=torch.int64, device=context.device)
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:
-        """Classes and log-probabilities (queries, n_classes) of the first code."""
+        """Return classes and log-probabilities (queries, n_classes) of the first code."""
         classes, log_p = self._log_probabilities()
-        log_p[:, -1] = -np.inf
+        log_p[:, -1] = -np.inf  # the goal token cannot come first
         return classes, log_p
 
     def advance(self, parents: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Replace the rows; see `StepDecoder`."""
+        """Replace the prefixes by longer ones; see `StepDecoder.advance`."""
         rows, added = (
             torch.from_numpy(given).to(self._context.device) for given in (parents, codes)
         )

@@ -1,8 +1,8 @@
 """Weights on disk, found by name or folder and read as plain arrays.
 
-A folder of weights holds ``config.json`` (architecture, sizes, the robot it was trained for, sha256
-of each file, free metadata) and one safetensors file for each part of the model. It is written
-beside its place and moved there when it is complete.
+A folder of weights holds ``config.json`` (architecture, sizes, robot, sha256 of each file, free
+metadata) and one safetensors file for each part of the model. It is written under a temporary name
+and renamed when it is complete.
 """
 
 import hashlib
@@ -24,46 +24,43 @@ from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.files import read_bytes, read_json_object, write_bytes
 from cvqmpt_lab.vqmpt.config import ModelConfig, MPNetConfig
 
-FORMAT = "cvqmpt-model-1"
+MODEL_FORMAT = "cvqmpt-model-1"
 CONFIG_FILE = "config.json"
-TRAINED_FOLDER = "model"  # where in its folder a training leaves its best weights
+TRAINED_FOLDER = "model"  # subfolder of a training's folder that holds its best weights
 VQ_MPT, MPNET = "vq-mpt", "mpnet"  # architectures
 ARCHITECTURES: dict[str, tuple[type[ModelConfig] | type[MPNetConfig], tuple[str, ...]]] = {
     VQ_MPT: (ModelConfig, ("dictionary", "sequence_model", "transformer")),
     MPNET: (MPNetConfig, ("mpnet",)),
 }
-"""Sizes and files of each; the first file is always there, the others where they were trained."""
-TRANSFORMER = "transformer"
+"""Configuration class and parts of each architecture; only the first part is in every model."""
+TRANSFORMER = "transformer"  # name of the scene transformer's part
 TRAINED_BY = {
     TRANSFORMER: "train one: cvqmpt train transformer --data DIR --out DIR",
     "sequence_model": "train one: cvqmpt train published --data DIR --out DIR",
 }
-WEIGHTS = Path(cvqmpt_lab.__file__).parent / "weights"
+WEIGHTS_FOLDER = Path(cvqmpt_lab.__file__).parent / "weights"
 SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
-"""Names and architectures of the weights that come with the package."""
+"""Name and architecture of the weights that come with the package."""
 
 
 class OtherRobotError(InvalidInputError):
-    """Weights of one robot are used for another."""
+    """Weights of one robot are used for another robot."""
 
 
 @dataclass(frozen=True)
 class RobotSignature:
-    """The robot of a model's weights; if both digests are known, its name is not compared."""
+    """The robot of a model's weights; names are compared only if a digest is not known."""
 
     name: str
-    lower: tuple[float, ...]  # (n,) joint limits, by which joints are normalised [rad or m]
+    lower: tuple[float, ...]  # (n,) joint limits by which joints are normalised [rad or m]
     upper: tuple[float, ...]  # (n,) [rad or m]
-    joints: tuple[str, ...] = ()  # (n,) names; empty where an earlier version did not record them
-    kinematics: str = ""  # Robot.kinematics_digest; likewise
+    joints: tuple[str, ...] = ()  # (n,) names; empty in weights of earlier versions
+    kinematics: str = ""  # Robot.kinematics_digest; empty in weights of earlier versions
 
     def __post_init__(self) -> None:
         limits = len(self.lower)
-        if (
-            not limits
-            or limits != len(self.upper)
-            or not all(map(float.__lt__, self.lower, self.upper))
-        ):
+        ordered = all(map(float.__lt__, self.lower, self.upper))
+        if not limits or limits != len(self.upper) or not ordered:
             raise InvalidInputError(
                 f"lower {self.lower} and upper {self.upper} are no joint limits"
             )
@@ -82,7 +79,7 @@ class RobotSignature:
             )
 
     def differences(self, other: "RobotSignature", tolerance: float = 1e-4) -> list[str]:
-        """What makes the other another robot; limits may differ by a tolerance [rad or m]."""
+        """List the differences of another robot; limits may differ by a tolerance [rad or m]."""
         if len(self.lower) != len(other.lower):
             return [f"{len(self.lower)} joints, not {len(other.lower)}"]
         if self.joints and other.joints and self.joints != other.joints:
@@ -99,24 +96,24 @@ class RobotSignature:
         ]
         if limits:
             return limits[:2]
-        # earlier versions recorded no digest; then the name must do
+        # weights of earlier versions have no digest: then the names are compared
         if not (self.kinematics and other.kinematics):
             return [] if self.name == other.name else ["another name, and no digest to compare"]
         if self.kinematics == other.kinematics:
             return []
         return [
-            f"joints placed otherwise (kinematics {self.kinematics[:8]}, not "
+            f"other positions of its joints (kinematics {self.kinematics[:8]}, not "
             f"{other.kinematics[:8]})"
         ]
 
 
 @dataclass(frozen=True, eq=False)
 class StoredModel:
-    """A trained model as plain data."""
+    """A trained model as plain arrays."""
 
-    config: Any  # of a type of ARCHITECTURES
+    config: Any  # an instance of a configuration class of ARCHITECTURES
     robot: RobotSignature
-    parts: Mapping[str, Mapping[str, np.ndarray]]  # arrays by name, by name of the part
+    parts: Mapping[str, Mapping[str, np.ndarray]]  # name of the part -> name of the array -> array
     metadata: Mapping[str, Any] = field(default_factory=dict)  # json values: how it was trained
 
     def __post_init__(self) -> None:
@@ -129,17 +126,23 @@ class StoredModel:
 
     @property
     def architecture(self) -> str:
-        """Key of ARCHITECTURES."""
-        return next(name for name, (of, _) in ARCHITECTURES.items() if isinstance(self.config, of))
+        """Name of the architecture, a key of ARCHITECTURES."""
+        return next(
+            name for name, (sizes, _) in ARCHITECTURES.items() if isinstance(self.config, sizes)
+        )
 
     def require_part(self, part: str) -> None:
-        """Raise InvalidInputError when a part was not trained."""
+        """Raise InvalidInputError if the model has no such part."""
         if part not in self.parts:
             cure = f"; {TRAINED_BY[part]}" if part in TRAINED_BY else ""
             raise InvalidInputError(f"the model has no {part}, only {', '.join(self.parts)}{cure}")
 
     def array(self, part: str, name: str, *shape: int) -> np.ndarray:
-        """An array of a part in float64; InvalidInputError: missing, wrong shape or values."""
+        """Return an array of a part in float64.
+
+        Raises:
+            InvalidInputError: it is missing, has another shape, or is not finite.
+        """
         self.require_part(part)
         array = self.parts[part].get(name)
         if array is None:
@@ -157,24 +160,36 @@ class StoredModel:
     def linear(
         self, part: str, name: str, inputs: int, outputs: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Weight (outputs, inputs) and bias (outputs,) of a linear layer; see `array`."""
+        """Return weight (outputs, inputs) and bias (outputs,) of a linear layer, in float64.
+
+        Args:
+            part: name of the part.
+            name: name of the layer.
+            inputs: number of inputs.
+            outputs: number of outputs.
+
+        Raises:
+            InvalidInputError: as of `array`.
+        """
         weight = self.array(part, f"{name}.weight", outputs, inputs)
         return weight, self.array(part, f"{name}.bias", outputs)
 
 
 def write_model(folder: Path, model: StoredModel) -> None:
-    """Write a folder of weights in one step, replacing an earlier one; on an error nothing changes.
+    """Write a folder of weights and replace an earlier one; after an error nothing has changed.
 
     Raises:
-        InvalidInputError: weights are not finite, or the disk refuses.
+        InvalidInputError: weights are not finite, or the folder cannot be written.
     """
     folder = Path(folder)
-    # on the same file system, so that the move is atomic; a killed process may have left them
-    beside, earlier = (folder.parent / f".{folder.name}.{part}" for part in ("partial", "earlier"))
+    # both are on the same file system, so that renaming is atomic
+    partial = folder.parent / f".{folder.name}.partial"
+    earlier = folder.parent / f".{folder.name}.earlier"
     try:
-        shutil.rmtree(beside, ignore_errors=True)
+        # a killed process may have left them
+        shutil.rmtree(partial, ignore_errors=True)
         shutil.rmtree(earlier, ignore_errors=True)
-        beside.mkdir(parents=True)
+        partial.mkdir(parents=True)
         sha256 = {}
         for part, arrays in model.parts.items():
             for name, array in arrays.items():
@@ -185,20 +200,20 @@ def write_model(folder: Path, model: StoredModel) -> None:
             data = safetensors.numpy.save(
                 {name: np.asarray(array, order="C") for name, array in arrays.items()}
             )
-            write_bytes(beside / f"{part}.safetensors", data)
+            write_bytes(partial / f"{part}.safetensors", data)
             sha256[part] = hashlib.sha256(data).hexdigest()
         description = {
-            "format": FORMAT,
+            "format": MODEL_FORMAT,
             "architecture": model.architecture,
             "model": to_plain(model.config, complete=True),
             "robot": to_plain(model.robot),
             "sha256": sha256,
             "metadata": dict(model.metadata),
         }
-        write_bytes(beside / CONFIG_FILE, (json.dumps(description, indent=2) + "\n").encode())
+        write_bytes(partial / CONFIG_FILE, (json.dumps(description, indent=2) + "\n").encode())
         if folder.exists():
             folder.rename(earlier)
-        beside.rename(folder)
+        partial.rename(folder)
         shutil.rmtree(earlier, ignore_errors=True)
     except OSError as error:
         raise InvalidInputError(
@@ -206,11 +221,11 @@ def write_model(folder: Path, model: StoredModel) -> None:
             "another folder"
         ) from error
     finally:
-        shutil.rmtree(beside, ignore_errors=True)
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def recover_weights(folder: Path) -> None:
-    """Put back what a `write_model` that was killed had moved aside; only for its single writer."""
+    """Restore weights that a killed `write_model` had renamed; no other process may be writing."""
     earlier = folder.parent / f".{folder.name}.earlier"
     if earlier.exists() and not folder.exists():
         earlier.rename(folder)
@@ -219,15 +234,23 @@ def recover_weights(folder: Path) -> None:
 def read_description(
     folder: Path, architecture: str | None = None, robot: RobotSignature | None = None
 ) -> dict[str, Any]:
-    """Read ``config.json``: fields as `write_model` writes them, the robot as `RobotSignature`.
+    """Read ``config.json``, with the robot as `RobotSignature`.
+
+    Args:
+        folder: folder of the weights.
+        architecture: required architecture, a key of ARCHITECTURES; None for any.
+        robot: required robot; None for any.
+
+    Returns:
+        The fields that `write_model` writes.
 
     Raises:
-        InvalidInputError: it is missing or malformed, or of another architecture than is given.
-        OtherRobotError: the weights belong to another robot than is given.
+        InvalidInputError: the file is missing or malformed, or of another architecture.
+        OtherRobotError: the weights are for another robot.
     """
     path = Path(folder) / CONFIG_FILE
     data = read_json_object(path, "weights")
-    for name, expected in (("format", FORMAT), ("architecture", architecture)):
+    for name, expected in (("format", MODEL_FORMAT), ("architecture", architecture)):
         if expected is not None and data.get(name) != expected:
             raise InvalidInputError(f"{path}: {name} is {data.get(name)!r}; expected {expected!r}")
     for name in ("model", "robot", "sha256", "metadata"):
@@ -248,19 +271,21 @@ def read_model(
     """Read a folder of weights.
 
     Args:
-        folder: of the weights.
-        robot: that they must be of; None for any.
-        architecture: key of ARCHITECTURES; None for any.
-        left_out: a part that is not read.
+        folder: folder of the weights.
+        robot: required robot; None for any.
+        architecture: required architecture, a key of ARCHITECTURES; None for any.
+        left_out: name of a part that is not read.
 
     Raises:
         InvalidInputError: a file is missing or damaged (sha256), or a field is wrong.
-        OtherRobotError: the weights are another robot's.
+        OtherRobotError: the weights are for another robot.
     """
     description = read_description(folder, architecture, robot)
-    of, listed = description["architecture"], description["sha256"]
-    require_choice(f"architecture in {Path(folder) / CONFIG_FILE}", of, ARCHITECTURES)
-    sizes, (first, *others) = ARCHITECTURES[of]
+    listed = description["sha256"]
+    found = require_choice(
+        f"architecture in {Path(folder) / CONFIG_FILE}", description["architecture"], ARCHITECTURES
+    )
+    sizes, (first, *others) = ARCHITECTURES[found]
     config = from_plain(sizes, description["model"], "model", complete=True)
     names = [first, *(name for name in others if name in listed and name != left_out)]
     parts = {name: _read_part(folder, listed, name) for name in names}
@@ -274,7 +299,7 @@ def _read_part(folder: Path, sha256: Mapping[str, str], name: str) -> dict[str, 
         raise InvalidInputError(
             f"{Path(folder) / CONFIG_FILE}: sha256 lists {listed}; it must list {name}"
         )
-    # read whole, so that the digest is of the very bytes that are used
+    # read once, so that the digest is that of the bytes that are used
     data = read_bytes(path, "weights")
     found = hashlib.sha256(data).hexdigest()
     if found != expected:
@@ -284,15 +309,13 @@ def _read_part(folder: Path, sha256: Mapping[str, str], name: str) -> dict[str, 
         )
     try:
         return safetensors.numpy.load(data)
-    # KeyError: a kind of number that numpy does not have
+    # KeyError: a data type that numpy does not have
     except (SafetensorError, KeyError) as error:
-        raise InvalidInputError(
-            f"{path} is not a safetensors file that can be used: {error}"
-        ) from error
+        raise InvalidInputError(f"{path} is not a usable safetensors file: {error}") from error
 
 
 def weights_digest(folder: Path) -> str:
-    """One sha256 of ``config.json`` and of every file of tensors, with their names."""
+    """Compute one sha256 of the names and contents of ``config.json`` and all files of tensors."""
     digest = hashlib.sha256()
     for path in (Path(folder) / CONFIG_FILE, *sorted(Path(folder).glob("*.safetensors"))):
         digest.update(
@@ -302,7 +325,7 @@ def weights_digest(folder: Path) -> str:
 
 
 def checkpoint_folder(folder: Path) -> Path | None:
-    """This folder if it holds weights, or the ``model`` that a training left in it, or None."""
+    """Return this folder if it holds weights, else its subfolder ``model``, else None."""
     for candidate in (Path(folder), Path(folder) / TRAINED_FOLDER):
         if (candidate / CONFIG_FILE).is_file():
             return candidate
@@ -314,23 +337,24 @@ def resolve_model(
     architecture: str | None = None,
     robot: RobotSignature | None = None,
 ) -> Path:
-    """Folder of a model's weights.
+    """Return the folder of a model's weights.
 
     Args:
         model: a name of `SHIPPED`, a folder of weights or of a training; None for the shipped ones.
-        architecture: key of ARCHITECTURES; None for any.
-        robot: that the weights must be of; None for any.
+        architecture: required architecture, a key of ARCHITECTURES; None for any.
+        robot: required robot; None for any.
 
     Raises:
         InvalidInputError: there is no such model, or `read_description` refuses it.
     """
-    names = [name for name, of in SHIPPED.items() if architecture in (None, of)]
+    names = [name for name, kind in SHIPPED.items() if architecture in (None, kind)]
     name = names[0] if model is None else str(model)
-    folder = checkpoint_folder(WEIGHTS / name if name in SHIPPED else Path(name))
+    folder = checkpoint_folder(WEIGHTS_FOLDER / name if name in SHIPPED else Path(name))
     if folder is None:
         raise InvalidInputError(
-            f"no weights in {model or WEIGHTS / name}; give one of {', '.join(names)}, or the "
-            "folder of a model that you trained (cvqmpt train) or imported (cvqmpt model import)"
+            f"no weights in {model or WEIGHTS_FOLDER / name}; give one of {', '.join(names)}, or "
+            "the folder of a model that you trained (cvqmpt train) or imported (cvqmpt model "
+            "import)"
         )
     read_description(folder, architecture, robot)
     return folder
@@ -342,7 +366,13 @@ def _signature(model: str, kind: str) -> RobotSignature:
 
 
 def incompatibility(model: str, kind: str, robot: RobotSignature) -> str:
-    """Why a model of a kind (a name of `SHIPPED`) does not fit a robot, or ""."""
+    """Return the reason why a model does not fit a robot, or "".
+
+    Args:
+        model: name or folder of the weights.
+        kind: kind of the model, a name of `SHIPPED`.
+        robot: the robot.
+    """
     try:
         _signature(model, kind).require_same(robot)
     except OtherRobotError as error:
@@ -351,12 +381,13 @@ def incompatibility(model: str, kind: str, robot: RobotSignature) -> str:
 
 
 def robot_signature(robot: Any) -> RobotSignature:
-    """Signature of a robot, with which weights are compared."""
-    limits = tuple(robot.lower.tolist()), tuple(robot.upper.tolist())
-    return RobotSignature(robot.name, *limits, tuple(robot.joint_names), robot.kinematics_digest)
+    """Return the signature of a robot, with which weights are compared."""
+    lower, upper = tuple(robot.lower.tolist()), tuple(robot.upper.tolist())
+    joints = tuple(robot.joint_names)
+    return RobotSignature(robot.name, lower, upper, joints, robot.kinematics_digest)
 
 
 def load_vq_mpt(robot: Any, model: str | Path | None = None) -> StoredModel:
-    """VQ-MPT for a robot; `model` and errors as in `resolve_model`, and those of `read_model`."""
+    """Read VQ-MPT for a robot; `model` as in `resolve_model`, errors also as in `read_model`."""
     signature = robot_signature(robot)
     return read_model(resolve_model(model, VQ_MPT, signature), signature, VQ_MPT)

@@ -14,7 +14,7 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.scene_predictor import PublishedPredictor
 from cvqmpt_lab.vqmpt.weights import (
-    WEIGHTS,
+    WEIGHTS_FOLDER,
     OtherRobotError,
     load_vq_mpt,
     resolve_model,
@@ -45,9 +45,9 @@ def test_published_folders_are_converted_and_predict(
 
 
 def test_models_are_found_by_name_or_folder_for_one_robot(panda, slider_arm, tmp_path):
-    assert resolve_model() == resolve_model("vq_mpt") == WEIGHTS / "vq_mpt"
+    assert resolve_model() == resolve_model("vq_mpt") == WEIGHTS_FOLDER / "vq_mpt"
     found = resolve_model(architecture="mpnet", robot=robot_signature(panda))
-    assert found == resolve_model("mpnet") == WEIGHTS / "mpnet"
+    assert found == resolve_model("mpnet") == WEIGHTS_FOLDER / "mpnet"
     checkpoint = random_checkpoint(panda)
     save_checkpoint(tmp_path / "run" / "model", checkpoint)
     assert resolve_model(tmp_path / "run") == tmp_path / "run" / "model"

@@ -28,7 +28,7 @@ def test_here_everything_needed_is_fine(findings):
     assert "BROKEN" not in {state for state, _ in found.values()}
     assert f"numba {metadata.version('numba')}" in found["packages"][1]
     assert found["[train]"] == ("ok", f"torch {metadata.version('torch')}")
-    assert weights_digest(weights.WEIGHTS / "vq_mpt")[:16] in found["vq_mpt"][1]
+    assert weights_digest(weights.WEIGHTS_FOLDER / "vq_mpt")[:16] in found["vq_mpt"][1]
 
 
 def test_a_missing_package_and_a_missing_extra_name_their_cure(findings, monkeypatch):
@@ -50,10 +50,10 @@ def test_a_missing_package_and_a_missing_extra_name_their_cure(findings, monkeyp
 def test_damaged_weights_are_broken(findings, monkeypatch, tmp_path):
     folder = tmp_path / "vq_mpt"
     folder.mkdir()
-    for path in (weights.WEIGHTS / "vq_mpt").iterdir():
+    for path in (weights.WEIGHTS_FOLDER / "vq_mpt").iterdir():
         end = 2000 if path.suffix == ".safetensors" else None
         (folder / path.name).write_bytes(path.read_bytes()[:end])
-    monkeypatch.setattr(weights, "WEIGHTS", tmp_path)
+    monkeypatch.setattr(weights, "WEIGHTS_FOLDER", tmp_path)
     found = findings(1)
     assert found["vq_mpt"][0] == found["mpnet"][0] == "BROKEN"
     assert "is damaged" in found["vq_mpt"][1] and "no weights in" in found["mpnet"][1]

@@ -9,7 +9,7 @@ from fuzz.readers import READERS
 from hypothesis import given, seed, settings
 from refusals import refused
 
-from cvqmpt_lab.vqmpt.weights import SHIPPED, WEIGHTS, read_model
+from cvqmpt_lab.vqmpt.weights import SHIPPED, WEIGHTS_FOLDER, read_model
 
 AT_ONCE = 1000  # files that hypothesis draws before it forgets those it has drawn
 
@@ -42,7 +42,7 @@ def test_hostile_files(reader, trials):
 def test_a_wrong_bit_of_shipped_weights(tmp_path, trials):
     rng = np.random.default_rng(0)
     for name in SHIPPED:
-        shutil.copytree(WEIGHTS / name, tmp_path / name)
+        shutil.copytree(WEIGHTS_FOLDER / name, tmp_path / name)
     files = sorted(tmp_path.rglob("*.safetensors"))
     for trial in range(trials):
         path = files[trial % len(files)]
