@@ -44,16 +44,6 @@ COMMANDS = {  # by name: the module cvqmpt_lab.cli.NAME_command that has it, and
     "doctor": ("setup", "tell what is installed here, what is missing and how to get it"),
 }
 
-REMOVED = {  # commands and options, and what is there instead of them
-    "calibrate": "calibrate with easy_handeye or MoveIt's hand-eye calibration, then give the "
-    "camera's pose to cvqmpt scan or plan with --extrinsics CAM.json",
-    "completion": "cvqmpt --help lists the commands, cvqmpt COMMAND --help the options",
-    "--against": "save what certify --json prints and compare: diff EARLIER.json NOW.json",
-    "--ompl-log": "runs.csv beside the tables has a line for each run, as csv",
-    "--view": "save a recording, --save RUN.rrd, and open it with: rerun RUN.rrd",
-    "--srdf-out": "robot --json lists the pairs of links that are not checked, with the reason",
-}
-
 # Words of other programs, and ours.
 OTHER_WORDS = {
     "--timeout": "--cutoff",
@@ -164,9 +154,6 @@ def parser_with(filled: Collection[str]) -> Parser:
 
 def _parsed(argv: list[str]) -> argparse.Namespace:
     asked = next((word for word in argv if word in COMMANDS), None)
-    for word in (*argv[:1], *(word for word in argv if word.startswith("--"))):
-        if word in REMOVED:
-            raise InvalidInputError(f"{word} was removed; {REMOVED[word]}")
     if asked != "train":
         for variable in THREADS:
             os.environ.setdefault(variable, "1")

@@ -135,11 +135,6 @@ MODEL: Options = {
 
 # as in `training.profiles`, which needs torch
 STAGES = ("stage1", "mpnet", "transformer", "published")
-REMOVED = {
-    "edge-model": "roadmaps of every arm use one fitted curve, cvqmpt_lab/search/edge_costs.py",
-    "stage2": "train published learns the same from paths and from labels on a roadmap; give it "
-    "the same --data and --dictionary",
-}
 PROFILE_NAMES = ("smoke", "compact", "published")
 
 
@@ -151,13 +146,7 @@ def train(args: argparse.Namespace) -> None:
 
     profile = profile_named(args.profile)
     if args.config is not None:
-        plain = read_json_object(args.config)
-        if isinstance(plain.get("published_model"), dict) and "dense" in plain["published_model"]:
-            raise InvalidInputError(
-                "published_model.dense was removed: train transformer learns which codes and edges "
-                "are free; leave it out"
-            )
-        profile = from_plain(Profile, plain, "profile")
+        profile = from_plain(Profile, read_json_object(args.config), "profile")
     if args.print_config:
         print(json.dumps(to_plain(profile, complete=True), indent=2))
         return
@@ -188,7 +177,7 @@ def train(args: argparse.Namespace) -> None:
 
 
 TRAIN: Options = {
-    "stage": option(f"what to train: {', '.join(STAGES)}", type=one_of("stage", STAGES, REMOVED)),
+    "stage": option(f"what to train: {', '.join(STAGES)}", type=one_of("stage", STAGES)),
     ONE_OF: {
         "--profile": option(f"of {', '.join(PROFILE_NAMES)} (compact)", default="compact"),
         "--config": option("a profile of your own, see --print-config", type=Path, metavar="FILE"),

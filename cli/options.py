@@ -9,7 +9,6 @@ import tempfile
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
@@ -65,14 +64,10 @@ REACH: Options = {
 }
 
 
-def one_of(
-    what: str, known: Collection[str], removed: Mapping[str, str] = MappingProxyType({})
-) -> Callable[[str], str]:
-    """The type of an option that is a name; removed: what is there instead of names of before."""
+def one_of(what: str, known: Collection[str]) -> Callable[[str], str]:
+    """Return the type of an option whose value is one of the `known` names of a `what`."""
 
     def read(text: str) -> str:
-        if text in removed:
-            raise InvalidInputError(f"{what} {text} was removed: {removed[text]}")
         return require_choice(what, text, known)
 
     return read

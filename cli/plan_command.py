@@ -237,13 +237,7 @@ def _not_limited(robot: Robot) -> str:
 
 def _savable(name: str) -> Path:
     """The path of a file that --save can write, by its suffix."""
-    path = Path(name)
-    if path.suffix == ".mp4":
-        raise InvalidInputError(
-            f"--save {path}: mp4 was removed; save {path.stem}.gif and convert it: "
-            f"ffmpeg -i {path.stem}.gif {path.name}"
-        )
-    return file_of_kind("--save", (PAGE, RECORDING, FILM), path)
+    return file_of_kind("--save", (PAGE, RECORDING, FILM), Path(name))
 
 
 def _show(args: argparse.Namespace, solution: "Solution | TaskSolution") -> list[str]:

@@ -180,15 +180,6 @@ OPTIONS: Options = {
     "--out": option("where results go (runs/SUITE)", type=Path, metavar="DIR"),
 }
 
-LOG = "its last numbers are in docs/training_log.md"
-REMOVED = {  # figures by name, and what is there instead of them
-    "cost": "cvqmpt claims --write draws it of the committed rows, and table RUNS has its ends",
-    "training": "curves.csv in the folder of a training has its curves; plot its columns",
-    "equal-time": f"{LOG}; cvqmpt plan --optimize improves a path until the time is up",
-    "difficulty": f"{LOG}; cvqmpt report lists the rows of a run problem by problem",
-    "robustness": f"{LOG}; cvqmpt reproduce sensor measures planning from noisy cameras",
-}
-
 
 def figure(args: argparse.Namespace) -> None:
     """Make the figure and print a summary."""
@@ -205,7 +196,7 @@ def figure(args: argparse.Namespace) -> None:
 
 
 FIGURE: Options = {
-    "figure": option(f"one of {', '.join(FIGURES)}", type=one_of("figure", FIGURES, REMOVED)),
+    "figure": option(f"one of {', '.join(FIGURES)}", type=one_of("figure", FIGURES)),
     "--problem": option(
         "of concept: index of the place task's problem (0)", type=int, default=0, metavar="I"
     ),

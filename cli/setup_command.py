@@ -17,14 +17,6 @@ from cvqmpt_lab.cli.main import THREADS
 from cvqmpt_lab.cli.options import Options, log, one_of, option, positive_int, writable_file
 
 BENCHES = ("stages", "paper-check")
-REMOVED = dict.fromkeys(
-    (
-        "kernels", "collision", "planners", "networks", "transformer", "sequences", "throughput",
-        "growth", "edge-model", "calibration", "unconstrained", "scan", "meshes",
-    ),
-    "its last figures are in docs/performance.md; use bench stages, or planners of a run: cvqmpt "
-    "reproduce place-task",
-)  # fmt: skip
 
 
 class Finding(NamedTuple):
@@ -140,7 +132,7 @@ def bench(args: argparse.Namespace) -> None:
 
 
 OPTIONS: Options = {
-    "bench": option(", ".join(BENCHES), type=one_of("bench", BENCHES, REMOVED)),
+    "bench": option(", ".join(BENCHES), type=one_of("bench", BENCHES)),
     "--problems": option("of stages: problems (20)", type=positive_int, default=20, metavar="N"),
     "--json": option("write the figures as json too", type=writable_file, metavar="F"),
 }

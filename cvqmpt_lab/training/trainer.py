@@ -15,7 +15,6 @@ import io
 import json
 import logging
 import math
-import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -107,10 +106,6 @@ def run_training(
     the disk is full. KeyboardInterrupt after Ctrl-C (or SIGTERM), once saved.
     """
     seed = whole_number("seed", seed)
-    if os.environ.get("WORLD_SIZE", "1") != "1":
-        raise InvalidInputError(
-            "training by several processes (torchrun) was removed; start one: cvqmpt train"
-        )
     made = profile.stage(stage, data, dictionary, seed, _device(device))
     plain = to_plain(profile, complete=True)
     epochs_of_profile = plain[stage].pop("epochs")
