@@ -12,6 +12,7 @@ from importlib.metadata import requires, version
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
@@ -83,13 +84,33 @@ def test_the_licence_of_all_that_ships_or_is_installed_is_listed():
     assert [name for name, licence in listed.items() if licence == "UNKNOWN"] == ["cmeel-qhull"]
 
 
-INSTALLING = "Makefile Dockerfile .ci/run constraints.txt locked.txt pyproject.toml"
+INSTALLING = (
+    "Makefile Dockerfile .ci/run .pre-commit-config.yaml constraints.txt locked.txt pyproject.toml"
+)
 
 
 @pytest.mark.parametrize("name", INSTALLING.split())
 def test_no_package_index_is_named(name):
     text = (ROOT / name).read_text()
     assert re.search(r"https?://|--index-url|--find-links|--trusted-host", text) is None
+
+
+def test_hooks_before_a_commit_run_the_commands_of_make_lint():
+    """All are local: pre-commit fetches nothing."""
+    (repository,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+    assert repository["repo"] == "local"
+    make = (ROOT / "Makefile").read_text()
+    for hook in repository["hooks"]:
+        assert hook["language"] == "system"
+        folder, command = hook["entry"].removeprefix(".venv/").split("/")
+        assert folder == "bin" and (Path(sys.executable).parent / command.split()[0]).is_file()
+        assert f"$(BIN)/{command}" in make
+    assert {hook["id"] for hook in repository["hooks"]} == {
+        "ruff-check",
+        "ruff-format",
+        "mypy",
+        "lint-imports",
+    }
 
 
 def test_the_container_has_a_supported_python_and_runs_as_a_user():
