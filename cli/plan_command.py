@@ -106,10 +106,10 @@ def _solved_problem(
         method = method.with_cloud(scanned(args, arm_of(args, problem.robot, problem.start)).points)
     if args.trajectory:
         from cvqmpt_lab.scene.cloud_files import kind_of
-        from cvqmpt_lab.trajectory.trajectory import WRITERS
+        from cvqmpt_lab.trajectory.trajectory import TRAJECTORY_WRITERS
 
         # a wrong file name or speed is refused before anything is planned
-        kind_of(writable_file(args.trajectory), WRITERS, "trajectory")
+        kind_of(writable_file(args.trajectory), TRAJECTORY_WRITERS, "trajectory")
         problem.robot.joint_limits.scaled(args.speed)
     margin = Margin(args.margin, args.margin_angle).check()
     warm_up(problem, method, args.backend, log)

@@ -1,1 +1,1 @@
-"""From a path to a motion in time, as fast as the joints allow; imports cvxpy, no other does."""
+"""Time-optimal trajectories along a path. The only folder that imports cvxpy."""

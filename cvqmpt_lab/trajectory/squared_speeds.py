@@ -1,17 +1,18 @@
-"""A curve q(s) along a path with rounded corners, and the squared speeds along it within limits.
+"""Smooth curve q(s) along a path, and the largest squared speeds along it within the joint limits.
 
 A robot can pass a corner of a planner's path without stopping only if the corner is rounded. The
 curve q(s) is Schoenberg's spline: a cubic B-spline over arc length whose i-th control point is the
-polyline at the average of knots i + 1 to i + 3. It keeps straight stretches, rounds corners on the
-inside (an interpolating spline would leave the checked clearance), stays in the range of each joint
-and has continuous curvature. Its distance from a corner is about a sixth of the knot spacing times
-the change of direction, so knots are packed at corners until that distance is small enough.
+polyline at the average of knots i + 1 to i + 3. It keeps straight segments straight, rounds
+corners on the inside (an interpolating spline would leave the checked clearance), stays in the
+range of each joint and has continuous curvature. Its distance from a corner is about a sixth of
+the knot spacing times the change of direction, so the knots are spaced more densely at corners
+until that distance is small enough.
 
-The speeds are a linear program: b = (ds/dt)^2 has the greatest sum where
+The squared speeds b = (ds/dt)^2 solve a linear program: maximise the sum of b on a grid such that
 
     q' = dq/ds sqrt(b),    q'' = d2q/ds2 b + dq/ds a,    a = (db/ds) / 2
 
-keep the limits of speed, acceleration and effort: rows of A b <= 1.
+keep the limits of velocity, acceleration and effort, which are rows of A b <= 1.
 """
 
 import warnings
@@ -28,12 +29,12 @@ from cvqmpt_lab.robot.robot import JointLimits
 
 @dataclass(frozen=True, eq=False)
 class SmoothCurve:
-    """A twice continuously differentiable curve q(s), s about arc length [rad or m]."""
+    """A twice continuously differentiable curve q(s); s is close to the arc length [rad or m]."""
 
     spline: BSpline  # q(s) (n,) [rad or m]
-    grid: np.ndarray  # (g,) places at which speeds are computed: knots, and points between [rad]
-    deviation: float  # largest distance measured between q(s) and the polyline at s [rad]
-    marks: np.ndarray  # (m,) of the waypoints, the last the length of the polyline [rad]
+    grid: np.ndarray  # (g,) values of s where speeds are computed: knots, points between [rad]
+    deviation: float  # largest measured distance between q(s) and the polyline at s [rad]
+    marks: np.ndarray  # (m,) values of s at the waypoints; the last is the polyline's length [rad]
 
 
 def smooth_curve(
@@ -44,15 +45,17 @@ def smooth_curve(
     refinements: int = 40,
     samples: int = 8,
 ) -> SmoothCurve:
-    """Curve along waypoints, nowhere further than deviation from their polyline.
+    """Smooth curve along waypoints that stays within `deviation` of their polyline.
 
     Args:
-        states: waypoints (m, n) [rad or m], neighbours distinct.
-        deviation: [rad].
-        widest: spacing of knots on smooth stretches [rad].
-        spans: between knots at least, however short the path.
-        refinements: how often knots are packed more densely.
-        samples: places a knot span at which the distance is measured.
+        states: waypoints (m, n) [rad or m]; neighbours differ.
+        deviation: largest allowed distance from the polyline [rad].
+        widest: knot spacing on smooth segments [rad].
+        spans: minimum number of knot spans of a path of any length.
+        refinements: maximum number of times that knots are spaced more densely.
+        samples: points per knot span at which the distance is measured.
+
+    Returns the curve. Raises InvalidInputError if no knots keep the deviation.
     """
     if not (np.isfinite(deviation) and deviation > 0.0):
         raise InvalidInputError(f"deviation {deviation}: give a distance above 0 [rad]")
@@ -71,10 +74,10 @@ def smooth_curve(
         spline = BSpline(t, polyline((t[1:-3] + t[2:-2] + t[3:-1]) / 3.0), 3)
         inside = np.arange(samples) / samples * np.diff(knots)[:, None]
         s = np.concatenate([(knots[:-1, None] + inside).ravel(), marks])
-        # at equal s: no less than the distance between the two sets
+        # the distance at equal s is an upper bound of the distance between the two curves
         measured = float(np.linalg.norm(spline(s) - polyline(s), axis=1).max())
         if measured <= deviation:
-            # points between knots: spans are cut in three, short ones at corners in four
+            # grid points between knots: three parts a span, four for the short spans at corners
             steps = np.diff(knots)
             parts = np.where(steps < 0.6 * steps.max(), 4, 3)
             cuts = [a + np.arange(m) / m * d for a, d, m in zip(knots, steps, parts, strict=False)]
@@ -95,28 +98,29 @@ def _knots(
     flat: float = 1.5,
     growth: float = 0.5,
 ) -> np.ndarray:
-    """Knots (k,) from 0 to the end, dense enough at waypoints to cut their corners by aim.
+    """Knots (k,) from 0 to the end, so dense that the curve is about `aim` away from each corner.
 
     Args:
-        marks: (m,) of the waypoints [rad].
-        turns: (m - 2,) changes of direction.
-        spacing: on smooth stretches [rad].
-        aim: distance from a corner [rad].
-        spans: at least.
-        flat: finest spacings, either side of a corner, before the spacing grows.
-        growth: the spacing grows by this share of the distance from a corner.
+        marks: (m,) values of s at the waypoints [rad].
+        turns: (m - 2,) changes of the unit direction at inner waypoints.
+        spacing: knot spacing on smooth segments [rad].
+        aim: distance of the curve from a corner [rad].
+        spans: minimum number of knot spans.
+        flat: number of finest spacings on each side of a corner before the spacing grows.
+        growth: growth of the spacing per distance from a corner.
     """
     at_corner = 6.0 * aim / np.maximum(turns, 1e-12)
     sharp = at_corner < spacing
     corners, finest = marks[1:-1][sharp], at_corner[sharp]
-    # the spacing wished for is sampled on a lattice and, as it changes fast there, at corners
+    # the desired spacing is sampled on a lattice, and at corners, where it changes fast
     lattice = np.linspace(0.0, marks[-1], 4 * int(np.ceil(marks[-1] / spacing)) + 1)
     around = corners[:, None] + np.outer(finest, (-6, -4, -2.5, -flat, 0, flat, 2.5, 4, 6))
     s = np.unique(np.clip(np.concatenate([lattice, around.ravel()]), 0.0, marks[-1]))
-    wish = np.full(len(s), spacing)
+    desired = np.full(len(s), spacing)
     for corner, fine in zip(corners, finest, strict=True):
-        wish = np.minimum(wish, fine + growth * np.maximum(np.abs(s - corner) - flat * fine, 0.0))
-    density = 0.5 * (1.0 / wish[1:] + 1.0 / wish[:-1]) * np.diff(s)
+        beyond = np.maximum(np.abs(s - corner) - flat * fine, 0.0)
+        desired = np.minimum(desired, fine + growth * beyond)
+    density = 0.5 * (1.0 / desired[1:] + 1.0 / desired[:-1]) * np.diff(s)
     count = np.concatenate([[0.0], np.cumsum(density)])
     most = max(spans, int(np.ceil(count[-1])))
     return np.interp(np.linspace(0.0, count[-1], most + 1), count, s)
@@ -129,19 +133,20 @@ def squared_speeds(
     flat: float = 1e-3,
     standstill: float = 1e-8,
 ) -> np.ndarray:
-    """Squared speeds b = (ds/dt)^2 along a curve: the greatest sum within the limits.
+    """Squared speeds b = (ds/dt)^2 along a curve with the largest sum within the limits.
 
     Args:
         curve: q(s).
         limits: |dq/ds| sqrt(b) <= velocity, |d2q/ds2 b + dq/ds (db/ds) / 2| <= acceleration.
         dynamics: |M (d2q/ds2 b + dq/ds (db/ds) / 2) + C(q, dq/ds) dq/ds b + g| <= effort, or None.
-        flat: least |dq/ds| / velocity, as a share of the usual; 0 where all joints reverse.
-        standstill: b, as a share of the usual, below which there is no motion.
+        flat: lower bound of |dq/ds| / velocity as a share of its median; it is 0 where all joints
+            reverse at once.
+        standstill: b, as a share of its typical value, below which the motion stands still.
 
     Returns:
         b (g,) [rad^2/s^2] on the grid, 0 at both ends.
 
-    Raises InvalidInputError that names the joint that holds the motion up.
+    Raises InvalidInputError that names the joint whose limit stops the motion.
     """
     grid = curve.grid
     slope = np.abs(curve.spline(grid, 1))
@@ -150,29 +155,33 @@ def squared_speeds(
     bound = np.minimum(bound, _slow_at_corners(curve, limits, dynamics))
     typical = 1.0 / np.median((slope / limits.acceleration).max(axis=1))
     scale = min(np.median(bound), 2.0 * float(curve.marks[-1]) * typical)
-    faster = _velocity_rows(curve, limits.velocity, bound)
-    rows = [_acceleration_rows(curve, limits.acceleration, bound), faster]
+    rows = [
+        _acceleration_rows(curve, limits.acceleration, bound),
+        _velocity_rows(curve, limits.velocity, bound),
+    ]
     if dynamics is not None:
         rows.append(_effort_rows(curve, limits, dynamics, bound))
     rows = scale * sparse.vstack(rows, format="csr")
     bound = bound / scale
     bound[[0, -1]] = 0.0
     greatest = _greatest(rows, bound)
-    shape = bound if greatest is None else np.minimum(greatest, bound)
-    if greatest is None or shape[1:-1].min() <= standstill:
-        raise InvalidInputError(_why_not(curve, limits, shape))
-    return scale * np.maximum(shape, 0.0)
+    if greatest is None:
+        raise InvalidInputError(_why_not(curve, limits, bound))
+    greatest = np.minimum(greatest, bound)
+    if greatest[1:-1].min() <= standstill:
+        raise InvalidInputError(_why_not(curve, limits, greatest))
+    return scale * np.maximum(greatest, 0.0)
 
 
 def _slow_at_corners(
     curve: SmoothCurve, limits: JointLimits, dynamics: Dynamics | None, share: float = 0.7
 ) -> np.ndarray:
-    """Squared speeds b (g,) within jerk and torque rate at constant speed; inf where none limits.
+    """Bounds (g,) on b so that jerk and torque rate keep their limits at constant speed.
 
-    |d3q/ds3| b^(3/2) <= jerk and |M d3q/ds3| b^(3/2) <= torque rate. Without these bounds one
-    sharp corner slows the whole motion down.
+    |d3q/ds3| b^(3/2) <= jerk and |M d3q/ds3| b^(3/2) <= torque rate; inf where neither is limited.
+    Without these bounds one sharp corner would slow the whole motion down.
 
-    share: of b that is left to corners; the rest is for changes of speed.
+    share: share of that b which is used; the rest of jerk and torque rate is for changes of speed.
     """
     middle = 0.5 * (curve.grid[1:] + curve.grid[:-1])  # d3q/ds3 jumps at the grid
     change = curve.spline(middle, 3)
@@ -192,7 +201,7 @@ def _slow_at_corners(
 def _velocity_rows(
     curve: SmoothCurve, velocity: np.ndarray, bound: np.ndarray
 ) -> sparse.csr_matrix:
-    """Rows (|dq/ds| / velocity)^2 (b_k + b_(k+1)) / 2 <= 1 where bounds (g,) imply none."""
+    """Rows (|dq/ds| / velocity)^2 (b_k + b_(k+1)) / 2 <= 1 that b <= bound (g,) does not imply."""
     middle = 0.5 * (curve.grid[1:] + curve.grid[:-1])
     half = 0.5 * (np.abs(curve.spline(middle, 1)) / velocity).max(axis=1) ** 2
     interval = np.flatnonzero(half * (bound[1:] + bound[:-1]) > 1.0)
@@ -206,13 +215,13 @@ def _acceleration_rows(
 ) -> sparse.csr_matrix:
     """Matrix A of the acceleration limits A b <= 1.
 
-    Between grid points d2q/ds2 b + dq/ds a, with a = (db/ds) / 2, is a parabola in s. Its three
-    Bernstein coefficients enclose it: bounding them keeps the limits between grid points too.
-    Rows implied by b <= bound (g,) are left out.
+    Between grid points d2q/ds2 b + dq/ds a, with a = (db/ds) / 2, is a parabola in s. It lies
+    between its three Bernstein coefficients, so bounds on these hold between grid points too.
+    Rows that b <= bound (g,) implies are left out.
     """
     grid = curve.grid
     steps = np.diff(grid)[:, None]
-    # factors of b at the two ends of each interval, (g - 1, n) each
+    # coefficients of b at the two ends of each interval, (g - 1, n) each
     left, right = [], []
     for share in (0.0, 0.5, 1.0):
         s = grid[:-1] + share * np.diff(grid)
@@ -243,14 +252,14 @@ def _effort_rows(
         pull /= 2.0 * steps[:, None]
         swing = dynamics.efforts(q, slope, bend) - weights
         for sign in (1.0, -1.0):
-            room = limits.effort - sign * weights
-            lower.append(sign * ((1.0 - share) * swing - pull) / room)
-            upper.append(sign * (share * swing + pull) / room)
+            left = limits.effort - sign * weights  # effort that is left for the motion
+            lower.append(sign * ((1.0 - share) * swing - pull) / left)
+            upper.append(sign * (share * swing + pull) / left)
     return _sparse_rows(np.concatenate(lower, axis=1), np.concatenate(upper, axis=1), bound)
 
 
 def _sparse_rows(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> sparse.csr_matrix:
-    """Rows lower b_k + upper b_(k+1) <= 1 (g - 1, r), without those that others imply."""
+    """Rows lower b_k + upper b_(k+1) <= 1 (g - 1, r), without redundant ones."""
     interval, column = np.nonzero(_binding(lower, upper, bound[:-1]))
     row = np.arange(len(interval))
     values = np.concatenate([lower[interval, column], upper[interval, column]])
@@ -259,15 +268,15 @@ def _sparse_rows(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> spa
 
 
 def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """Which constraints lower x + upper y <= 1 (g - 1, r) no other one of their row implies.
+    """Mask (g - 1, r) of the non-redundant constraints lower x + upper y <= 1 of each interval.
 
-    For x in 0..bound (g - 1,) and y >= 0, as upper limits of y they are lines in x: one that is
-    looser than another at both ends is looser everywhere.
+    x is in [0, bound] (g - 1,) and y >= 0. Each constraint is an upper limit on y, linear in x. If
+    it is looser than another one at both ends of x, it is looser everywhere, hence redundant.
     """
     size = np.maximum(np.abs(upper), 1e-12)
     at_zero, at_bound = 1.0 / size, (1.0 - lower * bound[:, None]) / size
     above = upper > 0.0
-    # others ask y to exceed something negative
+    # a constraint with upper <= 0 is a lower limit on y, and redundant where that is negative
     binding = above | (at_bound < 0.0)
     for r in range(lower.shape[1]):
         zero, end = at_zero[:, [r]], at_bound[:, [r]]
@@ -279,16 +288,19 @@ def _binding(lower: np.ndarray, upper: np.ndarray, bound: np.ndarray) -> np.ndar
 def _greatest(
     rows: sparse.csr_matrix, bound: np.ndarray, tolerance: float = 1e-10
 ) -> np.ndarray | None:
-    """The b (g,) that maximises sum_i b_i with rows b <= 1 and 0 <= b <= bound, or None."""
-    # it takes half a second to import, which planning without timing need not wait for
-    import cvxpy as cp
+    """Solve max sum_i b_i subject to rows b <= 1, 0 <= b <= bound; None if there is no solution.
 
-    b = cp.Variable(len(bound))
-    problem = cp.Problem(cp.Maximize(cp.sum(b)), [rows @ b <= 1.0, b >= 0.0, b <= bound])
+    The program is made anew for every motion: the size of `rows` differs from motion to motion. A
+    program with parameters, padded to a few sizes, takes 2 s to make and then saves 0 to 12 ms.
+    """
+    import cvxpy as cp  # takes half a second, not needed by planning without timing
+
+    b = cp.Variable(len(bound), bounds=[0.0, bound])
+    problem = cp.Problem(cp.Maximize(cp.sum(b)), [rows @ b <= 1.0])
     options = {"primal_feasibility_tolerance": tolerance, "dual_feasibility_tolerance": tolerance}
     try:
         with warnings.catch_warnings():
-            # of inaccurate solutions: limits are checked afterwards
+            # inaccurate solutions are accepted here: the limits are checked afterwards
             warnings.simplefilter("ignore", UserWarning)
             problem.solve(solver=cp.HIGHS, highs_options=options)
     except cp.SolverError:
@@ -298,9 +310,9 @@ def _greatest(
     return np.asarray(b.value)
 
 
-def _why_not(curve: SmoothCurve, limits: JointLimits, shape: np.ndarray) -> str:
-    """The joint and the inner grid point with the lowest speed."""
-    s = curve.grid[1 + int(np.argmin(shape[1:-1]))]
+def _why_not(curve: SmoothCurve, limits: JointLimits, squared: np.ndarray) -> str:
+    """Error message: the inner grid point with the lowest speed, and the joint that limits it."""
+    s = curve.grid[1 + int(np.argmin(squared[1:-1]))]
     by_velocity = (np.abs(curve.spline(s, 1)) / limits.velocity) ** 2
     by_acceleration = np.abs(curve.spline(s, 2)) / limits.acceleration
     j = int(np.argmax(np.maximum(by_velocity, by_acceleration)))
@@ -308,6 +320,6 @@ def _why_not(curve: SmoothCurve, limits: JointLimits, shape: np.ndarray) -> str:
     waypoint = int(np.argmin(np.abs(curve.marks - s)))
     return (
         f"the path cannot be timed: joint {limits.joint_names[j]!r}, {kind} limit "
-        f"{getattr(limits, kind)[j]:.3g}, holds it up at {s:.3f} of {curve.marks[-1]:.3f} rad "
+        f"{getattr(limits, kind)[j]:.3g}, stops it at {s:.3f} of {curve.marks[-1]:.3f} rad "
         f"(waypoint {waypoint}); raise that limit, or plan a path without that turn"
     )

@@ -1,17 +1,16 @@
-"""Time a path: the fastest motion within limits of speed, acceleration and jerk.
+"""Time a path: a fast motion within the limits of velocity, acceleration, jerk and effort.
 
-Along a curve q(s) with rounded corners the motion s(t) has the greatest sum of squared speeds
-b = (ds/dt)^2 within the limits of speed and acceleration, a linear program:
+`squared_speeds` computes the motion s(t) along a curve q(s) with rounded corners. Its squared
+speeds b = (ds/dt)^2 have the largest sum within the limits of velocity and acceleration:
 
     q' = dq/ds sqrt(b),    q'' = d2q/ds2 b + dq/ds a,    a = (db/ds) / 2.
 
-Its path acceleration a jumps. Averaged over a window of T seconds,
+The path acceleration a of this motion jumps. The motion averaged over a window of T seconds,
 
     S(t) = 1/T int_{t-T}^{t} s(u) du,    S''(t) = (s'(t) - s'(t - T)) / T,
 
-it does not, and the motion takes T longer. The window is the one with which the motion within the
-limits of jerk is shortest; where averaging leads beyond a limit, the motion is slowed down as a
-whole.
+has a continuous acceleration and takes T longer. The window is the one with the shortest motion
+within the jerk limits. If the averaged motion exceeds a limit, all of it is slowed down.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,7 +31,7 @@ class TimingSettings:
     """Settings of `time_path`."""
 
     speed: float = SLOW_SPEED  # factor on velocity and acceleration limits, above 0 and at most 1
-    deviation: float = 1e-3  # of the motion from the polyline at rounded corners, at most [rad]
+    deviation: float = 1e-3  # largest distance from the polyline at rounded corners [rad]
 
 
 def time_path(
@@ -42,17 +41,18 @@ def time_path(
     check: Callable[[Trajectory], Sequence[str]] | None = None,
     dynamics: Dynamics | None = None,
 ) -> Trajectory:
-    """The fastest motion along waypoints within the limits, at rest at both ends.
+    """Compute a fast motion along waypoints within the limits, at rest at both ends.
 
     Args:
-        waypoints: (m, n) [rad or m], neighbours distinct.
-        limits: of each joint.
-        settings: speed, and how far corners may be cut.
-        check: faults of the motion, see `motion_check.certified_motion`. While there are any,
-            corners are cut less.
-        dynamics: of the arm and what it carries; None: efforts are not limited.
+        waypoints: (m, n) [rad or m]; neighbours differ.
+        limits: velocity, acceleration, jerk and effort limits of the n joints.
+        settings: speed factor and largest deviation at corners; None: the defaults.
+        check: returns the faults of a motion, see `motion_check.certified_motion`. As long as
+            there are any, the deviation is halved, at most five times.
+        dynamics: dynamics of the arm and its loads; None: efforts are not limited.
 
-    Raises InvalidInputError for waypoints that are no path, and names what holds the motion up.
+    Raises InvalidInputError for invalid waypoints and for a path that cannot be timed; the message
+    then names the joint and the limit.
     """
     settings = settings or TimingSettings()
     states = _checked_waypoints(waypoints)
@@ -63,7 +63,6 @@ def time_path(
         )
     limits = limits.scaled(settings.speed)
     reasons: Sequence[str] = ()
-    # a refused curve is drawn again, five times, each at half the deviation
     for k in range(6):
         curve = smooth_curve(states, settings.deviation / 2**k)
         motion = _trajectory(curve, squared_speeds(curve, limits, dynamics), limits, dynamics)
@@ -77,7 +76,7 @@ def time_path(
 
 
 def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
-    """The waypoints (m, n) as floats; refused unless m >= 2, all finite, neighbours distinct."""
+    """Return the waypoints (m, n) as floats; refuse m < 2, nan, inf and equal neighbours."""
     try:
         states = np.array(waypoints, dtype=float)
     except (TypeError, ValueError) as error:
@@ -101,9 +100,9 @@ def _checked_waypoints(waypoints: np.ndarray) -> np.ndarray:
 def _trajectory(
     curve: SmoothCurve, squared: np.ndarray, limits: JointLimits, dynamics: Dynamics | None
 ) -> Trajectory:
-    """The motion averaged over 4 ms, or twice that, and so on while it is shorter.
+    """The averaged motion with the best window: from 4 ms on, doubled while the motion is shorter.
 
-    Over 0.25 ms without jerk limits: accelerations are continuous all the same.
+    Without jerk limits the window is 0.25 ms, which makes the accelerations continuous.
     """
     window = 0.00025 if limits.jerk is None else 0.004
     motion = _averaged(curve, squared, limits, dynamics, window)
@@ -124,12 +123,13 @@ def _averaged(
     window: float,
 ) -> Trajectory:
     """The motion averaged over a window [s], slowed down until it keeps the limits."""
-    # the place s(t) of the fastest motion
+    # s(t) of the fastest motion
     speeds, steps = np.sqrt(squared), np.diff(curve.grid)
     times = np.concatenate([[0.0], np.cumsum(2.0 * steps / (speeds[1:] + speeds[:-1]))])
     pieces = [np.diff(squared) / (4.0 * steps), speeds[:-1], curve.grid[:-1]]
     average = _average(PPoly(pieces, times), window)
-    # where the third derivative of the curve jumps: Newton's method from linear interpolation
+    # times at the knots, where the third derivative of the curve jumps, by Newton's method; it
+    # starts from linear interpolation
     knots = np.unique(curve.spline.t)[1:-1]
     passed = np.interp(knots, average(average.x)[:, 0], average.x)
     for _ in range(4):
@@ -143,14 +143,16 @@ def _averaged(
 
 
 def _average(s: PPoly, window: float) -> PPoly:
-    """S(t) (1,), the mean of a place s(t) over the window [s] before t; pieces without jumps."""
+    """S(t) (1,), the mean of s(t) over the window [s] before t; quintics without jumps of S''."""
     first, last = s.x[[0, -1]]
     still = np.array([[0.0], [0.0], [s(last)]])
     rest = PPoly(np.hstack([0.0 * still, s.c, still]), [first - window, *s.x, last + window])
     times = _apart(np.concatenate([s.x, s.x + window]), 0.01 * window)
-    speed, rate = ((of(times) - of(times - window)) / window for of in (rest, rest.derivative()))
+    speed = (rest(times) - rest(times - window)) / window
+    ds = rest.derivative()
+    rate = (ds(times) - ds(times - window)) / window
     speed[[0, -1]] = rate[[0, -1]] = 0.0
-    # summed up: a difference of integrals loses digits that the jerk of short pieces needs
+    # a sum of gains: a difference of integrals loses digits that the jerk of short pieces needs
     h = np.diff(times)
     gains = h * (speed[:-1] + speed[1:]) / 2.0 + h**2 * (rate[:-1] - rate[1:]) / 12.0
     place = np.concatenate([[0.0], np.cumsum(gains)])
@@ -165,7 +167,7 @@ def _along(
     joint_names: tuple[str, ...],
     slower: float = 1.0,
 ) -> Trajectory:
-    """The motion q(S(t)) at moments (k,) [s], in `slower` times its time and whole nanoseconds."""
+    """The motion q(S(t / slower)); moments (k,) [s] of S become times in whole nanoseconds."""
     times = np.round(slower * moments, 9)
     at = np.minimum(times / slower, average.x[-1])
     place, speed, rate = (average.derivative(order)(at) / slower**order for order in range(3))
@@ -183,7 +185,7 @@ def _along(
 
 
 def _apart(times: np.ndarray, least: float) -> np.ndarray:
-    """Times in order, without those less than `least` [s] after another; the last one stays."""
+    """Sorted times without those that follow another by at most `least` [s]; the last one stays."""
     ordered = np.sort(times)
     kept = ordered[np.append(True, np.diff(ordered) > least)]
     kept[-1] = ordered[-1]
@@ -191,7 +193,7 @@ def _apart(times: np.ndarray, least: float) -> np.ndarray:
 
 
 def _excess(motion: Trajectory, limits: JointLimits, spare: float = 1e-6) -> float:
-    """Factor on time, 1 or more, with which the motion keeps the limits."""
+    """Factor on the times, at least 1, so that the motion keeps velocity, acceleration and jerk."""
     slower = 1.0
     for order, limit in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
         if limit is not None:
@@ -207,10 +209,10 @@ def _excess_of_efforts(
     spare: float = 1e-3,
     period: float = 1e-3,
 ) -> float:
-    """Factor on time, 1 or more, with which the motion keeps effort and torque rate.
+    """Factor c on the times, at least 1, so that the motion keeps effort and torque rate.
 
-    In c times its time efforts are (tau - g) / c^2 + g, and change at most by (tau - g)' / c^3 +
-    g'. Efforts are computed at the motion's points, their changes every `period` [s].
+    With c times the duration the efforts are (tau - g) / c^2 + g, and their rates are at most
+    (tau - g)' / c^3 + g'. Efforts are computed at the motion's points, rates every `period` [s].
     """
     assert limits.effort is not None
     curve, slower = motion.curve, 1.0
@@ -224,6 +226,6 @@ def _excess_of_efforts(
         if order == 3:
             moving, weights = (np.diff(x, axis=0) / period for x in (moving, weights))
             weights = np.abs(weights) * np.sign(moving)
-        room = np.maximum((1.0 - spare) * limit - np.sign(moving) * weights, spare * limit)
-        slower = max(slower, float((np.abs(moving) / room).max()) ** (1.0 / order))
+        left = np.maximum((1.0 - spare) * limit - np.sign(moving) * weights, spare * limit)
+        slower = max(slower, float((np.abs(moving) / left).max()) ** (1.0 / order))
     return slower

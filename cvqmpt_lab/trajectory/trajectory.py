@@ -1,14 +1,14 @@
 """Trajectories: joint positions, velocities and accelerations over time; their files.
 
-Between the states they are quintics, whose extremes are found here, too.
+Between two states a trajectory is a quintic polynomial; `extremes` and `bounds` are about these.
 
-A csv has a header of joint names, or none, and a row a state; with a column ``time`` it is a
-trajectory, whose columns are ``JOINT_position``, ``JOINT_velocity`` and perhaps
-``JOINT_acceleration``. A json file holds a list of states, an object with ``joint_names`` and
-``states`` (or ``path``, as ``cvqmpt plan --json`` prints), or ROS's `JointTrajectory`.
+A csv file has one row per state and perhaps a header of joint names. With a column ``time`` it is a
+trajectory, with columns ``JOINT_position``, ``JOINT_velocity`` and perhaps ``JOINT_acceleration``.
+A json file holds a list of states, an object with ``joint_names`` and ``states`` (or ``path``, as
+``cvqmpt plan --json`` prints), or ROS's `JointTrajectory`.
 
-Files are written with accelerations, which do not jump: a controller follows the quintics through
-positions, velocities and accelerations, which are certified.
+Files are written with accelerations, which are continuous: a controller then follows the quintics
+through positions, velocities and accelerations, and these are certified.
 """
 
 from __future__ import annotations
@@ -40,13 +40,11 @@ from cvqmpt_lab.scene.cloud_files import kind_of, read_by_suffix
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly  # half a second to import
 
-KINDS = ("position", "velocity", "acceleration")  # of columns in a csv
-# what `float` reads beside these (1_0, digits of other scripts) was not meant as a number
-DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)", re.ASCII | re.IGNORECASE)
+CSV_COLUMN_KINDS = ("position", "velocity", "acceleration")  # columns are called JOINT_kind
 
 
 class JointState(NamedTuple):
-    """Positions, velocities, accelerations (n,) or (k, n) at k moments [rad, rad/s, rad/s^2]."""
+    """Positions, velocities, accelerations [rad, rad/s, rad/s^2], (n,) or (k, n) at k times."""
 
     positions: np.ndarray
     velocities: np.ndarray
@@ -55,14 +53,14 @@ class JointState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Joint states at k times, at rest at both ends."""
+    """Joint states at k times; the velocities at both ends are 0."""
 
     joint_names: tuple[str, ...]  # n names
     times: np.ndarray  # (k,) from 0, increasing [s]
     positions: np.ndarray  # (k, n) [rad]
     velocities: np.ndarray  # (k, n) [rad/s]
     accelerations: np.ndarray  # (k, n) [rad/s^2]
-    deviation: float = 0.0  # largest distance from the path that was timed [rad]
+    deviation: float = 0.0  # largest distance from the path that it was made from [rad]
 
     def __repr__(self) -> str:
         return (
@@ -76,9 +74,9 @@ class Trajectory:
         return float(self.times[-1])
 
     def at(self, t: float | np.ndarray) -> JointState:
-        """State at a time or at times (k,) [s]; at rest before the start and after the end.
+        """State at a time or at times (k,) [s]; before the start and after the end it stands still.
 
-        Between two points q(t) is the quintic through their positions, velocities and
+        Between two states q(t) is the quintic through their positions, velocities and
         accelerations.
         """
         moment = np.asarray(t, dtype=float)
@@ -90,7 +88,7 @@ class Trajectory:
         return JointState(self.curve(inside), moving * velocity, moving * acceleration)
 
     def sampled(self, period: float) -> Trajectory:
-        """The same motion at even times, at most period [s] apart, ends included."""
+        """The same motion at equidistant times, at most period [s] apart, ends included."""
         if not (np.isfinite(period) and period > 0.0):
             raise InvalidInputError(f"sampling period {period}: give seconds above 0, such as 0.01")
         times = np.linspace(0.0, self.duration, max(2, int(np.ceil(self.duration / period)) + 1))
@@ -98,22 +96,22 @@ class Trajectory:
 
     @cached_property
     def curve(self) -> PPoly:
-        """q(t) (n,): the quintic between any two points, as a robot's controller interpolates."""
+        """q(t) (n,): a quintic between neighbouring states, as robot controllers interpolate."""
         return quintic(self.times, self.positions, self.velocities, self.accelerations)
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A path or trajectory of a file; numbers may be nan or infinite."""
+    """A path or trajectory as read from a file; numbers may be nan or infinite."""
 
-    joint_names: tuple[str, ...] | None  # n names, or None where the file has none
+    joint_names: tuple[str, ...] | None  # n names; None: the file has no names
     positions: np.ndarray  # (m, n) [rad or m]
-    times: np.ndarray | None = None  # (m,) [s], or None for a path
-    velocities: np.ndarray | None = None  # (m, n) [rad/s or m/s], with times
-    accelerations: np.ndarray | None = None  # (m, n) [rad/s^2 or m/s^2], where stated
+    times: np.ndarray | None = None  # (m,) [s]; None: it is a path
+    velocities: np.ndarray | None = None  # (m, n) [rad/s or m/s], only with times
+    accelerations: np.ndarray | None = None  # (m, n) [rad/s^2 or m/s^2]; None: not in the file
 
     def of_joints(self, names: tuple[str, ...]) -> Motion:
-        """With joints in the order of names; InvalidInputError for other joints."""
+        """Reorder the joints as in `names`; InvalidInputError if the joints are others."""
         if self.joint_names is None or self.joint_names == names:
             return self
         if sorted(self.joint_names) != sorted(names):
@@ -131,19 +129,23 @@ class Motion:
 
 def save_trajectory(trajectory: Trajectory, path: Path | str) -> None:
     """Write a .csv or .json file."""
-    write_text(Path(path), WRITERS[kind_of(path, WRITERS, "trajectory")](trajectory))
+    text_of = TRAJECTORY_WRITERS[kind_of(path, TRAJECTORY_WRITERS, "trajectory")]
+    write_text(Path(path), text_of(trajectory))
 
 
 def as_csv(trajectory: Trajectory) -> str:
-    """Header, then a line a time: time [s], all positions, all velocities, all accelerations."""
-    columns = [f"{name}_{kind}" for kind in KINDS for name in trajectory.joint_names]
+    """Text of a csv file: a header, then one line per state.
+
+    The columns are the time [s], all positions, all velocities and all accelerations.
+    """
+    columns = [f"{name}_{kind}" for kind in CSV_COLUMN_KINDS for name in trajectory.joint_names]
     state = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
     table = np.column_stack([trajectory.times, *state])
     return csv_table([["time", *columns], *table.tolist()])
 
 
 def as_ros_json(trajectory: Trajectory) -> str:
-    """The fields of `trajectory_msgs/JointTrajectory`."""
+    """Text of a json file with the fields of ROS's `trajectory_msgs/JointTrajectory`."""
     state = (trajectory.positions, trajectory.velocities, trajectory.accelerations)
     duration = ("sec", "nanosec")
     points = [
@@ -161,11 +163,11 @@ def as_ros_json(trajectory: Trajectory) -> str:
     return json.dumps(message, allow_nan=False) + "\n"
 
 
-WRITERS = {".csv": as_csv, ".json": as_ros_json}
+TRAJECTORY_WRITERS = {".csv": as_csv, ".json": as_ros_json}
 
 
 def read_motion(path: Path) -> Motion:
-    """Read a .csv or .json file; InvalidInputError names the file and what is not understood."""
+    """Read a .csv or .json file; InvalidInputError names the file and what is wrong in it."""
     motion = read_by_suffix({".csv": _from_csv, ".json": _from_json}, path, "motion")
     for kind in (motion.positions, motion.velocities, motion.accelerations):
         if kind is not None and (kind.ndim != 2 or kind.shape != motion.positions.shape):
@@ -196,22 +198,23 @@ def _from_csv(data: bytes) -> Motion:
         return Motion(header, table)
     names = tuple(name.removesuffix("_position") for name in header if name.endswith("_position"))
     columns = dict(zip(header, table.T, strict=False))
-    expected = ["time", *(f"{name}_{kind}" for kind in KINDS for name in names)]
+    expected = ["time", *(f"{name}_{kind}" for kind in CSV_COLUMN_KINDS for name in names)]
     if not names or len(columns) != len(header) or not set(header) <= set(expected):
         odd = next((name for name in header if name not in expected), header[0])
         raise InvalidInputError(
             f"column {shown(odd)}: with a column 'time', give JOINT_position, JOINT_velocity"
         )
     kinds: list[Any] = [None, None, None]
-    for k, kind in enumerate(KINDS):
+    for k, kind in enumerate(CSV_COLUMN_KINDS):
         if any(column.endswith(f"_{kind}") for column in header):
             kinds[k] = np.stack([columns[f"{name}_{kind}"] for name in names], axis=1)
     return Motion(names, kinds[0], columns["time"], kinds[1], kinds[2])
 
 
 def _decimal(cell: str) -> float:
-    """The number of a csv's cell."""
-    if DECIMAL.fullmatch(cell.strip(" \t")) is None:
+    """Number in a cell of a csv file; refuses what only `float` accepts: 1_0, other scripts."""
+    decimal = r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)"
+    if re.fullmatch(decimal, cell.strip(" \t"), re.ASCII | re.IGNORECASE) is None:
         raise InvalidInputError(f"{shown(cell)}: give a decimal number, such as 0.25 or -1e-3")
     return float(cell)
 
@@ -236,7 +239,7 @@ def _from_json(data: bytes) -> Motion:
 
 
 def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) -> Motion:
-    """The points of a `JointTrajectory`."""
+    """Motion through the points of a `JointTrajectory`."""
     known = ("positions", "velocities", "accelerations")
     for k, point in enumerate(points):
         _refuse_unknown(f"point {k}", point, (*known, "effort", "time_from_start"))
@@ -255,7 +258,7 @@ def _from_points(names: tuple[str, ...] | None, points: list[dict[str, Any]]) ->
 
 
 def _seconds(k: int, time: Any) -> float:
-    """The time_from_start [s] of point k, a duration of ROS."""
+    """Seconds of the time_from_start of point k, a ROS duration."""
     where = f"time_from_start of point {k}"
     _refuse_unknown(where, time, ("sec", "nanosec"))
     seconds = whole_number(f"{where}: sec", time.get("sec"), most=2**31 - 1)
@@ -265,13 +268,13 @@ def _seconds(k: int, time: Any) -> float:
 
 
 def _refuse_unknown(where: str, value: Any, known: Sequence[str]) -> None:
-    """Refuse what is no object, and a key that nobody would read."""
+    """Refuse a value that is no json object or has an unknown key."""
     for key in mapping(value, where, ", ".join(known)):
         require_choice(f"key of {where}", key, known)
 
 
 def _table(rows: list[list[float]]) -> np.ndarray:
-    """States (m, n); ValueError unless all are numbers, as many in each."""
+    """States (m, n); ValueError if a value is no number or rows differ in length."""
     table = numbers(rows, "states")
     if table.ndim != 2:
         raise ValueError(f"states of shape {table.shape}, give a list of lists of numbers")
@@ -279,11 +282,20 @@ def _table(rows: list[list[float]]) -> np.ndarray:
 
 
 def quintic(times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> PPoly:
-    """The quintics through positions, velocities and accelerations (k, n) at times (k,).
+    """Piecewise quintic polynomial through positions, velocities and accelerations.
 
-    With h the length of a piece, t / h its share and p, w, c the differences that remain at its end
-    to q + v h + a h^2 / 2, v h + a h^2 and a h^2: the coefficients of (t / h)^3, ^4 and ^5 are
-    10 p - 4 w + c / 2, -15 p + 7 w - c and 6 p - 3 w + c / 2.
+    A piece of duration h begins with q, v, a and ends with q1, v1, a1. With
+
+        p = q1 - q - v h - a h^2 / 2,    w = (v1 - v) h - a h^2,    c = (a1 - a) h^2
+
+    its coefficients of (t / h)^3, ^4 and ^5 are 10 p - 4 w + c / 2, -15 p + 7 w - c and
+    6 p - 3 w + c / 2.
+
+    Args:
+        times: (k,) increasing [s].
+        q: positions (k, n) [rad or m].
+        v: velocities (k, n) [rad/s or m/s].
+        a: accelerations (k, n) [rad/s^2 or m/s^2].
     """
     from scipy.interpolate import PPoly
 
@@ -303,22 +315,27 @@ def quintic(times: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> P
 
 
 def extremes(curve: PPoly, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shares (m, k, n) of every piece that have its extremes of a derivative, and its rates there.
+    """Extremes of a derivative on each piece of a curve.
 
-    Of a polynomial p(u) of degree d these are 0, the roots of p' in between, and 1.
+    On a piece a derivative is a polynomial p(u) of degree d, 0 <= u <= 1. Its extremes are at 0, at
+    1 or at a root of p' between them.
+
+    Returns:
+        u (m, k, n), m candidates on each of k pieces, and the values of the derivative there.
     """
     spans = np.diff(curve.x)[:, None]
     p = curve.derivative(order).c
-    p = p[p.any(axis=(1, 2)).argmax() :]  # a cubic's highest powers of a quintic are 0
+    p = p[p.any(axis=(1, 2)).argmax() :]  # leading coefficients are 0 where the curve is a cubic
     p = p * spans ** np.arange(len(p))[::-1, None, None]
     shares = _monotone_between(p)
     return shares, np.polyval(p, shares)
 
 
 def bounds(curve: PPoly, order: int) -> np.ndarray:
-    """Bounds (k, n) on the size of a derivative on each piece: its largest Bernstein coefficient.
+    """Upper bounds (k, n) of a derivative's absolute value on each piece.
 
-    Of p(u) = sum_i c_i u^i with degree d these are sum_(i <= j) C(j, i) / C(d, i) c_i.
+    The bound is the largest Bernstein coefficient. The Bernstein coefficients of
+    p(u) = sum_i c_i u^i of degree d are sum_(i <= j) C(j, i) / C(d, i) c_i, j = 0..d.
     """
     c = curve.derivative(order).c[::-1]
     c = c * np.diff(curve.x)[:, None] ** np.arange(len(c))[:, None, None]
@@ -329,10 +346,12 @@ def bounds(curve: PPoly, order: int) -> np.ndarray:
 
 
 def _monotone_between(p: np.ndarray, halvings: int = 12) -> np.ndarray:
-    """Sorted u (d + 1, ...), from 0 to 1, between which polynomials p(u) are monotone.
+    """Sorted u (d + 1, ...) from 0 to 1; polynomials p(u) are monotone between neighbours.
 
-    p: (d + 1, ...), the highest power first. Roots of p' are found by bisection, one each where p'
-    is monotone; a value at an extreme is flat, so that its error is the square of theirs.
+    Roots of p' are found by bisection, one in each interval on which p' is monotone. Because p' is
+    0 at an extreme, the error of the extreme value is of second order in the error of the root.
+
+    p: coefficients (d + 1, ...), the highest power first.
     """
     powers = np.arange(len(p))[::-1]
     ends = np.stack([np.zeros(p.shape[1:]), np.ones(p.shape[1:])])

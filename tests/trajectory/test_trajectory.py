@@ -1,4 +1,4 @@
-"""Timing of paths and efforts of motions, against toppra and the limits; what is refused."""
+"""Timing of paths, compared with limits and toppra; efforts of motions; refused motions."""
 
 import json
 import pickle
@@ -91,7 +91,7 @@ def test_a_refused_curve_is_drawn_closer_to_the_path(paths, limits):
 
 
 def test_the_motion_of_a_solution_is_certified_as_its_file_is(solutions):
-    """Between all its points; repeated states count once, a path at rest is refused."""
+    """The certificate covers all points; repeated states count once, a path at rest is refused."""
     for found in solutions:
         path = JointPath(np.repeat(found.path.states, 2, axis=0))
         motion = certified_motion(found.problem, path, FULL)
@@ -116,7 +116,7 @@ def test_the_motion_keeps_all_limits_everywhere(paths, limits):
 
 
 def test_jerk_limits_shape_the_motion_and_are_judged(solutions, tmp_path):
-    """Softer limits take longer; a motion that starts with an acceleration jerks."""
+    """Lower jerk limits take longer; a motion that starts with an acceleration exceeds them."""
     problem, path = solutions[0].problem, solutions[0].path
     limits = problem.robot.joint_limits
     soft = time_path(path.states, replace(limits, jerk=0.1 * limits.jerk), FULL)
@@ -184,7 +184,7 @@ def test_bad_waypoints_settings_and_times_are_named(motion):
 
 
 def test_what_cannot_be_timed_names_joint_and_place():
-    """Joint 'second' moves only at the end, with a limit near 0."""
+    """Joint 'second' moves only at the end, and its limit is close to 0."""
     path = np.array([[x, max(0.0, x - 1.3)] for x in np.linspace(0.0, 1.5, 16)])
     for kind in ("velocity", "acceleration"):
         slow = replace(TWO_JOINTS, **{kind: np.array([2.0, 1e-13])})
@@ -221,7 +221,7 @@ def solution():
 
 
 def random_motion(robot, seed=0, pieces=6):
-    """Quintics through states that follow each other at random, over 10 ms each."""
+    """A random walk of joint states, connected by quintics of 10 ms each."""
     rng = np.random.default_rng(seed)
     steps, v, a = rng.normal(size=(3, pieces + 1, robot.dof))
     q = robot.random_configurations(rng, 1) + np.cumsum(0.01 * steps, axis=0)
@@ -229,7 +229,7 @@ def random_motion(robot, seed=0, pieces=6):
 
 
 def test_what_is_carried_pulls_on_the_joints():
-    """Held 1 m above the last joint's axis or beside it, by the work that lifting it takes."""
+    """The effort of a load at each joint is the work of lifting it per change of the joint."""
     robot = panda()
     q = robot.random_configurations(np.random.default_rng(0), 3)
     still = np.zeros_like(q)
@@ -253,7 +253,7 @@ def test_what_is_carried_pulls_on_the_joints():
 
 @pytest.mark.parametrize("name", ["panda", "tiago", "pr2-left"])
 def test_efforts_bend_at_most_as_bounded(name):
-    """Second differences of efforts on random quintics; tiago and PR2 have sliders."""
+    """Compare second differences of efforts on random quintics; tiago and PR2 have sliders."""
     robot = robot_from_source({"name": name})
     dynamics = Dynamics.of(robot)
     curve = random_motion(robot)
@@ -278,7 +278,7 @@ def test_bounds_of_polynomials_are_above_their_extremes():
 
 
 def test_a_motion_keeps_its_efforts_and_one_beyond_them_is_refused(solution):
-    """Weak motors take longer; what was timed for strong ones is a fault then."""
+    """Weaker motors take longer; a motion timed for stronger ones then has a fault."""
     problem = solution.problem
     strong = certified_motion(problem, solution.path, FULL)
     efforts = weak_efforts(problem, solution.path.states)
@@ -330,7 +330,7 @@ def test_what_no_urdf_says_is_named(slider_arm, cvqmpt, capsys):
 
 
 def test_without_efforts_timing_is_as_before(solution):
-    """The same motion as without dynamics where no effort is near its limit."""
+    """The motion is as fast as without dynamics if no effort is near its limit."""
     states, limits = solution.path.states, solution.problem.robot.joint_limits
     slow = TimingSettings(speed=0.1)
     durations = [
