@@ -13,7 +13,7 @@ from cvqmpt_lab.external.door import is_external
 from cvqmpt_lab.paper_tables.suites import SUITES
 from cvqmpt_lab.planning.planners import PLANNERS, Method, is_removed, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.row import FailReason, ResultRow, RowKey, one_line
+from cvqmpt_lab.results.row import FailReason, ResultRow, RowKey, cell_text
 from cvqmpt_lab.search.anytime import check_units
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import BACKENDS
@@ -135,7 +135,7 @@ class Run(NamedTuple):
             backend=backend,
             solved=reason is None,
             fail_reason=reason,
-            detail=one_line(detail),
+            detail=cell_text(detail),
             **values,
         )
 

@@ -28,7 +28,7 @@ from cvqmpt_lab.planning.pipeline import Solution, solve, with_sampled_goals
 from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import provenance
-from cvqmpt_lab.results.row import COLUMNS, FailReason, ResultRow, one_line, phase_problem
+from cvqmpt_lab.results.row import ROW_COLUMNS, FailReason, ResultRow, cell_text, phase_problem
 from cvqmpt_lab.results.store import RunStore, states_hash
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.tasks.solve import PhaseOutcome, TaskSolution, solve_task
@@ -106,8 +106,8 @@ def result_row(run: Run, solution: Solution, goal_seconds: float) -> ResultRow:
         solution.problem.name,
         _fail_reason(solution),
         "; ".join(filter(None, (*reasons, plan.detail, *solution.left_out))),
-        sampler_used=one_line(plan.sampler),
-        fallback=one_line(plan.fallback),
+        sampler_used=cell_text(plan.sampler),
+        fallback=cell_text(plan.fallback),
         certified=certificate.valid if certificate else None,
         t_total_s=goal_seconds + timings.total + search + simplified,
         t_goals_s=goal_seconds,
@@ -202,7 +202,7 @@ def _phase_row(run: Run, problem: str, outcome: PhaseOutcome) -> ResultRow:
     untimed = last.solved and not outcome.solved
     sums: dict[str, Any] = {}
     # columns of a phase that count all of its attempts
-    for column in (*(name for name in COLUMNS if name.startswith(("t_", "n_"))), "vertices"):
+    for column in (*(name for name in ROW_COLUMNS if name.startswith(("t_", "n_"))), "vertices"):
         values = [value for row in attempts if (value := getattr(row, column)) is not None]
         sums[column] = sum(values) if values else None
     return replace(
@@ -210,8 +210,8 @@ def _phase_row(run: Run, problem: str, outcome: PhaseOutcome) -> ResultRow:
         problem=problem,
         solved=outcome.solved,
         fail_reason=FailReason.NOT_TIMED if untimed else last.fail_reason,
-        detail=one_line(outcome.reason) or last.detail,
-        fallback=last.fallback or one_line(outcome.fallback),
+        detail=cell_text(outcome.reason) or last.detail,
+        fallback=last.fallback or cell_text(outcome.fallback),
         execution_time_s=outcome.trajectory.duration if outcome.trajectory else None,
         **sums,
     )

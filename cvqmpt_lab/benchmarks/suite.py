@@ -27,7 +27,7 @@ from cvqmpt_lab.benchmarks.place_task import (
     single_goal_problem,
 )
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.results.row import natural_key, one_line
+from cvqmpt_lab.results.row import cell_text, natural_key
 from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.robot.source import content_digest
 from cvqmpt_lab.scene.families import FAMILIES
@@ -156,7 +156,7 @@ def folder_suite(folder: Path) -> Suite:
         problem = PlanningProblem.load(file)
         # a slash, after which rows name the phase of a task, becomes a hyphen
         name = problem.name.replace("/", "-")
-        if one_line(name) != name:
+        if cell_text(name) != name:
             raise InvalidInputError(
                 f"{file}: name {name!r} cannot stand in a table: no =, +, - or @ first, no blanks "
                 "around or in a row"

@@ -19,10 +19,10 @@ from cvqmpt_lab.base.files import differences, read_json_object, write_text
 
 PROVENANCE_FILE = "provenance.json"
 
-DIGESTS = ("weights", "problem_files", "planners")
-"""Fields of a session that map names to digests; `planners`: external planners to versions.
+SESSION_DIGESTS = ("weights", "problem_files", "planners")
+"""Fields of a session that map names to digests (of `planners`: to versions).
 
-Later sessions of a directory must have equal values for equal names."""
+All sessions of a directory must have equal values for equal names."""
 
 
 def provenance(
@@ -33,12 +33,15 @@ def provenance(
     problems: Mapping[str, str] | None = None,
     planners: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Describe one session of runs as a dict for json; facts that cannot be found are None.
+    """Return a description of one session of runs for JSON; unknown facts are None.
 
-    command: words of the command line. seeds: of the runs. weights: digest of each model in use, by
-        the model's name. processes: number of runs at the same time. problems: digest of each
-        problem that was read from a file, by its name. planners: Python distributions and versions
-        of each external planner, by its name.
+    Args:
+        command: words of the command line.
+        seeds: seeds of the runs.
+        weights: digest of each model that is used, by the model's name.
+        processes: number of runs at the same time.
+        problems: digest of each problem that was read from a file, by the problem's name.
+        planners: Python distributions and versions of each external planner, by its name.
     """
     commit, dirty = _git_state(Path(__file__).resolve().parents[2])
     cpus = cpu_facts(r"^model name\s*: (.*)$")
@@ -64,9 +67,9 @@ def provenance(
 
 
 def _git_state(checkout: Path) -> tuple[str | None, bool | None]:
-    """Commit, and whether there are uncommitted changes; (None, None) outside a checkout."""
+    """Return the commit and whether there are uncommitted changes, or (None, None)."""
     top = _git(checkout, "rev-parse", "--show-toplevel")
-    # the package may be installed in a virtual environment inside another repository
+    # an installed package may be inside another repository
     if top is None or Path(top) != checkout:
         return None, None
     changes = _git(checkout, "status", "--porcelain")
@@ -91,7 +94,7 @@ def _version(package: str) -> str | None:
 
 
 def cpu_facts(pattern: str) -> list[str]:
-    """All matches of a regular expression in /proc/cpuinfo; none on systems other than Linux."""
+    """Return all matches of a regular expression in /proc/cpuinfo; none if it does not exist."""
     with contextlib.suppress(OSError):
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
         return re.findall(pattern, text, re.MULTILINE)
@@ -99,12 +102,12 @@ def cpu_facts(pattern: str) -> list[str]:
 
 
 def sessions(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """All sessions of a record, the oldest first."""
+    """Return all sessions of a record, the oldest first."""
     return [record, *record.get("continued", [])]
 
 
 def digests_in(record: Mapping[str, Any], field: str) -> dict[str, str]:
-    """Digests by name from all sessions of a record; field: one of `DIGESTS`."""
+    """Return digests by name from all sessions of a record; field: one of `SESSION_DIGESTS`."""
     found: dict[str, str] = {}
     for session in sessions(record):
         found |= session.get(field, {})
@@ -119,11 +122,11 @@ class ProvenanceFile:
 
     @property
     def path(self) -> Path:
-        """The json file."""
+        """Path of the JSON file."""
         return self.directory / PROVENANCE_FILE
 
     def read(self) -> dict[str, Any]:
-        """Return the whole record; InvalidInputError if it is missing, not json or malformed."""
+        """Return the whole record; InvalidInputError if it is missing or malformed."""
         if not self.path.is_file():
             raise RunStoreError(
                 f"{self.directory} has no {PROVENANCE_FILE}, so its runs cannot be traced; use "
@@ -135,7 +138,7 @@ class ProvenanceFile:
             "git_dirty": bool | None,
             "cpu_count": int | None,
             "wall_s": float,
-            **dict.fromkeys(DIGESTS, Mapping[str, Any]),
+            **dict.fromkeys(SESSION_DIGESTS, Mapping[str, Any]),
         }
         of_settings = {"suite": str, "cutoff_s": float | None, "iterations": int | None}
         with located(f"{self.path}"):
@@ -148,7 +151,7 @@ class ProvenanceFile:
                 for name in types.keys() & part.keys():
                     from_plain(types[name], part[name], name)
             for session in (record, *later):
-                for field in DIGESTS:
+                for field in SESSION_DIGESTS:
                     for name, digest in session.get(field, {}).items():
                         from_plain(str, digest, f"{field}.{name}")
         return record
@@ -158,16 +161,17 @@ class ProvenanceFile:
         self._write({**session, "configuration": dict(configuration)})
 
     def require_same(self, configuration: Mapping[str, object], session: Mapping[str, Any]) -> None:
-        """Raise RunStoreError if the configuration, or a digest in file and session, differs."""
+        """Raise RunStoreError if the configuration, or a digest in both, differs from the file."""
         record = self.read()
-        then, now = dict(record["configuration"]), json.loads(json.dumps(configuration))
-        for field in DIGESTS:
-            known, used = digests_in(record, field), session.get(field, {})
+        before = dict(record["configuration"])
+        now = json.loads(json.dumps(configuration))
+        for field in SESSION_DIGESTS:
+            known = digests_in(record, field)
+            used = session.get(field, {})
             both = known.keys() & used.keys()
-            then[field], now[field] = (
-                {name: part[name] for name in both} for part in (known, used)
-            )
-        found = differences(then, now)
+            before[field] = {name: known[name] for name in both}
+            now[field] = {name: used[name] for name in both}
+        found = differences(before, now)
         if found:
             raise RunStoreError(
                 f"{self.directory} holds runs of another configuration ({'; '.join(found)}); use "
@@ -175,14 +179,14 @@ class ProvenanceFile:
             )
 
     def add_continuation(self, session: Mapping[str, object]) -> None:
-        """List a later session (its commit, machine, date, ...) under ``continued``."""
+        """Add a later session (its commit, machine, date, ...) to the list ``continued``."""
         record = self.read()
         self._write({**record, "continued": [*record.get("continued", []), dict(session)]})
 
     def add_wall_clock(self, seconds: float) -> None:
-        """Write into the file how long the last session took [s]."""
+        """Write the duration of the last session [s] into the file."""
         record = self.read()
-        last: Any = sessions(record)[-1]  # a dict inside record, changed in place
+        last: Any = sessions(record)[-1]  # part of `record`, changed in place
         last["wall_s"] = round(seconds, 1)
         self._write(record)
 

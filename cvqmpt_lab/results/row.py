@@ -1,7 +1,7 @@
-"""Result rows and their csv form.
+"""Result rows and their CSV form.
 
-One row is one run of one planner on one problem, or on one phase of a task, with one seed; failed
-runs have rows too. Undefined values are None in Python and empty in csv, never 0 or -1.
+A row is one run of one planner on one problem, or on one phase of a task, with one seed; failed
+runs have rows, too. Undefined values are None in Python and empty in CSV, never 0 or -1.
 """
 
 import csv
@@ -11,6 +11,7 @@ import typing
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
+from functools import cache
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,20 +26,19 @@ from cvqmpt_lab.base.errors import (
 from cvqmpt_lab.base.files import csv_table, read_text, write_text
 from cvqmpt_lab.base.values import scalar
 
-SCHEMA = "2"
+ROW_SCHEMA = "2"
 RUNS_FILE = "runs.csv"
-BY_ROLLOUTS = "solved by rollouts"  # begins `detail` of planners that join states of a rollout
-ROLLOUTS_ALONE = f"{BY_ROLLOUTS} alone"  # no tree was grown between them
-# state checks that reading a clearance costs, see docs/performance.md
+BY_ROLLOUTS = "solved by rollouts"  # start of `detail` if the path joins states of a rollout
+ROLLOUTS_ALONE = f"{BY_ROLLOUTS} alone"  # the same without any tree between the states
+# cost of one clearance relative to one state check, see docs/performance.md
 CLEARANCE_COST = 1 / 3
-FORMULA = ("=", "+", "-", "@")  # how a cell begins that a spreadsheet would run
 
-# the paper times these, as far as can be inferred
+# phases that the paper seems to time
 PAPER_PHASES = ("reach-handle", "reach-can", "carry")
 
 
 class FailReason(StrEnum):
-    """Why a run has no certified path."""
+    """Reason why a run has no certified path."""
 
     TIMEOUT = "timeout"
     ITERATION_LIMIT = "iteration_limit"
@@ -73,16 +73,18 @@ class ResultRow:
     """One run; the fields are the columns of ``runs.csv``, in this order.
 
     Times end in ``_s`` [s], lengths in ``_rad`` [rad, Euclidean in joint space] or ``_m`` [m].
-    numbers of numpy are converted to plain Python ones.
+    Numbers of numpy are converted to plain Python numbers.
 
-    InvalidInputError or UnknownChoiceError for a value of the wrong type or not finite, text that
-    is empty, unprintable or like a formula, a negative number (other than a clearance), ``solved``
-    without ``certified``, or a run that neither is solved nor has a ``fail_reason``, or both.
+    Raises:
+        InvalidInputError, UnknownChoiceError: a value of the wrong type or not finite; text that is
+            empty, unprintable or starts like a formula; a negative number (except clearances);
+            ``solved`` without ``certified``; a run that is solved and has a ``fail_reason``, or
+            neither.
     """
 
-    schema: str = SCHEMA
+    schema: str = ROW_SCHEMA
     suite: str
-    problem: str  # its name; ``TASK/NUMBER-PHASE`` for a phase of a task
+    problem: str  # name; ``TASK/NUMBER-PHASE`` for a phase of a task
     planner: str
     sampler_used: str | None = None
     seed: int
@@ -90,11 +92,11 @@ class ResultRow:
     # certified: the planner claimed a path and the independent certificate accepted it
     solved: bool
     fail_reason: FailReason | None = None
-    detail: str | None = None  # one line more, for people
-    fallback: str | None = None  # why the path did not come the way the planner's name promises
-    certified: bool | None = None  # None when there was no path to certify
+    detail: str | None = None  # one line of explanation for readers
+    fallback: str | None = None  # why another method than the named one found the path
+    certified: bool | None = None  # None: there was no path to certify
     t_total_s: float | None = None  # sum of the times below
-    t_goals_s: float | None = None  # goal inverse kinematics, charged to every planner alike
+    t_goals_s: float | None = None  # inverse kinematics of goals, counted for every planner
     t_encode_s: float | None = None
     t_predict_s: float | None = None
     t_optimize_s: float | None = None
@@ -107,57 +109,57 @@ class ResultRow:
     vertices: int | None = None
     path_length_raw_rad: float | None = None  # before simplification
     path_length_rad: float | None = None
-    execution_time_s: float | None = None  # duration of the timed motion, of phases of tasks
+    execution_time_s: float | None = None  # duration of the timed motion, for phases of tasks
     max_violation_rad: float | None = None
     max_violation_m: float | None = None
     min_clearance_m: float | None = None  # negative where bodies overlap
     path_sha256: str | None = None
-    # Of scanned scenes: time from depth images to the map (not in `t_total_s`), and to the
+    # Scanned scenes only: time from depth images to the map (not in `t_total_s`) and to the
     # certificate; whether the path is free in the real scene, and its clearance there.
     t_sense_s: float | None = None
     t_whole_s: float | None = None
     true_free: bool | None = None
     true_clearance_m: float | None = None
-    # Of improved paths: time used (in `t_total_s`), searches begun, and the length of the first
-    # path, shortened; `path_length_rad` is the best path's.
+    # Improved paths only: time used (part of `t_total_s`), number of searches, and the length of
+    # the first path after shortcutting; `path_length_rad` is the length of the best path.
     t_improve_s: float | None = None
     n_restarts: int | None = None
     path_length_first_rad: float | None = None
-    # Of learned samplers: the product, see `vqmpt.sampler_choice`.
+    # Learned samplers only: parts of the sampler, see `vqmpt.sampler_choice`.
     predictor: str | None = None
     gaussians: str | None = None
     update: str | None = None
     cloud: str | None = None
     uniform_share: float | None = None
     sequences: str | None = None
-    # G = F(q)^T F(q), mean over fixed draws before projection [the constraint's units, squared].
+    # mean of G = F(q)^T F(q) over fixed samples before projection [constraint's units, squared]
     g_sampled: float | None = None
-    # Whether the scene's cloud was encoded in this run: then `t_encode_s`, a part of `t_total_s`,
-    # is the cost of a new scene, and `t_total_s - t_encode_s` the time in a known one.
+    # Whether the scene's cloud was encoded in this run; then `t_encode_s` (part of `t_total_s`) is
+    # the cost of a new scene, and `t_total_s - t_encode_s` is the time in a known scene.
     scene_new: bool | None = None
-    # States whose clearance was read from a distance field: approximate checks.
+    # number of states whose clearance was read from a distance field (approximate checks)
     n_clearances: int | None = None
-    # Wall clock of `pipeline.solve` without goals, clouds, `t_improve_s` and certificate.
+    # wall-clock time of `pipeline.solve` without goals, clouds, `t_improve_s` and certificate
     t_wall_s: float | None = None
-    # The two parts of `min_clearance_m`: from obstacles, and of the robot's own pieces.
+    # the two parts of `min_clearance_m`: to obstacles, and between pieces of the robot
     obstacle_clearance_m: float | None = None
     self_clearance_m: float | None = None
-    # Of learned samplers, like `predictor`.
+    # Learned samplers only, like `predictor`.
     reading: str | None = None
     draws: str | None = None
     goals: str | None = None
-    reach: float | None = None  # [rad] empty: no limit
-    std: float | None = None  # [rad] of Gaussians along a sequence
-    # Ends of extensions in trees, roots left out: OMPL stores these alone, we (`vertices`) every
-    # state of an extension. Empty where no tree grew.
+    reach: float | None = None  # [rad]; None: no limit
+    std: float | None = None  # standard deviation of Gaussians along a sequence [rad]
+    # Number of tree extensions that added nodes. OMPL stores only their last states; `vertices` of
+    # our planners counts every state. None: no tree grew.
     n_extensions: int | None = None
-    # Of draws that were projected before trees extended towards them: parts of `n_projections` and
-    # `n_newton_iterations`. Empty where none was.
+    # Projections of samples before trees extend towards them: parts of `n_projections` and
+    # `n_newton_iterations`. None: no sample was projected.
     n_draw_projections: int | None = None
     n_draw_newton_iterations: int | None = None
 
     def __post_init__(self) -> None:
-        for column in _COLUMNS:
+        for column in _columns():
             value = column.checked(getattr(self, column.name))
             object.__setattr__(self, column.name, value)
         self.require_consistent()
@@ -182,12 +184,12 @@ class ResultRow:
 
     @property
     def run_key(self) -> RowKey:
-        """Key of the run; a task's run has a row for each planned phase."""
+        """Key of the run; the run of a task has a row for each planned phase."""
         return self.suite, self.item, self.planner, self.seed, self.backend
 
     @property
     def item(self) -> str:
-        """The run's problem or whole task."""
+        """Name of the run's problem or task."""
         return self.problem.partition("/")[0]
 
 
@@ -199,7 +201,7 @@ class _Column(NamedTuple):
     optional: bool  # empty where undefined
 
     def checked(self, value: Any) -> Any:
-        """A value as its plain Python type; the message of an error begins with the column."""
+        """Return a value as its plain Python type; errors begin with the name of the column."""
         if value is None and self.optional:
             return None
         if self.kind is FailReason:
@@ -207,14 +209,14 @@ class _Column(NamedTuple):
                 raise UnknownChoiceError(self.name, value, FailReason)
             return FailReason(value)
         value = scalar(self.kind, value, self.name)
-        if self.kind is str and not (value and value.isprintable() and value[0] not in FORMULA):
+        if self.kind is str and not (value and value.isprintable() and not _is_formula(value)):
             raise InvalidInputError(
                 f"{self.name} is {value!r}; it must be one non-empty line that does not begin like "
                 "a formula"
             )
-        if self.name == "schema" and value != SCHEMA:
+        if self.name == "schema" and value != ROW_SCHEMA:
             raise InvalidInputError(
-                f"schema is {value!r}; this version reads and writes {SCHEMA!r}"
+                f"schema is {value!r}; this version reads and writes {ROW_SCHEMA!r}"
             )
         # a clearance is negative where bodies overlap
         if self.kind is float and value < 0.0 and not self.name.endswith("_clearance_m"):
@@ -222,7 +224,7 @@ class _Column(NamedTuple):
         return value
 
     def read(self, text: str) -> Any:
-        """The value of a cell; an error as of `checked`."""
+        """Return the value of a cell; raise the errors of `checked`."""
         try:
             if text == "" and self.optional:
                 return None
@@ -235,9 +237,12 @@ class _Column(NamedTuple):
         return self.checked(text)
 
     def read_all(self, texts: Sequence[str], places: Sequence[str]) -> list[Any]:
-        """The values of cells; plain numbers cost no call of Python each: cells are many."""
-        plain = PLAIN.get(self.kind)
-        known = {text: self.kind(text) for text in set(texts) if plain and plain.fullmatch(text)}
+        """Return the values of many cells; plain numbers, and repeated cells, are read faster."""
+        known = {}
+        if self.kind in (int, float):
+            # finite and not negative: these need no check
+            plain = re.compile(r"\d{1,9}" if self.kind is int else r"\d{1,9}\.\d+(e-\d+)?")
+            known = {text: self.kind(text) for text in set(texts) if plain.fullmatch(text)}
         for text, place in zip(texts, places, strict=True):
             if text not in known:
                 try:
@@ -247,6 +252,7 @@ class _Column(NamedTuple):
         return [known[text] for text in texts]
 
 
+@cache
 def _columns() -> tuple[_Column, ...]:
     found = []
     for field in fields(ResultRow):
@@ -255,42 +261,44 @@ def _columns() -> tuple[_Column, ...]:
     return tuple(found)
 
 
-# numbers that need no check: finite and not negative
-PLAIN = {int: re.compile(r"\d{1,9}"), float: re.compile(r"\d{1,9}\.\d+(e-\d+)?")}
-_COLUMNS = _columns()
-COLUMNS = tuple(column.name for column in _COLUMNS)
+ROW_COLUMNS = tuple(column.name for column in _columns())
 
 
-def one_line(text: str) -> str | None:
-    """Text for a cell: one printable line, quoted if it starts like a formula; None if empty."""
+def _is_formula(text: str) -> bool:
+    """Return whether a spreadsheet would run a cell with this text."""
+    return text.startswith(("=", "+", "-", "@"))
+
+
+def cell_text(text: str) -> str | None:
+    """Return text for a cell: one printable line, with ' before a formula; None if empty."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    return f"'{line}" if line.startswith(FORMULA) else line or None
+    return f"'{line}" if _is_formula(line) else line or None
 
 
 def csv_text(rows: Iterable[ResultRow], header: bool = True) -> str:
-    """Rows as csv."""
-    cells = ([getattr(row, column) for column in COLUMNS] for row in rows)
+    """Return rows as CSV text."""
+    cells = ([getattr(row, column) for column in ROW_COLUMNS] for row in rows)
     lines = [[str(x).lower() if isinstance(x, bool) else x for x in row] for row in cells]
-    return csv_table([COLUMNS, *lines] if header else lines)
+    return csv_table([ROW_COLUMNS, *lines] if header else lines)
 
 
 def natural_key(text: str) -> tuple[tuple[str | int, ...], str]:
-    """Sort key in which ``p2`` precedes ``p10``."""
+    """Return a sort key by which ``p2`` precedes ``p10``."""
     parts = re.split(r"([0-9]+)", text)
     return tuple(int(part) if i % 2 else part for i, part in enumerate(parts)), text
 
 
 def sorted_rows(rows: Iterable[ResultRow]) -> list[ResultRow]:
-    """Rows by suite, problem (numbers as numbers), planner, seed and backend."""
+    """Return rows sorted by suite, problem (in natural order), planner, seed and backend."""
     rows = list(rows)
     places = {problem: natural_key(problem) for problem in {row.problem for row in rows}}
     return sorted(rows, key=lambda r: (r.suite, places[r.problem], r.planner, r.seed, r.backend))
 
 
 def _parse_header(path: Path, fields: list[str]) -> int:
-    """Number of the columns that a file has."""
-    # older files lack the columns from this one on, or from a later one
-    known = COLUMNS[: max(COLUMNS.index("t_sense_s"), len(fields))]
+    """Return the number of columns that a file has."""
+    # older files end before this column or a later one
+    known = ROW_COLUMNS[: max(ROW_COLUMNS.index("t_sense_s"), len(fields))]
     for index, (found, expected) in enumerate(
         zip_longest(fields, known, fillvalue="nothing"), start=1
     ):
@@ -298,16 +306,16 @@ def _parse_header(path: Path, fields: list[str]) -> int:
             raise RunStoreError(
                 f"{path}, line 1, column {index}: expected {expected}, found "
                 f"{shown(found)[1:-1]}; the file is not a table of runs of this version (schema "
-                f"{SCHEMA}), use another --out"
+                f"{ROW_SCHEMA}), use another --out"
             )
     return len(known)
 
 
 def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
-    """Rows of the text of a csv; empty lines are skipped. Raises as `read_rows`, naming `path`."""
+    """Return rows of CSV text without its empty lines; errors are those of `read_rows`."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
-        columns = _parse_header(path, next(reader, [])) if header else len(COLUMNS)
+        columns = _parse_header(path, next(reader, [])) if header else len(ROW_COLUMNS)
         lines = [(reader.line_num, cells) for cells in reader if cells]
     except csv.Error as error:
         raise RunStoreError(f"{path}, line {reader.line_num}: {error}") from error
@@ -318,13 +326,12 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
     places = [f"{file}, line {line}" for line, _ in lines]
     by_column = zip(*(cells for _, cells in lines), strict=True)
     values = [
-        column.read_all(texts, places) for column, texts in zip(_COLUMNS, by_column, strict=False)
+        column.read_all(texts, places) for column, texts in zip(_columns(), by_column, strict=False)
     ]
-    missing = [[None] * len(lines)] * (len(COLUMNS) - len(values))
+    missing = [[None] * len(lines)] * (len(ROW_COLUMNS) - len(values))
     rows = []
     for place, read in zip(places, zip(*values, *missing, strict=True), strict=True):
-        row = object.__new__(ResultRow)  # each of its values is checked
-        vars(row).update(zip(COLUMNS, read, strict=True))
+        row = _row_of_checked(read)
         try:
             row.require_consistent()
         except InvalidInputError as error:
@@ -333,44 +340,56 @@ def parse_rows(path: Path, text: str, header: bool = True) -> list[ResultRow]:
     return rows
 
 
-def search_work(projections: int, state_checks: int, clearances: int | None) -> float:
-    """Work of a search: `projections + state checks + CLEARANCE_COST * clearances`.
+def _row_of_checked(values: Sequence[Any]) -> ResultRow:
+    """Return a row of values in the order of the columns that `_Column.read_all` has checked.
 
-    clearances: None in rows that are older than their count, or of planners that read none.
+    It does not call `__post_init__`: a second check would triple the time of reading.
+    """
+    row = object.__new__(ResultRow)
+    vars(row).update(zip(ROW_COLUMNS, values, strict=True))
+    return row
+
+
+def search_work(projections: int, state_checks: int, clearances: int | None) -> float:
+    """Return the work of a search: projections + state checks + CLEARANCE_COST * clearances.
+
+    clearances: None in old rows and for planners that read none.
     """
     return projections + state_checks + CLEARANCE_COST * (clearances or 0)
 
 
 def read_rows(path: Path) -> list[ResultRow]:
-    """Read a csv of runs; floats come back exactly as they were.
+    """Read a CSV file of runs; floats are read exactly as they were written.
 
-    InvalidInputError: the file cannot be read. RunStoreError: names file, line and column.
+    Raises:
+        InvalidInputError: the file cannot be read.
+        RunStoreError: wrong content; the message names file, line and column.
     """
     return parse_rows(Path(path), read_text(path))
 
 
 def write_rows(path: Path, rows: Iterable[ResultRow]) -> None:
-    """Write rows in the order of `sorted_rows`, replacing the file at once or not at all."""
+    """Write rows in the order of `sorted_rows`; the file is replaced completely or not at all."""
     write_text(path, csv_text(sorted_rows(rows)))
 
 
 class PhaseName(NamedTuple):
-    """A planned phase of a task, named ``TASK/NUMBER-PHASE`` in rows, such as ``3/5-carry``."""
+    """Name of a planned phase of a task: in rows ``TASK/NUMBER-PHASE``, e.g. ``3/5-carry``."""
 
     task: str
-    number: int  # among the planned ones, from 1
+    number: int  # of the phase among the planned ones, from 1
     phase: str
 
 
 def phase_problem(task: str, number: int, phase: str) -> str:
-    """Name of a phase's problem in rows."""
+    """Return the name of a phase in the column `problem`."""
     return f"{task}/{number}-{phase}"
 
 
 def split_problem(problem: str) -> PhaseName:
-    """Inverse of `phase_problem`; InvalidInputError for rows of another kind."""
+    """Return the parts of a phase's name in rows; InvalidInputError for another problem."""
     task, slash, rest = problem.rpartition("/")
     number, dash, phase = rest.partition("-")
     if not (slash and dash and number.isdecimal()):
-        raise InvalidInputError(f"problem {problem!r} is no phase of a task, such as 3/5-carry")
+        raise InvalidInputError(f"problem {problem!r} is not a phase of a task such as 3/5-carry")
     return PhaseName(task, int(number), phase)

@@ -1,7 +1,7 @@
 """Statistics for success rates, censored planning times and paired comparisons.
 
-Failures are data: a failed run's time is +inf, so medians and quantiles need no imputation. Where
-something is undefined (no data) an `Interval` holds None, never 0.
+Failures are data: a failed run's time is +inf, so medians and quantiles need no imputation.
+Undefined values (without data) are None, never 0.
 """
 
 import math
@@ -21,21 +21,21 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.results.row import ResultRow, natural_key
 
 CONFIDENCE = 0.95  # of every interval
-ProblemKey = tuple[str, str, int]  # (suite, problem, seed), which the runs of a pair share
+ProblemKey = tuple[str, str, int]  # (suite, problem, seed), the same for both runs of a pair
 problem_key: Callable[[ResultRow], ProblemKey] = attrgetter("suite", "problem", "seed")
 
 
 class Interval(NamedTuple):
-    """An estimate with its confidence interval; None: undefined, +inf: because of failures."""
+    """An estimate with its confidence interval; None: undefined; +inf: because of failures."""
 
     estimate: float | None
     low: float | None
     high: float | None
-    n: int  # number of values used
-    coverage: float | None = None  # exact, of an order-statistic interval
+    n: int  # number of values
+    coverage: float | None = None  # exact coverage of an order-statistic interval
 
     def mapped(self, scale: Callable[[float], float]) -> "Interval":
-        """The same interval on another scale, an increasing function of this one."""
+        """Return the interval on another scale; `scale` is an increasing function."""
         middle, low, high = (None if x is None else scale(x) for x in self[:3])
         return Interval(middle, low, high, self.n, self.coverage)
 
@@ -44,15 +44,15 @@ UNDEFINED = Interval(None, None, None, 0)
 
 
 def wilson_interval(successes: float, n: int) -> Interval:
-    """Success rate with Wilson's score interval (Wilson 1927), as fractions in [0, 1].
+    """Return the success rate with Wilson's score interval (Wilson 1927), as fractions in [0, 1].
 
-    Each bound p satisfies (rate - p)^2 = z^2 p (1 - p) / n. Where a trial succeeds in part (2 of 5
-    seeds), successes is the sum of these shares; the interval is then wide rather than narrow,
-    because a share between 0 and 1 varies no more than a trial of that probability.
+    Each bound p satisfies (rate - p)^2 = z^2 p (1 - p) / n. If trials succeed in part (2 of 5
+    seeds), `successes` is the sum of these shares; the interval is then conservative, because a
+    share between 0 and 1 varies no more than a trial of that probability.
     InvalidInputError unless 0 <= successes <= n.
     """
     if not 0 <= successes <= n:
-        raise InvalidInputError(f"{successes} successes of {n} runs; successes must lie in 0..n")
+        raise InvalidInputError(f"{successes} successes of {n} runs; successes must be in 0..n")
     if n == 0:
         return UNDEFINED
     rate, z = successes / n, NormalDist().inv_cdf((1.0 + CONFIDENCE) / 2.0)
@@ -63,12 +63,12 @@ def wilson_interval(successes: float, n: int) -> Interval:
 
 
 def median_interval(values: ArrayLike) -> Interval:
-    """Median with an order-statistic (sign-test) interval; failures are +inf.
+    """Return the median with an order-statistic (sign-test) interval; failures are +inf.
 
-    The interval runs from the r-th smallest to the r-th largest value, with the largest r for which
-    P(r <= B <= n - r), B ~ Binomial(n, 1/2), is at least CONFIDENCE. That probability is the exact
-    coverage for any continuous distribution and a lower bound otherwise (0.957 for n = 30). No such
-    r exists for n < 6: the interval is then the whole range, and its lower coverage says so.
+    The interval is from the r-th smallest to the r-th largest value, with the largest r for which
+    P(r <= B <= n - r), B ~ Binomial(n, 1/2), is at least CONFIDENCE. This probability is the exact
+    coverage for any continuous distribution and a lower bound otherwise (0.957 for n = 30). For
+    n < 6 there is no such r: the interval is the whole range, and `coverage` is below CONFIDENCE.
     InvalidInputError for NaN.
     """
     ordered = np.sort(_checked(values))
@@ -82,25 +82,25 @@ def median_interval(values: ArrayLike) -> Interval:
 
 @lru_cache(maxsize=1024)
 def _median_rank(n: int) -> tuple[int, float]:
-    """The r of `median_interval` for n values, and P(r <= B <= n - r)."""
+    """Return r of `median_interval` for n values, and P(r <= B <= n - r)."""
     below = list(accumulate(Fraction(math.comb(n, k), 2**n) for k in range(n + 1)))  # P(B <= k)
     rank = max(1, bisect_left(below, Fraction((1.0 - CONFIDENCE) / 2.0)))
     return rank, max(0.0, float(1 - 2 * below[rank - 1]))
 
 
 def mean_of_solved(values: ArrayLike, samples: int = 2000) -> Interval:
-    """Mean of the finite values with a percentile-bootstrap interval; failures (+inf) are left out.
+    """Return the mean of the finite values with a percentile-bootstrap interval.
 
-    It flatters planners that fail on hard problems: print it only beside the success rate and
-    `median_interval`. One value has no interval. Every bootstrap has the same random seed.
-    InvalidInputError for NaN.
+    Failures (+inf) are left out, which favours planners that fail on hard problems: print it only
+    together with the success rate and `median_interval`. One value has no interval. The random
+    seed is fixed. InvalidInputError for NaN.
     """
     array = _checked(values)
     array = array[np.isfinite(array)]
     n = len(array)
     if n < 2:
         return Interval(float(array[0]), None, None, 1) if n else UNDEFINED
-    # values drawn again with replacement
+    # indices of values drawn with replacement
     drawn = np.random.default_rng(0).integers(n, size=(samples, n))
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(array[drawn].mean(axis=1), [tail, 1 - tail])
@@ -108,7 +108,7 @@ def mean_of_solved(values: ArrayLike, samples: int = 2000) -> Interval:
 
 
 def geometric_mean_interval(values: ArrayLike) -> Interval:
-    """Geometric mean `exp(mean(log x_i))` with a percentile-bootstrap interval.
+    """Return the geometric mean exp(mean(log x_i)) with a percentile-bootstrap interval.
 
     InvalidInputError for values that are not finite and positive.
     """
@@ -121,11 +121,11 @@ def geometric_mean_interval(values: ArrayLike) -> Interval:
 
 
 def student_interval(values: Sequence[float], confidence: float = CONFIDENCE) -> Interval:
-    """Mean with Student's t interval (Student 1908); UNDEFINED for fewer than two values.
+    """Return the mean with Student's t interval (Student 1908); UNDEFINED below two values.
 
     Args:
-        values: independent numbers (n).
-        confidence: probability that such an interval holds the true mean.
+        values: (n,) independent numbers.
+        confidence: probability that such an interval contains the true mean.
     """
     n = len(values)
     if n < 2:
@@ -138,7 +138,7 @@ def student_interval(values: Sequence[float], confidence: float = CONFIDENCE) ->
 
 
 def jointly_solved(rows_by_planner: Mapping[str, Iterable[ResultRow]]) -> tuple[ProblemKey, ...]:
-    """Keys (suite, problem, seed) that every planner solved, in a deterministic order."""
+    """Return the keys (suite, problem, seed) that every planner solved, in natural order."""
     solved = [{problem_key(row) for row in rows if row.solved} for rows in rows_by_planner.values()]
     common = set.intersection(*solved) if solved else set()
     return tuple(sorted(common, key=lambda key: (key[0], natural_key(key[1]), key[2])))

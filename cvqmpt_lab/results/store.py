@@ -1,7 +1,7 @@
-"""A results directory whose finished runs survive an interruption, and that can be continued.
+"""A results directory that keeps finished runs after an interruption and can be continued.
 
-Beside the rows, ``paths.npz`` has the states of their paths, each array under the hash in the row's
-column `path_sha256`. Read one with ``numpy.load("paths.npz")[row.path_sha256]``.
+``paths.npz`` has the states of the rows' paths; the name of each array is the row's `path_sha256`.
+Read a path by ``numpy.load("paths.npz")[row.path_sha256]``.
 """
 
 import contextlib
@@ -34,22 +34,22 @@ from cvqmpt_lab.results.row import (
 PARTIAL_FILE = "runs.partial.csv"
 PATHS_FILE = "paths.npz"
 PARTIAL_PATHS = "paths.partial.npy"
-# what numpy raises on a damaged file
-BROKEN = (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error)
+# errors of numpy for a damaged file
+DAMAGE_ERRORS = (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error)
 
 
 class RunStore:
     """A directory with ``runs.csv``, ``paths.npz`` and ``provenance.json`` that grows run by run.
 
     Only one process appends (workers send it their rows). `append` writes the paths of a run to
-    ``paths.partial.npy`` and then its rows to ``runs.partial.csv``; the empty line after them marks
-    the run as complete. Leaving the ``with`` block of `open`, for any reason, merges both into
-    ``paths.npz`` and ``runs.csv``. If the process was killed, the next `open` merges them, without
-    a run whose rows are incomplete.
+    ``paths.partial.npy`` and then its rows to ``runs.partial.csv``; an empty line after them marks
+    the run as complete. The end of the ``with`` block of `open` merges both into ``paths.npz`` and
+    ``runs.csv``. If the process was killed, the next `open` merges them; it drops a run whose rows
+    are incomplete.
     """
 
     def __init__(self, directory: Path, later_session: Mapping[str, object] | None) -> None:
-        """Called by `RunStore.open` only."""
+        """Make a store; use `RunStore.open` instead."""
         self.directory = directory
         self._later_session = later_session  # written with the first row of a continuation
         self._appended = False
@@ -66,12 +66,14 @@ class RunStore:
         """Create a store, or continue one with equal configuration and weights.
 
         Args:
-            configuration: every setting that must not change within one table (suite, cutoff, ...).
-            session: from `provenance`; a continued store writes it with the first row that it adds.
+            directory: folder of the store; it is made if it does not exist.
+            configuration: settings that must not change within one table (suite, cutoff, ...).
+            session: result of `provenance`; a continued store writes it with the first new row.
 
-        InvalidInputError: the directory cannot be made, or is in use. RunStoreError: it is
-        read-only, was made with another configuration or other weights (the message names which),
-        or holds runs without provenance or with other columns.
+        Raises:
+            InvalidInputError: the directory cannot be made, or is in use.
+            RunStoreError: the directory is read-only, has another configuration or other weights
+                (the message names them), or has runs without provenance or with other columns.
         """
         directory = make_folder(directory)
         if not os.access(directory, os.R_OK | os.W_OK):
@@ -84,7 +86,8 @@ class RunStore:
                 record.create(configuration, session or {})
             else:
                 record.require_same(configuration, session or {})
-            store, began = cls(directory, None if is_new else session), time.monotonic()
+            store = cls(directory, None if is_new else session)
+            began = time.monotonic()
             store._recover()
             try:
                 yield store
@@ -94,9 +97,9 @@ class RunStore:
                     record.add_wall_clock(time.monotonic() - began)
 
     def _recover(self) -> None:
-        """Load the merged rows, and merge what an interrupted session left behind."""
+        """Load the merged rows, then merge the partial files of an interrupted session."""
         merged, partial = self.directory / RUNS_FILE, self.directory / PARTIAL_FILE
-        stored_paths(self.directory)  # a damaged file is refused now, not after hours of work
+        stored_paths(self.directory)  # refuses a damaged file now, not after hours of work
         if merged.is_file():
             self._rows = {row.key: row for row in read_rows(merged)}
         if partial.is_file():
@@ -107,7 +110,7 @@ class RunStore:
             self._merge()
 
     def _merge(self) -> None:
-        """Merge the partial files into the final ones; paths that no row refers to are dropped."""
+        """Merge the partial files into the final ones; drop paths that no row refers to."""
         partial = self.directory / PARTIAL_PATHS
         if partial.is_file():
             known: dict[str, Any] = stored_paths(self.directory)
@@ -121,25 +124,26 @@ class RunStore:
         (self.directory / PARTIAL_FILE).unlink(missing_ok=True)
 
     def rows(self) -> list[ResultRow]:
-        """All rows so far, in the order of `sorted_rows`."""
+        """Return all rows so far, in the order of `sorted_rows`."""
         return sorted_rows(self._rows.values())
 
     def done(self) -> frozenset[RowKey]:
-        """Keys of finished runs; a task counts as one run, under its own name."""
+        """Return the keys of finished runs; a task is one run with the name of the task."""
         return frozenset(row.run_key for row in self._rows.values())
 
     def append(self, rows: Sequence[ResultRow], paths: Sequence[np.ndarray] = ()) -> None:
-        """Add all rows of one run and its paths' states (m, n), and force them to disk.
+        """Add all rows of one run and the states (m, n) of its paths; wait until they are on disk.
 
-        A row with a known key replaces the earlier one. RunStoreError: the disk is full.
+        A row replaces an earlier one with the same key. RunStoreError: the disk is full.
         """
         if self._later_session is not None:
             ProvenanceFile(self.directory).add_continuation(self._later_session)
             self._later_session = None
         self._appended = True
-        # before writing: if an interrupt comes in between, `_merge` still has these rows
+        # before writing: after an interrupt in between, `_merge` still writes these rows
         self._rows |= {row.key: row for row in rows}
-        arrays, text = io.BytesIO(), csv_text(rows, header=False) + "\n"
+        arrays = io.BytesIO()
+        text = csv_text(rows, header=False) + "\n"
         for states in paths:
             np.save(arrays, np.ascontiguousarray(states, dtype=np.float64), allow_pickle=False)
         if paths:
@@ -147,7 +151,7 @@ class RunStore:
         self._append_to(PARTIAL_FILE, text.encode("utf-8"))
 
     def _append_to(self, name: str, data: bytes) -> None:
-        """Append to a file and wait until it is on the disk; `_recover` drops an incomplete end."""
+        """Append to a file and wait until it is on disk; `_recover` drops an incomplete end."""
         try:
             with (self.directory / name).open("ab") as handle:
                 handle.write(data)
@@ -158,7 +162,7 @@ class RunStore:
 
 
 def directory_rows(directory: Path) -> list[ResultRow]:
-    """Rows of a results directory; RunStoreError says what to do when it has none."""
+    """Return the rows of a results directory; RunStoreError has advice if there are none."""
     advice = f"run an experiment with --out {directory} first"
     if not directory.is_dir():
         raise RunStoreError(f"{directory} is not a directory; {advice}")
@@ -175,14 +179,14 @@ def directory_rows(directory: Path) -> list[ResultRow]:
 
 
 def states_hash(states: np.ndarray) -> str:
-    """sha256 of the bytes of states (m, n): equal for bit-for-bit equal paths."""
+    """Return the sha256 of states (m, n): equal only for paths equal in every bit."""
     return hashlib.sha256(np.ascontiguousarray(states, dtype=np.float64).tobytes()).hexdigest()
 
 
 def stored_paths(directory: Path) -> dict[str, np.ndarray]:
-    """States (m, n) [rad or m] of ``paths.npz`` by their hash; empty if there is no such file.
+    """Return the states (m, n) [rad or m] in ``paths.npz`` by their hash; empty without the file.
 
-    RunStoreError: the file is damaged, or an array's hash is not its name.
+    RunStoreError: the file is damaged, or the name of an array is not its hash.
     """
     path = Path(directory) / PATHS_FILE
     if not path.exists():
@@ -190,7 +194,7 @@ def stored_paths(directory: Path) -> dict[str, np.ndarray]:
     try:
         with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as arrays:
             found = dict(arrays)
-    except BROKEN as error:
+    except DAMAGE_ERRORS as error:
         raise RunStoreError(f"{path} is damaged: {error}; run again into another folder") from error
     for sha256, states in found.items():
         if states_hash(states) != sha256:
@@ -199,10 +203,10 @@ def stored_paths(directory: Path) -> dict[str, np.ndarray]:
 
 
 def _intact_arrays(data: bytes) -> Iterator[np.ndarray]:
-    """Arrays that `numpy.save` wrote one after the other, without an incomplete last one."""
+    """Yield arrays that `numpy.save` wrote one after another; drop an incomplete last one."""
     stream = io.BytesIO(data)
     while stream.tell() < len(data):
         try:
             yield np.load(stream, allow_pickle=False)
-        except BROKEN:
+        except DAMAGE_ERRORS:
             return

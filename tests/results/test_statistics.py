@@ -74,14 +74,14 @@ def test_jointly_solved_needs_every_planner_and_the_same_seed():
     assert jointly_solved({}) == ()
 
 
-def test_nonsense_is_refused():
+def test_wrong_values_are_refused():
     for successes in (3, -1):
-        refused("successes must lie in 0..n", wilson_interval, successes, 2)
-    for statistic, values, told in (
+        refused("successes must be in 0..n", wilson_interval, successes, 2)
+    for statistic, values, message in (
         (median_interval, [1.0, math.nan], "with NaN or not one-dimensional"),
         (median_interval, [[1.0]], "with NaN or not one-dimensional"),
         (mean_of_solved, [math.nan], "with NaN or not one-dimensional"),
         (geometric_mean_interval, [1.0, 0.0], "give finite positive values"),
         (geometric_mean_interval, [1.0, INF], "give finite positive values"),
     ):
-        refused(told, statistic, values)
+        refused(message, statistic, values)

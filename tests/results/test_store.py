@@ -1,4 +1,4 @@
-"""Rows, and a run's directory, which holds them and their paths after any interruption."""
+"""Rows, and results directories that keep rows and paths after any interruption."""
 
 import json
 import os
@@ -10,7 +10,7 @@ from refusals import refused
 
 from cvqmpt_lab.base.errors import CvqmptError, InvalidInputError, RunStoreError
 from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, provenance
-from cvqmpt_lab.results.row import COLUMNS, RUNS_FILE, one_line, read_rows, write_rows
+from cvqmpt_lab.results.row import ROW_COLUMNS, RUNS_FILE, cell_text, read_rows, write_rows
 from cvqmpt_lab.results.store import (
     PARTIAL_FILE,
     PARTIAL_PATHS,
@@ -38,7 +38,7 @@ def open_refused(words, folder, error=RunStoreError, **session):
 
 
 def killed_after(folder, *runs):
-    """What a kill after these runs, each its rows and paths, leaves in the partial files."""
+    """Write runs, each (rows, paths); return the partial files that a killed process leaves."""
     with opened(folder) as store:
         for run in runs:
             store.append(*run)
@@ -57,7 +57,7 @@ def store(tmp_path):
     return folder
 
 
-def test_store_writes_rows_provenance_and_what_was_hashed_bit_for_bit(tmp_path, store):
+def test_a_store_has_rows_provenance_and_paths_equal_in_every_bit(tmp_path, store):
     directory = tmp_path / "deep" / "runs"
     with opened(directory, command=("a", "b")) as other:
         other.append([a_row("p2")])
@@ -97,7 +97,7 @@ def test_a_truncated_last_line_is_ignored_wherever_it_was_cut(tmp_path):
 
 
 @pytest.mark.parametrize("cut", [1, 8, 60, 130, 1000])
-def test_a_path_cut_short_by_a_kill_is_left_out_and_the_others_stay(tmp_path, cut):
+def test_an_incomplete_path_of_a_killed_process_is_dropped_and_the_others_stay(tmp_path, cut):
     left = killed_after(tmp_path, ([row(1)], [path(1)]), ([row(2)], [path(2)]))
     whole = len(left[PARTIAL_PATHS]) // 2
     (tmp_path / PARTIAL_PATHS).write_bytes(left[PARTIAL_PATHS][: whole + cut])
@@ -126,8 +126,8 @@ def test_other_weights_are_refused_by_both_digests_and_further_models_are_added(
     with opened(tmp_path, weights={"mpnet": "aaa"}) as store:
         store.append([a_row("p1", "mpnet")])
     assert digests_in(ProvenanceFile(tmp_path).read(), "weights") == {"mpnet": "aaa"}
-    told = r'weights.mpnet was "aaa", now "bbb".*--out'
-    open_refused(told, tmp_path, weights={"mpnet": "bbb"})
+    message = r'weights.mpnet was "aaa", now "bbb".*--out'
+    open_refused(message, tmp_path, weights={"mpnet": "bbb"})
     for weights in ({"vq_mpt": "ccc"}, {}):
         with opened(tmp_path, weights=weights):
             pass
@@ -184,7 +184,7 @@ def test_provenance_names_versions_machine_and_seeds():
     assert record["cpu_count"] >= 1 and record["date_utc"].endswith("+00:00")
 
 
-def test_a_record_that_is_not_one_is_refused_by_field(tmp_path):
+def test_a_malformed_record_is_refused_by_field(tmp_path):
     file = ProvenanceFile(tmp_path)
     file.create({"cutoff_s": 10.0}, provenance(["cvqmpt"], [0], {"mpnet": "abc"}))
     good = file.read()
@@ -201,7 +201,7 @@ def test_a_record_that_is_not_one_is_refused_by_field(tmp_path):
 
 def test_files_from_before_the_last_columns_are_read(tmp_path):
     path, row = tmp_path / "rows.csv", a_row(t_total_s=1.5, path_sha256="0" * 64)
-    for gone in (1, len(COLUMNS) - COLUMNS.index("t_sense_s")):
+    for gone in (1, len(ROW_COLUMNS) - ROW_COLUMNS.index("t_sense_s")):
         write_rows(path, [row])
         lines = path.read_text().splitlines()
         path.write_text("".join(",".join(line.split(",")[:-gone]) + "\n" for line in lines))
@@ -231,15 +231,15 @@ BAD = {"seed": None, "solved": 1, "certified": False, "schema": "0"}
 TEXTS = {"two\n lines\x1b": "two lines", "=1+1": "'=1+1", "-3 off": "'-3 off", " \t": None}
 
 
-def test_any_text_becomes_a_cell_that_no_spreadsheet_runs():
+def test_no_text_becomes_a_formula_of_a_spreadsheet():
     for text, cell in (*TEXTS.items(), ("ok", "ok")):
-        assert one_line(text) == a_row(detail=one_line(text)).detail == cell
+        assert cell_text(text) == a_row(detail=cell_text(text)).detail == cell
 
 
 FIELDS = {"seed": "one", "t_total_s": "nan", "vertices": "-1", "solved": "True", "schema": "1"}
 
 
-def test_what_is_no_file_of_rows_is_named_by_line_and_column(tmp_path):
+def test_a_malformed_file_of_rows_is_refused_by_line_and_column(tmp_path):
     path = tmp_path / "rows.csv"
     write_rows(path, [a_row("p1", t_total_s=1.0), a_row("p2", t_total_s=1.0)])
     good = path.read_text()
@@ -248,11 +248,11 @@ def test_what_is_no_file_of_rows_is_named_by_line_and_column(tmp_path):
         (good.replace("backend", "engine"), "line 1, column 7: expected backend, found engine"),
         ("schema\x1b[31m" + "x" * 9000, "found schema.*use another --out"),
         ("", "expected schema, found nothing"),
-        (good[:-3], f"line 3: {len(COLUMNS) - 2} fields, expected {len(COLUMNS)}"),
+        (good[:-3], f"line 3: {len(ROW_COLUMNS) - 2} fields, expected {len(ROW_COLUMNS)}"),
     ]
     for column, text in (*FIELDS.items(), ("t_total_s", "fast")):
         fields = last.split(",")
-        fields[COLUMNS.index(column)] = text
+        fields[ROW_COLUMNS.index(column)] = text
         bad = "\n".join([*lines, ",".join(fields)]) + "\n"
         cases.append((bad, f"rows.csv, line 3: {column} is '?{text}"))
     for text, words in cases:
