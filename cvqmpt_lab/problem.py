@@ -36,7 +36,7 @@ import numpy as np
 
 from cvqmpt_lab.base.codec import Document, OneOrMore
 from cvqmpt_lab.base.errors import InvalidProblemError, mapping, unique
-from cvqmpt_lab.base.values import TURN, Array, Condition, FloatArray, Name, frozen
+from cvqmpt_lab.base.values import FULL_TURN_RAD, Array, Condition, FloatArray, Name, frozen
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.collision.solids import reach_with
 from cvqmpt_lab.constraints.inverse_kinematics import (
@@ -209,7 +209,7 @@ class PlanningProblem(Document):
         for label, q in self.labelled_configurations():
             outside = self.robot.joint_outside_limits(q)
             if outside is not None:
-                cure = "degrees? Give radians" if outside[1] > TURN else "move it inside"
+                cure = "degrees? Give radians" if outside[1] > FULL_TURN_RAD else "move it inside"
                 raise InvalidProblemError(
                     f"{self.name}: {label} is outside the limits: {outside[0]} by "
                     f"{outside[1]:.4g}; {cure}"

@@ -1,4 +1,4 @@
-"""Files are read and written whole or not at all; errors are one printable line."""
+"""Files are read and written completely or not at all; errors are one printable line."""
 
 import os
 import pickle
@@ -12,7 +12,7 @@ from refusals import refused
 from cvqmpt_lab.base import caches
 from cvqmpt_lab.base.caches import cache_folder, trusted_cache
 from cvqmpt_lab.base.errors import (
-    LONGEST_LINE,
+    MAX_MESSAGE_CHARACTERS,
     InvalidInputError,
     RunStoreError,
     UnknownChoiceError,
@@ -53,14 +53,14 @@ def test_a_link_is_followed(tmp_path):
     assert (tmp_path / "link").is_symlink() and (tmp_path / "target").read_bytes() == b"new"
 
 
-def test_what_fails_while_writing_is_not_moved_into_place(tmp_path):
+def test_a_file_whose_writing_fails_is_not_moved_into_place(tmp_path):
     with pytest.raises(RuntimeError), replacing(tmp_path / "film.gif") as temporary:
         temporary.write_text("half")
         raise RuntimeError
     assert names(tmp_path) == []
 
 
-def test_who_locks_a_folder_clears_what_killed_writers_left_in_it_and_nothing_else(tmp_path):
+def test_locking_a_folder_removes_temporary_files_of_killed_writers_and_nothing_else(tmp_path):
     (tmp_path / "shards").mkdir()
     with replacing(tmp_path / "shards" / "a.npz") as temporary:
         temporary.touch()
@@ -88,7 +88,7 @@ def test_who_locks_a_folder_clears_what_killed_writers_left_in_it_and_nothing_el
         (lambda p: json_value("[" * 100_000, "x"), "is not json"),
     ],
 )
-def test_what_cannot_be_read_or_written_is_named(tmp_path, use, words):
+def test_a_file_that_cannot_be_read_or_written_is_named(tmp_path, use, words):
     (tmp_path / "latin").write_bytes(b"\xe9")
     os.mkfifo(tmp_path / "pipe")
     refused(words, use, tmp_path)
@@ -109,18 +109,18 @@ def test_a_name_that_no_file_can_have_is_refused(tmp_path, name):
     ],
 )
 def test_an_error_is_one_printable_line_that_keeps_its_end(error):
-    assert str(error).isprintable() and len(str(error)) <= LONGEST_LINE
+    assert str(error).isprintable() and len(str(error)) <= MAX_MESSAGE_CHARACTERS
     assert "another" in str(error)[-60:]
     str(error).encode()
-    arrived = pickle.loads(pickle.dumps(error))  # as from a worker
+    arrived = pickle.loads(pickle.dumps(error))  # workers send errors like this
     assert type(arrived) is type(error) and str(arrived) == str(error)
 
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """A cache folder with one file, under a group-writable umask; no warning was given yet."""
+    """Cache folder with one file, made with a group-writable umask, before any warning."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    monkeypatch.setattr(caches, "_WARNED", threading.Event())
+    monkeypatch.setattr(caches, "_CACHE_WARNING", threading.Event())
     before = os.umask(0o002)
     place = trusted_cache(tmp_path / "own" / "cache" / "things")
     os.umask(before)
@@ -148,41 +148,43 @@ def test_a_cache_that_others_can_change_is_replaced_by_a_private_one_with_one_wa
     instead = trusted_cache(cache)
     assert instead == trusted_cache(cache) and str(instead).startswith(tempfile.gettempdir())
     assert instead.stat().st_mode & 0o022 == 0 and list(instead.iterdir()) == []
-    (told,) = recwarn.list
-    assert "others can write" in str(told.message) and str(instead) in str(told.message)
+    (warning,) = recwarn.list
+    message = str(warning.message)
+    assert "others can write" in message and str(instead) in message
     instead.chmod(0o777)
     assert trusted_cache(cache) is None and len(recwarn.list) == 1
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can give files away")
 @pytest.mark.parametrize("path", ["", "file", ".."])
-def test_what_belongs_to_another_user_is_not_used(cache, recwarn, path):
+def test_a_cache_of_another_user_is_not_used(cache, recwarn, path):
     os.chown(cache / path, 12345, -1)
     assert trusted_cache(cache) != cache
     assert "another user (id 12345)" in str(recwarn.list[0].message)
 
 
-def test_without_a_place_for_the_cache_a_temporary_one_is_used_and_without_that_none(
+def test_without_a_cache_folder_a_temporary_one_is_used_and_without_that_none(
     cache, recwarn, tmp_path, monkeypatch
 ):
-    """No user, root included, can make a folder below a file."""
+    """A folder below a file can be made by no user, not even root."""
     for temporary in (tmp_path / "temporary", cache / "file"):
         monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-        monkeypatch.setattr(caches, "_WARNED", threading.Event())
-        found, told = trusted_cache(cache / "file" / "below"), str(recwarn.pop(UserWarning).message)
-        assert f"{cache}/file/below is not writable" in told
-        assert "set XDG_CACHE_HOME and NUMBA_CACHE" in told
+        monkeypatch.setattr(caches, "_CACHE_WARNING", threading.Event())
+        found = trusted_cache(cache / "file" / "below")
+        message = str(recwarn.pop(UserWarning).message)
+        assert f"{cache}/file/below is not writable" in message
+        assert "set XDG_CACHE_HOME and NUMBA_CACHE" in message
         nowhere = temporary == cache / "file"
-        assert (found is None) == ("everything is computed again" in told) == nowhere
+        assert (found is None) == ("everything is computed again" in message) == nowhere
 
 
 @pytest.mark.parametrize(("named", "kept"), [("", "~/.cache"), ("here", "here"), ("/a/b", "/a/b")])
-def test_the_cache_lies_where_the_environment_says(tmp_path, monkeypatch, named, kept):
+def test_the_environment_variable_sets_the_cache_folder(tmp_path, monkeypatch, named, kept):
     monkeypatch.setenv("XDG_CACHE_HOME", named)
     monkeypatch.chdir(tmp_path)
     assert cache_folder() == tmp_path / Path(kept).expanduser() / "cvqmpt_lab"
 
 
-def test_a_cache_of_nobody_is_refused(monkeypatch):
+def test_a_cache_folder_of_an_unknown_user_is_refused(monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", "~nouser/x")
     refused("XDG_CACHE_HOME: no folder '~nouser/x'", cache_folder)

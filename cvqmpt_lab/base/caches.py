@@ -1,6 +1,6 @@
-"""Caches of what is slow to make: the latest in memory, arrays on disk.
+"""Caches of slow results: the latest values in memory, arrays on disk.
 
-A folder of the cache is used only if the user and root alone can change it.
+A cache folder is used only if nobody but the user and root can change it.
 """
 
 import contextlib
@@ -22,18 +22,19 @@ from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.base.files import replacing
 
 Made = TypeVar("Made")
-_WARNED = threading.Event()  # set once this process has warned of a cache folder
-_UMASK = threading.RLock()  # the umask belongs to the whole process
+_CACHE_WARNING = threading.Event()  # set after this process has warned about a cache folder
+_UMASK_LOCK = threading.RLock()  # the umask belongs to the whole process
 
 
 class LruCache(Generic[Made]):
     """Least-recently-used cache of at most `most` values."""
 
     def __init__(self, most: int) -> None:
-        self._most, self._made = most, OrderedDict[Hashable, Made]()
+        self._most = most
+        self._made = OrderedDict[Hashable, Made]()
 
     def get(self, key: Hashable, make: Callable[[], Made], use_cache: bool = True) -> Made:
-        """The value of a key, made if it is not there, or always without `use_cache`."""
+        """Return the value of a key; it is made if it is not there or `use_cache` is False."""
         if not use_cache or key not in self._made:
             self._made[key] = make()
             if len(self._made) > self._most:
@@ -43,7 +44,7 @@ class LruCache(Generic[Made]):
 
 
 def sources_digest(*places: Path) -> str:
-    """Hash of every source file in folders, or of single files, in hexadecimal."""
+    """Return a hash, in hexadecimal, of all source files in folders, or of single files."""
     digest = hashlib.sha256()
     for place in places:
         for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
@@ -59,13 +60,14 @@ def cached_arrays(
     fits: Callable[[Mapping[str, np.ndarray]], bool] = lambda arrays: True,
     most: int = 256,
 ) -> dict[str, np.ndarray]:
-    """What `make` returns, read from the cache on disk if it is there.
+    """Return the arrays that `make` returns, read from the cache on disk if they are there.
 
     Args:
         kind: folder of the cache.
-        made_of: all that the arrays depend on, the sources that make them included.
-        fits: whether arrays that were read can be what `make` returns; if not, they are made anew.
-        most: files of one kind; the oldest are deleted first.
+        made_of: all data that the arrays depend on, including the source code that makes them.
+        make: function that computes the arrays, by name.
+        fits: whether arrays from disk have the form of `make`'s; if not, they are computed again.
+        most: largest number of files of one kind; the oldest are deleted first.
     """
     folder = trusted_cache(cache_folder() / kind)
     if folder is None:
@@ -79,7 +81,7 @@ def cached_arrays(
         if fits(read):
             return read
     made: dict[str, Any] = dict(make())
-    with contextlib.suppress(InvalidInputError):  # no writable cache: made again the next time
+    with contextlib.suppress(InvalidInputError):  # no writable cache: computed again next time
         with written_by_owner_only(), replacing(path) as temporary, temporary.open("wb") as handle:
             np.savez(handle, **made)
         with contextlib.suppress(OSError):  # another process may delete them, too
@@ -90,12 +92,12 @@ def cached_arrays(
 
 
 def cache_folder() -> Path:
-    """The folder of this user's caches; it need not exist."""
+    """Return the folder of this user's caches; it may not exist yet."""
     return named_folder("XDG_CACHE_HOME", "~/.cache") / "cvqmpt_lab"
 
 
 def named_folder(variable: str, otherwise: str | Path) -> Path:
-    """Full path of the folder that an environment variable names; another if unset or empty."""
+    """Return the full path of the folder in an environment variable, or `otherwise` if unset."""
     named = os.environ.get(variable) or otherwise
     try:
         return Path(named).expanduser().absolute()
@@ -107,13 +109,13 @@ def named_folder(variable: str, otherwise: str | Path) -> Path:
 
 
 def trusted_cache(folder: Path) -> Path | None:
-    """A cache folder that only the user and root can change, made if need be, or None.
+    """Return a cache folder that only the user and root can change, or None; it is made if needed.
 
-    Machine code and pickles in a cache run with the user's rights: a folder that others could have
-    changed, or an empty one that cannot be written, is not used. One in the temporary folder is,
-    with one warning a process.
+    Machine code and pickles in a cache run with the user's rights. A folder that others could have
+    changed, or an empty folder that cannot be written, is replaced by one in the temporary folder;
+    a process warns once.
     """
-    import tempfile  # most commands use no cache
+    import tempfile  # imported here: most commands use no cache
 
     user = os.getuid() if hasattr(os, "getuid") else "user"
     faults = []
@@ -121,7 +123,7 @@ def trusted_cache(folder: Path) -> Path | None:
         try:
             with written_by_owner_only():
                 place.mkdir(parents=True, exist_ok=True)
-            place = place.resolve()  # no link on the way can be set to another folder afterwards
+            place = place.resolve()  # no symbolic link remains that could be changed later
             fault = _exposed(place)
             if fault is None and not os.access(place, os.W_OK) and not any(place.iterdir()):
                 fault = f"{place} is not writable"
@@ -130,8 +132,8 @@ def trusted_cache(folder: Path) -> Path | None:
         if fault is None:
             break
         faults.append(fault)
-    if faults and not _WARNED.is_set():
-        _WARNED.set()
+    if faults and not _CACHE_WARNING.is_set():
+        _CACHE_WARNING.set()
         instead = (
             f"{place} is used" if len(faults) == 1 else f"{faults[1]}: everything is computed again"
         )
@@ -141,9 +143,9 @@ def trusted_cache(folder: Path) -> Path | None:
 
 
 def _exposed(place: Path) -> str | None:
-    """Why others can change a folder or a file in it, or None; parents may be sticky, as /tmp."""
+    """Return why other users can change a folder or its files, or None; sticky parents are safe."""
     if not hasattr(os, "getuid"):
-        return None  # Windows: rights are no part of the mode, and profiles are the user's own
+        return None  # Windows: the mode has no rights, and profiles belong to the user
     with os.scandir(place) as inside:
         paths = [*(item.path for item in inside), str(place), *map(str, place.parents)]
     for path in paths:
@@ -161,8 +163,8 @@ def _exposed(place: Path) -> str | None:
 
 @contextlib.contextmanager
 def written_by_owner_only() -> Iterator[None]:
-    """Make files and folders that group and others cannot write, whatever the process's umask."""
-    with _UMASK:
+    """Make files and folders inside the block that group and others cannot write."""
+    with _UMASK_LOCK:
         before = os.umask(0o022)
         os.umask(before | 0o022)
         try:

@@ -1,10 +1,10 @@
-"""Frozen dataclasses from json and back: annotations of fields say how they are read.
+"""Read frozen dataclasses from JSON and write them; annotations of fields define the format.
 
-Understood are numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses and
-`Annotated[T, form]`. A form has `read(value, where)`, which makes a T from json or checks one, and
-`write(value)`, its json, where that is not the json of any T. A field "_comment" is ignored in
-every object. Errors begin with the path of the field. The json schemas for editors are files of
-their own, `schemas/*.json`.
+Annotations may be numbers, strings, booleans, `None`, `Literal`, tuples, mappings, dataclasses and
+`Annotated[T, form]`. A form has a method `read(value, where)`, which makes a T from JSON or checks
+a T, and may have `write(value)`, which returns JSON. Every object may have a field "_comment",
+which is ignored. Errors begin with the path of the field. The JSON schemas for editors are in
+`schemas/*.json`.
 """
 
 import dataclasses
@@ -33,21 +33,23 @@ from cvqmpt_lab.base.files import json_text, read_json_object, write_text
 from cvqmpt_lab.base.values import scalar
 
 Reader: TypeAlias = Callable[[Any, str], Any]
-COMMENT = "_comment"
-# mypy takes classes that define __hash__ for arguments that no cache can have
-cached: Any = cache
+cached: Any = cache  # untyped: mypy refuses classes that define __hash__ as arguments of a cache
 
 
 def from_plain(kind: Any, value: Any, where: str = "", complete: bool = False) -> Any:
-    """Make a value of type `kind` from json, or check one; errors begin with its path, `where`.
+    """Return a value of type `kind`, made from JSON or checked.
 
-    complete: fields with a default must be given too.
+    Args:
+        kind: a dataclass, a function (it is called with the fields) or another annotation.
+        value: JSON, or a value of type `kind`.
+        where: path of the value; errors begin with it.
+        complete: whether fields with a default must be given, too.
     """
     return _reader(kind, complete)(value, where)
 
 
 def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
-    """Json of a value of type `kind` (None: its own), without defaults unless complete."""
+    """Return the JSON of a value of type `kind` (None: its class); complete: with defaults."""
     kind = type(value) if kind is None else kind
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if value is None:
@@ -60,7 +62,8 @@ def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
         kinds = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
         return [to_plain(item, part, complete) for part, item in zip(kinds, value, strict=True)]
     if dataclasses.is_dataclass(value):
-        plain, defaults = {}, {} if complete else field_defaults(type(value))
+        plain = {}
+        defaults = {} if complete else field_defaults(type(value))
         for name, part in field_kinds(type(value)).items():
             item = getattr(value, name)
             if name not in defaults or content_of(item) != content_of(defaults[name]):
@@ -70,7 +73,7 @@ def to_plain(value: Any, kind: Any = None, complete: bool = False) -> Any:
 
 
 class Checked:
-    """Base of frozen dataclasses (eq=False), checked when made and compared by content."""
+    """Base of frozen dataclasses (eq=False) that are checked when made and compared by content."""
 
     def __post_init__(self) -> None:
         name = getattr(self, "name", None)
@@ -80,10 +83,10 @@ class Checked:
         self._check()
 
     def _check(self) -> None:
-        """Refuse fields that contradict each other; each alone has been checked."""
+        """Refuse fields that contradict each other; each of them has been checked before."""
 
     def changed(self, **fields: Any) -> Self:
-        """A copy with other fields, which are not checked."""
+        """Return a copy with other values of some fields, which are not checked."""
         return _made(type(self), {**_fields(self), **fields})
 
     def __eq__(self, other: object) -> bool:
@@ -97,23 +100,24 @@ class Checked:
 
 
 class Document(Checked):
-    """A value that is saved as a json file, whose field "schema" names its format and version."""
+    """A value that is saved as a JSON file; its field "schema" names format and version."""
 
     SCHEMA: ClassVar[str]
+    # option of `cvqmpt plan` by schema, for messages
     OPTIONS: ClassVar[Mapping[str, str]] = {
         "cvqmpt-problem/1": "--problem-file",
         "cvqmpt-task/1": "--task-file",
-    }  # of `cvqmpt plan`, by schema
+    }
 
     def to_dict(self) -> dict[str, Any]:
-        """Its json, the schema first."""
+        """Return the JSON object, the field "schema" first."""
         return {"schema": self.SCHEMA, **to_plain(self)}
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Inverse of `to_dict`; InvalidInputError names the path of the field that is wrong."""
+        """Make a value from what `to_dict` returns; errors name the path of the wrong field."""
         fields = dict(mapping(data, "", ", ".join(("schema", *field_kinds(cls)))))
-        fields.pop("$schema", None)  # where editors look for the json schema
+        fields.pop("$schema", None)  # for editors: the file of the JSON schema
         schema = fields.pop("schema", None)
         if schema != cls.SCHEMA:
             option = cls.OPTIONS.get(schema if isinstance(schema, str) else "")
@@ -124,12 +128,12 @@ class Document(Checked):
         return from_plain(cls, fields)
 
     def save(self, path: Path | str) -> None:
-        """Write it as json that people can read."""
+        """Write the value as an indented JSON file."""
         write_text(Path(path), json_text(self.to_dict()) + "\n")
 
     @classmethod
     def load(cls, path: Path | str, **changes: Any) -> Self:
-        """Read a file; errors name file and field. changes: fields to replace; None: kept."""
+        """Read a file; errors name file and field. changes: new values of fields; None: as read."""
         data = read_json_object(Path(path))
         data |= {name: value for name, value in changes.items() if value is not None}
         with located(f"{path}"):
@@ -137,20 +141,20 @@ class Document(Checked):
 
     @classmethod
     def with_named_files(cls, data: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """Json in which files that it names, by paths relative to a folder, are read."""
+        """Return JSON in which named files (paths relative to `folder`) are replaced by content."""
         return data
 
 
 @cached
 def field_kinds(kind: Any) -> dict[str, Any]:
-    """The annotation of each field of a dataclass, or argument of a function."""
+    """Return the annotation of each field of a dataclass, or argument of a function, by name."""
     hints = typing.get_type_hints(kind, include_extras=True)
     return {name: hints[name] for name in inspect.signature(kind).parameters}
 
 
 @cached
 def field_defaults(kind: Any) -> dict[str, Any]:
-    """The default of each field or argument that has one."""
+    """Return the default of each field, or argument, that has one, by name."""
     given = inspect.signature(kind).parameters.values()
     defaults = {item.name: item.default for item in given if item.default is not item.empty}
     for item in dataclasses.fields(kind) if isinstance(kind, type) else ():
@@ -162,15 +166,15 @@ def field_defaults(kind: Any) -> dict[str, Any]:
 # Forms of values.
 @dataclass(frozen=True)
 class Tagged:
-    """One of several dataclasses, chosen by a name in the json object with their fields."""
+    """Form of one of several dataclasses: a field of the JSON object names the class."""
 
-    key: str
+    key: str  # name of that field
     choices: Mapping[str, type]
-    # replaced when a file that has them is read
+    # classes that name a file; `Document.with_named_files` replaces them when a file is read
     by_path: Mapping[str, type] = field(default_factory=dict)
 
     def read(self, value: Any, where: str) -> Any:
-        """The dataclass that the name chooses."""
+        """Return an instance of the class that the object names."""
         if type(value) in self.choices.values():
             return value
         listed = ", ".join(self.choices)
@@ -180,42 +184,43 @@ class Tagged:
         name = fields.pop(self.key)
         if isinstance(name, str) and name in self.by_path:
             raise InvalidInputError(
-                f"{at(where, self.key)} {name!r} names a file: load what names it from a file too"
+                f"{at(where, self.key)} {name!r} names a file: load the object that contains it "
+                "from a file, too"
             )
         if not isinstance(name, str) or name not in self.choices:
             raise UnknownChoiceError(at(where, self.key), name, (*self.choices, *self.by_path))
         return _object(self.choices[name], False, fields, where)
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Its name, then its fields."""
+        """Return an object with the name of the class, then its fields."""
         name = next(name for name, kind in self.choices.items() if type(value) is kind)
         return {self.key: name, **to_plain(value)}
 
 
 @dataclass(frozen=True)
 class OneOrMore:
-    """Several values of a kind; json may hold a single one without the list."""
+    """Form of a tuple of values of one kind; in JSON a list, or a single value without a list."""
 
     kind: Any
 
     def read(self, value: Any, where: str) -> tuple:
-        """A tuple."""
+        """Return a tuple."""
         if isinstance(value, Mapping):
             return (from_plain(self.kind, value, where),)
         return _tuple((self.kind, ...), False)(value, where)
 
     def write(self, value: tuple) -> list:
-        """A list."""
+        """Return a list."""
         return [to_plain(item, self.kind) for item in value]
 
 
 # Reading.
 def _reader(kind: Any, complete: bool) -> Reader:
-    """The function that reads a type: (json, its path) -> value."""
+    """Return the function that reads values of a type: (JSON, its path) -> value."""
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
         return parts[1].read
-    if origin in (types.UnionType, typing.Union):  # with None only
+    if origin in (types.UnionType, typing.Union):  # a union is always `T | None`
         given = _reader(parts[0], complete)
         return lambda value, where: None if value is None else given(value, where)
     if origin is Literal:
@@ -235,13 +240,14 @@ def _field_readers(kind: Any, complete: bool) -> dict[str, Reader]:
 
 
 def _object(kind: Any, complete: bool, value: Any, where: str) -> Any:
-    """A dataclass from a json object with its fields, or itself; a function's value likewise."""
+    """Build a dataclass from a JSON object, or return an instance unchanged; or call a function."""
     if isinstance(kind, type) and isinstance(value, kind):
         return value
     readers = _field_readers(kind, complete)
-    listed, defaults = ", ".join(readers), {} if complete else field_defaults(kind)
+    listed = ", ".join(readers)
+    defaults = {} if complete else field_defaults(kind)
     for name in mapping(value, where, listed):
-        if name not in readers and name != COMMENT:
+        if name not in readers and name != "_comment":
             unknown = f"{at(where, shown(name)[1:-1])} is unknown{nearest(name, readers)}"
             raise InvalidInputError(f"{unknown}; fields: {listed}")
     for name in readers:
@@ -259,14 +265,14 @@ def _object(kind: Any, complete: bool, value: Any, where: str) -> Any:
 
 
 def _made(kind: Any, fields: dict[str, Any]) -> Any:
-    """An instance of a frozen dataclass whose fields have been read."""
+    """Return an instance of a frozen dataclass from checked fields, without another check."""
     made = object.__new__(kind)
     vars(made).update(fields)
     return made
 
 
 def _tuple(parts: tuple[Any, ...], complete: bool) -> Reader:
-    """The reader of a tuple of fixed length, or of any when `parts` is (kind, ...)."""
+    """Return the reader of a tuple; `parts` are its types, or (kind, ...) for any length."""
     each = [_reader(part, complete) for part in parts if part is not Ellipsis]
     any_length = parts[-1] is Ellipsis
 
@@ -287,7 +293,7 @@ def _fields(value: Any) -> dict[str, Any]:
 
 
 def content_of(value: Any) -> Any:
-    """What is compared and hashed."""
+    """Return a hashable value that is equal for equal contents."""
     if isinstance(value, np.ndarray):
         return value.shape if value.size else (), value.tobytes()
     if isinstance(value, Mapping):

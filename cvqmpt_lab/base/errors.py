@@ -1,7 +1,7 @@
-"""Errors with a message of one line: the wrong value, valid choices, what to do.
+"""Errors whose message is one line: the wrong value, valid choices, what to do.
 
-The command line prints the message and exits with code 2. That a planner finds no path is a result
-(`PlanStatus`), not an exception.
+The command line prints the message and exits with code 2. A planner that finds no path returns a
+result (`PlanStatus`); this is not an error.
 """
 
 import contextlib
@@ -12,39 +12,38 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-LONGEST = 120  # characters of a value that a message shows
-LONGEST_LINE = 1200  # characters of a message
-MOST_CHOICES = 10  # that a message lists
+MAX_VALUE_CHARACTERS = 120  # of a value in a message
+MAX_MESSAGE_CHARACTERS = 1200
 
 
 def shown(value: object) -> str:
-    """Any value as one short line, for a message."""
+    """Return a value as one short line for a message."""
     short = reprlib.Repr()
     short.maxlist = short.maxtuple = short.maxdict = 8
     short.maxstring = short.maxlong = short.maxother = 80
     text = " ".join(short.repr(value).split())
-    return text if len(text) <= LONGEST else text[:LONGEST] + "..."
+    return text if len(text) <= MAX_VALUE_CHARACTERS else text[:MAX_VALUE_CHARACTERS] + "..."
 
 
 def nearest(value: object, choices: Iterable[object]) -> str:
-    """The most similar choice, as "; did you mean 'x'?", or "" if none is similar."""
-    import difflib  # for errors alone
+    """Return "; did you mean 'x'?" with the most similar choice, or "" if none is similar."""
+    import difflib  # imported here: only errors need it
 
     plain = {str(choice).lower(): str(choice) for choice in choices}
-    found = difflib.get_close_matches(str(value)[:LONGEST].lower(), plain, 1)
+    found = difflib.get_close_matches(str(value)[:MAX_VALUE_CHARACTERS].lower(), plain, 1)
     return f"; did you mean {plain[found[0]]!r}?" if found else ""
 
 
 def one_line(text: str) -> str:
-    """A message as one printable line; of a very long one the middle is left out."""
+    """Return a message as one printable line; the middle of a very long one is left out."""
     line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
-    if len(line) <= LONGEST_LINE:
+    if len(line) <= MAX_MESSAGE_CHARACTERS:
         return line
-    return f"{line[: LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 3 :]}"
+    return f"{line[: MAX_MESSAGE_CHARACTERS // 2]} ... {line[-MAX_MESSAGE_CHARACTERS // 3 :]}"
 
 
 class CvqmptError(Exception):
-    """Base of all errors of this package; always one line."""
+    """Base class of all errors of this package; the message is one line."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(one_line(str(message)))
@@ -55,16 +54,17 @@ class UnknownChoiceError(CvqmptError):
 
     def __init__(self, kind: str, value: object, choices: Iterable[object]) -> None:
         names = [str(choice) for choice in choices]
-        more = len(names) - MOST_CHOICES
-        listed = ", ".join(names[:MOST_CHOICES]) + (f", and {more} more" if more > 0 else "")
+        listed = ", ".join(names[:10])
+        if len(names) > 10:
+            listed += f", and {len(names) - 10} more"
         super().__init__(
             f"unknown {kind} {shown(value)}; valid choices: {listed}{nearest(value, names)}"
         )
-        self._asked = kind, value, names
+        self._arguments = kind, value, names
 
     def __reduce__(self) -> tuple:
-        """Pickle by the constructor's arguments, to send it from a worker to the main process."""
-        return UnknownChoiceError, self._asked
+        """Pickle by the constructor's arguments: workers send errors to the main process."""
+        return UnknownChoiceError, self._arguments
 
 
 class InvalidInputError(CvqmptError):
@@ -80,7 +80,14 @@ class RunStoreError(InvalidInputError):
 
 
 def whole_number(what: str, value: object, least: int = 0, most: int | None = None) -> int:
-    """Return a whole number from least to most (None: no bound); errors call it `what`."""
+    """Return `value` as an int; refuse anything but a whole number from `least` to `most`.
+
+    Args:
+        what: name of the value in errors.
+        value: a value of any type.
+        least: smallest valid number.
+        most: largest valid number; None: no limit.
+    """
     number = (
         int(value) if isinstance(value, Integral) and not isinstance(value, bool) else least - 1
     )
@@ -91,14 +98,21 @@ def whole_number(what: str, value: object, least: int = 0, most: int | None = No
 
 
 def require_kind(what: str, value: object, kind: type, cure: str = "") -> None:
-    """Refuse a value of another type; InvalidInputError calls it `what` and names both types."""
+    """Refuse a value that is not an instance of `kind`.
+
+    Args:
+        what: name of the value in errors.
+        value: a value of any type.
+        kind: the type that it must have.
+        cure: what to give instead, for the message; "": nothing more is said.
+    """
     if not isinstance(value, kind):
         found = f"{what} is a {type(value).__name__}, {shown(value)}"
         raise InvalidInputError(f"{found}; it must be a {kind.__name__}{cure and f': {cure}'}")
 
 
 def require_choice(what: str, value: Any, choices: Collection[object]) -> Any:
-    """Return a value that is in a table of choices; UnknownChoiceError calls it `what`."""
+    """Return `value` if it is in `choices`; else raise UnknownChoiceError about `what`."""
     if value not in choices:
         raise UnknownChoiceError(what, value, choices)
     return value
@@ -106,7 +120,7 @@ def require_choice(what: str, value: Any, choices: Collection[object]) -> Any:
 
 @contextlib.contextmanager
 def located(where: str) -> Iterator[None]:
-    """Put `where` in front of the message of an error raised inside."""
+    """Put `where` in front of the message of an error that is raised inside the block."""
     try:
         yield
     except CvqmptError as error:
@@ -126,12 +140,12 @@ def unique(names: Iterable[str], where: str) -> None:
 
 
 def at(where: str, field: str) -> str:
-    """Where a field is, for error messages: `object.field`."""
+    """Return the place of a field for error messages: `object.field`."""
     return f"{where}.{field}" if where and not where.endswith(" ") else f"{where}{field}"
 
 
 def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
-    """Return a value that is a json object; errors name the fields that it should have."""
+    """Return `value` if it is a JSON object; else refuse it, naming the `fields` of the object."""
     if not isinstance(value, Mapping):
         must = f"an object with {fields}" if fields else "an object"
         raise InvalidInputError(f"{where or 'this'} is {shown(value)}; it must be {must}")
@@ -139,23 +153,26 @@ def mapping(value: Any, where: str, fields: str = "") -> Mapping[str, Any]:
 
 
 def in_checkout() -> bool:
-    """Whether this runs in a checkout of the project, not as an installed wheel."""
+    """Return whether this code is in a checkout of the project, not in an installed wheel."""
     return (Path(__file__).parents[2] / "constraints.txt").is_file()
 
 
 def install_command(extra: str) -> str:
-    """Command that installs an extra; outside a checkout by its packages, as no index has ours."""
+    """Return the command that installs an extra; outside a checkout it lists the packages.
+
+    No package index has cvqmpt-lab itself.
+    """
     if in_checkout():
         return f".venv/bin/pip install -c constraints.txt -e '.[{extra}]'"
-    from importlib.metadata import requires  # for this message alone
+    from importlib.metadata import requires  # imported here: only this message needs it
 
     declared = [text.partition(";") for text in requires("cvqmpt-lab") or ()]
-    asked = [repr(name.strip()) for name, _, marker in declared if f'"{extra}"' in marker]
-    return f"pip install {' '.join(asked)}"
+    packages = [repr(name.strip()) for name, _, marker in declared if f'"{extra}"' in marker]
+    return f"pip install {' '.join(packages)}"
 
 
 def require_installed(module: str, what: str, extra: str) -> None:
-    """Raise InvalidInputError if a module of an extra, which `what` needs, is not installed."""
+    """Refuse to go on without a module that `what` needs; the message has the install command."""
     if importlib.util.find_spec(module) is None:
         raise InvalidInputError(
             f"{what} needs {module}, which is not installed: {install_command(extra)}"

@@ -1,4 +1,4 @@
-"""Read and write files: a written file is complete or not there, and errors name the path."""
+"""Read and write files: writing replaces a file completely or not at all; errors name the path."""
 
 import contextlib
 import csv
@@ -17,9 +17,10 @@ from cvqmpt_lab.base.errors import InvalidInputError, shown
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name beside `path` to write to, which is moved to `path` at the end.
+    """Yield a temporary path in the folder of `path`; its file is moved to `path` at the end.
 
-    After an error `path` is as it was; InvalidInputError says why. A link is followed.
+    After an error `path` is unchanged, and InvalidInputError names the reason. Symbolic links are
+    followed.
     """
     path = Path(path)
     if path.is_symlink():
@@ -52,7 +53,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder with its parents, unless it is there; InvalidInputError names it on failure."""
+    """Make a folder with its parents if it does not exist; errors name it."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -63,7 +64,7 @@ def make_folder(path: Path) -> Path:
 
 
 def require_regular_file(path: Path, what: str = "file", use: str = "read") -> Path:
-    """Refuse pipes, for which a reader would wait, and devices, which may have no end."""
+    """Return the path; refuse pipes (a reader would wait) and devices (they may have no end)."""
     path = Path(path)
     try:
         odd = path.exists() and not path.is_file() and not path.is_dir()
@@ -76,13 +77,13 @@ def require_regular_file(path: Path, what: str = "file", use: str = "read") -> P
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder's advisory lock for this process.
+    """Hold a folder's advisory lock during the block; refuse a folder that another process locks.
 
     Temporary files that killed processes left in the folder are removed.
     """
     handle = os.open(folder, os.O_RDONLY)
     try:
-        # a file system without locks: go on without one
+        # some file systems have no locks: go on without
         with contextlib.suppress(OSError):
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -91,7 +92,7 @@ def locked(folder: Path) -> Iterator[None]:
                     f"{folder} is in use by another run; wait or use another folder"
                 ) from None
             for path in Path(folder).rglob(".*.tmp"):
-                if re.fullmatch(r"\..+\.\d+\.tmp", path.name):  # names that `replacing` gives
+                if re.fullmatch(r"\..+\.\d+\.tmp", path.name):  # names made by `replacing`
                     path.unlink(missing_ok=True)
         yield
     finally:
@@ -107,7 +108,7 @@ def read_bytes(path: Path, what: str = "file") -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise InvalidInputError(f"cannot read {what} {path}: {error.strerror}") from error
-    except ValueError as error:  # no file can be called so
+    except ValueError as error:  # e.g. a null character in the name
         raise InvalidInputError(f"cannot read {what} {shown(str(path))}: {error}") from error
 
 
@@ -120,12 +121,12 @@ def read_text(path: Path, what: str = "file") -> str:
 
 
 def read_json_object(path: Path, what: str = "file") -> dict[str, Any]:
-    """Read a file with one json object."""
+    """Read a file that holds one JSON object."""
     return json_object(read_text(path, what), f"{what} {path}")
 
 
 def json_object(text: str, what: str) -> dict[str, Any]:
-    """The json object of a text, as `json_value`."""
+    """Return the JSON object of a text; see `json_value`."""
     data = json_value(text, what)
     if not isinstance(data, dict):
         raise InvalidInputError(f"{what} must hold one json object")
@@ -133,14 +134,14 @@ def json_object(text: str, what: str) -> dict[str, Any]:
 
 
 def json_value(text: str, what: str) -> Any:
-    """The value of a json text; a key twice in an object and half a character are refused."""
+    """Return the value of a JSON text; refuse a repeated key and half of a surrogate pair."""
     try:
         value = json.loads(text, object_pairs_hook=_unique_keys)
-        # half of a pair that stands for a character: no file can hold it
+        # half of a surrogate pair cannot be written to a file
         if "\\ud" in text.lower():
             json.dumps(value, ensure_ascii=False).encode("utf-8")
         return value
-    except (ValueError, RecursionError) as error:  # no json, or nested too deeply
+    except (ValueError, RecursionError) as error:  # not JSON, or nested too deeply
         raise InvalidInputError(f"{what} is not json: {error}") from error
 
 
@@ -154,7 +155,7 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def finite(value: Any) -> Any:
-    """The same with null for NaN and infinity, which json lacks."""
+    """Return the value with None in place of NaN and infinity, which JSON does not have."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, float):
@@ -163,23 +164,30 @@ def finite(value: Any) -> Any:
 
 
 def json_text(plain: Any, indent: int = 0, line: int = 120) -> str:
-    """Json text; what is short, rows of numbers and matrices of poses stand on one line."""
+    """Return indented JSON text; short values, rows of numbers and matrices are on one line.
+
+    Args:
+        plain: the value.
+        indent: number of spaces before the value.
+        line: longest line [characters] of a value that is not split.
+    """
     flat = json.dumps(plain, allow_nan=False)
     if not isinstance(plain, dict | list) or len(flat) + indent <= line or _is_row(plain):
         return flat
-    heads = (
-        [f"{json.dumps(key)}: " for key in plain] if isinstance(plain, dict) else [""] * len(plain)
-    )
-    items = plain.values() if isinstance(plain, dict) else plain
-    lines = [
-        head + json_text(item, indent + 1, line) for head, item in zip(heads, items, strict=True)
-    ]
-    brackets, pad = "{}" if isinstance(plain, dict) else "[]", "\n" + " " * (indent + 1)
-    return brackets[0] + pad + f",{pad}".join(lines) + pad[:-1] + brackets[1]
+    if isinstance(plain, dict):
+        opening, closing = "{", "}"
+        lines = [
+            f"{json.dumps(key)}: {json_text(item, indent + 1, line)}" for key, item in plain.items()
+        ]
+    else:
+        opening, closing = "[", "]"
+        lines = [json_text(item, indent + 1, line) for item in plain]
+    pad = "\n" + " " * (indent + 1)
+    return opening + pad + f",{pad}".join(lines) + pad[:-1] + closing
 
 
 def _is_row(plain: Any) -> bool:
-    """Whether it is a list of numbers, or a small matrix."""
+    """Return whether a value is a list of numbers or a small matrix."""
     if not isinstance(plain, list):
         return False
     rows = [item for item in plain if not isinstance(item, float | int | None)]
@@ -190,18 +198,18 @@ def _is_row(plain: Any) -> bool:
 
 
 def csv_table(lines: Iterable[Iterable[object]]) -> str:
-    """Csv text of lines of cells; None is an empty cell."""
+    """Return CSV text of lines of cells; None becomes an empty cell."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(lines)
     return text.getvalue()
 
 
 def yaml_value(text: str) -> Any:
-    """Dicts, lists, text and numbers of a yaml text; refuses tags, aliases and keys given twice.
+    """Return the value of a YAML text; refuse tags, aliases and repeated keys.
 
-    Aliases can grow without end. What is no yaml raises yaml's own errors.
+    Nested aliases could need unlimited memory. Malformed text raises yaml's own errors.
     """
-    import yaml  # planning without such files need not pay for it
+    import yaml  # imported here: most runs read no such file
 
     class Loader(yaml.SafeLoader):
         def compose_node(self, parent: Any, index: Any) -> Any:
@@ -216,21 +224,17 @@ def yaml_value(text: str) -> Any:
                 raise InvalidInputError(f"key {twice!r} occurs twice")
             return super().construct_mapping(node, deep)
 
-    # yaml 1.1 takes 1e-3 for text
+    # YAML 1.1 reads 1e-3 as text
     number = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
     return yaml.load(text, Loader)
 
 
-def differences(recorded: object, asked: object, name: str = "") -> list[str]:
-    """Describe every setting in which two json values differ, nested ones by dotted name."""
-    if not (isinstance(recorded, dict) and isinstance(asked, dict)):
-        return (
-            []
-            if recorded == asked
-            else [f"{name} was {json.dumps(recorded)}, now {json.dumps(asked)}"]
-        )
+def differences(before: object, now: object, name: str = "") -> list[str]:
+    """Describe every setting in which two JSON values differ, nested ones by dotted name."""
+    if not (isinstance(before, dict) and isinstance(now, dict)):
+        return [] if before == now else [f"{name} was {json.dumps(before)}, now {json.dumps(now)}"]
     found = []
-    for key in sorted(recorded.keys() | asked.keys()):
-        found += differences(recorded.get(key), asked.get(key), f"{name}.{key}" if name else key)
+    for key in sorted(before.keys() | now.keys()):
+        found += differences(before.get(key), now.get(key), f"{name}.{key}" if name else key)
     return found

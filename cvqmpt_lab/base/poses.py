@@ -9,7 +9,7 @@ import numpy as np
 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.values import LARGEST, TURN, Array, FloatArray
+from cvqmpt_lab.base.values import FULL_TURN_RAD, MAX_LENGTH_M, Array, FloatArray
 
 MATRIX = Array((4, 4), "numbers, or {xyz, rpy} or {xyz, quaternion}")
 
@@ -31,7 +31,7 @@ def rigid(R: np.ndarray | list[list[float]], xyz: Iterable[float] = (0.0, 0.0, 0
 
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
-    """Rotations (k, 3, 3) of rotation vectors (k, 3) [rad], as scipy's to the last bit."""
+    """Return rotations (k, 3, 3) of rotation vectors (k, 3) [rad], bit for bit as scipy."""
     R = np.empty((len(vectors), 3, 3))
     for matrix, (a, b, c) in zip(R, vectors.tolist(), strict=True):
         angle = math.sqrt(a * a + b * b + c * c)
@@ -43,7 +43,7 @@ def rotation_matrices(vectors: FloatArray) -> FloatArray:
 
 
 def _of_quaternion(x: float, y: float, z: float, w: float) -> list[list[float]]:
-    """The rotation of a quaternion of length 1."""
+    """Return the rotation of a quaternion of length 1."""
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
     return [
         [xx - yy - zz + ww, 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -53,17 +53,16 @@ def _of_quaternion(x: float, y: float, z: float, w: float) -> list[list[float]]:
 
 
 def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> list[list[float]]:
-    """Rz(yaw) Ry(pitch) Rx(roll), as scipy's to the last bit; scipy takes 0.3 s to import."""
-    (a, b, c), (p, q, r) = zip(
-        *((math.sin(angle / 2), math.cos(angle / 2)) for angle in (roll, pitch, yaw)), strict=True
-    )
-    # the quaternion of Ry Rx, then that of Rz before it
+    """Return Rz(yaw) Ry(pitch) Rx(roll), bit for bit as scipy, whose import takes 0.3 s."""
+    a, b, c = (math.sin(angle / 2) for angle in (roll, pitch, yaw))
+    p, q, r = (math.cos(angle / 2) for angle in (roll, pitch, yaw))
+    # first the quaternion of Ry Rx, then of Rz Ry Rx
     x, y, z, w = q * a, b * p, -b * a, q * p
     return _of_quaternion(r * x - c * y, r * y + c * x, r * z + c * w, r * w - c * z)
 
 
 def ros_vector(value: Any) -> Any:
-    """A list of numbers that ROS may write as {x, y, z} or {x, y, z, w}; else as it is."""
+    """Return ROS's {x, y, z} or {x, y, z, w} as a list; any other value unchanged."""
     if not isinstance(value, Mapping):
         return value
     return [value[axis] for axis in "xyzw" if axis in value]
@@ -71,7 +70,7 @@ def ros_vector(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Placement:
-    """A pose as a position, and angles or a quaternion."""
+    """A pose given by a position and angles or a quaternion."""
 
     xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position [m]
     # roll, pitch, yaw about fixed x, y, z [rad], as in a URDF
@@ -81,7 +80,7 @@ class Placement:
     def __post_init__(self) -> None:
         if self.rpy is not None and self.quaternion is not None:
             raise InvalidInputError("give 'rpy' or 'quaternion', one of the two")
-        if (most := max(map(abs, self.rpy or (0.0,)))) > TURN:
+        if (most := max(map(abs, self.rpy or (0.0,)))) > FULL_TURN_RAD:
             raise InvalidInputError(
                 f"'rpy' holds {most:g}, more than 2 pi: degrees? Give radians, 90 degrees are "
                 "1.5708"
@@ -94,7 +93,7 @@ class Placement:
 
     @property
     def matrix(self) -> FloatArray:
-        """The same as a (4, 4) array."""
+        """The pose as a (4, 4) array."""
         T = pose(self.xyz)
         if self.rpy is not None:
             T[:3, :3] = rotation_of_rpy(*self.rpy)
@@ -106,34 +105,35 @@ class Placement:
 
 
 def _not_rigid(T: FloatArray) -> str | None:
-    """Why a finite matrix (4, 4) is no rigid pose (R R^T = 1, det R > 0), in words, or None."""
-    R, off = T[:3, :3], float(np.abs(T[:3, 3]).max())
+    """Return why a finite matrix (4, 4) is not a rigid pose (R R^T = 1, det R > 0), or None."""
+    R = T[:3, :3]
+    distance = float(np.abs(T[:3, 3]).max())
     if T[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         return f"last row is {T[3].tolist()}, not 0 0 0 1"
     with np.errstate(over="ignore", invalid="ignore"):
         orthonormal = np.abs(R @ R.T - np.eye(3)) <= 1e-6 + 1e-5 * np.eye(3)
     if not orthonormal.all():
         return "rotation part is not orthonormal"
-    if off > LARGEST:
-        return f"position is {off:.3g} m off, more than {LARGEST:g}; give metres"
+    if distance > MAX_LENGTH_M:
+        return f"position is {distance:.3g} m away, more than {MAX_LENGTH_M:g}; give metres"
     return "rotation part is mirrored" if np.linalg.det(R) < 0.0 else None
 
 
 class PoseForm:
-    """A matrix, or a position with angles or a quaternion."""
+    """Form of a pose: a matrix, or a position with angles or a quaternion."""
 
     def read(self, value: Any, where: str) -> FloatArray:
-        """A read-only rigid pose (4, 4)."""
+        """Return a read-only rigid pose (4, 4)."""
         if isinstance(value, Mapping):
             value = from_plain(Placement, value, where).matrix
         T = MATRIX.read(value, where)
         fault = _not_rigid(T)
         if fault is not None:
-            raise InvalidInputError(f"{where} is no rigid pose: its {fault}")
+            raise InvalidInputError(f"{where} is not a rigid pose: its {fault}")
         return T
 
     def write(self, value: FloatArray) -> Any:
-        """The position if the rotation is the identity, else the matrix, which is exact."""
+        """Return the position if the rotation is the identity, else the matrix, which is exact."""
         return (
             {"xyz": value[:3, 3].tolist()}
             if np.array_equal(value[:3, :3], np.eye(3))
@@ -145,18 +145,20 @@ Pose = Annotated[FloatArray, PoseForm()]
 
 
 def tilts(matrices: np.ndarray) -> np.ndarray:
-    """Angles (k,) [rad] between z = (0, 0, 1) and R z of rotations (k, 3, 3), exact near 0 and pi.
+    """Return angles (k,) [rad] between z and R z of rotations (k, 3, 3), accurate near 0 and pi.
 
-    Of unit vectors a, b it is 2 atan2(|a - b|, |a + b|).
+    The angle of unit vectors a, b is 2 atan2(|a - b|, |a + b|).
     """
-    z, turned = np.array([0.0, 0.0, 1.0]), np.asarray(matrices)[:, :, 2]
+    z = np.array([0.0, 0.0, 1.0])
+    turned = np.asarray(matrices)[:, :, 2]
     return 2.0 * np.arctan2(np.linalg.norm(z - turned, axis=1), np.linalg.norm(z + turned, axis=1))
 
 
 def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
-    """Return the rotation vectors (k, 3) [rad] of rotations (k, 3, 3), of angles up to pi.
+    """Return the rotation vectors (k, 3) [rad] of rotations (k, 3, 3); angles are at most pi.
 
-    By unit quaternions q: along the row of 4 q q^T (from R) with the largest diagonal entry.
+    R gives the matrix 4 q q^T of the unit quaternion q, and the row with the largest diagonal entry
+    gives q.
     """
     m = np.asarray(matrices).reshape(-1, 3, 3)
     trace = np.trace(m, axis1=1, axis2=2)

@@ -1,4 +1,4 @@
-"""Workers that end with their parent process, their memory, and numeric libraries on one thread."""
+"""Worker processes: end with the parent, limited memory, numeric libraries on one thread."""
 
 import ctypes
 import os
@@ -13,19 +13,19 @@ from pathlib import Path
 
 from threadpoolctl import ThreadpoolController
 
-_ONE_AT_A_TIME = threading.RLock()
+_ONE_THREAD_LOCK = threading.RLock()
 
 
 def end_with_parent(parent: int, number: int = signal.SIGTERM) -> None:
-    """End this process by a signal when `parent`, whose thread started it, ends (Linux)."""
+    """End this process by signal `number` when its parent process ends (Linux only)."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, number)  # PR_SET_PDEATHSIG
-        if os.getppid() != parent:  # it has ended already
+        if os.getppid() != parent:  # the parent has ended already
             os._exit(1)
 
 
 def limit_memory(most: int) -> None:
-    """Give this process at most so many bytes, and let it be killed first when memory runs out."""
+    """Limit this process's memory [bytes], and raise its score for being killed without memory."""
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_DATA, (most, most))
     with suppress(OSError):
@@ -34,15 +34,15 @@ def limit_memory(most: int) -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let BLAS and OpenMP use one thread: else rounding, and paths, depend on the cores.
+    """Let BLAS and OpenMP use one thread: else rounding, and paths, depend on the number of cores.
 
-    The limit holds for the whole process: another thread that asks for it waits.
+    The limit holds for the whole process: another thread that enters this block waits.
     """
-    with _ONE_AT_A_TIME, _libraries(torch="torch" in sys.modules).limit(limits=1):
+    with _ONE_THREAD_LOCK, _libraries(torch="torch" in sys.modules).limit(limits=1):
         yield
 
 
 @lru_cache(maxsize=2)
 def _libraries(*, torch: bool) -> ThreadpoolController:
-    """The loaded libraries; searched again once torch is imported, as it brings its own."""
+    """Return the loaded libraries; they are searched again after torch, which loads more."""
     return ThreadpoolController()

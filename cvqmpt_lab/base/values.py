@@ -1,4 +1,4 @@
-"""Numbers, names, lengths, angles, arrays of json or calls: read, or refused by field's path."""
+"""Check numbers, names, lengths, angles and arrays; errors begin with the path of the field."""
 
 import contextlib
 import math
@@ -14,12 +14,12 @@ from cvqmpt_lab.base.errors import InvalidInputError, shown
 
 Kept = TypeVar("Kept")
 FloatArray: TypeAlias = npt.NDArray[np.float64]
-TURN = 2.0 * np.pi  # [rad]; larger angles are degrees
-LARGEST = 1e6  # [m] of a length or a coordinate: more is a misplaced unit, whose powers overflow
+FULL_TURN_RAD = 2.0 * np.pi  # larger angles are refused: probably degrees
+MAX_LENGTH_M = 1e6  # larger lengths and coordinates are refused: wrong unit, and powers overflow
 
 
 def frozen(value: Kept) -> Kept:
-    """The value itself; arrays that it or its tuples hold can no longer be written to."""
+    """Return the value; arrays in it, also inside tuples, are made read-only."""
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
     elif isinstance(value, tuple):
@@ -29,7 +29,7 @@ def frozen(value: Kept) -> Kept:
 
 
 def scalar(kind: type, value: Any, where: str) -> Any:
-    """A number, text or boolean."""
+    """Return `value` as a `kind`: float, int, str or bool; refuse another type, NaN, int < 0."""
     abstract = {float: Real, int: Integral}.get(kind, kind)
     if isinstance(value, abstract) and isinstance(value, bool) == (kind is bool):
         with contextlib.suppress(OverflowError):
@@ -43,7 +43,7 @@ def scalar(kind: type, value: Any, where: str) -> Any:
 
 
 def numbers(value: Any, where: str, what: str = "numbers") -> FloatArray:
-    """A float copy of an array or nested lists of numbers; not of text, booleans, ragged lists."""
+    """Return an array or nested lists as a float copy; refuse text, booleans and ragged lists."""
     try:
         if not isinstance(value, np.ndarray):
             entries = np.array(value, dtype=object).ravel()
@@ -57,14 +57,14 @@ def numbers(value: Any, where: str, what: str = "numbers") -> FloatArray:
 
 @dataclass(frozen=True)
 class Condition:
-    """A scalar that meets a condition."""
+    """Form of a scalar that meets a condition."""
 
     kind: type  # float, int or str
     holds: Callable[[Any], bool]
-    must: str  # the condition, after "it must be"
+    must: str  # the condition in words, for messages: "it must be ..."
 
     def read(self, value: Any, where: str) -> Any:
-        """Refuse a value without the condition."""
+        """Return the value; refuse one that does not meet the condition."""
         value = scalar(self.kind, value, where)
         if not self.holds(value):
             raise InvalidInputError(f"{where} is {shown(value)}; it must be {self.must}")
@@ -73,14 +73,14 @@ class Condition:
 
 @dataclass(frozen=True)
 class Array:
-    """Finite numbers of a shape, read as a read-only array."""
+    """Form of an array: finite numbers of a shape, read-only after reading."""
 
     shape: tuple[int | None, ...]  # None for any length
-    what: str = "numbers"  # what they are, with the unit
-    largest: float = np.inf  # number that is understood, either sign
+    what: str = "numbers"  # description with the unit, for messages
+    largest: float = np.inf  # largest valid absolute value
 
     def read(self, value: Any, where: str) -> FloatArray:
-        """Refuse another shape, NaN and infinity."""
+        """Return the array; refuse another shape, NaN and infinity."""
         array = numbers(value, where, self.what)
         fits = len(array.shape) == len(self.shape)
         if not fits or any(
@@ -99,7 +99,7 @@ class Array:
         return frozen(array)
 
     def write(self, value: FloatArray) -> list:
-        """Nested lists."""
+        """Return the array as nested lists."""
         return value.tolist()
 
 
@@ -111,7 +111,9 @@ Name = Annotated[
 ]
 Length = Annotated[
     float,
-    Condition(float, lambda x: 0.0 < x <= LARGEST, f"a positive length, up to {LARGEST:g} [m]"),
+    Condition(
+        float, lambda x: 0.0 < x <= MAX_LENGTH_M, f"a positive length, up to {MAX_LENGTH_M:g} [m]"
+    ),
 ]
 Mass = Annotated[
     float, Condition(float, lambda x: 0.0 < x <= 1e3, "a mass above 0, up to 1000 [kg]")
@@ -119,14 +121,16 @@ Mass = Annotated[
 Padding = Annotated[
     float,
     Condition(
-        float, lambda x: 0.0 <= x <= LARGEST, f"a length of 0 or more, up to {LARGEST:g} [m]"
+        float,
+        lambda x: 0.0 <= x <= MAX_LENGTH_M,
+        f"a length of 0 or more, up to {MAX_LENGTH_M:g} [m]",
     ),
 ]
 Angle = Annotated[
     float,
     Condition(
         float,
-        lambda x: 0.0 <= x <= TURN,
+        lambda x: 0.0 <= x <= FULL_TURN_RAD,
         "from 0 to 2 pi [rad]: degrees? 10 degrees are 0.1745 rad",
     ),
 ]

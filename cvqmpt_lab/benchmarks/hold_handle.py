@@ -9,7 +9,7 @@ import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.poses import rigid
-from cvqmpt_lab.base.values import TURN
+from cvqmpt_lab.base.values import FULL_TURN_RAD
 from cvqmpt_lab.constraints.task_space_region import Axis
 from cvqmpt_lab.robot.hulls import convex_hull
 from cvqmpt_lab.robot.load import robot_from_source
@@ -69,7 +69,7 @@ def _fingers(source: Mapping[str, Any]) -> list[Joint]:
     ]
     free = [joint for joint in behind if joint.immovable_reason is None]
     # the hand of TIAGo has tendons that turn by more than a joint can be held at
-    return free if all(max(-f.lower, f.upper) <= TURN for f in free) else []
+    return free if all(max(-f.lower, f.upper) <= FULL_TURN_RAD for f in free) else []
 
 
 def _set(source: Mapping[str, Any], fingers: Sequence[Joint], share: float) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from typing import Annotated, Any, get_args
 
 import numpy as np
 
-from cvqmpt_lab.base.codec import COMMENT, field_kinds, from_plain
+from cvqmpt_lab.base.codec import field_kinds, from_plain
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
     at,
@@ -167,7 +167,7 @@ class RegionForm:
         if isinstance(value, TaskSpaceRegion):
             return value
         full = field_kinds(TaskSpaceRegionChain)
-        keys = [key for key in mapping(value, where, ", ".join(full)) if key != COMMENT]
+        keys = [key for key in mapping(value, where, ", ".join(full)) if key != "_comment"]
         unknown = next((key for key in keys if key not in (*full, *NAMED)), None)
         if unknown is not None:
             raise InvalidInputError(

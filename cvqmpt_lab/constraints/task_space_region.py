@@ -12,7 +12,7 @@ import numpy as np
 from cvqmpt_lab.base.codec import Checked
 from cvqmpt_lab.base.errors import InvalidInputError, shown
 from cvqmpt_lab.base.poses import Pose, rigid, rotation_matrices, tilts
-from cvqmpt_lab.base.values import TURN, Angle, FloatArray, Name, frozen, numbers
+from cvqmpt_lab.base.values import FULL_TURN_RAD, Angle, FloatArray, Name, frozen, numbers
 from cvqmpt_lab.constraints.project import project, projection_scratch
 from cvqmpt_lab.constraints.regions import Regions, batch_residual_and_jacobian
 from cvqmpt_lab.robot.robot import Robot
@@ -59,7 +59,7 @@ class BoundsForm:
                     f"lower <= upper is needed in {ROWS_TEXT}"
                 )
         turns = np.abs(Bw[3:], where=np.isfinite(Bw[3:]), out=np.zeros((3, 2)))
-        if (most := turns.max()) > TURN:
+        if (most := turns.max()) > FULL_TURN_RAD:
             raise InvalidInputError(
                 f"{where} bounds a rotation by {most:g} rad, more than 2 pi: degrees? 10 degrees "
                 "are 0.1745 rad"

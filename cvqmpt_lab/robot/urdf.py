@@ -23,7 +23,7 @@ from cvqmpt_lab.base.errors import (
     unique,
 )
 from cvqmpt_lab.base.files import read_text
-from cvqmpt_lab.base.values import TURN, scalar
+from cvqmpt_lab.base.values import FULL_TURN_RAD, scalar
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ def held_joints(
     for name, value in locked.items():
         require_choice("joint to lock", name, movable)
         number = scalar(float, value, f"locked value [rad or m] of joint {name!r}")
-        if movable[name].kind != "prismatic" and abs(number) > TURN:
+        if movable[name].kind != "prismatic" and abs(number) > FULL_TURN_RAD:
             raise InvalidInputError(
                 f"joint {name!r} cannot be locked at {number:g} rad, more than 2 pi: degrees? "
                 "Give radians"
@@ -296,7 +296,9 @@ def one_coordinate_a_joint(urdf: Urdf) -> ElementTree.Element:
                 limit = ElementTree.SubElement(element, "limit")
             # pinocchio needs velocity and effort; a continuous joint may leave them out
             given = {"velocity": "0", "effort": "0"} | limit.attrib
-            limit.attrib.update(given | {"lower": repr(-TURN), "upper": repr(TURN)})
+            limit.attrib.update(
+                given | {"lower": repr(-FULL_TURN_RAD), "upper": repr(FULL_TURN_RAD)}
+            )
             element.set("type", "revolute")
         elif kind in ("floating", "planar"):
             element.set("type", "fixed")

@@ -14,9 +14,9 @@ import numpy as np
 
 from cvqmpt_lab.base.codec import Checked, Tagged
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.base.values import LARGEST, Array, FloatArray, Length, Name, Padding
+from cvqmpt_lab.base.values import MAX_LENGTH_M, Array, FloatArray, Length, Name, Padding
 
-Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]", LARGEST)]
+Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]", MAX_LENGTH_M)]
 MIN_THICKNESS = 1e-4  # [m] below which hulls are not built: their faces would be noise
 
 

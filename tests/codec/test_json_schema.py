@@ -1,4 +1,4 @@
-"""The shipped json schemas have the code's fields, accept what it writes, refuse what it does."""
+"""JSON schemas have the fields of the code, accept its output and refuse wrong files."""
 
 import json
 from pathlib import Path
@@ -23,7 +23,14 @@ FOLDER = Path(cvqmpt_lab.__file__).parent / "schemas"
 KINDS = {"problem": (PlanningProblem, RobotSource), "task": (Task, *PHASES.values())}
 BOTH = (Scene, SceneObject, Articulation, Attachment, Placement)
 BOTH += (TaskSpaceRegion, TaskSpaceRegionChain)
-APART = {"schema", "$schema", "_comment", "type", "kind", "articulated"}  # of all, and tags
+APART = {
+    "schema",
+    "$schema",
+    "_comment",
+    "type",
+    "kind",
+    "articulated",
+}  # fields of every object, and names of classes
 SPHERE = {"type": "sphere", "radius": 0.1}
 BALL = {"name": "b", "shape": SPHERE, "T_world_object": {"xyz": [2, 0, 0]}}
 START = {"pose": {"at": {"xyz": [0.4, 0.0, 0.6], "rpy": [3.0, 0.0, 0.0]}, "yaw": 3.15}}
@@ -36,7 +43,7 @@ def errors(name, data):
 
 @pytest.fixture
 def mine():
-    """A problem as a person writes it."""
+    """A problem as a user writes it."""
     return {
         "$schema": "problem.schema.json",
         "schema": "cvqmpt-problem/1",
@@ -51,7 +58,7 @@ def mine():
 
 
 def objects_of(schema):
-    """The fields, and those that must be given, of every object in a schema."""
+    """Return (all fields, required fields) of every object in a schema."""
     inside = schema.values() if isinstance(schema, dict) else schema
     found = {part for item in inside if isinstance(item, dict | list) for part in objects_of(item)}
     if isinstance(schema, dict) and "properties" in schema:
@@ -72,7 +79,7 @@ def test_the_schemas_that_ship_have_the_fields_of_the_code(name):
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_what_the_code_writes_and_wrote_is_valid(name, request):
+def test_files_that_the_code_writes_and_old_files_are_valid(name, request):
     old = json.loads((request.path.parents[1] / "data" / f"{name}-1.json").read_text())
     assert errors(name, old) == []
     assert errors(name, json.loads(json_text(KINDS[name][0].from_dict(old).to_dict()))) == []
@@ -92,7 +99,7 @@ def test_what_the_code_writes_and_wrote_is_valid(name, request):
     ],
     ids=str,
 )
-def test_what_the_code_refuses_is_marked(mine, change):
+def test_the_schema_marks_errors_that_the_code_refuses(mine, change):
     assert errors("problem", mine | change)
     refused(".", PlanningProblem.from_dict, mine | change)
 

@@ -1,4 +1,4 @@
-"""The codec: values from json; what is refused stands in test_wrong_files."""
+"""The codec reads and writes JSON; `test_wrong_files` has the refusals."""
 
 import re
 
@@ -16,15 +16,15 @@ BALL = {"type": "sphere", "radius": 0.1}
 CAN = {"name": "can", "shape": BALL, "T_hand_object": {"xyz": [1.0, 0.0, 0.0]}}
 
 
-def test_defaults_are_left_out_and_may_be_missing_unless_all_is_asked_for():
+def test_defaults_are_left_out_and_may_be_missing_unless_complete():
     can = from_plain(Attachment, CAN)
     assert to_plain(can) == CAN
     assert to_plain(can, complete=True)["mass"] is None
-    told = "mass is missing; fields: name, shape, T_hand_object"
-    refused(told, from_plain, Attachment, CAN, complete=True)
+    message = "mass is missing; fields: name, shape, T_hand_object"
+    refused(message, from_plain, Attachment, CAN, complete=True)
 
 
-def test_poses_are_written_by_people_in_three_ways():
+def test_poses_have_three_forms_in_json():
     def placed(data):
         return from_plain(Attachment, CAN | {"T_hand_object": data}).T_hand_object
 

@@ -1,4 +1,4 @@
-"""Wrong problem and task files end in one line: the file, the path of the field, and the cure."""
+"""A wrong problem or task file gives one line: the file, the path of the field, the cure."""
 
 import json
 
@@ -10,7 +10,7 @@ from refusals import DATA, refused, table
 from cvqmpt_lab.benchmarks.two_arms import two_arms_problem
 from cvqmpt_lab.problem import PlanningProblem
 
-TABLE = table("wrong_problems")  # a value in json; none takes the field out
+TABLE = table("wrong_problems")  # column value: JSON; empty: the field is deleted
 READY = [0.0, -0.7, 0.0, -2.3, 0.0, 1.6, 0.8]
 SPHERE = {"type": "sphere", "radius": 0.1}
 BALL = {"name": "b", "shape": SPHERE, "T_world_object": {"xyz": [2, 0, 0]}}
@@ -28,7 +28,7 @@ GOOD = {
 
 @pytest.fixture(scope="module")
 def good():
-    """Files that are changed: a problem, a task, and one of two hands that carry a tray."""
+    """Valid files by name: a problem, a task, a problem of two hands that carry a tray."""
     tray = two_arms_problem(0).to_dict()
     tray["robot"].setdefault("end_effectors", ["left_gripper", "right_gripper"])
     without = {name: value for name, value in tray.items() if name != "start"}
@@ -57,7 +57,7 @@ def test_one_line_names_the_field_and_the_cure(row, good, capsys, tmp_path, monk
     assert said.startswith("cvqmpt: mine.json: ") or row["base"].startswith("tray")
 
 
-def test_the_good_file_is_good_and_a_list_is_no_problem():
+def test_the_good_file_is_accepted_and_a_list_is_refused():
     PlanningProblem.from_dict(GOOD)
     refused("must be an object with schema, name, robot", PlanningProblem.from_dict, [])
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pebble import ProcessExpired, ProcessPool
 
-from cvqmpt_lab.base.errors import LONGEST_LINE, CvqmptError
+from cvqmpt_lab.base.errors import MAX_MESSAGE_CHARACTERS, CvqmptError
 
 MEMORY = 2**30  # [bytes] more than the process had at first
 HANG = 20.0  # [s] of wall time after which a file is given up
@@ -71,7 +71,7 @@ def answer(content):
         reader.use(path)
     except CvqmptError as error:
         text = str(error)
-        if len(text) > LONGEST_LINE or not text.isprintable():
+        if len(text) > MAX_MESSAGE_CHARACTERS or not text.isprintable():
             fault = f"an error of {len(text)} characters, not one printable line: {text[:80]!r}"
     except BaseException as error:
         fault = f"{type(error).__name__}: {str(error)[:200]!r}"

@@ -108,7 +108,9 @@ def test_a_goal_in_an_obstacle_says_what_collides(fresh):
 
 def test_wrong_poses_and_names_are_refused_and_ask_for_nothing(fresh):
     number = fresh.request.number
-    refused("goal is no rigid pose: its rotation", fresh.move_goal, np.diag([2.0, 1.0, 1.0, 1.0]))
+    refused(
+        "goal is not a rigid pose: its rotation", fresh.move_goal, np.diag([2.0, 1.0, 1.0, 1.0])
+    )
     refused("start", fresh.move_start, np.eye(3))
     refused("object of scene .* 'nope'", fresh.move_obstacle, "nope", np.eye(4))
     refused("unknown planner 'nope'", fresh.set_planner, "nope")
