@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-import cvqmpt_lab
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import (
     InvalidInputError,
@@ -93,7 +92,7 @@ def _new(args: argparse.Namespace) -> None:
         kind, made = "problem", problem_template(robot)
     schema = made["$schema"]
     write_text(writable_file(path), json_text({**made, "name": path.stem}) + "\n")
-    schemas = Path(cvqmpt_lab.__file__).parent / "schemas"
+    schemas = Path(__file__).parents[1] / "schemas"  # cvqmpt_lab holds cli
     write_text(path.parent / schema, read_text(schemas / schema))
     for note in notes:
         print(note)

@@ -1,67 +1,142 @@
 """Toolkit to reproduce CVQ-MPT: motion planning under constraints with learned sampling."""
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-_HOME = {
-    "Articulation": "scene.scene",
-    "Attachment": "scene.scene",
-    "Box": "scene.shapes",
-    "Budget": "search.result",
-    "certify": "certificate.certificate",
-    "ConvexMesh": "scene.shapes",
-    "Cylinder": "scene.shapes",
-    "draw": "show.picture",
-    "film_solution": "show.picture",
-    "GaussianMixture": "search.planner_interface",
-    "JointPath": "search.result",
-    "load_robot": "robot.load",
-    "Margin": "planning.margins",
-    "Method": "planning.planners",
-    "OccupancyMap": "scene.shapes",
-    "Placement": "base.poses",
-    "planner_named": "planning.planners",
-    "PLANNERS": "planning.planners",
-    "PlanningProblem": "problem",
-    "PointCloud": "scene.shapes",
-    "pose": "base.poses",
-    "read_cloud": "scene.cloud_files",
-    "read_mesh": "scene.mesh_files",
-    "read_scene": "scene.scene_files",
-    "region": "constraints.named",
-    "robot_from_source": "robot.load",
-    "save_trajectory": "trajectory.trajectory",
-    "Scene": "scene.scene",
-    "SceneObject": "scene.scene",
-    "solve": "planning.pipeline",
-    "solve_many": "planning.pipeline",
-    "solve_task": "tasks.solve",
-    "solve_with_margin": "planning.margins",
-    "Sphere": "scene.shapes",
-    "Task": "tasks.task",
-    "TaskSpaceRegion": "constraints.task_space_region",
-    "TaskSpaceRegionChain": "constraints.task_space_region",
-    "time_path": "trajectory.timing",
-    "TimingSettings": "trajectory.timing",
-    "upright": "constraints.task_space_region",
-    "upright_box": "constraints.task_space_region",
+# Editors and type checkers read these imports; at run time `__getattr__` does them when needed.
+if TYPE_CHECKING:
+    from cvqmpt_lab.base.poses import Placement, pose
+    from cvqmpt_lab.benchmarks.suite import suite_named
+    from cvqmpt_lab.certificate.certificate import certify
+    from cvqmpt_lab.certificate.motion_check import certified_motion
+    from cvqmpt_lab.constraints.named import region
+    from cvqmpt_lab.constraints.task_space_region import (
+        TaskSpaceRegion,
+        TaskSpaceRegionChain,
+        upright,
+        upright_box,
+    )
+    from cvqmpt_lab.execution.execute import execute_motion
+    from cvqmpt_lab.planning.margins import Margin, solve_with_margin
+    from cvqmpt_lab.planning.pipeline import solve, solve_many
+    from cvqmpt_lab.planning.planners import PLANNERS, Method, planner_named
+    from cvqmpt_lab.problem import PlanningProblem
+    from cvqmpt_lab.robot.load import load_robot, robot_from_source
+    from cvqmpt_lab.scene.cloud_files import read_cloud
+    from cvqmpt_lab.scene.mesh_files import read_mesh
+    from cvqmpt_lab.scene.scene import Articulation, Attachment, Scene, SceneObject
+    from cvqmpt_lab.scene.scene_files import read_scene
+    from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, OccupancyMap, PointCloud, Sphere
+    from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal
+    from cvqmpt_lab.search.result import Budget, JointPath
+    from cvqmpt_lab.show.picture import draw, film_solution
+    from cvqmpt_lab.tasks.solve import solve_task
+    from cvqmpt_lab.tasks.task import Task
+    from cvqmpt_lab.trajectory.timing import TimingSettings, time_path
+    from cvqmpt_lab.trajectory.trajectory import save_trajectory
+    from cvqmpt_lab.vqmpt.codebook import dictionary_gaussians
+    from cvqmpt_lab.vqmpt.weights import load_vq_mpt
+
+__all__ = [
+    "PLANNERS",
+    "Articulation",
+    "Attachment",
+    "Box",
+    "Budget",
+    "ConvexMesh",
+    "Cylinder",
+    "GaussianMixture",
+    "JointPath",
+    "Margin",
+    "Method",
+    "OccupancyMap",
+    "Placement",
+    "PlanningProblem",
+    "PointCloud",
+    "Proposal",
+    "Scene",
+    "SceneObject",
+    "Sphere",
+    "Task",
+    "TaskSpaceRegion",
+    "TaskSpaceRegionChain",
+    "TimingSettings",
+    "certified_motion",
+    "certify",
+    "dictionary_gaussians",
+    "draw",
+    "execute_motion",
+    "film_solution",
+    "load_robot",
+    "load_vq_mpt",
+    "planner_named",
+    "pose",
+    "read_cloud",
+    "read_mesh",
+    "read_scene",
+    "region",
+    "robot_from_source",
+    "save_trajectory",
+    "solve",
+    "solve_many",
+    "solve_task",
+    "solve_with_margin",
+    "suite_named",
+    "time_path",
+    "upright",
+    "upright_box",
+]
+
+_NAMES: dict[str, tuple[str, ...]] = {
+    "base.poses": ("Placement", "pose"),
+    "benchmarks.suite": ("suite_named",),
+    "certificate.certificate": ("certify",),
+    "certificate.motion_check": ("certified_motion",),
+    "constraints.named": ("region",),
+    "constraints.task_space_region": (
+        "TaskSpaceRegion",
+        "TaskSpaceRegionChain",
+        "upright",
+        "upright_box",
+    ),
+    "execution.execute": ("execute_motion",),
+    "planning.margins": ("Margin", "solve_with_margin"),
+    "planning.pipeline": ("solve", "solve_many"),
+    "planning.planners": ("PLANNERS", "Method", "planner_named"),
+    "problem": ("PlanningProblem",),
+    "robot.load": ("load_robot", "robot_from_source"),
+    "scene.cloud_files": ("read_cloud",),
+    "scene.mesh_files": ("read_mesh",),
+    "scene.scene": ("Articulation", "Attachment", "Scene", "SceneObject"),
+    "scene.scene_files": ("read_scene",),
+    "scene.shapes": ("Box", "ConvexMesh", "Cylinder", "OccupancyMap", "PointCloud", "Sphere"),
+    "search.planner_interface": ("GaussianMixture", "Proposal"),
+    "search.result": ("Budget", "JointPath"),
+    "show.picture": ("draw", "film_solution"),
+    "tasks.solve": ("solve_task",),
+    "tasks.task": ("Task",),
+    "trajectory.timing": ("TimingSettings", "time_path"),
+    "trajectory.trajectory": ("save_trajectory",),
+    "vqmpt.codebook": ("dictionary_gaussians",),
+    "vqmpt.weights": ("load_vq_mpt",),
 }
-"""Each public name and the module it lives in;
-a module is imported when a name of it is first used.
-"""
+"""Public names by the module that defines them; it is imported when one of them is first used."""
 
-__all__ = list(_HOME)
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name from where it lives."""
-    if name not in _HOME:
-        raise AttributeError(
-            f"module {__name__!r} has no attribute {name!r}; public names: {', '.join(_HOME)}"
-        )
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+if not TYPE_CHECKING:  # with it, type checkers would accept any name
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name from the module that defines it."""
+        if name not in _MODULE_OF:
+            known = ", ".join(sorted(__all__, key=str.lower))
+            raise AttributeError(
+                f"module {__name__!r} has no attribute {name!r}; public names: {known}"
+            )
+        return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    """The public names, and nothing else."""
+    """Return the public names, and nothing else."""
     return __all__

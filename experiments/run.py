@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import cvqmpt_lab
 from cvqmpt_lab.base.caches import sources_digest
 from cvqmpt_lab.base.errors import CvqmptError, whole_number
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
@@ -275,7 +274,7 @@ def default_jobs() -> int:
 
 def _installed(experiment: Experiment) -> dict[str, object]:
     """Digests of the sources and of the planners' weights on this machine: they decide rows."""
-    library = Path(cvqmpt_lab.__file__).parent
+    library = Path(__file__).parents[1]  # cvqmpt_lab holds experiments
     return {
         "sources": sources_digest(library, library / "experiments"),
         "weights": weights_of(experiment.planners, experiment.model),

@@ -79,6 +79,36 @@ def test_every_public_name_is_there():
         _ = cvqmpt_lab.solv
 
 
+def test_editors_and_type_checkers_find_the_names_that_are_imported_when_used():
+    """The imports under TYPE_CHECKING, the table of lazy imports and `__all__` hold the same."""
+    tree = ast.parse(Path(cvqmpt_lab.__file__).read_text())
+    (block,) = (
+        node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)
+    )
+    seen = {
+        line.module.removeprefix("cvqmpt_lab."): tuple(alias.name for alias in line.names)
+        for line in block.body
+    }
+    assert seen == cvqmpt_lab._NAMES
+    assert sorted(name for names in seen.values() for name in names) == sorted(cvqmpt_lab.__all__)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_examples_import_public_names_alone(example):
+    nodes = list(ast.walk(ast.parse(example.read_text())))
+    modules = {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
+    modules |= {
+        alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names
+    }
+    assert {name for name in modules if name.startswith("cvqmpt_lab")} == {"cvqmpt_lab"}
+
+
+def test_the_gallery_shows_the_examples_as_they_are():
+    """`python docs/gallery.py` writes it."""
+    shown = python_of("docs/gallery.md")
+    assert shown == [path.read_text().split('"""', 2)[2].strip() + "\n" for path in EXAMPLES]
+
+
 def test_the_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     example = python_of("README.md")[0]
     assert len(re.findall(r"^(?:from|import) ", example, re.MULTILINE)) == 1

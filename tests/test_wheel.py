@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("cvqmpt_lab", "cli", "experiments", "paper_tables")
 DATA = (
-    *("*.py", "weights/*/*", "schemas/*.json", "show/*.html"),
+    *("*.py", "weights/*/*", "schemas/*.json", "show/*.html", "py.typed"),
     *("published/*", "expected/*", "results/*/*", "templates/*", "README.md"),
 )
 

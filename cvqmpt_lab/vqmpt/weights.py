@@ -18,7 +18,6 @@ import numpy as np
 import safetensors.numpy
 from safetensors import SafetensorError
 
-import cvqmpt_lab
 from cvqmpt_lab.base.codec import from_plain, to_plain
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.files import read_bytes, read_json_object, write_bytes
@@ -38,7 +37,7 @@ TRAINED_BY = {
     TRANSFORMER: "train one: cvqmpt train transformer --data DIR --out DIR",
     "sequence_model": "train one: cvqmpt train published --data DIR --out DIR",
 }
-WEIGHTS_FOLDER = Path(cvqmpt_lab.__file__).parent / "weights"
+WEIGHTS_FOLDER = Path(__file__).parents[1] / "weights"
 SHIPPED = {"vq_mpt": VQ_MPT, "mpnet": MPNET}
 """Name and architecture of the weights that come with the package."""
 

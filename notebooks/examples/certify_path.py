@@ -1,9 +1,8 @@
-"""Judge a path of your own: the certificate names what is wrong with it."""
+"""Certify a path of your own; the certificate lists every violated bound."""
 
 import numpy as np
 
-from cvqmpt_lab import Budget, JointPath, certify, solve
-from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab import Budget, JointPath, certify, solve, suite_named
 
 problem = suite_named("place-task").solvable(7)
 solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)

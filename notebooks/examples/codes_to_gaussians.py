@@ -1,10 +1,8 @@
-"""Look at the learned dictionary: each code is a Gaussian N(mu, Sigma) in joint space."""
+"""Print the learned dictionary: each code is a Gaussian N(mu, Sigma) in joint space."""
 
 import numpy as np
 
-from cvqmpt_lab import robot_from_source
-from cvqmpt_lab.vqmpt.codebook import dictionary_gaussians
-from cvqmpt_lab.vqmpt.weights import load_vq_mpt
+from cvqmpt_lab import dictionary_gaussians, load_vq_mpt, robot_from_source
 
 panda = robot_from_source({"name": "panda"})
 means, covariances = dictionary_gaussians(load_vq_mpt(panda), panda)

@@ -2,8 +2,7 @@
 
 from statistics import median
 
-from cvqmpt_lab import Budget, solve
-from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab import Budget, solve, suite_named
 
 problems = [suite_named("place-task").solvable(index) for index in (2, 5, 8)]
 for planner in ("birrt", "roadmap", "roadmap-cvq", "opt-cvq-mpt"):

@@ -1,9 +1,14 @@
-"""Execute a certified motion in simulation, under a controller that does not know the load."""
+"""Execute a certified motion in simulation with a controller that does not know the load."""
 
-from cvqmpt_lab import Budget, Margin, TimingSettings, solve_with_margin
-from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.certificate.motion_check import certified_motion
-from cvqmpt_lab.execution.execute import execute_motion
+from cvqmpt_lab import (
+    Budget,
+    Margin,
+    TimingSettings,
+    certified_motion,
+    execute_motion,
+    solve_with_margin,
+    suite_named,
+)
 
 problem = suite_named("place-task-with-can").solvable(3)
 shorter = Budget(0.5)  # [s] for a shorter path after the first one

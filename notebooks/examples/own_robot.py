@@ -1,4 +1,4 @@
-"""Load an arm from its URDF and ask what was understood of it."""
+"""Load an arm from its URDF and print its joints and their limits."""
 
 from pathlib import Path
 

@@ -1,14 +1,12 @@
-"""Give the search a sampling distribution of your own: Gaussians halfway to the goals."""
+"""Give the search your own sampling distribution: Gaussians halfway to the goals."""
 
 import numpy as np
 
-from cvqmpt_lab import Budget, GaussianMixture, Method, solve
-from cvqmpt_lab.benchmarks.suite import suite_named
-from cvqmpt_lab.search.planner_interface import Proposal
+from cvqmpt_lab import Budget, GaussianMixture, Method, Proposal, solve, suite_named
 
 
 def halfway(query, observation):
-    """Mix equal Gaussians halfway to each goal with one uniform sample in five."""
+    """Return equal Gaussians halfway to each goal, mixed with 20 % uniform samples."""
     means = 0.5 * (query.start + query.goals)
     covariance = 0.3**2 * np.eye(len(query.start))
     return Proposal(GaussianMixture.equal(means, covariance, query.uniform, 0.2, "halfway"))

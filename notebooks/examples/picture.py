@@ -1,7 +1,6 @@
 """Draw a solution as a still picture."""
 
-from cvqmpt_lab import Budget, draw, solve
-from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab import Budget, draw, solve, suite_named
 
 problem = suite_named("place-task").solvable(7)
 solution = solve(problem, "roadmap", Budget(2.0), seed=0, optimize=Budget(0.25))

@@ -1,4 +1,4 @@
-"""Plan a motion of an arm by name around a box, with the hand upright."""
+"""Plan for a UR5 around a box, with the hand upright."""
 
 import numpy as np
 

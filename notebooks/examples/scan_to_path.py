@@ -1,4 +1,4 @@
-"""Make an occupancy map of a point cloud, and plan past what it shows."""
+"""Build an occupancy map from a point cloud, and plan around it."""
 
 import numpy as np
 

@@ -1,7 +1,6 @@
 """Plan a task of several phases: open the door, take the can, set it down."""
 
-from cvqmpt_lab import Budget, solve_task
-from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab import Budget, solve_task, suite_named
 
 task = suite_named("multi-sequence").item(3)
 solution = solve_task(task, "birrt", Budget(seconds=10.0), seed=0)

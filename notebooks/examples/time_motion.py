@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from cvqmpt_lab import Budget, TimingSettings, save_trajectory, solve, time_path
-from cvqmpt_lab.benchmarks.suite import suite_named
+from cvqmpt_lab import Budget, TimingSettings, save_trajectory, solve, suite_named, time_path
 
 problem = suite_named("place-task").solvable(7)
 solution = solve(problem, "roadmap", Budget(seconds=10.0), seed=0)
