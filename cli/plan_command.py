@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import csv_table, make_folder, write_text
-from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
+from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import (
     FLAG,
     REACH,

@@ -13,7 +13,8 @@ import numpy as np
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.base.errors import InvalidInputError, mapping
 from cvqmpt_lab.base.files import read_json_object
-from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
+from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import (
     REPEATED,
     Options,

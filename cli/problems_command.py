@@ -29,9 +29,10 @@ from cvqmpt_lab.base.files import (
     read_text,
     write_text,
 )
+from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
 from cvqmpt_lab.benchmarks.motion_bench import ARCHIVE, ROBOTS, fetch
-from cvqmpt_lab.benchmarks.suite import SUITES, suite_named
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.cli.options import (
     EXACTLY_ONE_OF,
     FLAG,

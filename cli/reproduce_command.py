@@ -10,7 +10,8 @@ from pathlib import Path
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import write_text
-from cvqmpt_lab.benchmarks.suite import SUITES, folder_suite, suite_named
+from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.benchmarks.suite import folder_suite, suite_named
 from cvqmpt_lab.cli.options import (
     ONE_OF,
     REACH,
@@ -37,7 +38,7 @@ from cvqmpt_lab.experiments.experiment import PROFILES, Experiment, parts_of, pl
 from cvqmpt_lab.experiments.figures.code_update import UpdateSettings
 from cvqmpt_lab.experiments.figures.paper import FIGURES, reproduce_figure, summary
 from cvqmpt_lab.experiments.run import default_jobs, executor_for, run_experiment
-from cvqmpt_lab.paper_tables.suites import render_directory
+from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.planning.warm_up import compile_kernels
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE

@@ -35,7 +35,7 @@ from cvqmpt_lab.paper_tables.committed import (
     stale_pages,
     untraceable,
 )
-from cvqmpt_lab.paper_tables.suites import render_directory
+from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.paper_tables.writers import text_lines
 from cvqmpt_lab.results.store import directory_rows
 

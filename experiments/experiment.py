@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cvqmpt_lab.base.errors import InvalidInputError, located, require_choice, whole_number
-from cvqmpt_lab.benchmarks.suite import Suite, suite_named
+from cvqmpt_lab.benchmarks.declarations import SUITES, Suite
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.external.door import is_external
-from cvqmpt_lab.paper_tables.suites import SUITES
 from cvqmpt_lab.planning.planners import PLANNERS, Method, is_removed, planner_named, require_fit
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason, ResultRow, RowKey, cell_text
@@ -174,7 +174,7 @@ class Part(NamedTuple):
 def planners_of(suite: Suite) -> tuple[str, ...]:
     """Default planners of a suite; of a folder, those that can plan all its problems."""
     if not suite.digests:
-        return SUITES[suite.name].planners
+        return suite.planners
     problems = [suite.solvable(name) for name in suite.problems]
     return tuple(
         name
@@ -193,7 +193,7 @@ def parts_of(profile: str) -> list[Part]:
     chosen = [(name, amount) for name, amount in chosen if amount.profile == profile]
     parts = []
     for name, amount in sorted(chosen, key=lambda each: each[1].late):
-        suite = suite_named(name)
+        suite = SUITES[name]
         experiment = Experiment(
             suite=name,
             problems=tuple(suite.problems[: amount.problems]),

@@ -17,8 +17,8 @@ import numpy as np
 
 from cvqmpt_lab.base.caches import sources_digest
 from cvqmpt_lab.base.errors import CvqmptError, whole_number
-from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.suite import SuiteItem, suite_named
+from cvqmpt_lab.benchmarks.item import SensedProblem, SuiteItem, UnsolvableProblem
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.certificate.certificate import Clearance, FaultKind, certify
 from cvqmpt_lab.experiments.executors import Executor, Lost, dask_cluster, local_processes
 from cvqmpt_lab.experiments.experiment import Experiment, Run, externals_of, weights_of

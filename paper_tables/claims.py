@@ -8,11 +8,12 @@ from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.paper_tables.judging import LEVEL, Verdict, Word, overall
 from cvqmpt_lab.paper_tables.measures import VALUES, Pair, Rows, grouped, paired
-from cvqmpt_lab.paper_tables.multi_sequence_table import task_rows, task_table
+from cvqmpt_lab.paper_tables.multi_sequence_table import task_rows
+from cvqmpt_lab.paper_tables.rendering import published_of
 from cvqmpt_lab.paper_tables.statements import CLAIMS, PREDICTED, Claim, PublishedValue
-from cvqmpt_lab.paper_tables.suites import suite_of
 from cvqmpt_lab.paper_tables.writers import Lines
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, sessions
 from cvqmpt_lab.results.row import PAPER_PHASES, RUNS_FILE, ResultRow, read_rows, split_problem
@@ -80,10 +81,10 @@ def _verdicts(claim: Claim, evidence: Evidence) -> list[Verdict]:
         return []
     suite, rows = evidence.rows[0].suite, evidence.rows
     cutoff: float | None = evidence.record["configuration"].get("cutoff_s")
-    if suite_of(suite).table is task_table:
+    if suite in SUITES and SUITES[suite].of_tasks:
         rows = task_rows(rows, PAPER_PHASES)
         cutoff = None if cutoff is None else len(PAPER_PHASES) * cutoff
-    return verdicts_of(claim, rows, suite_of(suite).published, cutoff)
+    return verdicts_of(claim, rows, published_of(suite), cutoff)
 
 
 def price_lines(evidence: Evidence) -> Lines:

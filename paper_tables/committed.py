@@ -13,8 +13,8 @@ from cvqmpt_lab.base.files import read_text
 from cvqmpt_lab.paper_tables import pages
 from cvqmpt_lab.paper_tables.claims import Evidence, judged_claims
 from cvqmpt_lab.paper_tables.quoted import Quoted
+from cvqmpt_lab.paper_tables.rendering import rendered_tables
 from cvqmpt_lab.paper_tables.statements import PUBLISHED
-from cvqmpt_lab.paper_tables.suites import rendered_tables
 from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, ProvenanceFile, digests_in, sessions
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
-from itertools import product
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -26,37 +25,13 @@ from cvqmpt_lab.paper_tables.statements import PublishedValue
 from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable
 from cvqmpt_lab.results.row import ResultRow
 from cvqmpt_lab.results.statistics import Interval
-from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED, PREFIX
+from cvqmpt_lab.vqmpt.sampler_choice import CHOICES, NAMED
 
 PREDICTORS = (  # in their order in the table
     *("uniform", "nearest-lines", "transformer-lines"),
     *("transformer", "published", "random", "oracle", "solved"),
 )
-# the words whose products these tables compare
-GAUSSIANS, UPDATES, CLOUDS = (
-    ("decoded", "wide"),
-    ("none", "algorithm-2", "projected"),
-    CHOICES["cloud"],
-)
 CONTRAST_HEAD = ["the first / the second", "problems", "work", "projections", "length", "G"]
-_UNIFORM = "uniform=0.15"  # the share that wide Gaussians have, for decoded ones
-_SEARCHED = ((), ("raw-draws",), ("reach=1",), ("raw-draws", "reach=1"))  # draws and reach
-_SEQUENCES = (
-    ("uniform",),
-    *product(("transformer", "random"), GAUSSIANS, UPDATES[:2]),
-    *product(
-        ("transformer", "transformer-lines", "nearest-lines", "solved"),
-        *(GAUSSIANS, UPDATES[:2], ("every-waypoint",)),
-    ),
-)
-_PRODUCTS = (
-    *product(("transformer", "random", "oracle"), GAUSSIANS, UPDATES),
-    *product(("transformer",), GAUSSIANS, UPDATES, CLOUDS[1:]),
-    *product(("transformer", "random"), ("decoded",), UPDATES, (_UNIFORM,)),
-    ("transformer", "wide", "projected", "all-beams"),
-    *((*words, *searched) for words in _SEQUENCES for searched in _SEARCHED),
-)
-PLANNERS = (REFERENCE, *dict.fromkeys(PREFIX + "+".join(words) for words in _PRODUCTS))
 # columns of rows; reach is None where extensions have no limit
 FACTORS = (
     *("predictor", "gaussians", "update", "cloud", "uniform_share", "sequences"),
@@ -218,15 +193,15 @@ def _place(row: ResultRow) -> tuple[int, ...]:
     if row.predictor is None:
         return (-1,)
     assert row.gaussians is not None and row.update is not None and row.cloud is not None
-    special = (row.cloud != CLOUDS[0]) + 2 * (
+    special = (row.cloud != CHOICES["cloud"][0]) + 2 * (
         row.gaussians == "decoded" and bool(row.uniform_share)
     )
     return (
         PREDICTORS.index(row.predictor),
         special + 4 * (row.sequences == "all-beams"),
-        GAUSSIANS.index(row.gaussians),
-        UPDATES.index(row.update),
-        CLOUDS.index(row.cloud),
+        CHOICES["gaussians"].index(row.gaussians),
+        CHOICES["update"].index(row.update),
+        CHOICES["cloud"].index(row.cloud),
         row.reading == "every-waypoint",
         row.draws == "raw-draws",
         row.reach is not None,

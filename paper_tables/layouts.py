@@ -289,64 +289,73 @@ def _footnotes(runs: SuiteRuns) -> Iterator[str]:
 
 GROUP_COLUMNS: Mapping[str, Column] = {
     "solved": Column("solved [%]", "%", share_of(solved)),
+    "solved_within_1_s": Column("in 1 s [%]", "%", solved_within(1.0)),
+    "solved_within_2_s": Column("in 2 s [%]", "%", solved_within(2.0)),
+    "time_median": Column("time [s]", "s", median_of("time")),
+    "work_median": Column("work", "1", median_of("work")),
     **{
         name: Column(f"{RATIOS[name][0]} / {REFERENCE}", "1", ratio_to(REFERENCE, RATIOS[name][1]))
         for name in ("work_ratio", "own_time_ratio", "length_ratio")
     },
 }
-CONSTRAINT_NOTES = (
-    "No constraint was seen in training. Scenes are held out; all planners get the same start "
-    "and goals.",
+RATIO_COLUMNS = ("solved", "work_ratio", "own_time_ratio", "length_ratio")
+
+
+RATIOS_MEASURED = (
     "Solved: certified, Wilson interval. Ratios to uniform samples: geometric mean over problems "
     f"that both solved, bootstrap interval; work is {WORK}, time is without "
-    "goal inverse kinematics.",
-    "Upright: the hand's yaw and place are free. Fixed orientation: its place. Plane, line: its "
-    "origin stays there, it turns freely. Arc: it turns with a crank. Tray: level within 0.02 "
-    "rad, with a tray. Pouring: a can in the hand is tipped about one axis. Door: the shelf's "
-    "door hangs on its hinge and in the hand. Each of its doors makes another robot, whose "
-    "dictionary's roadmap (`roadmap-cvq`) is made in 0.2 s before the clock starts.",
-    "Whether a problem has a solution is not known: an arm without obstacles gets to a goal by a "
-    "short search.",
+    "goal inverse kinematics."
 )
-
-
-ARM_NOTES = (
-    "Between two upright hand poses, upright all the way, in held-out scenes of four families.",
-    CONSTRAINT_NOTES[1],
+MEDIANS_MEASURED = (
+    "Solved: certified, Wilson intervals. Time and work: medians with failures as infinite. Time "
+    "is by the clock, with goal inverse kinematics; a run has one thread, so that it is processor "
+    f"time with --jobs 1 on an idle machine. Work is {WORK}."
 )
 
 
 def group_table(
     rows: Iterable[ResultRow],
     published: Sequence[PublishedValue],
-    what: str = "constraint",
-    notes: Sequence[str] = CONSTRAINT_NOTES,
-    columns: Mapping[str, Column] = GROUP_COLUMNS,
+    *,
+    what: str,
+    about: str,
+    notes: Sequence[str] = (),
+    columns: Sequence[str] = RATIO_COLUMNS,
+    known: Mapping[str, Column] = GROUP_COLUMNS,
 ) -> SuiteTable:
-    """A line for each group and planner, in the order of the suite, then all groups together.
+    """Return a line for each group and planner, in the suite's order, then all groups together.
 
-    Ratios are within the group. what: a group, in the singular.
+    Args:
+        rows: rows of one suite; a problem's name holds its group, see `split_problem`.
+        published: the paper's numbers; the paper has none of groups.
+        what: a group, in the singular.
+        about: first note, on the problems.
+        notes: notes after the one that explains the columns.
+        columns: names of columns; ratios are within the group.
+        known: columns by name.
     """
     runs = table.suite_runs(rows)
     ordered = sorted(
         map(split_problem, {row.problem for row in runs.rows}), key=attrgetter("number")
     )
     groups = list(dict.fromkeys(name.phase for name in ordered))
+    chosen = {name: known[name] for name in columns}
     found = []
     for group in (*groups, "all"):
         for planner, own in runs.groups.items():
             part = [row for row in own if group in ("all", split_problem(row.problem).phase)]
             suffix = f"_under_{group}"
-            found.append(table.entry(planner, part, runs, columns, group=(group,), suffix=suffix))
+            found.append(table.entry(planner, part, runs, chosen, group=(group,), suffix=suffix))
     lines = table.group_lines(found, [what])
     size, suite = f"{len(ordered)} problems, {len(groups)} {what}s", runs.rows[0].suite
     together = table.counted([item for item in found if item.group == ("all",)])
+    measured = RATIOS_MEASURED if "work_ratio" in columns else MEDIANS_MEASURED
     return SuiteTable(
         suite,
         size,
         found,
-        {f"By {what}": lines, **together, "Notes": notes},
-        table.latex_groups(f"{size}. {notes[1]}", suite, lines),
+        {f"By {what}": lines, **together, "Notes": (about, measured, *notes)},
+        table.latex_groups(f"{size}. {measured}", suite, lines),
     )
 
 
@@ -375,20 +384,19 @@ PEER_NOTES = (
     "exactly; its time holds its random shortcuts, as sscbirrt's holds its smoothing; roboplan "
     "has no shortening that knows constraints. roboplan and sscbirrt check states 0.05 rad "
     "apart, as they are set up by their makers; their refused paths collide.",
-    "Extension length of roboplan, validation and shortcuts of HPP were chosen on problems that "
-    "are not in this table.",
 )
 
 
 def peer_table(
-    rows: Iterable[ResultRow], published: Sequence[PublishedValue], said: Sequence[str] = PEER_NOTES
+    rows: Iterable[ResultRow], published: Sequence[PublishedValue], notes: Sequence[str] = ()
 ) -> SuiteTable:
-    """Paths, time and length of every planner, failures and notes."""
+    """Return paths, time and length of every planner, failures and notes."""
     runs = table.suite_runs(rows, published)
     suite, size = runs.rows[0].suite, f"{len({row.problem for row in runs.rows})} problems"
     found = table.entries(runs, PEER_COLUMNS)
     external = (row for row in runs.rows if row.vertices is None and row.sampler_used)
     made = sorted({f"{row.planner}: {row.sampler_used}" for row in external})
+    said = (*PEER_NOTES, *notes)
     sections: Sections = {
         size: table.column_lines(found, PEER_COLUMNS),
         "Failures": table.count_lines(found, table.failure),

@@ -6,19 +6,18 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from cvqmpt_lab.paper_tables.layouts import CONSTRAINT_NOTES, CURVE, GROUP_COLUMNS, group_table
+from cvqmpt_lab.paper_tables.layouts import GROUP_COLUMNS, RATIO_COLUMNS, group_table
 from cvqmpt_lab.paper_tables.measures import (
     REFERENCE,
     VALUES,
     Rows,
     grouped,
     mean_ratio,
-    median_of,
     paired,
     work,
 )
 from cvqmpt_lab.paper_tables.statements import PublishedValue
-from cvqmpt_lab.paper_tables.table_engine import Column, SuiteTable, rows_of_one_suite
+from cvqmpt_lab.paper_tables.table_engine import SuiteTable, rows_of_one_suite
 from cvqmpt_lab.paper_tables.writers import Lines, Sections, estimate
 from cvqmpt_lab.results.row import FailReason, ResultRow, split_problem
 
@@ -29,16 +28,12 @@ LEFT_OUT: Mapping[str, str] = {
     FailReason.NO_START: "no level hand at the start",
     FailReason.NO_GOAL: "no level hand at the goal",
 }
-COLUMNS: Mapping[str, Column] = {
-    **GROUP_COLUMNS,
-    "time_median": Column("time [s]", "s", median_of("time")),
-    "solved_within_1_s": replace(CURVE["solved_within_1_s"], label="within 1 s [%]"),
-}
-NOTES = (
+ABOUT = (
     "Problems of others: MotionBenchMaker, 700 each of a Panda, a UR5 with a gripper and a Fetch, "
     "from the source archive of vamp-planner 0.6.4 (Apache-2.0), with its descriptions of the "
-    "robots. Start and goal are single configurations.",
-    CONSTRAINT_NOTES[1],
+    "robots. Start and goal are single configurations."
+)
+NOTES = (
     "Left out: problems whose start or goal collides in our model, and, with a level hand, those "
     "in which no level hand was found where theirs is. `cvqmpt problems list` names them. All "
     "other numbers are of the rest.",
@@ -81,7 +76,16 @@ def motion_bench_table(
         problems[robot][row.problem] = why
     left_out = {name for found in problems.values() for name, why in found.items() if why}
     kept = [row for row in ordered if row.problem not in left_out]
-    made = group_table(kept or ordered, published, "robot", NOTES, COLUMNS)
+    within = replace(GROUP_COLUMNS["solved_within_1_s"], label="within 1 s [%]")
+    made = group_table(
+        kept or ordered,
+        published,
+        what="robot",
+        about=ABOUT,
+        notes=NOTES,
+        columns=(*RATIO_COLUMNS, "time_median", "solved_within_1_s"),
+        known={**GROUP_COLUMNS, "solved_within_1_s": within},
+    )
     reasons = list(dict.fromkeys(LEFT_OUT.values()))
     counts: list[list[str]] = [["robot", "problems", "planned", *reasons]]
     for robot, found in problems.items():

@@ -38,8 +38,8 @@ from cvqmpt_lab.paper_tables.measures import (
     work,
 )
 from cvqmpt_lab.paper_tables.quoted import short
+from cvqmpt_lab.paper_tables.rendering import published_of, table_of, title_of
 from cvqmpt_lab.paper_tables.statements import BECAUSE, CBIRRT, CVQ, OPT, PUBLISHED, READING, STEPS
-from cvqmpt_lab.paper_tables.suites import Suite, suite_of, table_of
 from cvqmpt_lab.paper_tables.table_engine import by_planner
 from cvqmpt_lab.paper_tables.writers import Lines, change, markdown_table
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, digests_in, sessions
@@ -269,13 +269,13 @@ def section_of(evidence: Evidence) -> dict[str, Any]:
 
     rows, name = evidence.rows, evidence.folder.name
     suite = rows[0].suite if rows else name
-    table = suite_of(suite) if rows else Suite(title=f"Figure {name}")
-    groups = by_planner(rows, table.published)
+    title = title_of(suite) if rows else f"Figure {name}"
+    groups = by_planner(rows, published_of(suite))
     filed = digests_in(evidence.record, "problem_files")
     problem = "--problem-file FILE" if filed else f"{suite} --problem PROBLEM"
     return {
         "name": name,
-        "title": table.title if name == suite else f"{name}: {table.title}",
+        "title": title if name == suite else f"{name}: {title}",
         "blocks": [block for block in table_of(rows).sections.items() if block[1]] if rows else [],
         "planners": list(groups),
         "plots": _plots(groups) if rows else {},

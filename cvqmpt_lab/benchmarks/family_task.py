@@ -37,7 +37,7 @@ PANDA = {"name": "panda"}
 SCENES_DRAWN = 20  # for a problem, until one holds two states with a blocked straight motion
 
 
-def held_out_problem(family: str, index: int) -> PlanningProblem | UnsolvableProblem:
+def held_out_problem(index: int, family: str) -> PlanningProblem | UnsolvableProblem:
     """Problem `index`: the first that scenes index, 8000 + index, 8050 + index, ... allow."""
     # numbers that no other suite and no tuning has used
     spare = range(8000 + index, 8000 + 50 * (SCENES_DRAWN - 1), 50)
@@ -168,7 +168,7 @@ def unconstrained_problem(index: int) -> PlanningProblem | UnsolvableProblem:
         group, found = (1, "kitchen"), place_problem(index)
     else:
         turn, family = divmod(index - 60, len(FAMILIES))
-        group, found = (2, "families"), held_out_problem(tuple(FAMILIES)[family], turn)
+        group, found = (2, "families"), held_out_problem(turn, tuple(FAMILIES)[family])
     if isinstance(found, PlanningProblem):
         found = found.changed(constraint=())
     return replace(found, name=phase_problem(str(index), *group))

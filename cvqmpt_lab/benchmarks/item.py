@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import FailReason
 from cvqmpt_lab.scene.scene import Scene
+from cvqmpt_lab.tasks.task import Task
 
 
 @dataclass(frozen=True)
@@ -28,3 +29,7 @@ class SensedProblem:
     def name(self) -> str:
         """Name of the problem."""
         return self.problem.name
+
+
+Solvable = PlanningProblem | Task
+SuiteItem = Solvable | UnsolvableProblem | SensedProblem

@@ -85,9 +85,6 @@ MUSTARD_BOTTLE = ObjectModel(
     Box((0.0589, 0.0986, 0.1905)), (0.005, 0.005, 0.0125), (0.005, 0.005, -0.015), mass=0.603
 )
 
-ENVIRONMENTS = range(150)
-# for a second look where the first problems decide nothing; no tuning used them
-MORE_ENVIRONMENTS = range(2000, 4000)
 TUNING_ENVIRONMENTS = range(1000, 1060)  # same distribution, never reported
 DOOR = "dagger_door_left"
 DOOR_ANGLE = -1.57  # [rad]

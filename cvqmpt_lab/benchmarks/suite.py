@@ -1,136 +1,17 @@
-"""The suites by name: each is an ordered set of problems or tasks.
-
-A folder of problem files is one by its path: every ``*.json`` is a problem, in order of file names.
-Modules of suites other than the place task are imported when their first problem is made, so that
-`cvqmpt plan` need not import them.
-"""
+"""Suites by name, and folders of problem files as suites: each ``*.json`` is one problem."""
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, require_choice
 from cvqmpt_lab.base.files import read_json_object
-from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
-from cvqmpt_lab.benchmarks.place_task import (
-    ENVIRONMENTS,
-    MORE_ENVIRONMENTS,
-    carried_can,
-    door_problem,
-    mirrored_problem,
-    multi_sequence_task,
-    place_problem,
-    single_goal_problem,
-)
+from cvqmpt_lab.benchmarks.declarations import SUITES, Suite
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.row import cell_text, natural_key
-from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.robot.source import content_digest
-from cvqmpt_lab.scene.families import FAMILIES
-from cvqmpt_lab.scene.scene import Attachment
 from cvqmpt_lab.scene.scene_files import named_files
-from cvqmpt_lab.tasks.task import Task
-
-SuiteItem = PlanningProblem | UnsolvableProblem | SensedProblem | Task
-
-
-@dataclass(frozen=True)
-class Suite:
-    """A named, ordered set of problems or tasks; make(i) builds the one with index i."""
-
-    name: str
-    problems: Sequence[Any]  # indices, or names of the problems of a folder
-    make: Callable[[Any], SuiteItem]
-    # in the hand in pictures, where its problems do not model it
-    carried: tuple[Attachment, ...] = ()
-    # every planner computes its own distance field and edge costs of a cloud
-    new_scenes: bool = True
-    # what else decides its rows, as json values
-    settings: Mapping[str, object] = field(default_factory=dict)
-    # sha256 of a folder's problems, by name
-    digests: Mapping[str, str] = field(default_factory=dict)
-
-    def item(self, index: int | str) -> SuiteItem:
-        """Problem or task `index`; InvalidInputError names the valid range."""
-        if index not in self.problems:
-            raise InvalidInputError(
-                f"unknown problem {index} of suite {self.name}; valid indices: {self.problems[0]} "
-                f"to {self.problems[-1]}"
-            )
-        return self.make(index)
-
-    def solvable(self, index: int | str) -> PlanningProblem | Task:
-        """The same, of a scanned scene in its map; InvalidInputError where there is no problem."""
-        item = self.item(index)
-        if isinstance(item, UnsolvableProblem):
-            raise InvalidInputError(
-                f"problem {index} of {self.name} has no solution: {item.reason}"
-            )
-        return item.problem if isinstance(item, SensedProblem) else item
-
-
-def _item(suite: str, index: int) -> SuiteItem:
-    """Problem or task of a suite whose module is imported when its first item is made."""
-    from cvqmpt_lab.benchmarks import family_task, motion_bench, passages, sensor_task, two_arms
-
-    if suite.startswith("family-"):
-        return family_task.held_out_problem(suite.removeprefix("family-"), index)
-    makers: Mapping[str, Callable[[int], SuiteItem]] = {
-        "constraints": family_task.constraint_problem,
-        "motion-bench": motion_bench.motion_bench_problem,
-        "motion-bench-upright": motion_bench.level_problem,
-        "passages": passages.passage_problem,
-        "peers-two-arms": two_arms.peers_problem,
-        "robots": family_task.robots_problem,
-        "sensor": sensor_task.sensor_problem,
-        "two-arms": two_arms.two_arms_problem,
-        "unconstrained": family_task.unconstrained_problem,
-    }
-    return makers[suite](index)
-
-
-_CAN = (carried_can(),)
-_CONSTRAINED = partial(_item, "constraints")
-SUITES: Mapping[str, Suite] = {
-    suite.name: suite
-    for suite in (
-        Suite("place-task", ENVIRONMENTS, place_problem, _CAN),
-        Suite("place-task-more", MORE_ENVIRONMENTS, place_problem, _CAN),
-        Suite("place-task-with-can", ENVIRONMENTS, partial(place_problem, with_can=True)),
-        Suite("place-task-single-goal", range(30), single_goal_problem, _CAN),
-        Suite("place-task-mirrored", range(60), mirrored_problem, _CAN),
-        *(Suite(f"family-{n}", range(50), partial(_item, f"family-{n}")) for n in FAMILIES),
-        Suite("constraints", range(160), _CONSTRAINED),
-        Suite("factorial", range(60), place_problem),
-        Suite("factorial-constraints", range(80), _CONSTRAINED),
-        Suite("open-door", range(10), door_problem, new_scenes=False),
-        Suite("passages", range(160), partial(_item, "passages")),
-        Suite("robots", range(180), partial(_item, "robots")),
-        Suite("peers", range(30), single_goal_problem, _CAN, new_scenes=False),
-        Suite("peers-two-arms", range(20), partial(_item, "peers-two-arms")),
-        Suite("sensor", range(98), partial(_item, "sensor")),
-        Suite("two-arms", range(180), partial(_item, "two-arms")),
-        Suite("unconstrained", range(120), partial(_item, "unconstrained")),
-        *(
-            Suite(name, range(2100), partial(_item, name))
-            for name in ("motion-bench", "motion-bench-upright")
-        ),
-        *(
-            Suite(
-                name, tasks, multi_sequence_task, new_scenes=False, settings={"speed": SLOW_SPEED}
-            )
-            for name, tasks in (
-                ("multi-sequence", range(66)),
-                ("multi-sequence-more", range(66, 816)),
-            )
-        ),
-    )
-}
-
 
 _FOLDERS: dict[str, Suite] = {}  # by full path; workers that are forked find what was read before
 
@@ -185,7 +66,11 @@ def folder_suite(folder: Path) -> Suite:
             "another name"
         )
     _FOLDERS[str(path)] = suite = Suite(
-        path.name, tuple(problems), problems.__getitem__, digests=digests
+        name=path.name,
+        title=f"Suite {path.name}",
+        problems=tuple(problems),
+        make=problems.__getitem__,
+        digests=digests,
     )
     return suite
 
@@ -211,9 +96,4 @@ def suite_named(name: str) -> Suite:
     """The suite of a name or of a folder's full path; UnknownChoiceError lists the names."""
     if os.sep in name:
         return _FOLDERS.get(name) or folder_suite(Path(name))
-    if name == "sensor-robustness":
-        raise InvalidInputError(
-            "suite sensor-robustness was removed, its last table is in docs/training_log.md; "
-            "suite sensor plans from noisy cameras"
-        )
     return SUITES[require_choice("suite", name, SUITES)]

@@ -1,11 +1,15 @@
 """The place task, the constraint and family tasks: a sound problem for every index."""
 
+from functools import partial
+from importlib import import_module
+
 import numpy as np
 import pytest
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from cvqmpt_lab.benchmarks import family_task
+from cvqmpt_lab.benchmarks.declarations import SUITES, Suite
 from cvqmpt_lab.benchmarks.family_task import (
     MOVED,
     NAMES,
@@ -17,16 +21,16 @@ from cvqmpt_lab.benchmarks.family_task import (
 )
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import (
-    ENVIRONMENTS,
     can_com,
     mirrored_problem,
     place_problem,
 )
-from cvqmpt_lab.benchmarks.suite import SUITES, Suite, suite_named
+from cvqmpt_lab.benchmarks.suite import suite_named
 from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.problem import check_problem
 from cvqmpt_lab.results.row import split_problem
+from cvqmpt_lab.robot.robot import SLOW_SPEED
 from cvqmpt_lab.search.motion import motion_free
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
@@ -88,8 +92,27 @@ def test_suites_know_their_problems(suite):
         refused(told, suite_named(suite).item, index)
 
 
+@pytest.mark.parametrize("suite", SUITES.values(), ids=SUITES)
+def test_the_functions_that_a_suite_names_exist(suite):
+    for named in (suite.make, suite.table, suite.shown_in_hand):
+        function = named.func if isinstance(named, partial) else named
+        if function is not None:
+            module, _, name = function.name.partition(":")
+            assert callable(getattr(import_module(module), name))
+
+
+def test_a_suite_of_tasks_times_them_at_the_slow_speed():
+    speeds = {suite.settings["speed"] for suite in SUITES.values() if suite.of_tasks}
+    assert speeds == {SLOW_SPEED}
+
+
 def test_a_problem_without_a_start_is_refused():
-    suite = Suite("hard", range(3), lambda index: UnsolvableProblem(str(index), "no start grasp"))
+    suite = Suite(
+        name="hard",
+        title="Hard",
+        problems=range(3),
+        make=lambda index: UnsolvableProblem(str(index), "no start grasp"),
+    )
     refused("problem 2 of hard has no solution: no start grasp", suite.solvable, 2)
 
 
@@ -98,7 +121,8 @@ def test_a_problem_without_a_start_is_refused():
 def test_every_environment_is_solved(suite, part):
     """By birrt within 20 000 iterations, all certified; `solve` checks every start and goal."""
     planner, budget = planner_named("birrt"), Budget(iterations=20_000)
-    problems = [suite_named(suite).solvable(e) for e in part(ENVIRONMENTS, 30)]
+    environments = part(suite_named(suite).problems, 30)
+    problems = [suite_named(suite).solvable(e) for e in environments]
     solutions = [solve(problem, planner, budget, seed=0, clearance=False) for problem in problems]
     assert min(len(s.problem.goals) for s in solutions) >= 1
     failed = {s.problem.name: (s.plan.status, s.certificate) for s in solutions if not s.solved}

@@ -1,17 +1,16 @@
 """`cvqmpt reproduce`: output files, continuation of earlier runs, errors."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from cvqmpt_lab.base.errors import UnknownChoiceError
-from cvqmpt_lab.benchmarks.suite import SUITES
+from cvqmpt_lab.benchmarks.declarations import ALL_PLANNERS, SUITES, Amount
 from cvqmpt_lab.cli.reproduce_command import Whole
 from cvqmpt_lab.experiments import experiment
 from cvqmpt_lab.experiments.experiment import Experiment, parts_of
 from cvqmpt_lab.paper_tables.statements import CLAIMS
-from cvqmpt_lab.paper_tables.suites import ALL, Amount, Suite
-from cvqmpt_lab.paper_tables.suites import SUITES as reported
 from cvqmpt_lab.planning.planners import CONTROLS, PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE
 from cvqmpt_lab.search.result import Budget
@@ -23,7 +22,7 @@ def test_every_suite_and_the_controls_are_part_of_everything():
     others = {"peers", "peers-two-arms", "motion-bench", "motion-bench-upright"}
     assert full.keys() == {*SUITES, "controls"} - others
     assert set(full["controls"].planners) > set(CONTROLS)
-    assert tuple(PLANNERS) == ALL and {*SUITES} == {*reported}
+    assert tuple(PLANNERS) == ALL_PLANNERS
     with pytest.raises(UnknownChoiceError, match="tiny"):
         parts_of("tiny")
 
@@ -32,7 +31,7 @@ def test_it_writes_rows_tables_verdicts_and_the_report_and_goes_on_where_it_was(
     cvqmpt, monkeypatch, tmp_path
 ):
     one = Amount(profile="small", problems=1, cutoff=5.0)
-    suite = Suite(title="Place task", planners=("birrt",), amounts=(one,))
+    suite = replace(SUITES["place-task"], planners=("birrt",), amounts=(one,))
     monkeypatch.setattr(experiment, "SUITES", {"place-task": suite})
     words = f"reproduce all --profile small --jobs 1 --out {tmp_path}"
     lines = cvqmpt(words).splitlines()

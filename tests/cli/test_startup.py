@@ -12,7 +12,8 @@ from cvqmpt_lab.planning.planners import PLANNERS
 
 HEAVY = (
     "torch", "scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.ndimage", "matplotlib",
-    "cvxpy", "ompl", "PIL", "rerun", "trimesh", "collada", "paper_tables", "urllib.request",
+    "cvxpy", "ompl", "PIL", "rerun", "trimesh", "collada",
+    "cvqmpt_lab.paper_tables", "urllib.request",
 )  # fmt: skip
 IMPORT = "--dictionary-dir d --ar-dir a --out o"
 LEARNED = ("safetensors", "cvqmpt_lab.vqmpt.weights")
@@ -56,6 +57,16 @@ def test_a_classical_plan_imports_nothing_heavy_and_few_modules(planner):
     assert not modules & {*HEAVY, *LEARNED}
     own = [name for name in modules if name.split(".")[0] in PACKAGES]
     assert len(own) <= MOST_MODULES, sorted(own)
+
+
+def test_tables_know_the_suites_and_import_no_robot():
+    code = (
+        "from cvqmpt_lab.paper_tables.rendering import title_of; "
+        "assert title_of('passages').startswith('Narrow'); " + REPORT
+    )
+    modules = set(json.loads(python(code)))
+    assert "cvqmpt_lab.benchmarks.declarations" in modules
+    assert not modules & {"pinocchio", "coal", "numba", "cvqmpt_lab.problem"}
 
 
 def test_a_command_collects_garbage_but_not_what_was_imported():

@@ -9,6 +9,7 @@ import pytest
 from refusals import refused
 
 from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.place_task import (
     place_problem,
     single_goal_problem,
@@ -19,7 +20,6 @@ from cvqmpt_lab.constraints.task_space_region import upright
 from cvqmpt_lab.experiments.peers import fixed_holds, rpy_box, upright_region, versions
 from cvqmpt_lab.experiments.peers.world_files import unchecked_pairs, urdf_of
 from cvqmpt_lab.external.door import entry_point_names, external_planner
-from cvqmpt_lab.paper_tables.suites import SUITES
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.robot.load import robot_from_source
 from cvqmpt_lab.scene.scene import Scene

@@ -10,6 +10,7 @@ import pytest
 from made_rows import CLEAN, a_results_folder, a_row
 from refusals import refused
 
+from cvqmpt_lab.benchmarks.declarations import SUITES
 from cvqmpt_lab.benchmarks.item import UnsolvableProblem
 from cvqmpt_lab.benchmarks.place_task import multi_sequence_task
 from cvqmpt_lab.benchmarks.suite import suite_named
@@ -19,7 +20,7 @@ from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.regression import CASES, EXPECTED, Case, Expectations, compare, sample
 from cvqmpt_lab.experiments.run import failed_rows, outcome_of, result_row
 from cvqmpt_lab.paper_tables.committed import committed_directories, differing_cells, untraceable
-from cvqmpt_lab.paper_tables.suites import SUITES, render_directory
+from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.planning import planners as table
 from cvqmpt_lab.planning.pipeline import solve, with_sampled_goals
 from cvqmpt_lab.planning.planners import Method

@@ -29,7 +29,7 @@ from training_data import write_dataset
 from cvqmpt_lab.base.codec import to_plain
 from cvqmpt_lab.base.poses import pose
 from cvqmpt_lab.certificate.motion_check import dry_run
-from cvqmpt_lab.paper_tables.suites import render_directory
+from cvqmpt_lab.paper_tables.rendering import render_directory
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.results.provenance import PROVENANCE_FILE, provenance

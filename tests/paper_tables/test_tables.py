@@ -19,8 +19,8 @@ from cvqmpt_lab.paper_tables.judging import Word
 from cvqmpt_lab.paper_tables.layouts import place_table
 from cvqmpt_lab.paper_tables.motion_bench_table import class_lines
 from cvqmpt_lab.paper_tables.plots import COLOURS, OURS, line_style
+from cvqmpt_lab.paper_tables.rendering import render_directory, table_of
 from cvqmpt_lab.paper_tables.statements import read_published
-from cvqmpt_lab.paper_tables.suites import render_directory, table_of
 from cvqmpt_lab.paper_tables.writers import latex_table
 from cvqmpt_lab.planning.planners import PLANNERS
 from cvqmpt_lab.results.row import RUNS_FILE, read_rows, write_rows

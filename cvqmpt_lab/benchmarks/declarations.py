@@ -1,0 +1,510 @@
+"""Every suite, declared once: its problems, planners, amounts and table.
+
+Problems and tables are functions given by name and imported when they are first called: planning a
+problem of a suite imports no tables, and rendering a table imports no robots.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from cvqmpt_lab.base.errors import InvalidInputError
+from cvqmpt_lab.benchmarks.sampler_products import product_planners
+
+if TYPE_CHECKING:
+    from cvqmpt_lab.benchmarks.item import Solvable, SuiteItem
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A function of a module that is imported when the function is first called."""
+
+    name: str  # MODULE:FUNCTION
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Call the function."""
+        module, _, function = self.name.partition(":")
+        return getattr(import_module(module), function)(*arguments, **options)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Amount:
+    """Part of a suite that a profile of `cvqmpt reproduce all` runs; several amounts add up."""
+
+    profile: str = "full"
+    problems: int | None = None  # number of problems, from the first on; None: all
+    seeds: int = 1
+    cutoff: float = 10.0  # [s]
+    planners: tuple[str, ...] | None = None  # None: those of the suite
+    folder: str | None = None  # of the results; None: the name of the suite
+    late: bool = False  # run after all amounts that are not late
+
+
+QUICK_PLANNERS = (
+    *("birrt", "birrt-printed", "cells", "ompl-projected", "mpnet", "mpnet-bridged", "cvq-mpt"),
+    *("opt-cvq-mpt", "cvq-wide", "cvq-tuned", "roadmap", "roadmap-cvq"),
+)
+SLOW_PLANNERS = ("atlas-rrt", "tb-rrt")  # most of their time goes into runs that time out
+ALL_PLANNERS = (*QUICK_PLANNERS[:4], *SLOW_PLANNERS, "ompl-bkpiece", *QUICK_PLANNERS[4:])
+CLAIMED_PLANNERS = ("ompl-projected", "cvq-mpt", "opt-cvq-mpt")  # those of the paper's main claims
+FEW_PLANNERS = ("birrt", *CLAIMED_PLANNERS, "roadmap-cvq")
+TUNED_PLANNERS = (*FEW_PLANNERS, "birrt-printed", "cvq-tuned")
+# each replaces one idea of another planner, to show what the idea is worth
+CONTROL_PLANNERS = (
+    # `cvq-tuned` along straight lines instead of predicted sequences: no learning
+    "cvq:nearest-lines+along+free-draws+reach=1",
+    *("roadmap-uniform-0", "roadmap-uniform-1", "roadmap-uniform-2"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """A named, ordered set of problems or tasks, and how their rows are made and shown."""
+
+    name: str
+    title: str  # of the table
+    problems: Sequence[Any]  # indices, or names of the problems of a folder
+    make: Callable[[Any], "SuiteItem"]  # problem or task of an element of `problems`
+    planners: tuple[str, ...] = ALL_PLANNERS  # run unless others are named
+    amounts: tuple[Amount, ...] = ()
+    # SuiteTable of the suite's rows and the paper's numbers
+    table: Callable[..., Any] = Imported("cvqmpt_lab.paper_tables.layouts:place_table")
+    # file in ``paper_tables/published`` and environment there of the paper's numbers
+    paper: tuple[str, str] | None = None
+    # Attachment that pictures show in the hand where the problems do not model it
+    shown_in_hand: Callable[[], Any] | None = None
+    of_tasks: bool = False  # items are tasks: a row is one phase of a task
+    # every planner computes its own distance field and edge costs of a cloud
+    new_scenes: bool = True
+    # what else decides the rows, as json values
+    settings: Mapping[str, object] = field(default_factory=dict)
+    # sha256 of a folder's problems, by name
+    digests: Mapping[str, str] = field(default_factory=dict)
+
+    def item(self, index: int | str) -> "SuiteItem":
+        """Return problem or task `index`; InvalidInputError names the valid range."""
+        if index not in self.problems:
+            raise InvalidInputError(
+                f"unknown problem {index} of suite {self.name}; valid indices: {self.problems[0]} "
+                f"to {self.problems[-1]}"
+            )
+        return self.make(index)
+
+    def solvable(self, index: int | str) -> "Solvable":
+        """Return problem or task `index`, that of a scanned scene in its map.
+
+        Raises:
+            InvalidInputError: the index is unknown, or no problem could be made for it.
+        """
+        from cvqmpt_lab.benchmarks.item import SensedProblem, UnsolvableProblem
+
+        item = self.item(index)
+        if isinstance(item, UnsolvableProblem):
+            raise InvalidInputError(
+                f"problem {index} of {self.name} has no solution: {item.reason}"
+            )
+        return item.problem if isinstance(item, SensedProblem) else item
+
+    @property
+    def carried(self) -> tuple[Any, ...]:
+        """Attachments that pictures show in the hand beyond those of the problem."""
+        return () if self.shown_in_hand is None else (self.shown_in_hand(),)
+
+
+def _problem(name: str, **options: Any) -> Callable[[Any], Any]:
+    """Return a function MODULE:FUNCTION of this folder that makes the problem of an index."""
+    function = Imported(f"cvqmpt_lab.benchmarks.{name}")
+    return partial(function, **options) if options else function
+
+
+def _table(name: str, **options: Any) -> Callable[..., Any]:
+    """Return a function MODULE:FUNCTION of the tables, with options."""
+    return partial(Imported(f"cvqmpt_lab.paper_tables.{name}"), **options)
+
+
+def _family(name: str, what: str, *more: Amount) -> Suite:
+    """Suite of 50 problems in held-out scenes of a family."""
+    planners = (
+        *("birrt", "birrt-printed", "cvq-mpt", "opt-cvq-mpt", "cvq-wide", "cvq-tuned"),
+        *("roadmap", "roadmap-cvq", *CONTROL_PLANNERS),
+    )
+    return Suite(
+        name=f"family-{name}",
+        title=f"Held-out {what}, hand upright",
+        problems=range(50),
+        make=_problem("family_task:held_out_problem", family=name),
+        amounts=(Amount(cutoff=3.0, planners=planners), *more),
+    )
+
+
+def _place_suites() -> list[Suite]:
+    """Suites of the place task: a can is carried upright from the counter to the shelf."""
+    place_problem = _problem("place_task:place_problem")
+    first_goal = _problem("place_task:single_goal_problem")
+    can = Imported("cvqmpt_lab.benchmarks.place_task:carried_can")
+    paper = ("place_task.csv", "Place Task")
+    controlled = (
+        *("birrt", "cvq-mpt", "opt-cvq-mpt", "roadmap-cvq", "guided-birrt"),
+        CONTROL_PLANNERS[0],
+        # along the best of six solved paths: a bound on what a predictor can reach
+        "cvq:solved+along+free-draws+reach=1+std=0.4",
+        *CONTROL_PLANNERS[1:],
+        *("roadmap-wrong-scene", "roadmap-no-scene", "roadmap-true-edges"),
+    )
+    return [
+        Suite(
+            name="place-task",
+            title="Place task: carry a can upright to the shelf",
+            problems=range(150),
+            make=place_problem,
+            shown_in_hand=can,
+            amounts=(
+                Amount(seeds=5, planners=QUICK_PLANNERS),
+                Amount(problems=60, cutoff=5.0, planners=controlled, folder="controls"),
+                Amount(planners=SLOW_PLANNERS, late=True),
+                Amount(problems=30, planners=("ompl-bkpiece",), late=True),
+                Amount(profile="small", problems=10, cutoff=2.0),
+                Amount(
+                    profile="small",
+                    problems=3,
+                    cutoff=2.0,
+                    planners=controlled,
+                    folder="controls",
+                ),
+            ),
+            paper=paper,
+        ),
+        Suite(
+            name="place-task-more",
+            title="Place task, 2000 more problems for claims that the first ones left open",
+            problems=range(2000, 4000),  # no tuning used them
+            make=place_problem,
+            shown_in_hand=can,
+            planners=(*CLAIMED_PLANNERS, "mpnet"),
+            amounts=(Amount(late=True),),
+            paper=paper,
+        ),
+        Suite(
+            name="place-task-with-can",
+            title="Place task, the carried can in the way",
+            problems=range(150),
+            make=_problem("place_task:place_problem", with_can=True),
+            amounts=(
+                Amount(planners=QUICK_PLANNERS),
+                Amount(profile="small", problems=5, cutoff=2.0, planners=FEW_PLANNERS),
+            ),
+            paper=paper,
+        ),
+        Suite(
+            name="place-task-single-goal",
+            title="Place task, a single goal instead of twenty",
+            problems=range(30),
+            make=first_goal,
+            shown_in_hand=can,
+            amounts=(Amount(cutoff=5.0, planners=QUICK_PLANNERS),),
+        ),
+        Suite(
+            name="place-task-mirrored",
+            title="Place task in a kitchen that no tuning has seen",
+            problems=range(60),
+            make=_problem("place_task:mirrored_problem"),
+            shown_in_hand=can,
+            planners=(*TUNED_PLANNERS, "cvq-wide", "roadmap"),
+            amounts=(Amount(),),
+        ),
+        # the last five planners are entry points of `cvqmpt_lab.experiments.peers`, with an extra
+        Suite(
+            name="peers",
+            title="Planners of others, place task with a single goal",
+            problems=range(30),
+            make=first_goal,
+            shown_in_hand=can,
+            new_scenes=False,
+            planners=(
+                *("birrt", "roadmap", "roadmap-cvq"),
+                *("roboplan", "roboplan-star", "sscbirrt", "hpp", "drake"),
+            ),
+            table=_table(
+                "layouts:peer_table",
+                notes=(
+                    "Extension length of roboplan, validation and shortcuts of HPP were chosen on "
+                    "problems that are not in this table.",
+                ),
+            ),
+        ),
+    ]
+
+
+def _factorial_suites() -> list[Suite]:
+    """Suites that compare all products of the choices of a learned sampler."""
+    factorial = partial(
+        Suite,
+        planners=("birrt", *product_planners()),
+        table=_table("factorial_table:factorial_table"),
+    )
+    return [
+        factorial(
+            name="factorial",
+            title="Factorial: every choice of a learned sampler, place task",
+            problems=range(60),
+            make=_problem("place_task:place_problem"),
+            amounts=(Amount(problems=30, cutoff=3.0),),
+        ),
+        factorial(
+            name="factorial-constraints",
+            title="Factorial: every choice of a learned sampler, eight kinds of constraints",
+            problems=range(80),
+            make=_problem("family_task:constraint_problem"),
+            amounts=(Amount(problems=24, cutoff=2.0),),
+        ),
+    ]
+
+
+def _scene_suites() -> list[Suite]:
+    """Suites of other scenes, constraints and arms."""
+    benched = ("birrt", "roadmap", "ompl-projected")  # the last is RRTConnect without constraint
+    return [
+        _family("cubes-spheres", "scenes of cubes and balls"),
+        _family("table", "scenes with a table"),
+        _family(
+            "shelves",
+            "scenes with shelves",
+            Amount(profile="small", problems=3, cutoff=2.0, planners=FEW_PLANNERS),
+        ),
+        _family("kitchen-like", "scenes like kitchens"),
+        _family("cluttered-table", "tables crowded with slim things"),
+        _family("narrow-shelves", "shelves that a hand just fits into"),
+        _family("cage", "cages of bars"),
+        Suite(
+            name="constraints",
+            title="Eight kinds of constraints, zero-shot, in held-out scenes",
+            problems=range(160),
+            make=_problem("family_task:constraint_problem"),
+            planners=TUNED_PLANNERS,
+            amounts=(Amount(cutoff=5.0), Amount(profile="small", problems=8, cutoff=2.0)),
+            table=_table(
+                "layouts:group_table",
+                what="constraint",
+                about="No constraint was seen in training. Scenes are held out; all planners get "
+                "the same start and goals.",
+                notes=(
+                    "Upright: the hand's yaw and place are free. Fixed orientation: its place. "
+                    "Plane, line: its origin stays there, it turns freely. Arc: it turns with a "
+                    "crank. Tray: level within 0.02 rad, with a tray. Pouring: a can in the hand "
+                    "is tipped about one axis. Door: the shelf's door hangs on its hinge and in "
+                    "the hand. Each of its doors makes another robot, whose dictionary's roadmap "
+                    "(`roadmap-cvq`) is made in 0.2 s before the clock starts.",
+                    "Whether a problem has a solution is not known: an arm without obstacles gets "
+                    "to a goal by a short search.",
+                ),
+            ),
+        ),
+        Suite(
+            name="open-door",
+            title="Open the shelf's door, the hand on its handle",
+            problems=range(10),
+            make=_problem("place_task:door_problem"),
+            new_scenes=False,
+            # no shipped weights fit the arm with the door as its eighth joint
+            planners=("birrt", "ompl-projected", *SLOW_PLANNERS, "ompl-bkpiece", "roadmap"),
+            amounts=(Amount(),),
+        ),
+        Suite(
+            name="passages",
+            title="Narrow passages: mazes, a cage and slots",
+            problems=range(160),
+            make=_problem("passages:passage_problem"),
+            planners=("birrt", "cells", "roadmap"),
+            amounts=(Amount(cutoff=5.0),),
+            table=_table(
+                "layouts:group_table",
+                what="passage",
+                about="A Panda. Maze: a pen on a plane goes through three corridors of that width. "
+                "Cage: an upright hand goes into a cage of bars with one gap of that width. Slot: "
+                "an upright hand reaches through a slot of that width in a wall. No tuning has "
+                "seen these problems.",
+                notes=(
+                    "Whether a problem has a solution is not known where no planner finds one.",
+                ),
+                columns=(
+                    *("solved", "solved_within_1_s", "solved_within_2_s"),
+                    *("time_median", "work_median"),
+                ),
+            ),
+        ),
+        Suite(
+            name="robots",
+            title="Nine arms of seven makers in held-out scenes, hand upright",
+            problems=range(180),
+            make=_problem("family_task:robots_problem"),
+            planners=("birrt", "ompl-projected", "roadmap"),
+            amounts=(Amount(cutoff=5.0), Amount(profile="small", problems=20, cutoff=2.0)),
+            table=_table(
+                "layouts:group_table",
+                what="arm",
+                about="Between two upright hand poses, upright all the way, in held-out scenes of "
+                "four families.",
+            ),
+        ),
+        # its problems are fetched: `cvqmpt problems fetch motion-bench`
+        Suite(
+            name="motion-bench",
+            title="MotionBenchMaker: problems of others, without a constraint",
+            problems=range(2100),
+            make=_problem("motion_bench:motion_bench_problem"),
+            planners=benched,
+            table=_table("motion_bench_table:motion_bench_table"),
+            paper=("motion_bench.csv", "MotionBenchMaker"),
+        ),
+        Suite(
+            name="motion-bench-upright",
+            title="MotionBenchMaker: the same with a level hand",
+            problems=range(2100),
+            make=_problem("motion_bench:level_problem"),
+            planners=benched,
+            table=_table("motion_bench_table:motion_bench_table"),
+        ),
+        Suite(
+            name="sensor",
+            title="Scanned scenes, hand upright: planned in the map, judged in truth",
+            problems=range(98),
+            make=_problem("sensor_task:sensor_problem"),
+            amounts=(
+                Amount(seeds=3, planners=QUICK_PLANNERS),
+                Amount(planners=SLOW_PLANNERS, late=True),
+                Amount(profile="small", problems=2, cutoff=2.0),
+            ),
+            table=_table("layouts:place_table", sensed=True),
+            paper=("place_task.csv", "Physical robot"),
+        ),
+        Suite(
+            name="unconstrained",
+            title="Kitchen and held-out families without a constraint",
+            problems=range(120),
+            make=_problem("family_task:unconstrained_problem"),
+            planners=(
+                *("birrt", "birrt-printed", "cvq-mpt"),
+                # `cvq-mpt` with all goals at once
+                "cvq:transformer+decoded+every-waypoint",
+                "cvq-tuned",
+            ),
+            amounts=(
+                Amount(seeds=2, cutoff=3.0),
+                Amount(profile="small", problems=8, cutoff=2.0),
+            ),
+            table=_table(
+                "layouts:group_table",
+                what="group",
+                about="Problems 0 to 59 of the place task (kitchen), and of the seven held-out "
+                "families in turn, without their constraint. opt-cvq-mpt is left out: Algorithm 2 "
+                "has nothing to move codes to. cvq-mpt tries one goal after the other; birrt and "
+                "birrt-printed search towards all at once.",
+            ),
+        ),
+    ]
+
+
+def _two_arm_suites() -> list[Suite]:
+    """Suites of two arms that carry one thing: a closed chain.
+
+    `roadmap` is birrt on closed chains; learned samplers are for one arm.
+    """
+    ours = ("birrt", "cells", "roadmap")
+    return [
+        Suite(
+            name="two-arms",
+            title="Two arms carry a tray or a box, closed chain, level",
+            problems=range(180),
+            make=_problem("two_arms:two_arms_problem"),
+            planners=(*ours, "ompl-projected"),
+            amounts=(
+                Amount(planners=ours),
+                # most of its runs take the whole cut-off
+                Amount(problems=30, planners=("ompl-projected",)),
+                Amount(profile="small", problems=4, cutoff=2.0),
+            ),
+            table=_table(
+                "layouts:group_table",
+                what="group",
+                about="A group is a robot with two arms of 7 joints and a kind of problem. The "
+                "grasp is fixed: the second hand keeps its pose in the first one's frame, a closed "
+                "chain. What is carried leans by at most 0.1 rad, and may touch both hands and "
+                "nothing else. Starts and goals are by inverse kinematics of both hands.",
+                notes=(
+                    "Time: total wall time, with goal inverse kinematics; median with failures as "
+                    "infinite.",
+                    "`roadmap` makes no roadmap of closed chains: trees and cells in turns. "
+                    "ompl-projected ran on the trays over a table of baxter alone, where its runs "
+                    "that fail take most of the time. Learned samplers are left out: weights are "
+                    "for one arm. Whether a problem has a solution is not known: both ends lie on "
+                    "the chain, perhaps in parts of it that are not connected.",
+                ),
+                columns=(
+                    *("time_median", "solved", "work_ratio", "own_time_ratio", "length_ratio"),
+                ),
+            ),
+        ),
+        Suite(
+            name="peers-two-arms",
+            title="Planners of others, a tray in both hands with a single goal",
+            problems=range(20),
+            make=_problem("two_arms:peers_problem"),
+            planners=("birrt", "ompl-projected", "hpp"),
+            table=_table(
+                "layouts:peer_table",
+                notes=(
+                    "What favours ours: HPP keeps the tray level exactly, where the problem allows "
+                    "0.1 rad; its time holds its random shortcuts, which take what is left of the "
+                    "cut-off where they go on finding shorter ways.",
+                    "Ten trays over a table and ten through a window, both arms of a baxter, 14 "
+                    "joints. HPP was set up on problems that are not in this table.",
+                ),
+            ),
+        ),
+    ]
+
+
+def _task_suites() -> list[Suite]:
+    """Suites of the multi-sequence task."""
+    multi_sequence = partial(
+        Suite,
+        make=_problem("place_task:multi_sequence_task"),
+        of_tasks=True,
+        new_scenes=False,
+        settings={"speed": 0.1},  # `robot.SLOW_SPEED`, share of the joint limits
+        table=_table("multi_sequence_table:task_table"),
+        paper=("multi_sequence.csv", "Multi-sequence task"),
+    )
+    return [
+        multi_sequence(
+            name="multi-sequence",
+            title="Multi-sequence task: open the shelf, take the can, stand it on the counter",
+            problems=range(66),
+            amounts=(
+                Amount(planners=QUICK_PLANNERS),
+                Amount(problems=16, planners=SLOW_PLANNERS, late=True),
+                Amount(profile="small", problems=2, cutoff=2.0, planners=FEW_PLANNERS),
+            ),
+        ),
+        multi_sequence(
+            name="multi-sequence-more",
+            title="Multi-sequence task, 750 more tasks for claims that the first ones left open",
+            problems=range(66, 816),
+            planners=CLAIMED_PLANNERS,
+            amounts=(Amount(late=True),),
+        ),
+    ]
+
+
+SUITES: Mapping[str, Suite] = {
+    suite.name: suite
+    for suite in (
+        *_place_suites(),
+        *_scene_suites(),
+        *_factorial_suites(),
+        *_two_arm_suites(),
+        *_task_suites(),
+    )
+}

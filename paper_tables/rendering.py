@@ -1,0 +1,109 @@
+"""Tables of results directories in the paper's layout: Markdown, LaTeX and csv."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cvqmpt_lab.base.files import write_text
+from cvqmpt_lab.benchmarks.declarations import SUITES
+from cvqmpt_lab.paper_tables.layouts import place_table
+from cvqmpt_lab.paper_tables.statements import PublishedValue, read_published
+from cvqmpt_lab.paper_tables.table_engine import SuiteTable, rows_of_one_suite
+from cvqmpt_lab.results.provenance import ProvenanceFile, digests_in, sessions
+from cvqmpt_lab.results.row import ResultRow
+from cvqmpt_lab.results.store import directory_rows
+
+
+def title_of(suite: str) -> str:
+    """Return the title of the tables of a suite or of a folder of problem files."""
+    return SUITES[suite].title if suite in SUITES else f"Suite {suite}"
+
+
+def published_of(suite: str) -> tuple[PublishedValue, ...]:
+    """Return the paper's numbers of a suite; empty where the paper has none."""
+    paper = SUITES[suite].paper if suite in SUITES else None
+    return read_published(*paper) if paper else ()
+
+
+def table_of(rows: Iterable[ResultRow]) -> SuiteTable:
+    """Return the table of rows; a folder of problem files has that of the place task.
+
+    Raises:
+        InvalidInputError: the rows are not of exactly one suite.
+    """
+    rows = rows_of_one_suite(rows)
+    suite = rows[0].suite
+    table = SUITES[suite].table if suite in SUITES else place_table
+    made: SuiteTable = table(rows, published_of(suite))
+    return made
+
+
+class Rendered(NamedTuple):
+    """Tables of a results directory by the file's name, and lines for the terminal."""
+
+    texts: dict[str, str]
+    brief: list[str]
+
+
+def rendered_tables(directory: Path) -> Rendered:
+    """``table.md``, ``.tex`` and ``.csv`` of rows of one suite.
+
+    InvalidInputError: no readable runs with provenance.
+    """
+    rows = directory_rows(directory)
+    record = ProvenanceFile(directory).read()
+    made, head = table_of(rows), _head(record, len(rows))
+    title = title_of(made.suite)
+    texts = {
+        "table.md": f"# {title}\n\n{head}\n\n{made.markdown}",
+        "table.tex": f"% {head}\n{made.latex}",
+        "table.csv": made.csv,
+    }
+    return Rendered(texts, [f"{title}: {made.size}, {_cutoffs(record)}", *made.brief])
+
+
+def render_directory(directory: Path) -> Rendered:
+    """Write `rendered_tables` beside ``runs.csv``."""
+    made = rendered_tables(directory)
+    for name, text in made.texts.items():
+        write_text(directory / name, text)
+    return made
+
+
+def _head(record: Mapping[str, Any], n_runs: int) -> str:
+    """One line: cut-off, commits, models, machines, dates and the number of rows."""
+    made = sessions(record)
+    models = [
+        f"{name} {digest[:12]}" for name, digest in sorted(digests_in(record, "weights").items())
+    ]
+    commits = [
+        (session.get("git_commit") or "unknown")[:12]
+        + (" WITH UNCOMMITTED CHANGES" if session.get("git_dirty") else "")
+        for session in made
+    ]
+    machines = [
+        f"{s.get('cpu_model') or 'unknown'}, {s.get('cpu_count') or '?'} cores" for s in made
+    ]
+    return " · ".join(
+        [
+            _cutoffs(record),
+            f"commit {_distinct(commits)}",
+            *([f"weights {_distinct(models)}"] if models else []),
+            f"machine {_distinct(machines)}",
+            f"date {_distinct(str(s.get('date_utc') or 'unknown') for s in made)}",
+            f"{n_runs} rows",
+        ]
+    )
+
+
+def _cutoffs(record: Mapping[str, Any]) -> str:
+    """The budget of a run."""
+    configuration = record["configuration"]
+    seconds, iterations = configuration.get("cutoff_s"), configuration.get("iterations")
+    limits = [f"cutoff {seconds:g} s"] if seconds else []
+    limits += [f"{iterations} iterations"] if iterations else []
+    return ", ".join(limits) or "cutoff not recorded"
+
+
+def _distinct(texts: Iterable[str]) -> str:
+    return " and ".join(dict.fromkeys(texts))
