@@ -93,7 +93,8 @@ def cached_arrays(
 
 def cache_folder() -> Path:
     """Return the folder of this user's caches; it may not exist yet."""
-    return named_folder("XDG_CACHE_HOME", "~/.cache") / "cvqmpt_lab"
+    package = __name__.partition(".")[0]
+    return named_folder("XDG_CACHE_HOME", "~/.cache") / package
 
 
 def named_folder(variable: str, otherwise: str | Path) -> Path:

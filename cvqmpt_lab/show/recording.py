@@ -35,7 +35,8 @@ def log_solution(
         carried: load in the hand if the problem does not model it.
     """
     seen = seen_of_solution(solution, carried, plots=True, goals=3, hidden=())
-    recording = rr.RecordingStream("cvqmpt_lab")
+    package = __name__.partition(".")[0]
+    recording = rr.RecordingStream(package)
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
     try:
