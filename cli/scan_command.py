@@ -38,12 +38,12 @@ from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
 from cvqmpt_lab.scene.scene import Scene, check_extent
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import PointCloud
+from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.sensing.depth import read_capture
 from cvqmpt_lab.sensing.plane import CAMERA_UP
 from cvqmpt_lab.sensing.scan import (
-    RESOLUTION,
+    MAP_RESOLUTION_M,
     Arm,
-    BoxCrop,
     MapSettings,
     Scan,
     ScanSettings,
@@ -113,9 +113,9 @@ SCAN: Options = {
     },
     "obstacles made of the scan": {
         "--map": option(
-            f"edge of the cells of a map ({RESOLUTION})",
+            f"edge of the cells of a map ({MAP_RESOLUTION_M})",
             type=positive,
-            default=RESOLUTION,
+            default=MAP_RESOLUTION_M,
             metavar="M",
         ),
         "--padding": option(
@@ -145,7 +145,7 @@ def scan_of(args: argparse.Namespace, files: Sequence[Path], robot: Robot, arm: 
     captures = [read_capture(file, lens, pose, args.scale) for file, lens, pose in cameras]
     crop: Any = args.crop
     changes: dict[str, Any] = {
-        "crop": crop and BoxCrop(tuple(crop[:3]), tuple(crop[3:])),
+        "crop": crop and Crop(kind="box", lower=tuple(crop[:3]), upper=tuple(crop[3:])),
         "front": args.front and tuple(args.front),
         "down": args.down,
     }

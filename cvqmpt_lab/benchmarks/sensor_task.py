@@ -23,9 +23,10 @@ from cvqmpt_lab.scene.families import family_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.sensing.camera import KINECT, Camera, DepthNoise, look_at
+from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.sensing.depth import read_capture, write_view
 from cvqmpt_lab.sensing.observation import CameraSettings, arm_objects, views_of
-from cvqmpt_lab.sensing.scan import Arm, BallCrop, MapSettings, ScanSettings, occupancy_map, scan
+from cvqmpt_lab.sensing.scan import Arm, MapSettings, ScanSettings, occupancy_map, scan
 
 ROOM = 0.06  # [m] that start and goal keep from obstacles
 THINGS = {
@@ -115,7 +116,7 @@ def _in_map(
         neighbours: points with fewer are taken for flying pixels, which come in veils behind edges.
     """
     # what of a scan the arm can touch, and a little more
-    reach = BallCrop(centre=(0.0, 0.0, 0.33), radius=1.3)
+    reach = Crop(radius=1.3)
     settings = ScanSettings(crop=reach, voxel=0.5 * resolution, neighbours=neighbours)
     captures = [read_capture(*each) for each in files]
     found = scan(captures, settings, np.random.default_rng(0), Arm(truth.robot, truth.start))

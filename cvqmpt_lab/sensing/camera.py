@@ -1,14 +1,12 @@
-"""A pinhole camera without distortion, what it sees of convex solids, and its errors.
+"""A pinhole camera without distortion, its depth images of convex solids, and its errors.
 
-Its pose in the base frame is T_world_camera.
+The pose of a camera in the robot's base frame is T_world_camera. The camera frame is optical: x
+right, y down, z forward. Pixel (0, 0) is the centre of the upper left pixel.
 
-The camera frame is optical: x right, y down, z forward. Pixel (0, 0) is the centre of the upper
-left pixel.
-
-Depth images of convex solids are without noise, by ray casting: depth and seen solid of every
-pixel. Only outer sides of surfaces are visible, as with back-face culling: a ray ignores a solid
-that contains the camera, or that the ray enters before the near plane. So the two lower cameras of
-the published set-up see the kitchen although they stand below the floor.
+Ray casting gives depth and visible solid of every pixel, without noise. Only outer sides of
+surfaces are visible (back-face culling): a ray ignores a solid that contains the camera, or that
+the ray enters before the near plane. Therefore the two lower cameras of the published clouds see
+the kitchen although they are below the floor.
 """
 
 import math
@@ -28,7 +26,7 @@ Pixels = Annotated[int, Condition(int, lambda n: 1 <= n <= 2**14, f"1 to {2**14}
 
 @dataclass(frozen=True, eq=False)
 class Intrinsics(Checked):
-    """Intrinsics of a pinhole camera, and the range of depths that it measures."""
+    """Intrinsics of a pinhole camera, and its range of depths."""
 
     width: Pixels
     height: Pixels
@@ -36,14 +34,14 @@ class Intrinsics(Checked):
     fy: Length  # focal length along columns [pixels]
     cx: float  # column of the principal point [pixels]
     cy: float  # row of the principal point [pixels]
-    near: float = 0.0  # [m] virtual cameras look through nearer surfaces
-    far: float = 1000.0  # [m] and do not see farther ones
+    near: float = 0.0  # virtual cameras ignore nearer surfaces [m]
+    far: float = 1000.0  # virtual cameras do not see farther surfaces [m]
 
     def _check(self) -> None:
         if not (0.0 <= self.cx < self.width and 0.0 <= self.cy < self.height):
             raise InvalidInputError(
                 f"intrinsics: principal point ({self.cx:g}, {self.cy:g}) is outside the image of "
-                f"{self.width} x {self.height} pixels; give those of this image's size"
+                f"{self.width} x {self.height} pixels; give the intrinsics for this image size"
             )
         if not 0.0 <= self.near < self.far:
             raise InvalidInputError(
@@ -59,7 +57,17 @@ class Intrinsics(Checked):
         near: float = 1.0,
         far: float = 5.1,
     ) -> "Intrinsics":
-        """Square centred pixels, f = height / (2 tan(fov / 2)), fov [deg]; default: kitchen's."""
+        """Return intrinsics with f = height / (2 tan(fov / 2)) and a centred principal point.
+
+        The defaults are those of the published kitchen clouds.
+
+        Args:
+            width: number of columns.
+            height: number of rows.
+            vertical_fov: angle between the upper and lower edge of the image [deg].
+            near: smallest depth [m].
+            far: largest depth [m].
+        """
         if not 0.0 < vertical_fov < 180.0:
             raise InvalidInputError(
                 f"intrinsics: vertical_fov {vertical_fov} deg; give one between 0 and 180"
@@ -68,18 +76,18 @@ class Intrinsics(Checked):
         return cls(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), near, far)
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rays (x, y, 1): x = (u - cx) / fx (width,) and y = (v - cy) / fy (height,)."""
+        """Return x = (u - cx) / fx (width,), y = (v - cy) / fy (height,) of the rays (x, y, 1)."""
         return _axis(self.width, self.fx, self.cx), _axis(self.height, self.fy, self.cy)
 
 
 def _axis(count: int, focal: float, principal: float) -> np.ndarray:
-    """(i - principal) / focal, 0 <= i < count; the operations' order keeps committed rows."""
+    """Return (i - principal) / focal, 0 <= i < count, rounded exactly as in committed results."""
     centred = 0.5 * count / focal * ((np.arange(count) + 0.5) * 2.0 / count - 1.0)
     return centred - (principal - 0.5 * (count - 1)) / focal
 
 
 KINECT = Intrinsics.from_fov(width=320, height=288, vertical_fov=65.0, near=0.5, far=5.46)
-"""Azure Kinect DK, narrow field of view, 2x2 binned: 75 x 65 deg (here 71), 0.5 to 5.46 m.
+"""Azure Kinect DK, narrow field of view, 2x2 binned: 75 (here 71) x 65 deg, 0.5 to 5.46 m.
 
 Source: Microsoft, "Azure Kinect DK hardware specifications"."""
 
@@ -97,7 +105,7 @@ class Camera:
         return self.T_world_camera[:3, 3]
 
     def rays(self) -> FloatArray:
-        """Rays (height, width, 3) [world] through the pixels' centres, to a depth of 1 m."""
+        """Return rays (height, width, 3) [world] through the pixels' centres, to a depth of 1 m."""
         right, down, ahead = self.T_world_camera[:3, :3].T
         x, y = self.intrinsics.axes()
         return ahead + y[:, None, None] * down + x[:, None] * right
@@ -106,7 +114,7 @@ class Camera:
 def look_at(
     eye: Sequence[float] | np.ndarray, target: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
 ) -> FloatArray:
-    """T_world_camera (4, 4) of an upright camera at eye (3,) [m] that looks at target (3,) [m]."""
+    """Return T_world_camera (4, 4) of an upright camera at eye (3,) [m] that looks at target."""
     if not np.isfinite([*eye, *target]).all() or np.allclose(eye, target):
         raise InvalidInputError(f"camera at {eye} cannot look at {target}; give two points")
     ahead = np.subtract(target, eye)
@@ -123,7 +131,15 @@ def cameras_on_sphere(
     radius: float = 2.0,
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[Camera, ...]:
-    """Cameras at every pair of azimuth and elevation [deg], all `radius` [m] from their target."""
+    """Return a camera for every pair of azimuth and elevation, directed at the centre of a sphere.
+
+    Args:
+        intrinsics: intrinsics of all cameras.
+        azimuths: angles about the vertical, from x [deg].
+        elevations: angles above the horizontal plane [deg].
+        radius: distance of the cameras from the centre [m].
+        centre: centre of the sphere [m].
+    """
     cameras = []
     for elevation in np.radians(elevations):
         for azimuth in np.radians(azimuths):
@@ -134,32 +150,33 @@ def cameras_on_sphere(
     return tuple(cameras)
 
 
-NOTHING = -1  # index of pixels that see no solid
+NO_SOLID = -1  # index of pixels that see no solid
 
-# (...,) each: t at which rays eye + t ray enter and leave a solid
+# (...,) each: parameters t where rays eye + t ray enter and leave a solid
 Interval = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A convex body between planes, in a ball or in an endless cylinder, or several of these.
+    """A convex body: the intersection of half-spaces with a ball or an infinite cylinder.
 
-    It holds the points x of its frame with n x + d <= 0 for the unit normal n and offset d of every
-    plane, whose first `round_axes` coordinates are within `radius` of the origin.
+    It contains the points x of its frame with n x + d <= 0 for unit normal n and offset d of every
+    plane, if the norm of their first `round_axes` coordinates is at most `radius`.
     """
 
-    T_world_solid: np.ndarray  # (4, 4) or (3, 4), its pose [m]
-    corners: np.ndarray  # (n, 3), points whose convex hull contains it [m]
-    planes: np.ndarray  # (f, 4), n and d [m] of each
+    T_world_solid: np.ndarray  # (4, 4) or (3, 4) pose [m]
+    corners: np.ndarray  # (n, 3) points whose convex hull contains the solid [m]
+    planes: np.ndarray  # (f, 4) n and d [m] of each plane
     radius: float = np.inf  # [m]
-    round_axes: int = 0  # 3 for a ball, 2 for a cylinder along z, 0: it is not round
+    round_axes: int = 0  # 3: ball; 2: cylinder along z; 0: planes only
 
     def interval(self, eye: np.ndarray, rays: np.ndarray) -> Interval:
-        """Interval of rays (..., 3) from an eye (3,) [m]; those that miss: enter > leave or NaN."""
-        enter, leave = np.full(rays.shape[:-1], -np.inf), np.full(rays.shape[:-1], np.inf)
+        """Return the interval of rays (..., 3) from eye (3,) [m]; a miss: enter > leave or NaN."""
+        enter = np.full(rays.shape[:-1], -np.inf)
+        leave = np.full(rays.shape[:-1], np.inf)
         if self.round_axes:
             enter, leave = self._within_radius(eye[: self.round_axes], rays[..., : self.round_axes])
-        # plane by plane, since an array for all planes at once could exceed the memory
+        # one plane after another: an array for all planes could exceed the memory
         heights = self.planes[:, :3] @ eye + self.planes[:, 3]
         for normal, height in zip(self.planes[:, :3], heights, strict=True):
             towards = rays @ normal
@@ -167,25 +184,27 @@ class Solid:
             np.maximum(enter, cut, out=enter, where=towards < 0.0)
             np.minimum(leave, cut, out=leave, where=towards > 0.0)
             if height > 0.0:
-                # these rays are parallel to the plane and stay on its outer side
+                # rays parallel to the plane, on its outer side
                 leave[towards == 0.0] = -np.inf
         return enter, leave
 
     def _within_radius(self, eye: np.ndarray, rays: np.ndarray) -> Interval:
-        """Interval of rays (..., d) from eye (d,) within the radius.
+        """Return the interval of rays (..., d) from eye (d,) in the ball or cylinder.
 
         |eye + t ray|^2 = radius^2 is a t^2 + 2 b t + c = 0.
         """
-        a, b = np.einsum("...i,...i->...", rays, rays), rays @ eye
+        a = np.einsum("...i,...i->...", rays, rays)
+        b = rays @ eye
         c = eye @ eye - self.radius * self.radius
-        root = np.sqrt(b * b - a * c)  # NaN for rays that miss: comparisons with NaN are false
-        # a = 0: the ray is parallel to a cylinder's axis, all of it inside (c <= 0) or none of it
+        root = np.sqrt(b * b - a * c)  # NaN if the ray misses: comparisons with NaN are False
+        # a = 0: the ray is parallel to the cylinder's axis, completely inside (c <= 0) or outside
         parallel = np.where(c <= 0.0, np.inf, np.nan)
+        enter = np.where(a > 0.0, (-b - root) / a, -parallel)
         leave = np.where(a > 0.0, (root - b) / a, parallel)
-        return np.where(a > 0.0, (-b - root) / a, -parallel), leave
+        return enter, leave
 
     def normals(self, points: np.ndarray) -> np.ndarray:
-        """Outward normals (m, 3), of length 1, of the faces nearest to points (m, 3) [m] on it."""
+        """Return the outward unit normals (m, 3) of the solid at points (m, 3) [m] on it."""
         heights = points @ self.planes[:, :3].T + self.planes[:, 3]
         radial = points * (np.arange(3) < self.round_axes)
         away = np.linalg.norm(radial, axis=1, keepdims=True)
@@ -197,18 +216,18 @@ class Solid:
 
 
 def cuboid(T: np.ndarray, half: np.ndarray) -> Solid:
-    """A box centred at pose T (4, 4); half (3,): half of each edge [m]."""
+    """Return a box centred at pose T (4, 4); half (3,): half of each edge [m]."""
     planes = np.c_[np.vstack([np.eye(3), -np.eye(3)]), -np.tile(half, 2)]
     return Solid(T, _box_corners(half), planes)
 
 
 def ball(T: np.ndarray, radius: float) -> Solid:
-    """A ball of a radius [m] centred at pose T (4, 4)."""
+    """Return a ball centred at pose T (4, 4); radius [m]."""
     return Solid(T, _box_corners(np.full(3, radius)), np.empty((0, 4)), radius, 3)
 
 
 def cylinder(T: np.ndarray, radius: float, half: float) -> Solid:
-    """A cylinder centred at pose T (4, 4), axis along z; its radius and half its height [m]."""
+    """Return a cylinder along z centred at pose T (4, 4); radius and half of the height [m]."""
     planes = np.array([[0.0, 0.0, 1.0, -half], [0.0, 0.0, -1.0, -half]])
     return Solid(T, _box_corners(np.array([radius, radius, half])), planes, radius, 2)
 
@@ -218,8 +237,8 @@ class View:
     """A depth image of solids."""
 
     camera: Camera
-    depth: np.ndarray  # (height, width) [m], along the optical axis; inf where no solid is seen
-    solid: np.ndarray  # (height, width) int, index of the solid seen, or `NOTHING`
+    depth: np.ndarray  # (height, width) along the optical axis [m]; inf: no solid
+    solid: np.ndarray  # (height, width) int index of the visible solid, or `NO_SOLID`
 
     @property
     def points(self) -> np.ndarray:
@@ -229,10 +248,10 @@ class View:
 
 
 def view_of(solids: Sequence[Solid], camera: Camera) -> View:
-    """Cast a ray through every pixel; seen is the nearest solid between the near and far plane."""
+    """Cast a ray through every pixel to the nearest solid between the near and far plane."""
     rays, lens = camera.rays(), camera.intrinsics
     depth = np.full(rays.shape[:2], np.inf)
-    nearest = np.full(rays.shape[:2], NOTHING)
+    nearest = np.full(rays.shape[:2], NO_SOLID)
     for index, item in enumerate(solids):
         window = _window(item, camera)
         if window is None:
@@ -244,16 +263,18 @@ def view_of(solids: Sequence[Solid], camera: Camera) -> View:
         seen = (
             (enter <= leave) & (enter >= lens.near) & (enter <= lens.far) & (enter < depth[window])
         )
-        depth[window][seen], nearest[window][seen] = enter[seen], index
+        depth[window][seen] = enter[seen]
+        nearest[window][seen] = index
     return View(camera, depth, nearest)
 
 
 def incidence(view: View, solids: Sequence[Solid]) -> np.ndarray:
-    """Cosine (height, width) between surface normal and direction to the camera; 0: no solid."""
+    """Return the cosine (height, width) of surface normal and direction to the camera, or 0."""
     rays = view.camera.rays()
     cosine = np.zeros(view.depth.shape)
-    for index in np.unique(view.solid[view.solid != NOTHING]):
-        T, here = solids[index].T_world_solid, view.solid == index
+    for index in np.unique(view.solid[view.solid != NO_SOLID]):
+        T = solids[index].T_world_solid
+        here = view.solid == index
         towards = -rays[here]
         points = view.camera.eye - view.depth[here][:, None] * towards
         normals = solids[index].normals((points - T[:3, 3]) @ T[:3, :3]) @ T[:3, :3].T
@@ -262,13 +283,13 @@ def incidence(view: View, solids: Sequence[Solid]) -> np.ndarray:
 
 
 def _window(item: Solid, camera: Camera) -> tuple[slice, slice] | None:
-    """Rows and columns of the pixels that may see a solid; None if the solid is out of view."""
+    """Return rows and columns of the pixels that may see a solid; None: it is out of view."""
     T, lens = item.T_world_solid, camera.intrinsics
     corners = item.corners @ T[:3, :3].T + T[:3, 3]
     x, y, z = camera.T_world_camera[:3, :3].T @ (corners - camera.eye).T
     if z.max() < lens.near or z.min() > lens.far:
         return None
-    # corners beside or behind the camera have no projection, so all pixels are taken
+    # corners behind the image plane have no projection: all pixels may see the solid
     if z.min() < 1e-3:
         return slice(0, lens.height), slice(0, lens.width)
     rows = _pixels(lens.cy + lens.fy * y / z, lens.height)
@@ -277,7 +298,7 @@ def _window(item: Solid, camera: Camera) -> tuple[slice, slice] | None:
 
 
 def _pixels(places: np.ndarray, count: int) -> slice:
-    """The pixels, of 0 to count - 1, from the least to the greatest of `places` [pixels]."""
+    """Return the range of pixels, in 0 to count - 1, that contains all `places` [pixels]."""
     return slice(max(0, math.floor(places.min())), min(count, math.ceil(places.max()) + 1))
 
 
@@ -286,24 +307,24 @@ def _box_corners(half: np.ndarray) -> np.ndarray:
     return signs * half
 
 
-WEAKEST = 0.15 / 5.46**2  # [1/m^2] the light of the specified range's end
+WEAKEST_LIGHT = 0.15 / 5.46**2  # light s at the end of the specified range [1/m^2]
 
 
 Materials = tuple[np.ndarray, np.ndarray]
-"""Reflectivity (k,) of k solids, in (0, 1], of infrared light, diffuse; and their gloss (k,), the
-share of the light that is reflected as by a mirror."""
+"""Diffuse reflectivity (k,), in (0, 1], of k solids for infrared light, and their gloss (k,): the
+share of light that is reflected as by a mirror."""
 
 
 def drawn_materials(
     count: int, rng: np.random.Generator, dark: float = 0.1, shiny: float = 0.1
 ) -> Materials:
-    """Materials of `count` solids.
+    """Draw materials of `count` solids.
 
     Args:
-        count: of solids.
-        rng: of the draws.
-        dark: share of 3 to 10 % reflectivity, assumed; other surfaces have 30 to 90 %.
-        shiny: share that mirrors 60 to 90 % of the light, assumed.
+        count: number of solids.
+        rng: random numbers.
+        dark: share of solids with 3 to 10 % reflectivity (assumed); others have 30 to 90 %.
+        shiny: share of solids that mirror 60 to 90 % of the light (assumed).
     """
     kind, shade, shine = rng.random((3, count))
     reflectivity = np.where(kind < dark, 0.03 + 0.07 * shade, 0.3 + 0.6 * shade)
@@ -313,11 +334,11 @@ def drawn_materials(
 
 @dataclass(frozen=True, kw_only=True)
 class DepthNoise:
-    """Errors of an Azure-Kinect-class camera; standard deviations unless stated otherwise.
+    """Errors of a depth camera like the Azure Kinect; standard deviations unless stated otherwise.
 
-    Noise and drop-outs depend on the light that comes back, s = reflectivity cos(incidence) /
-    depth^2 [1/m^2]. Noise grows with 1 / s, hence with distance, on dark surfaces and at grazing
-    angles; where s is too small there is no depth. The two constants follow from Microsoft's "Azure
+    Noise and drop-outs depend on the returned light s = reflectivity cos(incidence) / depth^2
+    [1/m^2]. Noise grows with 1 / s: with distance, on dark surfaces and at grazing angles; if s is
+    too small, there is no depth. The two constants follow from Microsoft's "Azure
     Kinect DK hardware specifications" (narrow field of view, 2x2 binned: surfaces of 15 %
     reflectivity are measured up to 5.46 m; standard deviation at most 17 mm, systematic error below
     11 mm + 0.1 % of the distance). Toelgyessy, Dekan, Chovanec and Hubinsky, "Evaluation of the
@@ -328,19 +349,19 @@ class DepthNoise:
     because pixels are binned. Fields without a source say "assumed".
     """
 
-    floor: float = 0.0006  # [m] of depths however bright the surface is; assumed
-    per_light: float = (0.017 - 0.0006) * WEAKEST  # [m / m^2] of 1 / s; 17 mm at full range
-    weakest: float = WEAKEST  # [1/m^2] below this much light there is no depth
-    flicker: float = 0.3  # of the logarithm of the light that a pixel gets; assumed
-    lateral: float = 0.5  # [pixels] of where a pixel looks
-    offset: float = 0.011 / 3.0  # [m] of an image's systematic error
-    scale: float = 0.001 / 3.0  # the same, in proportion to depth
-    edge_lost: float = 0.3  # share of pixels at edges of surfaces that have no depth; assumed
-    edge_flying: float = 0.3  # share of them whose depth lies between the surfaces; assumed
-    multipath: float = 0.02  # [m] mean of the depth that mirrored light adds; assumed
-    quantum: float = 0.001  # [m] depths are whole multiples of it
-    glare: float = 5.0  # [deg] off its normal at which a shiny surface blinds the camera; assumed
-    edge: float = 0.02  # [m] depth step between solids at neighbouring pixels of an edge
+    floor: float = 0.0006  # of depths on the brightest surface [m]; assumed
+    per_light: float = (0.017 - 0.0006) * WEAKEST_LIGHT  # per 1 / s [m / m^2]; 17 mm at full range
+    weakest: float = WEAKEST_LIGHT  # no depth below this s [1/m^2]
+    flicker: float = 0.3  # of the logarithm of a pixel's light; assumed
+    lateral: float = 0.5  # of the direction of a pixel [pixels]
+    offset: float = 0.011 / 3.0  # of an image's systematic error [m]
+    scale: float = 0.001 / 3.0  # of an image's systematic error in proportion to depth
+    edge_lost: float = 0.3  # share of pixels without depth at edges of surfaces; assumed
+    edge_flying: float = 0.3  # share of pixels with a depth between both surfaces; assumed
+    multipath: float = 0.02  # mean depth that mirrored light adds [m]; assumed
+    quantum: float = 0.001  # depths are multiples of it [m]
+    glare: float = 5.0  # a shiny surface blinds the camera up to this incidence [deg]; assumed
+    edge: float = 0.02  # least depth step between the solids of an edge [m]
 
 
 def measured(
@@ -350,15 +371,24 @@ def measured(
     noise: DepthNoise,
     rng: np.random.Generator,
 ) -> View:
-    """The view as a camera would measure it: other depths, inf where there is none."""
-    # the pixel that each pixel reads: itself or a neighbour
+    """Return the view with measurement errors: other depths, and inf where depth is lost.
+
+    Args:
+        view: exact depth image.
+        solids: solids of the view.
+        materials: reflectivity and gloss of each solid.
+        noise: size of the errors.
+        rng: random numbers.
+    """
+    # index of the pixel whose depth each pixel measures: itself or a neighbour
     shape = view.depth.shape
     rows, columns = np.indices(shape)
     down, right = np.rint(noise.lateral * rng.standard_normal((2, *shape))).astype(int)
-    rows, columns = np.clip(rows + down, 0, shape[0] - 1), np.clip(columns + right, 0, shape[1] - 1)
+    rows = np.clip(rows + down, 0, shape[0] - 1)
+    columns = np.clip(columns + right, 0, shape[1] - 1)
     depth, solid = view.depth[rows, columns], view.solid[rows, columns]
-    found = solid != NOTHING
-    reflectivity, gloss = (np.append(values, 0.0)[solid] for values in materials)  # 0: nothing
+    found = solid != NO_SOLID
+    reflectivity, gloss = (np.append(values, 0.0)[solid] for values in materials)  # 0: no solid
     cosine = incidence(view, solids)[rows, columns]
     light = reflectivity * (1.0 - gloss) * cosine / depth**2  # s [1/m^2]
     light = np.where((gloss > 0.0) & (cosine > np.cos(np.radians(noise.glare))), 0.0, light)
@@ -367,7 +397,7 @@ def measured(
     )
     # errors of the whole image and of each pixel
     offset, scale = rng.standard_normal(2) * (noise.offset, noise.scale)
-    spread = noise.floor + noise.per_light / np.maximum(light, WEAKEST)
+    spread = noise.floor + noise.per_light / np.maximum(light, WEAKEST_LIGHT)
     z = np.where(found, depth, 1.0)
     z = z * (1.0 + scale) + offset + spread * rng.standard_normal(shape)
     z += noise.multipath * gloss * rng.exponential(size=z.shape)
@@ -380,11 +410,11 @@ def measured(
     if noise.quantum > 0.0:
         z = noise.quantum * np.rint(z / noise.quantum)
     valid &= (z >= view.camera.intrinsics.near) & (z <= view.camera.intrinsics.far)
-    return replace(view, depth=np.where(valid, z, np.inf), solid=np.where(valid, solid, NOTHING))
+    return replace(view, depth=np.where(valid, z, np.inf), solid=np.where(valid, solid, NO_SOLID))
 
 
 def _edges(view: View, least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Least and largest depth around each pixel; mask of edges of more than `least` [m]."""
+    """Return least and largest depth around each pixel, and a mask of edges over `least` [m]."""
     height, width = view.depth.shape
     depth = np.pad(view.depth, 1, mode="edge")
     near, far = view.depth.copy(), np.where(np.isfinite(view.depth), view.depth, -np.inf)

@@ -1,6 +1,6 @@
-"""Depth images (16-bit PNG, or NPY) and captures: what one camera saw, as points.
+"""Read depth images (16-bit PNG or NPY), intrinsics and extrinsics; a capture is their points.
 
-Its intrinsics and extrinsics are read from small json or yaml files.
+Intrinsics and extrinsics are JSON or YAML files.
 """
 
 import io
@@ -33,11 +33,13 @@ def read_capture(
     extrinsics: Path | str | None = None,
     scale: float | None = None,
 ) -> Cloud:
-    """Read a cloud, or, with intrinsics, a depth image; errors name the file.
+    """Read a depth image (with intrinsics) or a cloud (without); errors name the file.
 
-    intrinsics, extrinsics: files of `read_intrinsics` and `read_extrinsics`; None: a cloud; the
-        robot's base frame.
-    scale: [m] of one unit; None: metres, of a 16-bit image millimetres.
+    Args:
+        path: depth image or cloud.
+        intrinsics: file for `read_intrinsics`; None: `path` is a cloud.
+        extrinsics: file for `read_extrinsics`; None: the camera frame is the robot's base frame.
+        scale: length of a unit in the file [m]; None: 1 m, for a 16-bit image 1 mm.
     """
     path = Path(path)
     if intrinsics is None and path.suffix.lower() == ".png":
@@ -51,17 +53,15 @@ def read_capture(
     pixels = deprojected(read_depth(path, lens, scale), lens).reshape(-1, 3)
     points = pixels[np.isfinite(pixels[:, 2])]
     if len(points) == 0:
-        raise InvalidInputError(
-            f"depth image {path}: the camera saw nothing, every pixel is 0 or not finite"
-        )
+        raise InvalidInputError(f"depth image {path} has no depth: every pixel is 0 or not finite")
     check_lengths(points, f"depth image {path}")
     return Cloud(points, len(pixels) - len(points), T)
 
 
 def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -> FloatArray:
-    """Depth (height, width) along the camera's axis [m], NaN if not seen; errors name the file.
+    """Read depth (height, width) along the camera's axis [m]; NaN: none; errors name the file.
 
-    scale: [m] of one unit; by default millimetres of a PNG, metres of an NPY of floats.
+    scale: length of a unit in the file [m]; None: 1 mm for integers, 1 m for floats.
     """
     readers = {".png": _read_png, ".npy": _read_npy}
     image = read_by_suffix(readers, path, "depth image", lens)
@@ -73,17 +73,17 @@ def read_depth(path: Path | str, lens: Intrinsics, scale: float | None = None) -
 
 
 def deprojected(depth: FloatArray, lens: Intrinsics) -> FloatArray:
-    """Points d ((u - cx) / fx, (v - cy) / fy, 1) [m, camera frame] of a depth image d [m]."""
+    """Return points d ((u - cx) / fx, (v - cy) / fy, 1) [m, camera frame] of a depth image d."""
     x, y = lens.axes()
     return np.stack([depth * x, depth * y[:, None], depth], axis=-1)
 
 
 def write_depth(path: Path | str, depth: FloatArray, scale: float = 0.001) -> None:
-    """Write depth (height, width) as a 16-bit PNG, `scale` [m] per unit; 0: does not fit."""
+    """Write depth (height, width) [m] as a 16-bit PNG, `scale` [m] per unit; 0: no depth."""
     with np.errstate(invalid="ignore"):
         units = np.rint(depth / scale)
     units[~(units < 2**16)] = 0.0
-    from PIL import Image  # here and below: plans without depth images need not pay for it
+    from PIL import Image  # imported here: only depth images need it
 
     stream = io.BytesIO()
     Image.fromarray(units.astype(np.uint16)).save(stream, format="PNG")
@@ -91,7 +91,7 @@ def write_depth(path: Path | str, depth: FloatArray, scale: float = 0.001) -> No
 
 
 def write_view(view: View, folder: Path, name: str) -> tuple[Path, Path, Path]:
-    """Write name.png, name.intrinsics.json, name.extrinsics.json: paths for `read_capture`."""
+    """Write NAME.png, NAME.intrinsics.json and NAME.extrinsics.json; return their paths."""
     ends = ("png", "intrinsics.json", "extrinsics.json")
     image, intrinsics, extrinsics = (folder / f"{name}.{end}" for end in ends)
     write_depth(image, view.depth)
@@ -107,24 +107,24 @@ def _read_png(data: bytes, lens: Intrinsics) -> np.ndarray:
     with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
         if image.mode not in ("I;16", "I;16B", "I;16L"):
             raise InvalidInputError(
-                f"it is a picture of mode {image.mode}, no depth: give the 16-bit depth image"
+                f"it is a picture of mode {image.mode}, without depth: give a 16-bit depth image"
             )
         _check_size((image.height, image.width), lens)
-        # PNG packs at most 1100 bytes into one
+        # PNG compresses at most by a factor of 1100
         if image.width * image.height * 2 > 1100 * len(data):
             raise InvalidInputError(
-                "its header says more pixels than the file can hold: cut short?"
+                "its header has more pixels than the file can contain: truncated?"
             )
         pixels = np.asarray(image, dtype=np.uint16)
     if data.partition(b"IEND\xaeB`\x82")[2]:
-        raise InvalidInputError("the file goes on after its image; give one image a file")
+        raise InvalidInputError("the file continues after its image; give one image per file")
     return pixels
 
 
 def _read_npy(data: bytes, lens: Intrinsics) -> np.ndarray:
     image = read_array(data)
     if image.ndim != 2 or image.dtype.kind not in "fui":
-        raise InvalidInputError("it holds no array (height, width) of numbers")
+        raise InvalidInputError("it has no array (height, width) of numbers")
     _check_size(image.shape, lens)
     return image
 
@@ -133,12 +133,12 @@ def _check_size(shape: tuple[int, ...], lens: Intrinsics) -> None:
     if shape != (lens.height, lens.width):
         raise InvalidInputError(
             f"the image has {shape[1]} x {shape[0]} pixels, the intrinsics are for {lens.width} x "
-            f"{lens.height}; give those of this image (fx, fy, cx, cy grow with its size)"
+            f"{lens.height}; give the intrinsics of this image (fx, fy, cx, cy grow with its size)"
         )
 
 
 def read_intrinsics(path: Path | str) -> Intrinsics:
-    """Read fields of `Intrinsics`, of ROS or Open3D, or a matrix K; errors name the file."""
+    """Read intrinsics: fields of `Intrinsics`, of ROS or Open3D, or K; errors name the file."""
     data = _read_settings(path, "intrinsics")
     with located(f"intrinsics {path}"):
         return _intrinsics(data)
@@ -162,13 +162,13 @@ def _intrinsics(data: Any) -> Intrinsics:
         Array((None,)).read(_listed(distortion), "distortion") != 0.0
     ):
         raise InvalidInputError(
-            "the lens distorts (distortion is not 0); give rectified images and their intrinsics"
+            "the lens has distortion (it is not 0); give rectified images and their intrinsics"
         )
     listed = np.ravel(np.asarray(_listed(fields[name]), dtype=object)).tolist()
     K = Array((9,), "numbers, row after row").read(listed, name).reshape(3, 3)
     if name == "intrinsic_matrix" and K[2, 0] != 0.0:
         K = K.T  # Open3D writes K column by column
-    # the product has the entries that must be 0
+    # the factors select the entries that must be 0
     if (
         not np.array_equal(K * [[0, 1, 0], [1, 0, 0], [1, 1, 0]], np.zeros((3, 3)))
         or K[2, 2] != 1.0
@@ -183,7 +183,7 @@ def _intrinsics(data: Any) -> Intrinsics:
 
 
 def read_extrinsics(path: Path | str) -> FloatArray:
-    """Read T_world_camera (4, 4), alone or under the key "T_world_camera"; errors name the file.
+    """Read T_world_camera (4, 4), alone or as field "T_world_camera"; errors name the file.
 
     Forms: a 4x4 matrix (a rounded rotation is made orthonormal), {xyz, quaternion}, {xyz, rpy}, or
     ROS's {translation, rotation}.
@@ -196,7 +196,7 @@ def read_extrinsics(path: Path | str) -> FloatArray:
 
 
 def _rigid(data: Any) -> Any:
-    """A pose in any form of `read_extrinsics`, as a value that `Pose` reads."""
+    """Return a pose in one of the forms of `read_extrinsics` as a value that `Pose` reads."""
     if isinstance(data, Mapping):
         if "translation" not in data:
             return data
@@ -205,7 +205,7 @@ def _rigid(data: Any) -> Any:
         return from_plain(Placement, named, "T_world_camera").matrix
     T = np.array(MATRIX.read(data, "T_world_camera"))
     R = T[:3, :3]
-    # entries written with three decimals only
+    # entries that were written with three decimals
     rounded = np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() <= 1e-3
     if rounded and np.linalg.det(R) > 0.0:
         from scipy.spatial.transform import Rotation  # takes 0.3 s to import
@@ -215,12 +215,12 @@ def _rigid(data: Any) -> Any:
 
 
 def _listed(value: Any) -> Any:
-    """The entries of a matrix, which ROS writes as {rows, cols, data}."""
+    """Return the entries of a matrix; ROS writes {rows, cols, data}."""
     return value.get("data") if isinstance(value, Mapping) else value
 
 
 def _read_settings(path: Path | str, what: str) -> Any:
-    """Plain dicts, lists and numbers of a json or yaml file; `what` names it in errors."""
+    """Return the value in a JSON or YAML file; errors call the file `what`."""
     parsers: Mapping[str, Callable[[bytes], Any]] = {
         ".json": lambda data: json_value(data.decode("utf-8"), "it"),
         ".yaml": lambda data: yaml_value(data.decode("utf-8")),

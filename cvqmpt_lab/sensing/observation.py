@@ -1,4 +1,4 @@
-"""Point clouds of scenes, as virtual depth cameras see them: what a learned planner gets."""
+"""Point clouds of scenes from virtual depth cameras: the input of learned planners."""
 
 import json
 from collections.abc import Sequence
@@ -32,23 +32,24 @@ from cvqmpt_lab.sensing.camera import (
     measured,
     view_of,
 )
-from cvqmpt_lab.sensing.scan import BallCrop, BoxCrop, voxel_means
+from cvqmpt_lab.sensing.crop import Crop
+from cvqmpt_lab.sensing.scan import voxel_means
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """Virtual cameras, and how their points become a cloud; by default as published."""
+    """Virtual cameras, and how their points become a cloud; defaults: as published."""
 
     cameras: tuple[Camera, ...] = cameras_on_sphere(
         Intrinsics.from_fov(), (135.0, -135.0), (40.0, -40.0)
     )
-    """Those of the published kitchen clouds."""
-    obstacles_only: bool = False  # leave out objects that are no obstacles, such as the floor
-    crop: BoxCrop | BallCrop = field(default_factory=BoxCrop)  # which points of all cameras stay
-    voxel: float | None = 0.025  # [m] edge of cells in which points are averaged; None: no cells
-    noise: float = 0.0  # [m] standard deviation of the noise of every coordinate of the cloud
-    errors: DepthNoise | None = None  # of the depths of every camera; None: exact depths
-    # size of the cloud: a random choice of its points, repeated if they are too few; None: all
+    """Default: cameras of the published kitchen clouds."""
+    obstacles_only: bool = False  # leave out objects that are not obstacles, such as the floor
+    crop: Crop = field(default_factory=lambda: Crop(kind="box"))  # region of the points that stay
+    voxel: float | None = 0.025  # edge of cells in which points are averaged [m]; None: no cells
+    noise: float = 0.0  # standard deviation of noise added to every coordinate of the cloud [m]
+    errors: DepthNoise | None = None  # errors of the depth images; None: exact depths
+    # number of points, chosen at random and repeated if there are too few; None: all points
     points: int | None = None
 
     def __post_init__(self) -> None:
@@ -61,15 +62,16 @@ class CameraSettings:
 
     @classmethod
     def like_training(cls, points: int = 1024, noise: float = 0.003) -> "CameraSettings":
-        """Clouds like those of training: cameras on all sides, no floor, obstacles covered evenly.
+        """Return settings for clouds like those of training: cameras on all sides, no floor.
 
-        Unlike training clouds they lack what no camera sees, such as the inside of closed cabinets.
+        Unlike training clouds they lack surfaces that no camera sees, e.g. inside closed cabinets.
 
         Args:
-            points: size of the cloud.
-            noise: standard deviation of every coordinate [m].
+            points: number of points of the cloud.
+            noise: standard deviation of noise added to every coordinate [m].
         """
-        intrinsics, crop = Intrinsics.from_fov(vertical_fov=70.0, near=0.1), BallCrop()
+        intrinsics = Intrinsics.from_fov(vertical_fov=70.0, near=0.1)
+        crop = Crop()
         cameras = cameras_on_sphere(
             intrinsics, (45.0, 135.0, -45.0, -135.0), (40.0, -40.0), centre=crop.centre
         )
@@ -77,7 +79,7 @@ class CameraSettings:
 
 
 def camera_cloud(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Points (m, 3) [m, robot base frame] that the cameras see, in random order; m may be 0.
+    """Return points (m, 3) [m, robot base frame] that the cameras see, in random order, m >= 0.
 
     InvalidInputError: an object of the scene is a point cloud.
     """
@@ -87,13 +89,13 @@ def camera_cloud(scene: Scene, settings: CameraSettings, rng: np.random.Generato
 def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
     """Average points in voxels, shuffle them, choose `settings.points` of them, add noise.
 
-    The order is random because the point encoder takes, of too many neighbours, those of lowest
-    index.
+    The order is random because the point encoder uses the neighbours of lowest index if there are
+    too many.
 
     Args:
         points: (p, 3) [m].
         settings: its `voxel`, `points` and `noise` are used.
-        rng: of order and noise.
+        rng: random numbers for order and noise.
 
     Returns:
         (m, 3) [m], with m = `settings.points` if that is set and p > 0.
@@ -102,7 +104,7 @@ def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generat
         points = voxel_means(points, settings.voxel)
     points = points[rng.permutation(len(points))]
     if settings.points is not None and len(points):
-        # after the last point comes the first one again
+        # points are repeated from the first one
         points = points[np.arange(settings.points) % len(points)]
     if settings.noise > 0.0:
         points = points + settings.noise * rng.standard_normal(points.shape)
@@ -110,16 +112,16 @@ def thinned(points: FloatArray, settings: CameraSettings, rng: np.random.Generat
 
 
 def visible_points(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> FloatArray:
-    """Points (m, 3) [m, robot base frame] of the pixels of all cameras, inside the crop."""
+    """Return points (m, 3) [m, robot base frame] of all cameras' pixels inside the crop."""
     seen = [view.points for view in views_of(scene, settings, rng)]
     points = np.concatenate([np.empty((0, 3)), *seen])
     return points[settings.crop.contains(points)]
 
 
 def views_of(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -> list[View]:
-    """The depth image of each camera, with measurement errors if `settings.errors` is set.
+    """Return the depth image of each camera, with measurement errors if `settings.errors` is set.
 
-    Each object has one material, the same in all images.
+    An object has the same material in all images.
     """
     solids = solids_of(scene.obstacles if settings.obstacles_only else scene.objects)
     views = [view_of(solids, camera) for camera in settings.cameras]
@@ -130,7 +132,7 @@ def views_of(scene: Scene, settings: CameraSettings, rng: np.random.Generator) -
 
 
 def solids_of(objects: Sequence[SceneObject]) -> list[Solid]:
-    """Scene objects as solids that cameras see; InvalidInputError names one that is a cloud."""
+    """Return scene objects as solids for cameras; InvalidInputError names a measured object."""
     return [_solid(item) for item in objects]
 
 
@@ -146,7 +148,7 @@ def _solid(item: SceneObject) -> Solid:
         case ConvexMesh(vertices):
             from scipy.spatial import ConvexHull  # a third of a second to import
 
-            # rounded, so that the planes of coplanar triangles become equal
+            # rounding makes the planes of coplanar triangles equal
             planes = ConvexHull(vertices).equations.round(12)
             return Solid(T, vertices, np.unique(planes, axis=0))
     raise InvalidInputError(
@@ -156,7 +158,7 @@ def _solid(item: SceneObject) -> Solid:
 
 
 def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
-    """Convex hulls of the robot's links at q (n,) [rad or m], as objects that cameras see."""
+    """Return the convex hulls of the robot's links at q (n,) [rad or m] as scene objects."""
     rotations, translations = link_poses(
         robot.kinematics, np.ascontiguousarray(q, dtype=float)[None]
     )
@@ -172,11 +174,11 @@ def arm_objects(robot: Robot, q: FloatArray) -> tuple[SceneObject, ...]:
 
 
 class Observer:
-    """Makes the cloud of a scene, the same one every time; by default like training clouds.
+    """Function from a scene to its cloud, deterministic; by default like training clouds.
 
-    Virtual cameras see the shapes; clouds and occupancy maps are used as they are. Rendering takes
-    half a second, so the last `scenes` clouds are cached, and rendered ones also in the user's disk
-    cache.
+    Virtual cameras render the shapes; clouds and occupancy maps are used unchanged. Rendering takes
+    half a second, so the last `scenes` clouds are kept in memory and rendered clouds also in the
+    user's cache on disk.
     """
 
     def __init__(
@@ -185,26 +187,28 @@ class Observer:
         whole_number("scenes kept by an observer", scenes, 1)
         whole_number("seed", seed)
         self.settings = CameraSettings.like_training() if settings is None else settings
-        self.seed, self._clouds = seed, LruCache[np.ndarray](scenes)
+        self.seed = seed
+        self._clouds = LruCache[np.ndarray](scenes)
 
     def __call__(self, scene: Scene) -> np.ndarray:
-        """The cloud (m, 3) [m] of a scene, not to be written to."""
-        return self._clouds.get(scene, lambda: self._look(scene))
+        """Return the cloud (m, 3) [m] of a scene, read-only."""
+        return self._clouds.get(scene, lambda: self._observe(scene))
 
     def of_points(self, points: np.ndarray) -> np.ndarray:
-        """Cloud (m, 3) of points (p, 3) [m, base frame]; InvalidInputError: none is in the crop."""
+        """Return the cloud (m, 3) of points (p, 3) [m, base frame]; the crop must contain some."""
         crop = self.settings.crop
         near = points[crop.contains(points)]
         if len(near) == 0:
             raise InvalidInputError(
-                f"none of the cloud's {len(points)} points is in the region that networks know, "
-                f"{crop}: give it in metres, in the frame of the robot's base"
+                f"none of the cloud's {len(points)} points is in the region of the training "
+                f"clouds, {crop}: give the cloud in metres, in the frame of the robot's base"
             )
-        measured = replace(self.settings, noise=0.0)  # it has its own
-        cloud = thinned(near, measured, np.random.default_rng(self.seed))
+        # measured points are noisy already
+        without_noise = replace(self.settings, noise=0.0)
+        cloud = thinned(near, without_noise, np.random.default_rng(self.seed))
         return frozen(cloud)
 
-    def _look(self, scene: Scene) -> np.ndarray:
+    def _observe(self, scene: Scene) -> np.ndarray:
         clouds = [item for item in scene.objects if isinstance(item.shape, Measured)]
         if clouds:
             rest = scene.without(*(item.name for item in clouds))
@@ -224,7 +228,7 @@ class Observer:
         cloud = cached_arrays(
             "clouds", made_of.encode(), lambda: {"cloud": camera_cloud(scene, self.settings, rng)}
         )["cloud"]
-        # networks need two points: under the base
+        # networks need two points: these are below the base
         if len(cloud) < 2:
             cloud = np.concatenate([cloud, [[0.0, -0.1, -0.8], [0.0, 0.1, -0.8]]])
         return frozen(cloud)
@@ -232,6 +236,6 @@ class Observer:
 
 @cache
 def _sources() -> str:
-    """Digest of what clouds are rendered by."""
+    """Return a digest of the source code that renders clouds."""
     library = Path(__file__).parents[1]
     return f"{sources_digest(library / 'sensing', library / 'scene')} {np.__version__}"

@@ -1,4 +1,4 @@
-"""The supporting plane of a scan, and how the scan is levelled by it without a camera pose."""
+"""Find the supporting plane of a scan; level the scan by it if the camera's pose is unknown."""
 
 from typing import NamedTuple
 
@@ -10,19 +10,17 @@ from cvqmpt_lab.base.values import FloatArray
 from cvqmpt_lab.scene.scene import SceneObject
 from cvqmpt_lab.scene.shapes import Box
 
-TOLERANCE = 0.01  # [m] from a plane that counts as on it: table tops bend, and cameras err
-CAMERA_UP = np.array([0.0, -1.0, 0.0])  # of an optical frame: x right, y down, z ahead
-CAMERA_TILT = np.radians(30.0)  # from a table's normal to the vertical that the camera's pitch says
-WORLD_TILT = np.radians(15.0)  # the same for the world's up, when the camera's pose is known
+PLANE_TOLERANCE_M = 0.01  # points this near are on the plane: table tops bend, cameras err
+CAMERA_UP = np.array([0.0, -1.0, 0.0])  # in an optical frame: x right, y down, z ahead
 
 
 class SupportingPlane(NamedTuple):
     """The plane n x = d in a cloud, with unit normal n and offset d."""
 
-    normal: FloatArray  # (3,), of length 1, towards where things stand
+    normal: FloatArray  # (3,) of length 1, away from the support
     offset: float  # [m]
-    share: float  # of the cloud's points on it
-    residual: float  # root mean square distance of those from it [m]
+    share: float  # share of the cloud's points on the plane
+    residual: float  # root mean square distance of these points [m]
 
 
 def supporting_plane(
@@ -35,36 +33,37 @@ def supporting_plane(
     most: int = 50_000,
     rounds: int = 3,
 ) -> SupportingPlane:
-    """The plane `n x = d` that holds the most points, by RANSAC and then least squares (SVD).
+    """Return the plane n x = d with the most points, by RANSAC and then least squares (SVD).
 
     Args:
         points: (m, 3) [m].
-        up: (3,), from which the normal n is at most `tilt` [rad] off.
-        tilt: see `up`.
-        rng: draws triples of points.
-        least: share of the points that it must hold.
-        fewest: number of points that it must hold.
-        most: points that it is fitted to.
-        rounds: of least squares.
+        up: (3,) expected normal.
+        tilt: largest angle between the normal and `up` [rad].
+        rng: random numbers for triples of points.
+        least: smallest share of points on the plane.
+        fewest: smallest number of points on the plane.
+        most: largest number of points that the plane is fitted to.
+        rounds: number of least-squares fits.
 
-    Raises InvalidInputError if no such plane holds enough points.
+    Raises:
+        InvalidInputError: no plane with such a normal has enough points.
     """
     some = points[rng.integers(len(points), size=min(len(points), most))]
     normal, offset = _ransac(some, up, tilt, rng)
     for _ in range(rounds):
-        held = some[np.abs(some @ normal - offset) <= TOLERANCE]
-        if len(held) < 3:
+        near = some[np.abs(some @ normal - offset) <= PLANE_TOLERANCE_M]
+        if len(near) < 3:
             break
-        middle = held.mean(axis=0)
-        fitted = np.linalg.svd(held - middle, full_matrices=False)[2][2]
+        middle = near.mean(axis=0)
+        fitted = np.linalg.svd(near - middle, full_matrices=False)[2][2]
         normal = fitted if fitted @ normal > 0.0 else -fitted
         offset = float(normal @ middle)
     heights = points @ normal - offset
-    on = np.abs(heights) <= TOLERANCE
+    on = np.abs(heights) <= PLANE_TOLERANCE_M
     share = float(on.mean())
     if share < least or on.sum() < fewest or normal @ up < np.cos(tilt):
         raise InvalidInputError(
-            f"no supporting plane: the best one holds {on.sum()} of {len(points)} points, "
+            f"no supporting plane: the best one has {on.sum()} of {len(points)} points, "
             f"{least:.0%} and {fewest} are needed; crop the cloud to the table, or give the "
             "camera's pose"
         )
@@ -74,25 +73,27 @@ def supporting_plane(
 def table_below(
     points: FloatArray, down: float, highest: float, rng: np.random.Generator
 ) -> SupportingPlane:
-    """The largest plane that is level within `CAMERA_TILT`, below a camera that is not rolled.
+    """Return the largest plane below a camera without roll that is level within 30 deg.
 
-    A camera that looks down by the angle p has the vertical u = (0, -cos p, -sin p).
+    In the frame of a camera that looks down by the angle p, up is (0, -cos p, -sin p).
 
     Args:
         points: (m, 3) [m] in the optical frame.
         down: p, from 0 (ahead) to pi / 2 (straight down) [rad].
-        highest: that the camera may be above the plane [m].
-        rng: draws triples of points.
+        highest: largest height of the camera above the plane [m].
+        rng: random numbers for triples of points.
 
-    Raises InvalidInputError, which says what was found, if there is no such plane.
+    Raises:
+        InvalidInputError: there is no such plane; the message describes the largest plane.
     """
+    tilt = np.radians(30.0)
     if not 0.0 <= down <= 0.5 * np.pi:
         raise InvalidInputError(
             f"a camera that looks {np.degrees(down):g} deg down: give from 0 (ahead) to 90"
         )
     up = np.array([0.0, -np.cos(down), -np.sin(down)])
     level = (
-        f"level within {np.degrees(CAMERA_TILT):.0f} deg for a camera that looks "
+        f"level within {np.degrees(tilt):.0f} deg for a camera that looks "
         f"{np.degrees(down):g} deg down"
     )
     cure = (
@@ -100,14 +101,14 @@ def table_below(
         "it looks down (--down)"
     )
     try:
-        plane = supporting_plane(points, up, CAMERA_TILT, rng)
+        plane = supporting_plane(points, up, tilt, rng)
     except InvalidInputError as error:
         largest = supporting_plane(points, up, np.pi, rng)
-        towards = -np.sign(largest.offset) * largest.normal  # the camera
+        towards_camera = -np.sign(largest.offset) * largest.normal
+        angle = np.degrees(np.arccos(np.clip(towards_camera @ up, -1.0, 1.0)))
         raise InvalidInputError(
             f"no table: the largest plane, of {largest.share:.0%} of the points, is "
-            f"{np.degrees(np.arccos(np.clip(towards @ up, -1.0, 1.0))):.0f} deg off level, and "
-            f"none of 10% of the points is {level}; {cure}"
+            f"{angle:.0f} deg off level, and no plane of 10% of the points is {level}; {cure}"
         ) from error
     if not 0.0 < -plane.offset <= highest:
         raise InvalidInputError(
@@ -124,11 +125,12 @@ def _ransac(
     tilt: float,
     rng: np.random.Generator,
     triples: int = 1000,
-    judges: int = 3000,
+    sample: int = 3000,
 ) -> tuple[FloatArray, float]:
-    """Normal (3,) and offset [m] of the best of `triples` planes, by how many of `judges` lie near.
+    """Return normal (3,) and offset [m] of the best plane through one of `triples` of points.
 
-    If a table is a fifth of the cloud, one in a hundred triples of points lies on it.
+    The best plane has the most of `sample` random points. If a fifth of the cloud is a table, one
+    triple in a hundred is on it.
     """
     a, b, c = points[rng.integers(len(points), size=(3, triples))]
     normals = np.cross(b - a, c - a)
@@ -140,8 +142,8 @@ def _ransac(
         return up, np.inf
     normals, a = normals[allowed], a[allowed]
     offsets = np.einsum("ij,ij->i", normals, a)
-    some = points[rng.integers(len(points), size=min(len(points), judges))]
-    counts = (np.abs(some @ normals.T - offsets) <= TOLERANCE).sum(axis=0)
+    some = points[rng.integers(len(points), size=min(len(points), sample))]
+    counts = (np.abs(some @ normals.T - offsets) <= PLANE_TOLERANCE_M).sum(axis=0)
     best = int(np.argmax(counts))
     return normals[best], float(offsets[best])
 
@@ -152,18 +154,18 @@ def level_pose(
     front: tuple[float, float, float],
     edge: float = 0.02,
 ) -> FloatArray:
-    """T_world_camera (4, 4) that makes the table horizontal, its near edge's middle at `front` [m].
+    """Return T_world_camera (4, 4) by which the table is horizontal with its near edge at `front`.
 
-    The table lies ahead of the camera's eye.
+    The table is ahead of the camera.
 
     Args:
-        points: (m, 3) [m] in the optical frame, in which the plane was found.
-        plane: of the table.
-        front: middle of the table's near edge [m].
-        edge: quantile of the table's points that counts as its edge; what lies beyond was seen only
-            in part.
+        points: (m, 3) [m] in the optical frame, as for `table_below`.
+        plane: plane of the table.
+        front: middle of the table's near edge in the world [m].
+        edge: quantile of the table's points that is taken as its edge; outside of it the table is
+            visible only in part.
     """
-    # nearer to the camera's axis than 11 deg, "ahead" is the image's upper side
+    # if the normal is within 11 deg of the camera's axis, "ahead" is the upper side of the image
     straight_down = abs(plane.normal[2]) > np.cos(np.radians(11.0))
     R = _axes(plane.normal, CAMERA_UP if straight_down else np.array([0.0, 0.0, 1.0]))
     table = points[on_table(points, plane)] @ R.T
@@ -173,32 +175,31 @@ def level_pose(
 
 
 def on_table(points: FloatArray, plane: SupportingPlane, gap: float = 0.05) -> np.ndarray:
-    """Mask (m,) of points (m, 3) [m] on the plane's largest patch without gaps over `gap` [m]."""
-    held = np.abs(points @ plane.normal - plane.offset) <= TOLERANCE
-    across = points[held] @ _axes(plane.normal, np.eye(3)[np.argmin(np.abs(plane.normal))])[:2].T
+    """Return a mask (m,) of points (m, 3) [m] on the plane's largest patch without a `gap` [m]."""
+    on = np.abs(points @ plane.normal - plane.offset) <= PLANE_TOLERANCE_M
+    across = points[on] @ _axes(plane.normal, np.eye(3)[np.argmin(np.abs(plane.normal))])[:2].T
     cells = np.floor((across - across.min(axis=0)) / gap).astype(int)
     taken = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     taken[tuple(cells.T)] = True
-    # a tenth of a second to import, which plans without scans need not pay
-    from scipy import ndimage
+    from scipy import ndimage  # takes 0.1 s to import
 
     patch = ndimage.label(taken, np.ones((3, 3)))[0][tuple(cells.T)]
-    held[held] = patch == np.bincount(patch).argmax()
-    return held
+    on[on] = patch == np.bincount(patch).argmax()
+    return on
 
 
 def box_around(points: FloatArray, plane: SupportingPlane) -> SceneObject:
-    """A flat box "table", level with the plane, that holds points (m, 3) [m, world] of it."""
+    """Return a flat box "table" in the plane that contains points (m, 3) [m, world] of it."""
     axes = _axes(plane.normal, np.array([1.0, 0.0, 0.0]))
     along = points @ axes.T
     low, high = along.min(axis=0), along.max(axis=0)
     T = rigid(axes.T, axes.T @ (*(0.5 * (low + high))[:2], plane.offset))
-    length, width = np.maximum(high - low, 2.0 * TOLERANCE)[:2].tolist()
-    return SceneObject("table", Box((length, width, 2.0 * TOLERANCE)), T)
+    length, width = np.maximum(high - low, 2.0 * PLANE_TOLERANCE_M)[:2].tolist()
+    return SceneObject("table", Box((length, width, 2.0 * PLANE_TOLERANCE_M)), T)
 
 
 def _axes(normal: FloatArray, ahead: FloatArray) -> FloatArray:
-    """A frame (3, 3), rows x, y, z, whose z is the normal and whose x points ahead."""
+    """Return a frame (3, 3), rows x, y, z: z is the normal, x is nearest to `ahead`."""
     x = ahead - np.dot(ahead, normal) * normal
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(normal, x), normal])

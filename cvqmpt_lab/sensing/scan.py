@@ -1,6 +1,6 @@
-"""A scan: captures of depth cameras, merged in the robot's base frame, then filtered.
+"""A scan: captures of depth cameras, merged in the robot's base frame and filtered.
 
-Its points become an occupancy map: cells that hold some and, as an option, cells no ray crossed.
+The points become an occupancy map: cells with points and, as an option, cells that no ray crossed.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,8 +19,8 @@ from cvqmpt_lab.scene.cells import distinct, map_of_points
 from cvqmpt_lab.scene.cloud_files import Cloud
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured, OccupancyMap, require_resolution
+from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.sensing.plane import (
-    WORLD_TILT,
     SupportingPlane,
     box_around,
     level_pose,
@@ -29,56 +29,29 @@ from cvqmpt_lab.sensing.plane import (
     table_below,
 )
 
-RESOLUTION = 0.02  # edge of a map's cells [m]
+MAP_RESOLUTION_M = 0.02  # edge of a map's cells
 
 
 class Arm(NamedTuple):
-    """The robot while the scan was taken."""
+    """The robot during the scan."""
 
     robot: Robot
     q: FloatArray  # (n,) [rad or m]
 
 
-@dataclass(frozen=True)
-class BoxCrop:
-    """Keeps points between two corners [m]; the published crop by default."""
-
-    lower: tuple[float, float, float] = (-0.88, -0.88, -0.4)
-    upper: tuple[float, float, float] = (0.88, 0.88, 1.2)
-
-    def contains(self, points: FloatArray) -> np.ndarray:
-        """Whether each of the points (m, 3) stays."""
-        spans = zip(points.T, self.lower, self.upper, strict=True)  # by axis: three times as fast
-        return np.logical_and.reduce(
-            [(axis >= lower) & (axis <= upper) for axis, lower, upper in spans]
-        )
-
-
-@dataclass(frozen=True)
-class BallCrop:
-    """Keeps points in a ball [m]; by default the one that training clouds are cut to."""
-
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.33)
-    radius: float = 1.2
-
-    def contains(self, points: FloatArray) -> np.ndarray:
-        """Whether each of the points (m, 3) stays."""
-        return np.square(points - self.centre).sum(axis=1) <= self.radius**2
-
-
 @dataclass(frozen=True, kw_only=True)
 class ScanSettings:
-    """Settings of a scan's filters."""
+    """Settings of a scan."""
 
-    level: bool = False  # level the table, because the single camera's pose is unknown
-    down: float = 40.0  # angle by which the camera that is levelled looks down, about [deg]
-    highest: float = 1.5  # that the levelled camera may be above the table: the arm's reach [m]
+    level: bool = False  # find the camera's pose by levelling the table; needs one capture
+    down: float = 40.0  # rough angle by which this camera looks down [deg]
+    highest: float = 1.5  # largest height of this camera above the table: the arm's reach [m]
     front: tuple[float, float, float] = (0.3, 0.0, 0.0)  # middle of the table's near edge [m]
-    crop: BoxCrop | BallCrop | None = None  # which points stay [m, robot base frame]; None: all
-    voxel: float = 0.01  # edge of the grid in whose cells points are averaged [m]
-    robot_margin: float = 0.05  # points this near to the robot are taken for the robot [m]
-    neighbours: int = 2  # points with fewer others within three voxels go; 0 keeps all
-    plane: Literal["keep", "box", "remove"] = "keep"  # what to do with the plane's points
+    crop: Crop | None = None  # region of the points that stay; None: everywhere
+    voxel: float = 0.01  # edge of the cells in which points are averaged [m]
+    robot_margin: float = 0.05  # points within this distance of the robot are removed [m]
+    neighbours: int = 2  # points with fewer others within three voxels are removed; 0: none
+    plane: Literal["keep", "box", "remove"] = "keep"  # use of the supporting plane's points
 
     def __post_init__(self) -> None:
         if not self.voxel > 0.0:
@@ -93,15 +66,15 @@ class Step(NamedTuple):
     """Report of one filter."""
 
     name: str
-    before: int  # points before it
-    after: int  # points after it
+    before: int  # number of points before the filter
+    after: int  # number of points after it
 
 
 class Levelled(NamedTuple):
-    """How a scan was levelled."""
+    """Result of levelling a scan."""
 
-    T_world_camera: FloatArray  # (4, 4), where the camera therefore stands [m]
-    plane: SupportingPlane  # what it was levelled by, in the camera's frame
+    T_world_camera: FloatArray  # (4, 4) pose of the camera [m]
+    plane: SupportingPlane  # plane of the table in the camera's frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,19 +82,19 @@ class Scan:
     """A cleaned scan."""
 
     points: FloatArray  # (m, 3) [m, robot base frame]
-    dropped: int  # pixels or rows that held no point
-    steps: tuple[Step, ...]  # what each filter did, in order
-    captures: tuple[Cloud, ...] = ()  # what it was made of, at the poses that were used
-    levelled: Levelled | None = None  # none unless asked for
-    plane: SupportingPlane | None = None  # if searched for, in the robot's base frame
-    table: SceneObject | None = None  # the box that stands for it
+    dropped: int  # number of pixels or rows without a point
+    steps: tuple[Step, ...]  # report of each filter, in order
+    captures: tuple[Cloud, ...] = ()  # the captures, with the poses that were used
+    levelled: Levelled | None = None  # None: not levelled
+    plane: SupportingPlane | None = None  # in the robot's base frame; None: not searched
+    table: SceneObject | None = None  # box in place of the plane's points
 
     def scene(self, shape: Measured | None = None, name: str = "scan") -> Scene:
-        """The points (default: as an occupancy map of `RESOLUTION`) and the table as obstacles."""
+        """Return a scene of the points, by default as an occupancy map, and the table."""
         boxes = () if self.table is None else (self.table,)
         if shape is None and len(self.points) == 0:
             return Scene(name, boxes)
-        shape = map_of_points(self.points, RESOLUTION) if shape is None else shape
+        shape = map_of_points(self.points, MAP_RESOLUTION_M) if shape is None else shape
         return Scene(name, (SceneObject(name, shape, np.eye(4)), *boxes))
 
 
@@ -131,11 +104,17 @@ def scan(
     rng: np.random.Generator,
     arm: Arm | None = None,
 ) -> Scan:
-    """Merge captures, level them if wanted, and filter them by crop, voxels, robot and outliers.
+    """Merge captures and filter them by crop, voxels, robot and outliers; level them before.
 
-    arm: the robot while the scan was taken; its points are removed.
-    InvalidInputError: nothing is left, there is no supporting plane or no table below the camera,
-    or several captures are to be levelled.
+    Args:
+        captures: clouds with the poses of their cameras; one alone if it is to be levelled.
+        settings: levelling, filters and use of the supporting plane.
+        rng: random numbers of RANSAC.
+        arm: the robot during the scan; its points are removed.
+
+    Raises:
+        InvalidInputError: no point is left, no supporting plane or table is found, or several
+            captures are to be levelled.
     """
     levelled = None
     if settings.level:
@@ -153,16 +132,18 @@ def scan(
     for name, keep in _filters(settings, arm):
         left = keep(points)
         if len(left) == 0:
-            low, high = points.min(axis=0).round(3).tolist(), points.max(axis=0).round(3).tolist()
+            low = points.min(axis=0).round(3).tolist()
+            high = points.max(axis=0).round(3).tolist()
             raise InvalidInputError(
-                f"nothing of the scan is left after {name}: before, its {len(points)} points lay "
+                f"nothing of the scan is left after {name}: before, its {len(points)} points were "
                 f"between {low} and {high} [m]"
             )
         steps.append(Step(name, len(points), len(left)))
         points = left
     plane = table = None
     if settings.plane != "keep":
-        plane = supporting_plane(points, np.array([0.0, 0.0, 1.0]), WORLD_TILT, rng)
+        up, tilt = np.array([0.0, 0.0, 1.0]), np.radians(15.0)
+        plane = supporting_plane(points, up, tilt, rng)
         flat = on_table(points, plane, max(0.05, 2.0 * settings.voxel))
         table = box_around(points[flat], plane) if settings.plane == "box" else None
         left = points[~flat]
@@ -173,34 +154,41 @@ def scan(
 
 
 def refuse_touching(scene: Scene, arm: Arm) -> None:
-    """Raise InvalidInputError when the arm stands inside what was scanned."""
+    """Raise InvalidInputError if the arm is in collision with the scan."""
     pair = CollisionChecker(arm.robot, scene).colliding_pair(arm.q)
     if pair is not None:
         raise InvalidInputError(
-            f"the arm stands inside the scan: {pair} meet; remove more around it (a larger robot "
-            "margin), or say where it really was"
+            f"the arm is inside the scan: {pair} overlap; remove more points around it (a larger "
+            "robot margin), or give the configuration that it really had"
         )
 
 
 def _filters(
     settings: ScanSettings, arm: Arm | None
 ) -> Iterator[tuple[str, Callable[[FloatArray], FloatArray]]]:
-    """What is done to points (m, 3) [m], by name, in order."""
-    crop, reach = settings.crop, 3.0 * settings.voxel
+    """Yield the filters of points (m, 3) [m] with their names, in order."""
+    crop = settings.crop
+    radius = 3.0 * settings.voxel
     if crop is not None:
         yield "crop", lambda points: points[crop.contains(points)]
     yield "voxels", lambda points: voxel_means(points, settings.voxel)
     if arm is not None:
         yield "robot", lambda points: points[~near_robot(points, *arm, settings.robot_margin)]
     if settings.neighbours > 0:
-        yield "outliers", lambda points: points[~outliers(points, reach, settings.neighbours)]
+        yield "outliers", lambda points: points[~outliers(points, radius, settings.neighbours)]
 
 
 def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -> np.ndarray:
-    """Mask (m,) of points (m, 3) [m, world] on, in or near the robot at q (n,).
+    """Return a mask (m,) of points in, on or near the robot.
 
-    Near is within margin [m] of every face of one of its convex pieces; near corners this reaches a
-    little farther.
+    A point is near if its signed distance to every face plane of a convex piece is at most
+    `margin`; near corners this includes slightly farther points.
+
+    Args:
+        points: (m, 3) [m, world].
+        robot: the robot.
+        q: configuration (n,) [rad or m].
+        margin: [m].
     """
     (rotations,), (translations,) = link_poses(
         robot.kinematics, np.ascontiguousarray(q, dtype=float)[None]
@@ -217,8 +205,8 @@ def near_robot(points: FloatArray, robot: Robot, q: FloatArray, margin: float) -
 
 
 def outliers(points: FloatArray, radius: float, neighbours: int) -> np.ndarray:
-    """Mask (m,) of points (m, 3) [m] with fewer than `neighbours` others within radius [m]."""
-    from scipy.spatial import cKDTree  # a third of a second to import
+    """Return a mask (m,) of points (m, 3) [m] with fewer than `neighbours` others within radius."""
+    from scipy.spatial import cKDTree  # takes 0.3 s to import
 
     distances, _ = cKDTree(points).query(points, k=[neighbours + 1], distance_upper_bound=radius)
     return ~np.isfinite(distances[:, 0])
@@ -226,17 +214,17 @@ def outliers(points: FloatArray, radius: float, neighbours: int) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _faces(robot: Robot) -> list[FloatArray]:
-    """Planes (f, 4) of each convex piece in its link's frame: normals n, offsets d outwards [m]."""
+    """Return planes (f, 4), n x + d <= 0 inside, of each convex piece in its link's frame [m]."""
     from scipy.spatial import ConvexHull
 
     return [ConvexHull(part.vertices_in_link).equations for part in robot.links]
 
 
 def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
-    """Mean (m, 3) of the points (p, 3) in each cell of a grid with edges of `voxel` [m].
+    """Return means (m, 3) of the points (p, 3) in each cell of a grid with edges of `voxel` [m].
 
     The grid starts half a voxel below the least coordinates.
-    InvalidInputError: a voxel so small that its cells cannot be numbered.
+    InvalidInputError: the voxel is so small that the cells cannot be numbered.
     """
     if len(points) == 0:
         return points
@@ -251,7 +239,7 @@ def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
         )
     x, y, z = (place.astype(np.int64) for place in places)
     cell = (x * int(across[1]) + y) * int(across[2]) + z
-    # counting cell by cell needs no sorting
+    # with few cells, counting without sorting is faster
     if cells <= 8 * len(points):
         count = np.bincount(cell)
     else:
@@ -265,18 +253,19 @@ def voxel_means(points: FloatArray, voxel: float) -> FloatArray:
 class MapSettings:
     """Settings of an occupancy map."""
 
-    resolution: float = 0.02  # edge of its cells [m]
+    resolution: float = MAP_RESOLUTION_M  # edge of the cells [m]
     padding: float = 0.0  # distance by which cells are inflated [m]
-    unknown: Literal["free", "occupied"] = "free"  # cells no ray crossed; MoveIt: free
-    lower: tuple[float, float, float] = (-1.2, -1.2, -0.4)  # corner of unknown cells [m]
-    upper: tuple[float, float, float] = (1.2, 1.2, 1.4)  # opposite corner [m, robot base frame]
-    robot_margin: float = 0.05  # cells this near to the robot are no unknown ones [m]
+    unknown: Literal["free", "occupied"] = "free"  # cells that no ray crossed; MoveIt: free
+    # region of unknown cells: a box with these corners [m, robot base frame]
+    lower: tuple[float, float, float] = (-1.2, -1.2, -0.4)
+    upper: tuple[float, float, float] = (1.2, 1.2, 1.4)
+    robot_margin: float = 0.05  # cells within this distance of the robot are known [m]
 
     def __post_init__(self) -> None:
         require_resolution(self.resolution)
         if not np.all(np.subtract(self.upper, self.lower) >= self.resolution):
             raise InvalidInputError(
-                f"box of a map from {self.lower} to {self.upper} m holds no cell of "
+                f"box of a map from {self.lower} to {self.upper} m has no cell of "
                 f"{self.resolution:g} m; give a lower corner below the upper one"
             )
 
@@ -287,26 +276,29 @@ def occupancy_map(
     captures: Sequence[Cloud] = (),
     arm: Arm | None = None,
 ) -> OccupancyMap:
-    """Map of cells that hold points (m, 3) [m, robot base frame], and of unknown cells if wanted.
+    """Return a map of the cells that contain points and, as an option, of unknown cells.
 
-    captures: all that the sensors saw, where unknown is occupied; cells between a sensor and its
-        points are known.
-    arm: the robot meanwhile; it stands in known space.
-    InvalidInputError: no cell is occupied; unknown cells without captures, or too many of them.
+    Args:
+        points: (m, 3) [m, robot base frame].
+        settings: settings of the map.
+        captures: all captures of the sensors, used if unknown cells are occupied: cells between a
+            sensor and its points are known.
+        arm: the robot during the scan; cells around it are known.
+
+    Raises:
+        InvalidInputError: no cell is occupied; unknown cells without captures; too many cells.
     """
     if settings.unknown == "occupied":
         points = np.concatenate([points, _unknown(settings, captures, arm)])
     if len(points) == 0:
-        raise InvalidInputError(
-            "no point is left to make a map of; crop less, or plan without a map"
-        )
+        raise InvalidInputError("no point is left for a map; crop less, or plan without a map")
     return map_of_points(points, settings.resolution, settings.padding)
 
 
 def _unknown(
     settings: MapSettings, captures: Sequence[Cloud], arm: Arm | None, most: int = 1 << 27
 ) -> FloatArray:
-    """Centres (k, 3) [m] of cells that no ray crossed, in a box of at most `most` cells (bytes)."""
+    """Return centres (k, 3) [m] of cells that no ray crossed, in a box of at most `most` cells."""
     if not captures:
         raise InvalidInputError(
             "unknown space is occupied, but the captures with their cameras' poses are missing"
@@ -315,7 +307,7 @@ def _unknown(
     across = (np.ceil(np.divide(settings.upper, settings.resolution)) - first).astype(np.int64)
     if across.prod() > most:
         raise InvalidInputError(
-            f"box from {settings.lower} to {settings.upper} m holds {across.prod():.2g} cells of "
+            f"box from {settings.lower} to {settings.upper} m has {across.prod():.2g} cells of "
             f"{settings.resolution:g} m, more than {most:.2g}; give a smaller box or larger cells"
         )
     known = np.zeros(across, dtype=bool)
@@ -331,10 +323,10 @@ def _unknown(
 
 
 def _crossed(origin: FloatArray, ends: FloatArray, across: np.ndarray) -> Iterator[np.ndarray]:
-    """Cells (k, 3) of a unit grid that segments from origin (3,) to ends (r, 3) cross, by steps.
+    """Yield cells (k, 3) of a unit grid that segments from origin (3,) to ends (r, 3) cross.
 
-    All segments are traversed in parallel (Amanatides and Woo, "A fast voxel traversal algorithm",
-    1987).
+    All segments are traversed in parallel, one cell a step (Amanatides and Woo, "A fast voxel
+    traversal algorithm", 1987).
     """
     ray = ends - origin
     ray[ray == 0.0] = 1e-12
@@ -345,7 +337,7 @@ def _crossed(origin: FloatArray, ends: FloatArray, across: np.ndarray) -> Iterat
     ray, enter, leave = ray[through], enter[through], leave[through]
     cell = np.clip(np.floor(origin + enter[:, None] * ray).astype(np.int64), 0, across - 1)
     step = np.where(ray > 0.0, 1, -1)
-    border = (cell + (step > 0) - origin) / ray  # share of the ray at which the next cell begins
+    border = (cell + (step > 0) - origin) / ray  # ray parameter of the next cell
     while len(cell):
         yield cell
         rows, axis = np.arange(len(cell)), border.argmin(axis=1)

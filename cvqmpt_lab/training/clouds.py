@@ -1,7 +1,6 @@
 """Point clouds of shapes, new every epoch: surface points, or by noisy cameras as in evaluation."""
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -17,27 +16,9 @@ from cvqmpt_lab.sensing.camera import (
     measured,
     view_of,
 )
+from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.training.dataset import Shapes
 from cvqmpt_lab.vqmpt.config import Size
-
-
-@dataclass(frozen=True, kw_only=True)
-class CropSettings:
-    """The region of a scene that is in the cloud."""
-
-    kind: Literal["ball", "box"] = "ball"
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.33)  # of the ball [m]
-    radius: float = 1.2  # of the ball [m]
-    lower: tuple[float, float, float] = (-0.88, -0.88, -0.4)  # of the published box [m]
-    upper: tuple[float, float, float] = (0.88, 0.88, 1.2)  # of the published box [m]
-
-    def holds(self, points: np.ndarray) -> np.ndarray:
-        """Whether each point (p, 3) [m] is in it, bool."""
-        if self.kind == "box":
-            lower, upper = np.array((self.lower, self.upper), dtype=np.float32)
-            return np.all((points >= lower) & (points <= upper), axis=1)
-        offset = points - np.array(self.centre, dtype=np.float32)
-        return np.einsum("pi,pi->p", offset, offset) <= self.radius**2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +26,7 @@ class CloudSettings:
     """How clouds are sampled."""
 
     points: Size = 1024
-    crop: CropSettings = field(default_factory=CropSettings)
+    crop: Crop = field(default_factory=Crop)
     noise: float = 0.003  # standard deviation of every coordinate [m]
     occlusion: float = 0.5  # probability that only surfaces facing one of the cameras are seen
     cameras: Size = 4  # random ones, at most
@@ -68,7 +49,7 @@ def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generat
     if by_cameras:
         places, target = _camera_positions(settings, rng), np.array(settings.crop.centre)
         points = measured_points(shapes, places, target, rng)
-        points = points[settings.crop.holds(points)][: settings.points]
+        points = points[settings.crop.contains(points)][: settings.points]
     else:
         points = _drawn(shapes, settings, rng)
     if len(points) == 0:
@@ -158,7 +139,7 @@ def _visible_points(
     shapes: Shapes,
     weights: np.ndarray,
     cameras: np.ndarray | None,
-    crop: CropSettings,
+    crop: Crop,
     draw: int,
     rng: np.random.Generator,
 ) -> np.ndarray:
@@ -170,7 +151,7 @@ def _visible_points(
     of_point = shapes.pose.reshape(-1, 12).take(shape, axis=0).reshape(-1, 3, 4)
     rotation = of_point[:, :, :3]
     points = np.einsum("pij,pj->pi", rotation, local) + of_point[:, :, 3]
-    kept = np.flatnonzero(crop.holds(points))
+    kept = np.flatnonzero(crop.contains(points))
     points, shape = points[kept], shape[kept]
     if cameras is not None:
         normals = np.einsum("pij,pj->pi", rotation[kept], normal[kept])

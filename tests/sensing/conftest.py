@@ -1,4 +1,4 @@
-"""Files of a depth camera that a test may write to."""
+"""Copies of the files of a depth camera, which tests may change."""
 
 import shutil
 from types import SimpleNamespace
@@ -10,7 +10,7 @@ from command_line import SCAN_START
 
 @pytest.fixture
 def files(tmp_path, scan_folder, scan_view, panda):
-    """Depth image, intrinsics and extrinsics of one camera; the view and the arm that it saw."""
+    """Depth image, intrinsics and extrinsics of one camera, its exact view, and the arm in it."""
     shutil.copytree(scan_folder, tmp_path, dirs_exist_ok=True)
     names = {"depth": "png", "intrinsics": "intrinsics.json", "extrinsics": "extrinsics.json"}
     files = {part: tmp_path / f"depth.{ending}" for part, ending in names.items()}

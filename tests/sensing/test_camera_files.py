@@ -36,7 +36,7 @@ INTRINSICS = {
 
 
 @pytest.mark.parametrize("name", INTRINSICS)
-def test_intrinsics_are_read_as_calibrations_write_them(name, tmp_path):
+def test_intrinsics_are_read_in_the_formats_of_calibration_tools(name, tmp_path):
     (tmp_path / name).write_text(INTRINSICS[name])
     assert vars(read_intrinsics(tmp_path / name)).items() >= PLAIN.items()
 
@@ -74,12 +74,12 @@ def test_bad_files_are_refused_by_field_in_one_line(row, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [("[" * 20_000, "recursion|end"), ("# " + "x" * 70_000, "more than 65536 bytes")],
 )
-def test_files_too_deep_or_too_long_are_refused(text, told, tmp_path):
+def test_files_too_deep_or_too_long_are_refused(text, message, tmp_path):
     (tmp_path / "bad.yaml").write_text(text)
-    refused(told, read_extrinsics, tmp_path / "bad.yaml")
+    refused(message, read_extrinsics, tmp_path / "bad.yaml")
 
 
 def test_another_suffix_is_refused(tmp_path):

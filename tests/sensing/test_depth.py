@@ -1,4 +1,4 @@
-"""Depth images and clouds become points at the right place; contradictions are errors by name."""
+"""Depth images and clouds become points at the right place; wrong files are refused by name."""
 
 import struct
 import zlib
@@ -21,7 +21,7 @@ def test_a_depth_image_or_an_array_in_metres_gives_the_points_that_the_camera_sa
         np.testing.assert_allclose(capture.in_world, files.view.points, atol=rounded)
 
 
-def test_a_scale_says_what_a_unit_is(files):
+def test_the_scale_is_the_length_of_a_unit(files):
     write_depth(files.depth, files.view.depth, 0.0002)
     capture = read_capture(files.depth, files.intrinsics, scale=0.0002)
     deepest = files.view.depth[np.isfinite(files.view.depth)].max()
@@ -36,7 +36,7 @@ def test_pixels_without_depth_stay_holes_of_the_organised_cloud():
 
 
 def lying_png(path):
-    """A header of a billion pixels and a few bytes of data."""
+    """Write a header of a billion pixels and a few bytes of data."""
     body = struct.pack(">IIBBBBB", 32000, 32000, 16, 0, 0, 0, 0)
     path.write_bytes(b"\x89PNG\r\n\x1a\n")
     with path.open("ab") as file:
@@ -46,13 +46,13 @@ def lying_png(path):
 
 
 def cut(path):
-    """Half of an image."""
+    """Write half of an image."""
     write_depth(path, np.random.default_rng(0).uniform(0.5, 2.0, (160, 200)))
     path.write_bytes(path.read_bytes()[:30_000])
 
 
 def twice(path):
-    """An image after another."""
+    """Write two images into one file."""
     write_depth(path, np.ones((160, 200)))
     path.write_bytes(2 * path.read_bytes())
 
@@ -69,12 +69,12 @@ def picture(mode, size=(200, 160)):
         (picture("I;16", (100, 80)), "100 x 80 pixels"),
         (lying_png, "32000 x 32000 pixels|exceeds limit"),
         (cut, "truncated"),
-        (twice, "goes on after its image"),
+        (twice, "continues after its image"),
         (lambda path: path.write_text("<!DOCTYPE html>"), "cannot identify"),
-        (lambda path: write_depth(path, np.zeros((160, 200)), 0.001), "saw nothing, every pixel"),
+        (lambda path: write_depth(path, np.zeros((160, 200)), 0.001), "has no depth: every pixel"),
     ],
 )
-def test_what_is_no_depth_image_of_the_camera_is_refused(files, write, message):
+def test_a_file_that_is_not_a_depth_image_of_the_camera_is_refused(files, write, message):
     write(files.depth)
     assert str(files.depth) in refused(message, read_capture, files.depth, files.intrinsics)
 

@@ -1,4 +1,4 @@
-"""Input clouds of networks: the scene's own, the cameras' view of shapes, or a given cloud."""
+"""Input clouds of networks: a cloud in the scene, rendered shapes, or a given cloud."""
 
 from unittest.mock import Mock
 
@@ -26,7 +26,7 @@ def seen(*objects):
     return Observer()(Scene("s", objects))
 
 
-def test_a_scene_with_a_cloud_is_seen_as_it_is_and_of_nothing_two_points_under_the_base():
+def test_a_cloud_in_the_scene_is_used_unchanged_and_an_empty_scene_gives_two_points():
     cloud = seen(SCAN)
     world = POINTS @ SCAN.T_world_object[:3, :3].T + SCAN.T_world_object[:3, 3]
     assert cloud.shape == (1024, 3) and not cloud.flags.writeable
@@ -36,13 +36,13 @@ def test_a_scene_with_a_cloud_is_seen_as_it_is_and_of_nothing_two_points_under_t
     assert nothing.shape == (2, 3) and (nothing[:, 2] < -0.5).all()
 
 
-def test_a_scene_of_shapes_is_looked_at_by_cameras():
+def test_a_scene_of_shapes_is_rendered_by_cameras():
     cloud = seen(BALL)
     distances = np.linalg.norm(cloud - BALL.T_world_object[:3, 3], axis=1)
     assert len(cloud) == 1024 and np.abs(distances - 0.1).max() < VOXEL
 
 
-def test_a_given_cloud_wins_over_the_scenes_where_it_is_used_and_near(problem):
+def test_a_given_cloud_replaces_that_of_the_scene_and_needs_a_planner_that_uses_clouds(problem):
     method = Method("looks", lambda robot, weights: Stages(observe=Observer()))
     measured = POINTS + (0.4, 0.0, 0.3)
     cloud = method.with_cloud(measured).stages(problem).observe(Scene("s", (SCAN,)))

@@ -1,4 +1,4 @@
-"""Maps hold what was seen; unknown space is crossed by no ray; the truth may differ from both."""
+"""Occupancy maps have the cells of points and unknown cells, which no ray crosses."""
 
 import numpy as np
 
@@ -11,28 +11,28 @@ ROOM = MapSettings(unknown="occupied", lower=(-0.5, -0.5, 0.0), upper=(1.0, 0.5,
 
 
 def grid(spacing, x, half=0.5, height=0.8):
-    """Points on a plane across the view, all the way behind or on the wall."""
+    """Points of a grid on the plane at `x`."""
     y, z = np.meshgrid(np.arange(-half, half, spacing), np.arange(0.0, height, spacing))
     return np.column_stack([np.full(y.size, x), y.ravel(), z.ravel()])
 
 
 def occupied(scanned, places):
-    """Whether each place (k, 3) [m] is in an occupied cell."""
+    """Return for each place (k, 3) [m] whether it is in an occupied cell."""
     taken = set(map(tuple, scanned.cells.astype(int)))
-    asked = np.floor(np.array(places) / scanned.resolution).astype(int)
-    return [tuple(cell) in taken for cell in asked]
+    cells = np.floor(np.array(places) / scanned.resolution).astype(int)
+    return [tuple(cell) in taken for cell in cells]
 
 
 def sight(origin, points):
-    """View of a camera at origin (3,) of world points (m, 3)."""
+    """Capture of world points (m, 3) by a camera at origin (3,)."""
     return Cloud(points - origin, T_world_camera=pose(origin))
 
 
-def test_unknown_is_what_lies_behind(panda):
-    """A plate at x = 0.2 seen from x = -1: free before, unknown behind, known beside its shadow."""
+def test_cells_behind_a_surface_are_unknown(panda):
+    """A plate at x = 0.2 seen from -1: free in front, unknown behind, known next to its shadow."""
     plate, back = grid(0.01, 0.2, half=0.15, height=0.3), grid(0.01, 1.5, half=2.0, height=2.0)
-    way = (back - EYE) * ((0.2 - EYE[0]) / (1.5 - EYE[0]))
-    hidden = (np.abs(EYE[1] + way[:, 1]) < 0.16) & (EYE[2] + way[:, 2] < 0.31)
+    to_plate = (back - EYE) * ((0.2 - EYE[0]) / (1.5 - EYE[0]))
+    hidden = (np.abs(EYE[1] + to_plate[:, 1]) < 0.16) & (EYE[2] + to_plate[:, 2] < 0.31)
     seen = [sight(EYE, np.concatenate([plate, back[~hidden]]))]
     scanned = occupancy_map(plate, ROOM, seen)
     before, on, behind, above = (0.0, 0.0, 0.2), (0.205, 0.0, 0.1), (0.5, 0.0, 0.1), (0.5, 0.0, 0.7)
@@ -44,7 +44,7 @@ def test_unknown_is_what_lies_behind(panda):
     assert occupied(spared, [hand, on, (0.95, 0.0, 0.05)]) == [False, True, True]
 
 
-def test_rays_cross_what_fine_samples_of_them_are_in():
+def test_rays_cross_the_cells_of_fine_samples_along_them():
     rng = np.random.default_rng(1)
     ends = rng.uniform(-2.0, 2.0, (40, 3))
     origin = np.array([0.31, -0.12, 0.4])

@@ -1,4 +1,4 @@
-"""The table is found in oblique scans and levelled in front of the robot."""
+"""The table is found in tilted scans and levelled in front of the robot."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ FRONT = (0.4, 0.1, -0.05)
 
 
 def table(rng, count=6000):
-    """Points (m, 3) of a 0.8 x 1 m table, near edge at the origin, with things, a wall, noise."""
+    """Points (m, 3) of a table of 0.8 x 1 m from the origin on, with boxes, a wall and noise."""
     top = rng.uniform((0.0, -0.5, 0.0), (0.8, 0.5, 0.0), (count, 3))
     top[:, 2] = 0.002 * rng.standard_normal(count)
     boxes = rng.uniform((0.3, -0.1, 0.0), (0.5, 0.2, 0.15), (count // 4, 3))
@@ -26,7 +26,7 @@ def table(rng, count=6000):
 
 
 def camera_pose(pitch, roll=0.0):
-    """T_world_camera of an optical frame before the table, along x and `pitch` [deg] down."""
+    """T_world_camera of a camera in front of the table, along x and `pitch` [deg] down."""
     T = np.eye(4)
     ahead_right = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])  # columns: right, down, ahead
     T[:3, :3] = Rotation.from_euler("y", pitch, degrees=True).as_matrix() @ ahead_right
@@ -36,7 +36,7 @@ def camera_pose(pitch, roll=0.0):
 
 
 @pytest.mark.parametrize(("pitch", "roll"), [(15, 0), (45, 10), (70, -20), (88, 5)])
-def test_an_oblique_scan_is_put_level(pitch, roll):
+def test_a_tilted_scan_is_levelled(pitch, roll):
     rng = np.random.default_rng(pitch)
     world, T = table(rng), camera_pose(pitch, roll)
     seen = (world - T[:3, 3]) @ T[:3, :3]
@@ -53,7 +53,7 @@ def test_an_oblique_scan_is_put_level(pitch, roll):
         np.testing.assert_allclose(back, world[:6000] + FRONT, atol=0.03)
 
 
-def test_a_box_holds_the_points_of_the_plane():
+def test_the_box_contains_the_points_of_the_plane():
     rng = np.random.default_rng(0)
     points = table(rng) + (0.4, 0.1, 0.2)
     plane = supporting_plane(points, np.array([0, 0, 1.0]), 0.2, rng)

@@ -1,4 +1,4 @@
-"""Views of virtual cameras: rays against ray marching, culling, errors of depth cameras."""
+"""Depth images of virtual cameras: against ray marching; culling; errors of depth cameras."""
 
 from dataclasses import fields, replace
 
@@ -32,7 +32,7 @@ def tilted(xyz, yaw=0.0, roll=0.0):
 
 @pytest.fixture(scope="module")
 def mixed():
-    """Every kind of shape, turned, in a row; one half outside the image, one far too close."""
+    """Scene with every kind of shape, rotated; one partly outside the image, one too near."""
     shapes = {
         "box": (Box((0.3, 0.5, 0.2)), tilted((0.1, 0.2, 0.1), 0.4, 0.7)),
         "cylinder": (Cylinder(0.15, 0.5), tilted((-0.2, -0.1, 0.3), 1.0, 1.1)),
@@ -48,7 +48,7 @@ def mixed():
 
 
 def holds(item, points):
-    """Whether points (m, 3) lie in an object, without code of the rays."""
+    """Return which points (m, 3) are in an object, without the code for rays."""
     T = item.T_world_object
     local = (points - T[:3, 3]) @ T[:3, :3]
     match item.shape:
@@ -71,7 +71,7 @@ def depth_image(scene, camera):
 
 
 def marched(scene, eye, lens, row, column, step=0.0005):
-    """Depth at a pixel by ray marching; camera at eye, looks at the origin, 45 deg high."""
+    """Return the depth at a pixel by ray marching from eye towards the origin, 45 deg high."""
     tall = np.tan(np.radians(22.5))
     x = ((column + 0.5) / lens.width * 2 - 1) * tall * lens.width / lens.height
     y = (1 - (row + 0.5) / lens.height * 2) * tall
@@ -90,7 +90,7 @@ def marched(scene, eye, lens, row, column, step=0.0005):
 
 
 @pytest.mark.parametrize("eye", [(-2.0, 0.3, 0.4), (-0.6, -1.5, 1.2), (-1.0, 0.4, -1.3)], ids=str)
-def test_depths_are_those_of_a_walk_along_the_rays(mixed, eye):
+def test_depths_equal_those_of_ray_marching(mixed, eye):
     camera = camera_at(eye, width=40, height=30, near=0.5, far=4.0)
     depth = depth_image(mixed, camera)
     assert depth.shape == (30, 40)
@@ -100,11 +100,11 @@ def test_depths_are_those_of_a_walk_along_the_rays(mixed, eye):
     found = np.array([depth[pixel] for pixel in pixels])
     with np.errstate(invalid="ignore"):
         grazing = (expected != found) & ~(np.abs(expected - found) <= 0.002)
-    assert grazing.sum() <= 2  # rays that touch an edge for less than the walk's step
+    assert grazing.sum() <= 2  # rays that touch an edge for less than a step
     assert len(np.unique(np.round(expected, 1))) > 5
 
 
-def test_a_camera_looks_through_what_it_stands_in():
+def test_a_camera_ignores_a_solid_that_contains_it():
     ground = SceneObject("ground", Box((9.0, 9.0, 2.0)), pose((0.0, 0.0, -1.5)), obstacle=False)
     ball = SceneObject("ball", Sphere(0.2), pose((0.0, 0.0, 0.0)))
     below, above = cameras_on_sphere(Intrinsics.from_fov(50, 50), (0.0,), (-60.0, 60.0))
@@ -122,7 +122,7 @@ AXIAL = DepthNoise(**dict.fromkeys(OTHERS, 0.0))
 
 
 def plate(distance, turn=0.0, size=9.0):
-    """A thin plate `distance` [m] before the camera, turned [rad] from facing it."""
+    """A thin plate `distance` [m] in front of the camera, rotated by `turn` [rad]."""
     T = pose((distance - 1.0, 0.0, 0.0)) @ pose((0.0, 0.0, 0.0), turn) @ pose((5e-4, 0.0, 0.0))
     return solids_of([SceneObject("plate", Box((1e-3, size, size)), T)])
 
@@ -160,12 +160,12 @@ def test_noise_grows_with_distance_darkness_and_angle_and_keeps_the_makers_bound
         (plate(5.0), of_one(0.15), (0.6, 0.95)),  # the light of single pixels flickers
         (plate(3.0), of_one(0.03), (0.0, 0.2)),
         (plate(1.5, turn=1.565), of_one(0.8), (0.0, 0.7)),
-        (plate(1.5), of_one(0.8, gloss=0.7), (0.0, 0.2)),  # blinded where it faces the camera
+        (plate(1.5), of_one(0.8, gloss=0.7), (0.0, 0.2)),  # the mirrored light blinds the camera
         (plate(1.5, turn=0.4), of_one(0.8, gloss=0.7), (0.99, 1.0)),
     ],
     ids=["white", "end of the range", "dark and far", "grazing", "shiny", "shiny, turned"],
 )
-def test_what_sends_little_light_back_has_no_depth(solids, material, share):
+def test_a_surface_that_returns_little_light_has_no_depth(solids, material, share):
     true, found = seen(solids, material)
     assert share[0] <= np.isfinite(found).sum() / np.isfinite(true).sum() <= share[1]
 
@@ -185,7 +185,7 @@ def test_flying_pixels_lie_between_the_surfaces_and_only_at_edges():
     assert not (between | lost)[~edge].any()
 
 
-def test_without_errors_the_view_comes_back_and_depths_are_whole_units():
+def test_without_errors_the_view_is_unchanged_and_depths_are_whole_units():
     solids = plate(1.5, turn=0.3)
     true, found = seen(solids, of_one(0.8, 0.7), NONE)
     seen_at_all = np.isfinite(found)

@@ -1,4 +1,4 @@
-"""A scan becomes a cloud of the robot's surroundings: cropped, thinned, without arm (and table)."""
+"""A scan becomes a cloud of the obstacles: merged, filtered, without the arm (and the table)."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def cleaned(capture, arm=None, **settings):
     return scan([capture], ScanSettings(**settings), np.random.default_rng(0), arm)
 
 
-def test_the_arm_in_the_picture_is_no_obstacle(files, capture):
+def test_the_arm_in_the_depth_image_is_not_an_obstacle(files, capture):
     arm = Arm(files.robot, files.q)
     with_arm, made = cleaned(capture), cleaned(capture, arm)
     assert near_robot(with_arm.points, *arm, 0.05).sum() > 100
@@ -44,11 +44,11 @@ def test_the_arm_in_the_picture_is_no_obstacle(files, capture):
     assert CollisionChecker(files.robot, with_arm.scene()).in_collision(files.q)
     assert not CollisionChecker(files.robot, made.scene()).in_collision(files.q)
     refuse_touching(made.scene(), arm)
-    told = r"stands inside the scan: panda_\w+ and scan meet"
-    refused(told, refuse_touching, with_arm.scene(), arm)
+    message = r"is inside the scan: panda_\w+ and scan overlap"
+    refused(message, refuse_touching, with_arm.scene(), arm)
 
 
-def test_captures_are_merged_where_their_cameras_stand(capture):
+def test_captures_are_merged_at_the_poses_of_their_cameras(capture):
     half = len(capture.points) // 2
     halves = capture.points[:half], capture.points[half:]
     parts = [replace(capture, points=points) for points in halves]
@@ -62,20 +62,20 @@ def test_a_scan_without_a_pose_is_levelled_by_its_table(files, capture):
     made = cleaned(replace(capture, T_world_camera=np.eye(4)), level=True, front=(0.3, 0.0, 0.0))
     T, _ = made.levelled
     tilt = np.degrees(np.arccos(T[2, :3] @ capture.T_world_camera[2, :3]))
-    assert tilt < 0.5, "the same vertical as that of the camera's true pose"
+    assert tilt < 0.5, "vertical as with the camera's true pose"
     top = made.points[np.abs(made.points[:, 2]) < 0.01]
     assert len(top) > 0.4 * len(made.points)
     assert T[2, 3] == pytest.approx(capture.T_world_camera[2, 3], abs=0.005)  # the camera's height
 
 
 @pytest.mark.parametrize("plane", ["box", "remove"])
-def test_the_table_becomes_a_box_or_goes(files, capture, plane):
+def test_the_table_becomes_a_box_or_is_removed(files, capture, plane):
     arm = Arm(files.robot, files.q)
     made, kept = cleaned(capture, arm, plane=plane), cleaned(capture, arm)
     assert made.steps[-1].name == "supporting plane" and len(made.points) < 0.6 * len(kept.points)
     assert abs(made.plane.normal @ (0.6, 0.0, 0.0) - made.plane.offset) < 0.005
     crate = (np.abs(made.points - (0.6, 0.3, 0.1)) < (0.1, 0.1, 0.11)).all(axis=1)
-    assert crate.sum() > 100, "what stands on the table stays"
+    assert crate.sum() > 100, "objects on the table stay"
     assert (made.table is not None) == (plane == "box")
     if made.table is not None:
         assert set(made.scene().names) == {"table", "scan"}
@@ -85,7 +85,7 @@ def test_the_table_becomes_a_box_or_goes(files, capture, plane):
 def test_obstacles_cover_the_surface_that_the_camera_saw(capture):
     made = cleaned(capture, neighbours=0)
     cells = made.scene()["scan"].shape
-    # in a cell, or beside its own
+    # in an occupied cell or next to one
     assert nearest(capture.in_world[::50], cells.centres).max() <= 0.02
     assert len(cells.cells) < len(made.points)
     balls = PointCloud(made.points, 0.87 * 0.01)
@@ -114,7 +114,7 @@ def test_points_near_the_robot_are_found_as_coal_measures_them(name):
 
 
 def distance_to(robot, q, point):
-    """Of a point from the moving and fixed pieces of the robot at q, by coal [m]."""
+    """Return the distance [m] of a point from all pieces of the robot at q, by coal."""
     data, geometry = robot.model.createData(), robot.collision_model
     placed = pin.GeometryData(geometry)
     pin.updateGeometryPlacements(robot.model, data, geometry, placed, q)
@@ -128,7 +128,7 @@ def test_outliers_are_those_with_few_neighbours():
     counts = (np.linalg.norm(points[:, None] - points, axis=2) <= 0.1).sum(axis=1) - 1
     np.testing.assert_array_equal(outliers(points, 0.1, 2), counts < 2)
     assert 0 < (counts < 2).sum() < len(points)
-    assert outliers(points[:2], 1.0, 2).all(), "fewer points than neighbours asked for"
+    assert outliers(points[:2], 1.0, 2).all(), "fewer points than neighbours"
 
 
 @pytest.mark.parametrize("voxel", [0.25, 0.02])

@@ -1,4 +1,4 @@
-"""Clouds of scenes: the published set-up, training's clouds, the arm in the picture."""
+"""Clouds of scenes by virtual cameras: the published cameras, those of training, wrong settings."""
 
 from dataclasses import replace
 from functools import partial
@@ -14,6 +14,7 @@ from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import PointCloud, Sphere
 from cvqmpt_lab.sensing.camera import Intrinsics, look_at
+from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.sensing.observation import (
     CameraSettings,
     Observer,
@@ -21,7 +22,6 @@ from cvqmpt_lab.sensing.observation import (
     visible_points,
 )
 from cvqmpt_lab.sensing.scan import (
-    BoxCrop,
     MapSettings,
     ScanSettings,
     occupancy_map,
@@ -37,12 +37,12 @@ def test_the_published_kitchen_cloud(open_kitchen):
     eyes = np.array([camera.eye for camera in settings.cameras])
     np.testing.assert_allclose(np.abs(eyes), [[1.0834, 1.0834, 1.2856]] * 4, atol=1e-4)
     points = visible_points(scene, settings, np.random.default_rng(0))
-    assert 79_000 < len(points) < 80_600 and BoxCrop().contains(points).all()
+    assert 79_000 < len(points) < 80_600 and Crop(kind="box").contains(points).all()
     cloud = camera_cloud(scene, settings, np.random.default_rng(0))
     assert 8_000 < len(cloud) < 9_200
 
 
-def test_clouds_depend_on_the_seed_alone_and_have_the_points_asked_for():
+def test_clouds_depend_on_the_seed_alone_and_have_the_given_number_of_points():
     scene = random_scene(5)
     settings = CameraSettings.like_training()
     one, same, other = (camera_cloud(scene, settings, np.random.default_rng(s)) for s in (0, 0, 1))

@@ -15,9 +15,9 @@ from training_data import LOWER, SPAN, UPPER, kinematics, shard, write_dataset, 
 from cvqmpt_lab.base.codec import from_plain
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.sensing.camera import KINECT, Camera, DepthNoise, look_at
+from cvqmpt_lab.sensing.crop import Crop
 from cvqmpt_lab.sensing.observation import CameraSettings, visible_points
-from cvqmpt_lab.sensing.scan import BallCrop
-from cvqmpt_lab.training.clouds import CloudSettings, CropSettings, measured_points, sample_cloud
+from cvqmpt_lab.training.clouds import CloudSettings, measured_points, sample_cloud
 from cvqmpt_lab.training.dataset import BaseTurn, Shapes, open_dataset
 from cvqmpt_lab.training.generation import scene_arrays
 from cvqmpt_lab.training.mpnet_stage import MPNetSettings, MPNetStage, SceneBatchSettings, turned
@@ -26,7 +26,7 @@ from cvqmpt_lab.vqmpt.config import MPNetConfig, SerialChain
 from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 
 CPU = torch.device("cpu")
-WHOLE = CropSettings(radius=9.0)
+WHOLE = Crop(radius=9.0)
 PLAIN = CloudSettings(points=600, noise=0.0, occlusion=0.0, density=0.0, crop=WHOLE)
 
 
@@ -86,7 +86,7 @@ def test_points_inside_another_shape_are_left_out(kind, size, depth):
 
 def test_crops_and_noise(dataset):
     shapes = dataset.shapes(0)
-    ball, box = CropSettings(radius=0.5), CropSettings(kind="box", lower=(-0.3, -0.3, 0.0))
+    ball, box = Crop(radius=0.5), Crop(kind="box", lower=(-0.3, -0.3, 0.0))
     cropped = (CloudSettings(points=300, noise=0.0, crop=crop) for crop in (ball, box))
     inside, within = (sample_cloud(shapes, settings, rng(1)) for settings in cropped)
     assert np.linalg.norm(inside - np.array(ball.centre), axis=1).max() <= 0.5 + 1e-5
@@ -114,7 +114,7 @@ def test_measured_clouds_are_those_of_evaluation_cameras():
     eyes = np.array([[1.2, 1.0, 1.5], [-0.9, 1.5, 1.2]])
     ours = measured_points(shapes, eyes, np.array(settings.crop.centre), rng())
     cameras = tuple(Camera(KINECT, look_at(eye, settings.crop.centre)) for eye in eyes)
-    seen = CameraSettings(cameras=cameras, crop=BallCrop(radius=9.0), errors=DepthNoise())
+    seen = CameraSettings(cameras=cameras, crop=Crop(radius=9.0), errors=DepthNoise())
     theirs = visible_points(scene, seen, rng(1))
     for some, others in ((ours, theirs), (theirs, ours)):
         assert np.median(cKDTree(others).query(some)[0]) < 0.02
