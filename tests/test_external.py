@@ -1,4 +1,4 @@
-"""External planners: how they are found; every outcome gives a row."""
+"""External planners: how they are found, and the result row of every outcome."""
 
 import json
 import re
@@ -8,10 +8,10 @@ import pytest
 from command_line import run_here
 from refusals import refused
 
-from cvqmpt_lab import external
 from cvqmpt_lab.benchmarks.place_task import single_goal_problem
 from cvqmpt_lab.experiments.experiment import Experiment
 from cvqmpt_lab.experiments.run import executor_for, run_experiment
+from cvqmpt_lab.external import door
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.planning.planners import planner_named
 from cvqmpt_lab.planning.warm_up import compile_kernels
@@ -30,7 +30,7 @@ def good(problem, budget, seed):
     path = solve(problem, "birrt", budget, seed).simplified
     return None if path is None else path.path.states
 
-# corners of a motion far too long to be free
+# three corners far apart: the motion collides
 sparse = lambda problem, *_: [problem.start, problem.robot.upper, problem.goals[0]]
 proposal = lambda problem, *_: Proposal(Uniform(problem.robot.lower, problem.robot.upper, "theirs"))
 
@@ -72,7 +72,7 @@ number = 3
 """
 HOSTILE = "properties.hostile_planners"
 ENTRY_POINTS = "[cvqmpt.planners]\nlucky = their_planners:good\ntb-rrt = their_planners:good\n"
-# the seconds end a process that hangs, and nothing else
+# so many seconds that only a process that hangs is ended
 ENOUGH = Budget(seconds=600.0, iterations=20_000)
 METADATA = "Metadata-Version: 2.1\nName: their-planners\nVersion: 1.2\n"
 
@@ -92,7 +92,7 @@ def theirs(tmp_path_factory):
     (about / "METADATA").write_text(METADATA)
     (about / "top_level.txt").write_text("their_planners\n")
     (about / "entry_points.txt").write_text(ENTRY_POINTS)
-    caches = (external.external_planner, external._entry_points)
+    caches = (door.external_planner, door._entry_points)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
         for cache in caches:
@@ -107,7 +107,7 @@ def solved_by(name, budget=ENOUGH):
     return solve(single_goal_problem(5), planner, budget, 0)
 
 
-def test_a_path_of_others_is_certified_as_it_is_and_its_work_is_not_counted():
+def test_an_external_path_is_certified_as_it_is_and_its_work_is_not_counted():
     ours = solve(single_goal_problem(5), "birrt", ENOUGH, 0)
     found = solved_by("good")
     assert found.solved and found.plan.sampler == "their-planners 1.2" and found.plan.as_is
@@ -124,7 +124,7 @@ def test_straight_segments_are_divided_and_not_moved():
     assert not found.solved and found.certificate.reasons
 
 
-def test_our_search_goes_on_from_a_proposal():
+def test_our_search_continues_with_a_proposal():
     solution = solved_by("proposal")
     assert solution.solved and solution.plan.sampler == "theirs"
     assert solution.plan.counters.projections > 0
@@ -150,14 +150,14 @@ def test_our_search_goes_on_from_a_proposal():
         ("Counting", PlanStatus.PLANNER_ERROR, "call 1, seed 0"),
     ],
 )
-def test_what_is_no_path_has_a_reason(name, status, word):
+def test_a_result_that_is_no_path_has_a_reason(name, status, word):
     plan = solved_by(name).plan
     assert plan.status is status and plan.path is None
     assert re.search(word, plan.detail)
     assert FailReason(plan.status)
 
 
-def test_one_that_is_late_or_hangs_is_over_time():
+def test_a_planner_that_is_late_or_hangs_is_over_time():
     hanging = solved_by(f"{HOSTILE}:never_ends_and_catches_everything", Budget(seconds=0.2)).plan
     assert hanging.seconds > 0.9
     assert hanging.status is PlanStatus.OVERTIME
@@ -166,14 +166,14 @@ def test_one_that_is_late_or_hangs_is_over_time():
     assert late.status is PlanStatus.OVERTIME and late.path is None
 
 
-def test_what_it_prints_is_kept_off_standard_output(capfd):
+def test_output_of_a_planner_does_not_reach_standard_output(capfd):
     solution = solved_by("printing")
     written = capfd.readouterr()
     assert solution.solved and written.out == "" and "a word" in written.err
     assert "wrote 31 bytes to standard output" in solution.plan.detail
 
 
-def test_rows_say_what_happened_and_who_made_the_planner(tmp_path):
+def test_rows_have_the_outcome_and_the_distribution_of_the_planner(tmp_path):
     names = tuple(f"their_planners:{name}" for name in ("cheating", "raising", "good"))
     planners = (*names, "birrt")
     experiment = Experiment("place-task-single-goal", (5,), planners, (0,), ENOUGH)
@@ -193,21 +193,21 @@ def test_rows_say_what_happened_and_who_made_the_planner(tmp_path):
     assert recorded == dict.fromkeys(names, "their-planners 1.2")
 
 
-def test_an_entry_point_is_a_name_and_ours_are_refused():
+def test_an_entry_point_is_a_name_and_names_of_this_package_are_refused():
     assert planner_named("lucky").external == "their-planners 1.2"
     solution = solve(single_goal_problem(5), "lucky", ENOUGH, 0)
     assert solution.solved, solution
     refused(r"'tb-rrt' of their-planners 1.2 has the name of one of ours", planner_named, "tb-rrt")
 
 
-def test_a_planner_that_is_not_there_is_refused_in_one_line():
+def test_a_planner_that_does_not_exist_is_refused_in_one_line():
     refused("there is no module 'no_such_module'", planner_named, "no_such_module:plan")
     refused("is 3: give a function", planner_named, "their_planners:number")
     refused("did you mean 'good'", planner_named, "their_planners:godo")
     refused("module:planner", planner_named, "unlucky")
 
 
-def test_the_command_plans_with_it_and_keeps_json_clean(capfd):
+def test_the_command_plans_with_an_external_planner_and_keeps_json_clean(capfd):
     words = ["plan", "place-task-single-goal", "--problem", 5, "--cutoff", ENOUGH.seconds]
     words += ["--iterations", ENOUGH.iterations, "--planner"]
     run_here([*words, "their_planners:printing", "--json"])

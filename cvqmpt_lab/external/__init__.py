@@ -1,1 +1,1 @@
-"""Planners of other people, in a process of their own."""
+"""External planners, each in a process of its own."""

@@ -1,10 +1,10 @@
-"""External planners: found by name, called in a process of their own, their answers checked.
+"""External planners: found by name, called in a separate process, their results checked.
 
-An external planner is a function (problem, budget, seed), or a class without arguments whose
-instances are called so. It returns a path, an array (m, n) from the start to one of the goals
-[rad or m], straight between its rows; None where it found none; or a
-`search.planner_interface.Proposal`, from which the search of this package goes on. Only its answer
-comes into this process (`external.process`): it cannot change what it is judged by.
+An external planner is a function (problem, budget, seed), or a class without constructor arguments
+whose instances are such functions. It returns a path, an array (m, n) [rad or m] from the start to
+one of the goals with straight segments between its rows; None if it found no path; or a
+`search.planner_interface.Proposal`, with which the search of this package continues. Only plain
+data come back from its process (`external.process`), so it cannot change the code that judges it.
 """
 
 from collections.abc import Collection
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cvqmpt_lab.base.errors import InvalidInputError, one_line
-from cvqmpt_lab.external.process import NoAnswer, PlannerProcess
+from cvqmpt_lab.external.process import NoReply, PlannerProcess
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
 from cvqmpt_lab.search.planner_interface import (
@@ -29,48 +29,52 @@ from cvqmpt_lab.search.planner_interface import (
 )
 from cvqmpt_lab.search.result import JointPath, PlanStatus
 
-GROUP = "cvqmpt.planners"  # of entry points
+ENTRY_POINT_GROUP = "cvqmpt.planners"
 
 
 @dataclass(frozen=True)
 class ExternalPlanner:
-    """An external planner: all of its planning is the stage `predict`.
+    """An external planner; its call is the stage `predict`.
 
-    It is late after 1.1 times its seconds and 0.1 s; after twice its seconds and 0.5 s its process
-    is ended.
+    With a budget of t seconds it is over time after 1.1 t + 0.1 s, and its process is ended after
+    2 t + 0.5 s.
     """
 
     process: PlannerProcess
-    made_by: str  # distributions and their versions, or the module's file
+    made_by: str  # distributions with versions, or the module's file with its digest
 
     def stages(self, problem: PlanningProblem, model: str = "") -> Stages:
-        """Hand a problem over to the planner's process; not timed."""
+        """Send a problem to the planner's process, which is not timed, and return its stages."""
         reason = ""
         try:
             self.process.hand_over(problem)
-        except NoAnswer as error:
+        except NoReply as error:
             reason = str(error)
         return Stages(predict=partial(self._predict, reason))
 
     def _predict(self, reason: str, query: Query, observation: Observation) -> Proposal:
-        """Its path or proposal, or a failure; reason: why it did not get the problem, or ""."""
+        """Call the planner; return its path or proposal, or a failure.
+
+        reason: why sending the problem failed, or "".
+        """
         budget, seconds = query.deadline.budget, query.deadline.budget.seconds
         failure: PlanStatus | None = None
-        detail, proposal = "", Proposal(replace(query.uniform, name=self.made_by), as_is=True)
+        detail = ""
+        proposal = Proposal(replace(query.uniform, name=self.made_by), as_is=True)
         try:
             if reason:
-                raise NoAnswer(reason)
+                raise NoReply(reason)
             limit = None if seconds is None else 2.0 * seconds + 0.5
             words, arrays = self.process.plan(budget, query.seed, seconds=limit)
             if "error" in words:
-                raise NoAnswer(str(words["error"]))
+                raise NoReply(str(words["error"]))
             if seconds is not None and query.deadline.seconds > 1.1 * seconds + 0.1:
                 failure = PlanStatus.OVERTIME
             elif "none" in words:
                 failure = query.deadline.spent() or PlanStatus.NO_PATH
             else:
-                proposal = answered(words, arrays, query.space.robot, proposal)
-        except NoAnswer as error:
+                proposal = proposal_of(words, arrays, query.space.robot, proposal)
+        except NoReply as error:
             failure = PlanStatus.OVERTIME if error.late else PlanStatus.PLANNER_ERROR
             detail = str(error)
         except InvalidInputError as error:
@@ -78,18 +82,24 @@ class ExternalPlanner:
         late = ""
         if failure is PlanStatus.OVERTIME:
             late = f"{query.deadline.seconds:.3g} s where {seconds:g} s were given"
-        told = filter(None, (late, detail or proposal.detail, self.process.note()))
+        notes = filter(None, (late, detail or proposal.detail, self.process.note()))
         failure = failure or proposal.failure
-        return replace(proposal, failure=failure, detail=one_line("; ".join(told)))
+        return replace(proposal, failure=failure, detail=one_line("; ".join(notes)))
 
 
-def answered(
+def proposal_of(
     words: dict[str, Any], arrays: dict[str, np.ndarray], robot: Robot, path_alone: Proposal
 ) -> Proposal:
-    """The proposal of an answer (see `external.worker.Worker.plan`).
+    """Build a proposal from the reply of a planner's process, see `external.worker.Worker.plan`.
 
-    path_alone: the proposal of a path, without it. InvalidInputError: what it returned is no path
-    and no proposal; NoAnswer: it cannot be read.
+    Args:
+        words: fields of the reply that are no arrays.
+        arrays: arrays of the reply by name.
+        robot: the robot with n joints.
+        path_alone: the proposal into which a returned path is put.
+
+    Raises InvalidInputError if the planner returned neither path nor proposal, NoReply if the reply
+    cannot be read.
     """
     try:
         if "malformed" in words:
@@ -97,7 +107,8 @@ def answered(
         path = JointPath(path_states(arrays["path"], robot)) if "path" in arrays else None
         if "name" not in words:
             return replace(path_alone, path=path)
-        name, uniform = one_line(str(words["name"])), None
+        name = one_line(str(words["name"]))
+        uniform = None
         if "lower" in arrays:
             bounds = np.stack((arrays["lower"], arrays["upper"]))
             lower, upper = near_limits(np.sort(bounds, axis=0), robot, "bounds")
@@ -115,13 +126,17 @@ def answered(
             failure=words["failure"] and PlanStatus(words["failure"]),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise NoAnswer(f"its answer cannot be read: {one_line(str(error))}") from error
+        raise NoReply(f"its reply cannot be read: {one_line(str(error))}") from error
 
 
 def near_limits(rows: np.ndarray, robot: Robot, what: str, farthest: float = 100.0) -> np.ndarray:
-    """Rows (k, n) that are finite, at most farthest [rad or m] outside the joint limits, as float.
+    """Return rows as floats; refuse those that are not finite or far outside the joint limits.
 
-    what: they are, for InvalidInputError.
+    Args:
+        rows: (k, n) [rad or m].
+        robot: the robot with n joints.
+        what: noun for the rows in the error message.
+        farthest: largest allowed distance outside the joint limits [rad or m].
     """
     if rows.ndim != 2 or rows.shape[1] != robot.dof or len(rows) == 0:
         raise InvalidInputError(
@@ -146,9 +161,15 @@ def near_limits(rows: np.ndarray, robot: Robot, what: str, farthest: float = 100
 def path_states(
     given: np.ndarray, robot: Robot, longest_step: float = 0.1, most: int = 50_000
 ) -> np.ndarray:
-    """States (m, n) of a path, some added, at most longest_step [rad or m] apart.
+    """States (m, n) of a returned path, with states added so that steps are short.
 
-    Raises InvalidInputError for what is no path, and for one of more than `most` states.
+    Args:
+        given: the returned array.
+        robot: the robot with n joints.
+        longest_step: largest distance of neighbouring states [rad or m].
+        most: largest number of states.
+
+    Raises InvalidInputError if `given` is no path or needs more than `most` states.
     """
     states = near_limits(given, robot, "states")
     if len(states) < 2:
@@ -169,7 +190,7 @@ def path_states(
 
 @lru_cache(maxsize=32)
 def external_planner(name: str) -> ExternalPlanner:
-    """The external planner of that name; its process is started once, and again where it ended.
+    """Find an external planner and start its process, which starts again if it has ended.
 
     Args:
         name: ``package.module:planner``, or the name of an entry point of a distribution.
@@ -182,7 +203,7 @@ def external_planner(name: str) -> ExternalPlanner:
         if len(entries) != 1:
             who = ", ".join(_distribution(entry) for entry in entries)
             raise InvalidInputError(
-                f"planner {name!r} is of {len(entries)} distributions, {who}: keep one of them"
+                f"planner {name!r} is in {len(entries)} distributions, {who}: keep one of them"
             )
         address, distribution = entries[0].value, _distribution(entries[0])
     module, _, attribute = address.partition(":")
@@ -193,29 +214,30 @@ def external_planner(name: str) -> ExternalPlanner:
 
 
 def is_external(name: str) -> bool:
-    """Whether the name is of the form of an external planner, or an entry point has it."""
+    """Whether the name has the form ``module:planner`` or is that of an entry point."""
     return ":" in name or name in entry_point_names()
 
 
 def entry_point_names() -> list[str]:
-    """Names of external planners that installed distributions declare."""
+    """Names of the external planners that installed distributions declare."""
     return sorted({entry.name for entry in _entry_points()})
 
 
 def refuse_clash(name: str, own: Collection[str]) -> None:
-    """Raise InvalidInputError if the name is one of this package's and an entry point's, too."""
+    """Refuse a name that is in `own`, the planners of this package, and an entry point too."""
     for entry in _entry_points():
         if entry.name == name and name in own:
             raise InvalidInputError(
                 f"planner {name!r} of {_distribution(entry)} has the name of one of ours: rename "
-                f"it in its entry points {GROUP}, or call it {entry.value}"
+                f"it in its entry points {ENTRY_POINT_GROUP}, or give its address {entry.value}"
             )
 
 
 @lru_cache(maxsize=1)
 def _entry_points() -> tuple[metadata.EntryPoint, ...]:
-    unique = {(entry.name, entry.value): entry for entry in metadata.entry_points(group=GROUP)}
-    return tuple(unique.values())
+    """Entry points of external planners; a distribution that is found twice counts once."""
+    found = metadata.entry_points(group=ENTRY_POINT_GROUP)
+    return tuple({(entry.name, entry.value): entry for entry in found}.values())
 
 
 def _distribution(entry: metadata.EntryPoint) -> str:

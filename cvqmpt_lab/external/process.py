@@ -1,6 +1,7 @@
-"""The process of an external planner, seen from outside: started, asked, stopped between calls.
+"""The process of an external planner: started, called, and stopped between calls.
 
-Nothing that it sends is trusted: answers are plain data of limited size, and times are taken here.
+Nothing that it sends is trusted: replies are plain data of limited size, and the times are measured
+in the calling process.
 """
 
 import contextlib
@@ -17,18 +18,17 @@ from multiprocessing.connection import wait
 from typing import Any
 
 from cvqmpt_lab.base.errors import InvalidInputError, one_line
-from cvqmpt_lab.external.worker import LENGTH, MOST_BYTES, Answer
+from cvqmpt_lab.external.worker import LENGTH_BYTES, MAX_REPLY_BYTES, Reply
 from cvqmpt_lab.problem import PlanningProblem
 
-START_S = 300.0  # [s] for importing and making a planner, and for preparing a problem
-RUN = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from cvqmpt_lab.external.worker import main; main(int(sys.argv[2]), int(sys.argv[3]))"
-)
+START_TIMEOUT_S = 300.0  # for importing and making a planner, and for preparing a problem
 
 
-class NoAnswer(Exception):
-    """Why there is no answer: the process ended, or was late, and was ended."""
+class NoReply(Exception):
+    """A planner's process has not replied, because it ended or was ended after its time.
+
+    late: whether it was ended after its time.
+    """
 
     def __init__(self, reason: str, late: bool = False) -> None:
         super().__init__(reason)
@@ -36,41 +36,45 @@ class NoAnswer(Exception):
 
 
 class PlannerProcess:
-    """A process with one planner; one that has ended is started again for the next problem.
+    """A process with one planner; if it has ended, it is started again for the next problem.
 
-    On Linux it is stopped while it is not asked: its threads cannot slow down other planners.
+    On Linux it is stopped between calls, so that its threads do not slow down other planners.
     """
 
     def __init__(self, name: str, module: str, attribute: str) -> None:
         self.name, self.module, self.attribute = name, module, attribute
         self.has_planned = False  # since it was started
         self._process: subprocess.Popen[bytes] | None = None
-        self._owner = 0  # process that started it; a copy by fork is not its owner
-        self._written, self._first = 0, b""  # bytes of its standard output, and the first ones
+        self._owner = 0  # id of the process that started it; a fork of that one is not the owner
+        self._written, self._first = 0, b""  # number of bytes of its standard output; the first
 
     def start(self) -> dict[str, Any]:
-        """Import and make the planner in a new process; returns "made_by" and "origin".
+        """Import and make the planner in a new process; return "made_by" and "origin".
 
-        Raises InvalidInputError if that is refused.
+        Raises InvalidInputError if importing or making it fails.
         """
+        program = (
+            "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+            "from cvqmpt_lab.external.worker import main; main(int(sys.argv[2]), int(sys.argv[3]))"
+        )
         self.stop()
         self._connection, theirs = socket.socketpair()
         with theirs:
             numbers = (str(theirs.fileno()), str(os.getpid()))
             self._process = subprocess.Popen(
-                (sys.executable, "-c", RUN, json.dumps(sys.path), *numbers),
+                (sys.executable, "-c", program, json.dumps(sys.path), *numbers),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 pass_fds=(theirs.fileno(),),
-                # Ctrl-C is for the process that plans; a group ends with all that it started
+                # own process group: Ctrl-C does not reach it, and it ends with its children
                 start_new_session=True,
             )
         self._owner, self.has_planned = os.getpid(), False
         self._end = weakref.finalize(self, _end, self._process, self._connection, self._owner)
         try:
-            words, _ = self.ask("make", self.name, self.module, self.attribute)
-        except NoAnswer as error:
-            why = f"no answer in {START_S:g} s" if error.late else str(error)
+            words, _ = self.call("make", self.name, self.module, self.attribute)
+        except NoReply as error:
+            why = f"no reply in {START_TIMEOUT_S:g} s" if error.late else str(error)
             raise InvalidInputError(f"planner {self.name}: importing it: {why}") from error
         self._signal("SIGSTOP")
         if "error" in words:
@@ -79,65 +83,65 @@ class PlannerProcess:
         return words
 
     def hand_over(self, problem: PlanningProblem) -> None:
-        """Give it the next problem, which is not timed; NoAnswer where that fails."""
+        """Send the next problem, which is not timed; NoReply if that fails."""
         while True:
             fresh = self._process is None or self._owner != os.getpid()
             try:
                 if fresh:
                     self.start()
-                # a copy without what the problem keeps of earlier work
-                words, _ = self.ask("hand_over", problem.changed())
+                # a copy without cached results
+                words, _ = self.call("hand_over", problem.changed())
                 if "error" in words:
-                    raise NoAnswer(str(words["error"]))
+                    raise NoReply(str(words["error"]))
                 return
             except InvalidInputError as error:
-                raise NoAnswer(str(error)) from error
-            except NoAnswer:
+                raise NoReply(str(error)) from error
+            except NoReply:
                 if fresh:
                     raise
-                # it may have ended since the last run, with the thread that started it
+                # it may have ended after the last run, together with the thread that started it
                 self.stop()
 
-    def plan(self, *arguments: Any, seconds: float | None) -> Answer:
-        """The planner's answer to budget and seed; NoAnswer: it ended, or after `seconds`."""
+    def plan(self, *arguments: Any, seconds: float | None) -> Reply:
+        """Call the planner with budget and seed; NoReply if it ends or takes over `seconds`."""
         self.has_planned = True
-        answer = self.ask("plan", *arguments, seconds=seconds)
+        reply = self.call("plan", *arguments, seconds=seconds)
         self._signal("SIGSTOP")
-        return answer
+        return reply
 
-    def ask(self, *message: Any, seconds: float | None = START_S) -> Answer:
-        """Answer to a message; without one, NoAnswer, and the process is ended."""
+    def call(self, *message: Any, seconds: float | None = START_TIMEOUT_S) -> Reply:
+        """Send a message and return the reply; if there is none, end the process: NoReply."""
         import safetensors.numpy  # planning without external planners does not need it
 
         if self._process is None:
-            raise NoAnswer("its process has ended")
+            raise NoReply("its process has ended")
         try:
             self._signal("SIGCONT")
             data = pickle.dumps(message)
-            self._connection.settimeout(START_S)
-            self._connection.sendall(len(data).to_bytes(LENGTH) + data)
+            self._connection.settimeout(START_TIMEOUT_S)
+            self._connection.sendall(len(data).to_bytes(LENGTH_BYTES) + data)
             arrays = safetensors.numpy.load(self._received(seconds))
             self._read_output()
             return dict(json.loads(arrays.pop("words").tobytes())), arrays
-        except NoAnswer:
+        except NoReply:
             self.stop()
             raise
         except OSError as error:
-            raise NoAnswer(self._how_it_ended()) from error
+            raise NoReply(self._how_it_ended()) from error
         except BaseException as error:
             self.stop()
             if not isinstance(error, Exception):
                 raise
-            raise NoAnswer(f"its answer cannot be read: {one_line(str(error))}") from error
+            raise NoReply(f"its reply cannot be read: {one_line(str(error))}") from error
 
     def stop(self) -> None:
-        """End the process, and what it has started."""
+        """End the process and all that it has started."""
         if self._process is not None:
             self._end()
             self._process = None
 
     def note(self, first_characters: int = 60) -> str:
-        """One sentence about what it wrote to standard output since the last call, or ""."""
+        """Sentence about the standard output since the last call, or "" if there was none."""
         size, first = self._written, self._first.decode(errors="replace")
         self._written, self._first = 0, b""
         if not size:
@@ -146,16 +150,16 @@ class PlannerProcess:
         return f"wrote {size} bytes to standard output, shown on standard error: {first!r}"
 
     def _received(self, seconds: float | None) -> bytes:
-        """The bytes of an answer, once all have come."""
+        """Bytes of a complete reply."""
         assert self._process is not None
-        began, data, size = time.perf_counter(), bytearray(), LENGTH
+        began, data, size = time.perf_counter(), bytearray(), LENGTH_BYTES
         while len(data) < size:
             left = 0.1
             if seconds is not None:
                 left = min(left, began + seconds - time.perf_counter())
             if left <= 0.0:
-                raise NoAnswer("interrupted", late=True)
-            # asked first: what it wrote before it ended is still read
+                raise NoReply("interrupted", late=True)
+            # before reading, so that all is read that it wrote before it ended
             ended = self._process.poll() is not None
             if self._connection in wait((self._connection, *self._output()), left):
                 part = self._connection.recv(2**20)
@@ -163,20 +167,22 @@ class PlannerProcess:
                 ended = not part
             self._read_output()
             if ended:
-                raise NoAnswer(self._how_it_ended())
-            if size == LENGTH <= len(data):
-                size += int.from_bytes(data[:LENGTH])
-            if size > MOST_BYTES:
-                raise NoAnswer(f"its answer has {size} bytes; at most {MOST_BYTES}")
-        return bytes(data[LENGTH:size])
+                raise NoReply(self._how_it_ended())
+            if size == LENGTH_BYTES <= len(data):
+                size += int.from_bytes(data[:LENGTH_BYTES])
+            if size > MAX_REPLY_BYTES:
+                raise NoReply(
+                    f"its reply has {size} bytes; at most {MAX_REPLY_BYTES} are read: return less"
+                )
+        return bytes(data[LENGTH_BYTES:size])
 
     def _output(self) -> tuple[Any, ...]:
-        """Its standard output, while it is open."""
+        """Its standard output, or nothing once that is closed."""
         stream = self._process.stdout if self._process is not None else None
         return () if stream is None or stream.closed else (stream,)
 
     def _read_output(self, most_parts: int = 16) -> None:
-        """Show what it has written to standard output on standard error."""
+        """Copy its standard output to standard error."""
         for _ in range(most_parts):
             ready: Any = wait(self._output(), 0.0) if self._output() else ()
             for stream in ready:
@@ -192,7 +198,7 @@ class PlannerProcess:
                 return
 
     def _how_it_ended(self) -> str:
-        """End the process, and say how it had ended."""
+        """End the process if it still runs, and describe how it ended."""
         assert self._process is not None
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(1.0)
@@ -206,13 +212,14 @@ class PlannerProcess:
         return f"its process was ended by {signal.Signals(-code).name}{cause}"
 
     def _signal(self, name: str) -> None:
-        """Send a signal to the process and all that it has started; not where none would wake."""
+        """Send a signal to the process and all that it has started; only on Linux."""
         if sys.platform == "linux" and self._process is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.Signals[name])
 
 
 def _end(process: subprocess.Popen[bytes], connection: socket.socket, owner: int) -> None:
+    """Kill a process and its children; does nothing in a fork of the process `owner`."""
     if os.getpid() != owner:
         return
     connection.close()

@@ -1,9 +1,9 @@
-"""What runs in the process of an external planner: it is imported, made and called only here.
+"""Program of an external planner's process, in which alone the planner is imported and called.
 
-Messages from the process that plans are pickled: ("make", name, module, attribute),
-("hand_over", problem) and ("plan", budget, seed), of which the first word is a method of `Worker`.
-Answers are plain data, in the safetensors format: arrays by name, and json as the array "words".
-The length of each, 8 bytes, goes ahead.
+Messages from the calling process are pickled: ("make", name, module, attribute),
+("hand_over", problem) and ("plan", budget, seed); the first word is the name of a method of
+`Worker`. Replies are plain data in the safetensors format: arrays by name, and the rest as json in
+the array "words". Before each message and reply stand 8 bytes with its length.
 """
 
 import importlib
@@ -35,24 +35,26 @@ from cvqmpt_lab.search.planner_interface import GaussianMixture, Proposal, Unifo
 from cvqmpt_lab.search.result import Budget
 from cvqmpt_lab.search.space import ConstrainedSpace
 
-Answer: TypeAlias = tuple[dict[str, Any], dict[str, np.ndarray]]  # words, and arrays by name
-LENGTH = 8  # bytes of a length
-MOST_BYTES = 2**26  # of an answer
+Reply: TypeAlias = tuple[dict[str, Any], dict[str, np.ndarray]]  # words, and arrays by name
+LENGTH_BYTES = 8  # size of the length that precedes each message
+MAX_REPLY_BYTES = 2**26
 
 
 def main(connection: int, parent: int, most_memory: int = 2**33) -> None:
-    """Answer the messages of process `parent`, which come through a socket.
+    """Reply to the messages of process `parent`, which arrive through a socket.
 
-    most_memory: bytes of this process; half of the machine's where that is less.
+    Args:
+        connection: file descriptor of the socket.
+        parent: process id; this process ends with that one.
+        most_memory: limit of this process's memory [bytes]; at most half of the machine's memory.
     """
-    # here, because planning without external planners imports this file and does not need it
-    import safetensors.numpy
+    import safetensors.numpy  # `process` imports this file, and mostly does not need it
 
     end_with_parent(parent, signal.SIGKILL)
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     limit_memory(min(most_memory, machine // 2))
     worker, stream = Worker(), socket.socket(fileno=connection).makefile("rwb")
-    while size := int.from_bytes(stream.read(LENGTH)):
+    while size := int.from_bytes(stream.read(LENGTH_BYTES)):
         message = stream.read(size)
         try:
             name, *arguments = pickle.loads(message)
@@ -60,24 +62,24 @@ def main(connection: int, parent: int, most_memory: int = 2**33) -> None:
             sys.stdout.flush()
         except CvqmptError as error:
             words, arrays = {"refused": str(error), "error": described(error)}, {}
-        # what a planner may raise to end the process: SystemExit, KeyboardInterrupt, its own
+        # BaseException: a planner may raise SystemExit, KeyboardInterrupt or one of its own
         except BaseException as error:
             words, arrays = {"error": described(error)}, {}
         arrays["words"] = np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)
         data = safetensors.numpy.save(arrays)
-        stream.write(len(data).to_bytes(LENGTH) + data)
+        stream.write(len(data).to_bytes(LENGTH_BYTES) + data)
         stream.flush()
 
 
 class Worker:
-    """A planner and the problem that it plans for."""
+    """A planner and its current problem."""
 
     def __init__(self) -> None:
         self.planner: Any = None
         self.problem: PlanningProblem | None = None
 
-    def make(self, name: str, module_name: str, attribute: str) -> Answer:
-        """Import and make the planner; answers who made it."""
+    def make(self, name: str, module_name: str, attribute: str) -> Reply:
+        """Import and make the planner; the reply has "made_by" and "origin"."""
         module = imported(name, module_name)
         if not hasattr(module, attribute):
             public = {key: value for key, value in vars(module).items() if not key.startswith("_")}
@@ -94,49 +96,52 @@ class Worker:
         if not callable(planner):
             raise InvalidInputError(
                 f"planner {name} is {shown(planner)}: give a function (problem, budget, seed), or "
-                "a class of such"
+                "a class whose instances are called so"
             )
         self.planner = planner
         made_by = one_line(str(getattr(module, "MADE_BY", "")))
         return {"made_by": made_by, "origin": origin(module_name)}, {}
 
-    def hand_over(self, problem: PlanningProblem) -> Answer:
-        """Take a problem; prepare for it what our own planners have before their clock starts."""
+    def hand_over(self, problem: PlanningProblem) -> Reply:
+        """Take a problem and build what our own planners also have before their time starts."""
         self.problem = problem
         problem.collision_checker()
         _ = problem.manifold.regions
-        # the planner may use our search
+        # a planner that has imported our search may call it
         if "cvqmpt_lab.search.birrt" in sys.modules:
             compile_all()
             ConstrainedSpace(problem)
         return {}, {}
 
-    def plan(self, budget: Budget, seed: int) -> Answer:
-        """Call the planner; answers its path or proposal as words and arrays."""
+    def plan(self, budget: Budget, seed: int) -> Reply:
+        """Call the planner; the reply has its path or proposal as words and arrays."""
         assert self.problem is not None
         with one_thread():
-            answer = self.planner(self.problem, budget, seed)
-        if answer is None:
+            returned = self.planner(self.problem, budget, seed)
+        if returned is None:
             return {"none": True}, {}
-        if isinstance(answer, Proposal):
-            return of_proposal(answer)
+        if isinstance(returned, Proposal):
+            return reply_of(returned)
         must = f"give an array (m, {self.problem.robot.dof})"
         try:
-            states = np.array(answer, dtype=float, order="C")
+            states = np.array(returned, dtype=float, order="C")
         except (TypeError, ValueError):
-            return {"malformed": f"it returned {shown(answer)}: {must}"}, {}
-        if states.nbytes > MOST_BYTES // 2:
-            most = f"at most {MOST_BYTES // 16} numbers"
+            return {"malformed": f"it returned {shown(returned)}: {must}"}, {}
+        if states.nbytes > MAX_REPLY_BYTES // 2:
+            most = f"at most {MAX_REPLY_BYTES // 16} numbers"
             return {"malformed": f"it returned an array {states.shape}: {must}, {most}"}, {}
         return {}, {"path": states}
 
 
-def of_proposal(proposal: Proposal) -> Answer:
-    """What of a proposal can be sent: distributions of ours, path and words."""
+def reply_of(proposal: Proposal) -> Reply:
+    """Serialise a proposal: its path, words and distribution, which must be one of this package."""
     drawn = proposal.distribution
-    words: dict[str, Any] = {"name": drawn.name, "detail": proposal.detail}
-    words["fallback"] = proposal.fallback
-    words["failure"] = proposal.failure and proposal.failure.value
+    words: dict[str, Any] = {
+        "name": drawn.name,
+        "detail": proposal.detail,
+        "fallback": proposal.fallback,
+        "failure": proposal.failure and proposal.failure.value,
+    }
     arrays = {} if proposal.path is None else {"path": proposal.path.states}
     if type(drawn) is GaussianMixture:
         words["share"] = drawn.uniform_share
@@ -152,7 +157,7 @@ def of_proposal(proposal: Proposal) -> Answer:
 
 
 def described(error: BaseException) -> str:
-    """Type and text of an error of others."""
+    """Type and text of an error of a planner, whose text may itself raise an error."""
     try:
         return one_line(f"{type(error).__name__}: {error}")
     except BaseException:
@@ -160,15 +165,14 @@ def described(error: BaseException) -> str:
 
 
 def imported(name: str, module: str) -> Any:
-    """A module; one in the folder from which the command was started is found, too."""
+    """Import a module, also one in the folder in which the command was started."""
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
     try:
         return importlib.import_module(module)
     except CvqmptError:
-        # an adapter that says itself what is not installed
-        raise
+        raise  # adapters say themselves what is not installed
     except ModuleNotFoundError as error:
         if error.name is not None and f"{module}.".startswith(f"{error.name}."):
             raise InvalidInputError(
@@ -185,7 +189,7 @@ def imported(name: str, module: str) -> Any:
 
 
 def origin(module: str) -> str:
-    """Distribution and version of a module; the digest of its file where it is of none."""
+    """Distribution and version of a module, or the digest of its file if it has none."""
     top = module.partition(".")[0]
     owners = sorted(set(metadata.packages_distributions().get(top, ())))
     if owners:

@@ -19,7 +19,7 @@ import time
 import numpy as np
 import safetensors.numpy
 
-from cvqmpt_lab import certificate
+from cvqmpt_lab.certificate import certificate
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.constraints.task_space_region import RegionConstraint
 from cvqmpt_lab.scene.scene import Scene

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from properties.hostile_planners import HOSTILE
 
-from cvqmpt_lab import external
 from cvqmpt_lab.benchmarks.place_task import single_goal_problem
+from cvqmpt_lab.external import door
 from cvqmpt_lab.planning.pipeline import solve
 from cvqmpt_lab.search.result import Budget
 
@@ -42,4 +42,4 @@ def test_hostile_planners_change_nothing(trials):
         assert found.certificate is not None or found.plan.detail, name
         assert 0.0 <= found.plan.seconds <= found.wall_seconds <= seconds, name
         assert ours() == before and np.array_equal(single_goal_problem(5).robot.upper, limits)
-        external.external_planner.cache_clear()
+        door.external_planner.cache_clear()
