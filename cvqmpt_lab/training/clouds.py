@@ -1,4 +1,4 @@
-"""Point clouds of shapes, new every epoch: surface points, or by noisy cameras as in evaluation."""
+"""Random point clouds of scenes: points on surfaces, or measured by cameras as in evaluation."""
 
 from dataclasses import dataclass, field
 
@@ -8,6 +8,7 @@ from cvqmpt_lab.sensing.camera import (
     Camera,
     DepthNoise,
     Intrinsics,
+    Solid,
     ball,
     cuboid,
     cylinder,
@@ -28,33 +29,37 @@ class CloudSettings:
     points: Size = 1024
     crop: Crop = field(default_factory=Crop)
     noise: float = 0.003  # standard deviation of every coordinate [m]
-    occlusion: float = 0.5  # probability that only surfaces facing one of the cameras are seen
-    cameras: Size = 4  # random ones, at most
+    occlusion: float = 0.5  # probability that only surfaces facing a camera have points
+    cameras: Size = 4  # maximum number of cameras at random places
     density: float = 0.3  # standard deviation of the logarithm of each shape's density of points
-    measured: float = 0.0  # probability of depth images with the cameras' errors, without `noise`
+    measured: float = 0.0  # probability that the cloud comes from depth images instead
 
     def without_augmentation(self) -> "CloudSettings":
-        """Uniform by area, no noise, nothing hidden: for validation."""
+        """Return settings for validation: uniform by area, without noise and hidden surfaces."""
         return CloudSettings(
             points=self.points, crop=self.crop, noise=0.0, occlusion=0.0, density=0.0
         )
 
 
 def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Points (settings.points, 3) float32 [m] on surfaces of shapes, outside others, in the crop.
+    """Sample points (settings.points, 3) float32 [m] on surfaces of shapes, inside the crop.
 
-    Few points are repeated; in an empty scene they lie below the robot, at the crop's lower end.
+    If there are too few points, they repeat. In an empty scene all points are the lowest point of
+    the crop, below the robot.
     """
+    crop = settings.crop
     by_cameras = settings.measured > 0.0 and rng.random() < settings.measured
     if by_cameras:
-        places, target = _camera_positions(settings, rng), np.array(settings.crop.centre)
-        points = measured_points(shapes, places, target, rng)
-        points = points[settings.crop.contains(points)][: settings.points]
+        positions = _camera_positions(settings, rng)
+        points = measured_points(shapes, positions, np.array(crop.centre), rng)
+        points = points[crop.contains(points)][: settings.points]
     else:
-        points = _drawn(shapes, settings, rng)
+        points = _surface_points(shapes, settings, rng)
     if len(points) == 0:
-        (x, y, z), crop = settings.crop.centre, settings.crop
-        lowest = (x, y, z - crop.radius) if crop.kind == "ball" else (0.0, 0.0, crop.lower[2])
+        lowest = (0.0, 0.0, crop.lower[2])
+        if crop.kind == "ball":
+            x, y, z = crop.centre
+            lowest = (x, y, z - crop.radius)
         points = np.array([lowest], dtype=np.float32)
     if len(points) < settings.points:
         points = points[np.arange(settings.points) % len(points)]
@@ -65,57 +70,67 @@ def sample_cloud(shapes: Shapes, settings: CloudSettings, rng: np.random.Generat
     return points
 
 
-def _drawn(shapes: Shapes, settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Points (k, 3) drawn on surfaces: settings.points, or as many as can be found."""
+def _surface_points(
+    shapes: Shapes, settings: CloudSettings, rng: np.random.Generator
+) -> np.ndarray:
+    """Sample points on surfaces (k, 3); k is settings.points, or fewer if most are hidden."""
     found = [np.empty((0, 3), dtype=np.float32)]
     missing = settings.points
     if len(shapes.kind):
         density = np.exp(settings.density * rng.standard_normal(len(shapes.kind)))
         weights = _areas(shapes) * density
-        hides = rng.random() < settings.occlusion
-        # drawn in any case
-        places = _camera_positions(settings, rng)
-        cameras, chance = (places, 0.5) if hides else (None, 0.7)
+        hidden = rng.random() < settings.occlusion
+        # positions are drawn in both cases, so that later random numbers are the same
+        positions = _camera_positions(settings, rng)
+        cameras, visible_share = (positions, 0.5) if hidden else (None, 0.7)
         for _ in range(6):
-            draw = min(int(missing / chance * 1.15) + 16, 20 * settings.points)
-            seen = _visible_points(shapes, weights, cameras, settings.crop, draw, rng)
-            found.append(seen[:missing])
+            draw = min(int(missing / visible_share * 1.15) + 16, 20 * settings.points)
+            visible = _visible_points(shapes, weights, cameras, settings.crop, draw, rng)
+            found.append(visible[:missing])
             missing -= len(found[-1])
             if missing == 0:
                 break
-            chance = max(0.05, len(seen) / draw)
+            visible_share = max(0.05, len(visible) / draw)
     return np.concatenate(found)
 
 
 def measured_points(
-    shapes: Shapes, places: np.ndarray, target: np.ndarray, rng: np.random.Generator
+    shapes: Shapes, positions: np.ndarray, target: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Points that depth cameras measure, in random order.
+    """Simulate the points that depth cameras measure, in random order.
 
     Args:
-        shapes: of the scene.
-        places: (c, 3) [m], where cameras stand.
-        target: (3,) [m], what they look at.
-        rng: draws materials and noise.
+        shapes: shapes of the scene.
+        positions: (c, 3) [m], positions of the cameras.
+        target: (3,) [m], the point that all cameras face.
+        rng: random numbers for materials and noise.
 
     Returns:
         (k, 3) float32 [m].
     """
-    described = zip(shapes.kind, shapes.size.astype(float), shapes.pose.astype(float), strict=True)
-    solid_of = (  # by the kind of a shape
-        lambda T, size: cuboid(T, 0.5 * size),
-        lambda T, size: cylinder(T, size[0], 0.5 * size[2]),
-        lambda T, size: ball(T, size[0]),
-    )
-    solids = [solid_of[kind](T, size) for kind, size, T in described]
-    # the evaluation camera's range, a sixteenth of its pixels: still more than a cloud's points
+    solids = [
+        _solid(kind, size, T)
+        for kind, size, T in zip(
+            shapes.kind, shapes.size.astype(float), shapes.pose.astype(float), strict=True
+        )
+    ]
+    # the evaluation camera with a sixteenth of its pixels, still more than a cloud's points
     small = Intrinsics.from_fov(width=80, height=72, vertical_fov=75.0, near=0.5, far=5.46)
     materials = drawn_materials(len(solids), rng)
-    views = [view_of(solids, Camera(small, look_at(place, target))) for place in places]
+    views = [view_of(solids, Camera(small, look_at(place, target))) for place in positions]
     points = np.concatenate(
-        [measured(v, solids, materials, DepthNoise(), rng).points for v in views]
+        [measured(view, solids, materials, DepthNoise(), rng).points for view in views]
     )
     return points[rng.permutation(len(points))].astype(np.float32)
+
+
+def _solid(kind: int, size: np.ndarray, T: np.ndarray) -> Solid:
+    """Return the solid that cameras see, of a shape as in `Shapes`."""
+    if kind == 0:
+        return cuboid(T, 0.5 * size)
+    if kind == 1:
+        return cylinder(T, size[0], 0.5 * size[2])
+    return ball(T, size[0])
 
 
 def _areas(shapes: Shapes) -> np.ndarray:
@@ -128,7 +143,7 @@ def _areas(shapes: Shapes) -> np.ndarray:
 
 
 def _camera_positions(settings: CloudSettings, rng: np.random.Generator) -> np.ndarray:
-    """Camera positions (c, 3) [m]: 2 m from the crop's centre, not below it."""
+    """Draw camera positions (c, 3) [m], 2 m from the crop's centre and not below it."""
     directions = rng.standard_normal((int(rng.integers(1, settings.cameras + 1)), 3))
     directions[:, 2] = np.abs(directions[:, 2])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -143,7 +158,19 @@ def _visible_points(
     draw: int,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """The visible ones of `draw` surface points, (k, 3) float32."""
+    """Draw surface points and return the visible ones.
+
+    Args:
+        shapes: shapes of the scene.
+        weights: (m,), share of the points on each shape, not normalised.
+        cameras: (c, 3) [m]; points must lie on a surface that faces one of them; None for any.
+        crop: points must lie inside this region.
+        draw: number of points to draw.
+        rng: random numbers.
+
+    Returns:
+        (k, 3) float32 [m].
+    """
     cumulated = np.cumsum(weights)
     shape = np.searchsorted(cumulated, rng.random(draw) * cumulated[-1], side="right")
     shape = np.minimum(shape, len(shapes.kind) - 1)
@@ -164,7 +191,11 @@ def _visible_points(
 def _surface(
     kind: np.ndarray, size: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Uniform points on surfaces of shapes (p,), in their frames, and outward normals, float32."""
+    """Draw a point on the surface of each shape (p,), uniform by area.
+
+    Returns:
+        Points (p, 3) [m] in the shapes' frames, and outward normals (p, 3), float32.
+    """
     local, normal = np.zeros((2, len(kind), 3), dtype=np.float32)
     for number, sampler in enumerate((_on_boxes, _on_cylinders, _on_spheres)):
         rows = np.flatnonzero(kind == number)
@@ -190,7 +221,7 @@ def _on_boxes(size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, n
 def _on_cylinders(size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     radius, height = size[:, 0], size[:, 2]
     angle = 2.0 * np.pi * rng.random(len(size), dtype=np.float32)
-    # caps against side, over 2 pi r
+    # areas of both caps and of the side, divided by 2 pi r, are r and h
     place = rng.random(len(size), dtype=np.float32) * (radius + height)
     on_cap = place < radius
     sign = rng.integers(0, 2, len(size)).astype(np.float32) * 2.0 - 1.0
@@ -215,7 +246,7 @@ def _inside_others(
 ) -> np.ndarray:
     """Whether each point (p, 3) of shape `own` (p,) lies deeper than `margin` in another shape."""
     rotation = shapes.pose[:, :, :3]
-    # local = R^T (x - t), all shapes at once
+    # local = R^T (x - t) for all shapes at once
     origin = np.einsum("mij,mi->mj", rotation, shapes.pose[:, :, 3])
     inverse = np.ascontiguousarray(rotation.transpose(0, 2, 1)).reshape(-1, 3)
     local = (inverse @ np.ascontiguousarray(points.T)).reshape(len(rotation), 3, -1)

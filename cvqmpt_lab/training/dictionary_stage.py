@@ -1,16 +1,17 @@
-"""Stage 1 of VQ-MPT: learn a dictionary of codes, each of which stands for a Gaussian over joints.
+"""Stage 1 of VQ-MPT: training of the dictionary, whose codes are decoded to Gaussians over joints.
 
-A waypoint q is encoded to a latent z = f(q), which is replaced by the nearest code z_q of the
-dictionary and decoded to N(mu, Sigma), Sigma = L D L^T. The loss of trajectories q_1 ... q_T is,
-with sg the stopped gradient, the mean over trajectories of the reconstruction
+A waypoint q is encoded to a latent z = f(q). It is replaced by the nearest code z_q of the
+dictionary, which is decoded to N(mu, Sigma), Sigma = L D L^T. The loss of trajectories q_1 ... q_T
+is the sum of the reconstruction loss, the mean over trajectories of
 
     sum_t [ -log N(q_t | mu_t, Sigma_t) - w H(N(mu_t, Sigma_t)) ],
 
-which selects the best model, and the mean over waypoints of
+and of the quantization loss, the mean over waypoints of
 
-    beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2.
+    beta ||sg(z_q) - z||^2 + ||z_q - sg(z)||^2,
 
-Padding never counts.
+where sg stops the gradient. Padding is not counted. The model with the smallest reconstruction loss
+in validation is kept.
 """
 
 from collections.abc import Mapping
@@ -33,20 +34,20 @@ class Stage1Settings:
     """How the dictionary is trained."""
 
     epochs: int = 20
-    # Rows of a batch are paths. An encoder of single waypoints takes rows of `row` unrelated ones
-    # instead, so that the parts of the loss keep their published proportions.
-    batch: Size = 64
+    batch: Size = 64  # rows of a batch, which are paths
+    # An encoder of single waypoints gets rows of this many random waypoints instead of paths. So
+    # the parts of the loss keep their published proportions.
     row: Size = 32
-    batches_per_epoch: Size | None = None  # at most; None for all paths
-    spacing: float | None = None  # of waypoints along a path [rad]; None to take all
-    trivial_share: float = 0.15  # of paths whose straight line is free, at most
-    turn_base: bool = False  # turn whole paths about the base
-    entropy_weight: float = 0.1  # w: keeps Gaussians wide
-    # steps between restarts of codes that are hardly used (if `data_initialised`)
+    batches_per_epoch: Size | None = None  # maximum number; None for all paths
+    spacing: float | None = None  # distance of waypoints along a path [rad]; None for all
+    trivial_share: float = 0.15  # maximum share of paths whose straight line is free
+    turn_base: bool = False  # whether paths are rotated about the base at random
+    entropy_weight: float = 0.1  # w, which keeps Gaussians wide
+    # number of steps between restarts of rarely used codes (if `data_initialised`)
     restart_every: int = 200
-    restart_epochs: int = 10  # the first epochs, which have restarts
-    restart_below: float = 0.02  # share of the mean use below which a code is restarted
-    validation_paths: int = 1000  # at most
+    restart_epochs: int = 10  # number of first epochs that have restarts
+    restart_below: float = 0.02  # codes used less than this share of the mean are restarted
+    validation_paths: int = 1000  # maximum number
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(rate=1e-3))
 
 
@@ -58,15 +59,18 @@ def stage1_loss(
     commitment: float,
     entropy_weight: float = 0.1,
 ) -> dict[str, Tensor]:
-    """Loss of the module's docstring, and its parts reconstruction and quantization: scalars.
+    """Compute the loss of the module's docstring.
 
     Args:
-        gaussians: the dictionary's, of waypoints u.
-        quantized: likewise.
-        u: (b, t, n) normalised joints.
-        visible: (b, t) bool, False where padded.
+        gaussians: decoded Gaussians (b, t) of the waypoints.
+        quantized: latents (b, t) of the waypoints.
+        u: (b, t, n), normalised joints of the waypoints.
+        visible: (b, t) bool, False for padding.
         commitment: beta.
         entropy_weight: w.
+
+    Returns:
+        ``loss`` and its parts ``reconstruction`` and ``quantization``, scalars.
     """
     nll = -torch.where(visible, gaussians.log_prob(u), 0.0).sum() / len(u)
     negative_entropy = -torch.where(visible, gaussians.entropy(), 0.0).sum() / len(u)
@@ -87,7 +91,7 @@ class DictionaryStage(Stage):
 
     selection = "validation_reconstruction"
     dataset: PathDataset
-    uses: Tensor  # of each code since the last restart
+    uses: Tensor  # (n_codes,) number of waypoints of each code since the last restart
 
     def __init__(
         self,
@@ -97,7 +101,18 @@ class DictionaryStage(Stage):
         seed: int,
         device: torch.device,
     ) -> None:
-        """Prepare to train on a dataset; raises InvalidInputError where that is impossible."""
+        """Prepare to train on a dataset.
+
+        Args:
+            dataset: paths.
+            config: sizes of the dictionary.
+            settings: how to train.
+            seed: seed of all random numbers.
+            device: device to train on.
+
+        Raises:
+            InvalidInputError: there are no paths for training or none for validation.
+        """
         super().__init__(settings.optimizer, seed, device)
         dataset.require_splits()
         self.dataset = dataset.thinned(settings.spacing)
@@ -106,12 +121,12 @@ class DictionaryStage(Stage):
         self.dictionary = Dictionary(config)
         self.register_buffer("uses", torch.zeros(config.dictionary.n_codes, dtype=torch.int64))
         self.to(device)
-        robot, chain = self.dataset.robot, self.dataset.chain if config.feature_dim else None
-        self._links = LinkPositions(robot.lower, robot.upper, chain, device)
-        self._latents = torch.empty(0)
+        chain = dataset.chain if config.feature_dim else None
+        self._links = LinkPositions(dataset.robot.lower, dataset.robot.upper, chain, device)
+        self._latents = torch.empty(0)  # of the last batch
 
     def prepare(self) -> None:
-        """Initialise the codes with encoded waypoints z = f(q)."""
+        """Initialise the codes with encoded waypoints z = f(q), if `data_initialised`."""
         if not self.config.dictionary.data_initialised:
             return
         codes, latents = self.config.dictionary.n_codes, []
@@ -122,12 +137,13 @@ class DictionaryStage(Stage):
                 latents.append(z[batch["visible"]])
                 if sum(map(len, latents)) >= 2 * codes:
                     break
-        every = torch.ones(codes, dtype=torch.bool, device=self.device)
-        self.dictionary.quantizer.restart_codes(every, torch.cat(latents))
+        all_codes = torch.ones(codes, dtype=torch.bool, device=self.device)
+        self.dictionary.quantizer.restart_codes(all_codes, torch.cat(latents))
 
     def batches(self, epoch: int) -> Batches:
-        """Batches (batch, t, n) of whole paths, padded, or (batch, row, n) of single waypoints."""
-        rng, settings = np.random.default_rng((self.seed, epoch)), self.settings
+        """Return batches (batch, t, n) of padded paths, or (batch, row, n) of single waypoints."""
+        settings = self.settings
+        rng = np.random.default_rng((self.seed, epoch))
         rows = self.dataset.with_few_trivial(
             self.dataset.split("train"), settings.trivial_share, rng
         )
@@ -137,7 +153,7 @@ class DictionaryStage(Stage):
             of_paths = [np.arange(start[row], start[row + 1]) for row in rows]
             order = rng.permutation(np.concatenate(of_paths))
             size = settings.batch * settings.row
-            # the last waypoints are left out, or all repeated up to one batch
+            # the rest of the waypoints is left out; too few for a batch are repeated
             batches = np.resize(order, (max(1, len(order) // size), size))
             return Batches(batches[:most], self._waypoints, self.seed, epoch)
         order = rng.permutation(rows)
@@ -161,7 +177,7 @@ class DictionaryStage(Stage):
         return {"u": u, "visible": np.arange(u.shape[1]) < counts[:, None]}
 
     def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Mean loss of a batch and its parts, see the module."""
+        """Compute the loss of a batch and its parts, see `stage1_loss`."""
         u, visible = batch["u"], batch["visible"]
         gaussians, quantized = self.dictionary(self._links.configurations(u))
         with torch.no_grad():
@@ -173,7 +189,7 @@ class DictionaryStage(Stage):
         return stage1_loss(gaussians, quantized, u, visible, beta, weight)
 
     def after_step(self, epoch: int, step: int, optimizer: torch.optim.Optimizer) -> None:
-        """Move codes that are hardly used to latents of the last batch."""
+        """Replace rarely used codes by latents of the last batch, every `restart_every` steps."""
         settings = self.settings
         if not self.config.dictionary.data_initialised or step % max(settings.restart_every, 1):
             return
@@ -188,7 +204,7 @@ class DictionaryStage(Stage):
         uses.zero_()
 
     def validate(self) -> dict[str, float | None]:
-        """Fit of held-out paths, per waypoint [nats], and use of the codes."""
+        """Compute losses of held-out paths, per waypoint [nats], and use of the codes."""
         rows = self.dataset.split("validation")[: self.settings.validation_paths]
         span = torch.tensor(self.dataset.robot.upper) - torch.tensor(self.dataset.robot.lower)
         sums = dict.fromkeys(("nll", "negative_entropy", "std", "changes"), 0.0)
@@ -216,7 +232,7 @@ class DictionaryStage(Stage):
         }
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
-        """The dictionary in its present state."""
+        """Return the dictionary with its present weights."""
         self.dictionary.quantizer.normalise_codes()
         modules = {"dictionary": self.dictionary}
         return Checkpoint(self.config, self.dataset.robot, modules, metadata)

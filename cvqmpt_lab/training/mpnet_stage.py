@@ -1,7 +1,8 @@
-"""MPNet: learn to propose the next waypoint q_(t+1) from q_t, the goal and the encoded cloud z.
+"""Training of MPNet, which proposes the next waypoint q_(t+1) from q_t, goal and encoded cloud z.
 
-The loss is the mean over all steps, both ways, and joints of |g(q_t, q_goal, z) - q_(t+1)|^2. All
-examples of a batch count, unlike in the published code. A batch has as many paths of each scene.
+The loss is the mean of (g(q_t, q_goal, z) - q_(t+1))^2 over joints and over all steps of all paths
+of a batch, in both directions; the published code uses only some of them. A batch has equally many
+paths of each scene.
 """
 
 import math
@@ -22,9 +23,9 @@ from cvqmpt_lab.vqmpt.config import MPNetConfig, Size
 
 
 class MPNet(nn.Module):
-    """q_(t+1) = g(q_t, q_goal, z), z = e(cloud); g and e are perceptrons with PReLU.
+    """q_(t+1) = g(q_t, q_goal, z) with z = e(cloud); g and e are perceptrons with PReLU.
 
-    Configurations are normalised to [-1, 1], unlike in VQ-MPT.
+    Configurations are normalised to [-1, 1]; in VQ-MPT to [0, 1].
     """
 
     def __init__(self, config: MPNetConfig) -> None:
@@ -43,24 +44,25 @@ class MPNet(nn.Module):
         self.out = nn.Linear(widths[-1], config.joint_dim)
 
     def encode(self, points: Tensor) -> Tensor:
-        """Codes (b, code_dim) of clouds (b, n_points, 3) [m], points in any order."""
+        """Encode clouds (b, n_points, 3) [m], points in any order, to codes (b, code_dim)."""
         return self.encoder(points.flatten(1))
 
     def forward(
         self, current: Tensor, goal: Tensor, code: Tensor, *, stochastic: bool = True
     ) -> Tensor:
-        """Propose the next configuration; planning does the same in numpy, `vqmpt.mpnet_rollouts`.
+        """Propose the next configuration; `vqmpt.mpnet_rollouts` does the same in numpy.
 
         Args:
-            current: (b, joint_dim) q_t, normalised to [-1, 1].
+            current: (b, joint_dim), q_t, normalised to [-1, 1].
             goal: (b, joint_dim), likewise.
-            code: (b, code_dim) z, of `encode`.
-            stochastic: with dropout, as in training.
+            code: (b, code_dim), z of `encode`.
+            stochastic: use dropout, as in training.
 
         Returns:
             (b, joint_dim), not clipped.
         """
-        x, share = torch.cat((code, current, goal), dim=-1), self.config.dropout
+        share = self.config.dropout
+        x = torch.cat((code, current, goal), dim=-1)
         for i, layer in enumerate(self.hidden):
             x = layer(x)
             if stochastic and share > 0.0 and i < len(self.hidden) - 1:
@@ -74,18 +76,18 @@ class SceneBatchSettings:
     """Amounts and augmentation of a batch of paths."""
 
     scenes: Size = 16
-    paths_per_scene: Size = 4  # a scene with fewer paths repeats one with weight 0
-    batches_per_epoch: Size | None = None  # at most; None for all paths
-    spacing: float | None = None  # of waypoints along a path [rad]; None to take all
-    trivial_share: float = 0.15  # of paths whose straight line is free, at most
-    turn_base: bool = False  # turn scene and paths alike about the base
+    paths_per_scene: Size = 4  # if a scene has fewer paths, one repeats with weight 0
+    batches_per_epoch: Size | None = None  # maximum number; None for all paths
+    spacing: float | None = None  # distance of waypoints along a path [rad]; None for all
+    trivial_share: float = 0.15  # maximum share of paths whose straight line is free
+    turn_base: bool = False  # whether scene and paths are rotated about the base at random
     cloud: CloudSettings = field(default_factory=CloudSettings)
-    validation_paths: int = 512  # at most
+    validation_paths: int = 512  # maximum number
 
 
 @dataclass(frozen=True, kw_only=True)
 class MPNetSettings:
-    """How MPNet is trained; clouds have as many points as its network takes."""
+    """How MPNet is trained; clouds must have the number of points that the network takes."""
 
     epochs: int = 20
     batches: SceneBatchSettings = field(default_factory=lambda: SceneBatchSettings(spacing=0.5))
@@ -95,8 +97,9 @@ class MPNetSettings:
 class MPNetStage(Stage):
     """Training of an `MPNet`.
 
-    Arrays of a batch: scene (s,), cloud (s, points, 3) [m], u (s p, t, n), counts (s p,) of
-    waypoints and weight (s p,) bool, False for paths that fill a scene up.
+    A batch has s scenes with p paths each. Its arrays are scene (s,), cloud (s, points, 3) [m],
+    u (s p, t, n), counts (s p,), the numbers of waypoints, and weight (s p,) bool, False for paths
+    that are repeated because a scene has fewer than p.
     """
 
     selection = "validation_squared_error"
@@ -110,7 +113,18 @@ class MPNetStage(Stage):
         seed: int,
         device: torch.device,
     ) -> None:
-        """Prepare to train on a dataset; raises InvalidInputError where that is impossible."""
+        """Prepare to train on a dataset.
+
+        Args:
+            dataset: paths.
+            config: sizes of the network.
+            settings: how to train.
+            seed: seed of all random numbers.
+            device: device to train on.
+
+        Raises:
+            InvalidInputError: there are no paths for training or none for validation.
+        """
         super().__init__(settings.optimizer, seed, device)
         dataset.require_splits()
         self.dataset, self.settings = dataset.thinned(settings.batches.spacing), settings.batches
@@ -118,14 +132,15 @@ class MPNetStage(Stage):
         self.network = MPNet(config).to(device)
 
     def batches(self, epoch: int) -> Batches:
-        """Every training path once, in a new order for each epoch."""
-        rng, turn = np.random.default_rng((self.seed, epoch)), self._turn
+        """Return batches of all training paths, each path once, in a new order for each epoch."""
+        turn = self._turn
+        rng = np.random.default_rng((self.seed, epoch))
         rows = self.dataset.with_few_trivial(
             self.dataset.split("train"), self.settings.trivial_share, rng
         )
         key = None
         if turn.active:
-            # paths on the same side of the robot can be turned further together
+            # paths with similar values of joint 1 can be rotated further together
             key = turn.least + turn.most + rng.uniform(0.0, 0.4, len(turn.least))
         groups = self._grouped(rows, rng, key)
         count = max(1, len(groups) // self.settings.scenes)
@@ -134,8 +149,9 @@ class MPNetStage(Stage):
         return Batches(batches[: self.settings.batches_per_epoch], make, self.seed, epoch)
 
     def validation_batches(self) -> Batches:
-        """Equal held-out paths and clouds each time."""
-        rng, settings = np.random.default_rng(self.seed), self.settings
+        """Return batches of held-out paths, with the same paths and clouds at each call."""
+        settings = self.settings
+        rng = np.random.default_rng(self.seed)
         rows = self.dataset.with_few_trivial(
             self.dataset.split("validation"), settings.trivial_share, rng
         )
@@ -147,22 +163,24 @@ class MPNetStage(Stage):
     def _grouped(
         self, rows: np.ndarray, rng: np.random.Generator, key: np.ndarray | None = None
     ) -> np.ndarray:
-        """Shuffle paths into groups of one scene each, groups shuffled.
+        """Divide paths into random groups of the same scene, in random order.
 
         Args:
-            rows: (k,) the paths to group.
-            rng: draws the order.
-            key: (p,) a number for every path; within a scene, paths of similar ones come together.
+            rows: (k,), the paths.
+            rng: random numbers.
+            key: a number for each path of the dataset; within a scene, paths with similar numbers
+                get into the same group. None for random groups.
 
         Returns:
-            Groups (g, paths_per_scene) of rows; -1 fills a group up.
+            Groups (g, paths_per_scene) of rows, padded with -1.
         """
-        size, rows = self.settings.paths_per_scene, rng.permutation(rows)
+        size = self.settings.paths_per_scene
+        rows = rng.permutation(rows)
         scenes = self.dataset.arrays["path_scene"][rows]
         keys = (scenes,) if key is None else (key[rows], scenes)
         order = np.lexsort(keys)
         rows, scenes = rows[order], scenes[order]
-        # place of each path among those of its scene
+        # number of each path among those of its scene
         inside = np.arange(len(rows)) - np.searchsorted(scenes, scenes)
         group = np.cumsum(inside % size == 0) - 1
         groups = np.full((group[-1] + 1, size), -1, dtype=np.int64)
@@ -172,7 +190,13 @@ class MPNetStage(Stage):
     def _batch(
         self, groups: np.ndarray, rng: np.random.Generator, *, augmented: bool
     ) -> dict[str, np.ndarray]:
-        """Arrays of groups (s, p) of paths; noise, hidden surfaces and turns if augmented."""
+        """Return the arrays of a batch.
+
+        Args:
+            groups: (s, p), rows of the paths, padded with -1.
+            rng: random numbers.
+            augmented: use noise, hidden surfaces and rotations about the base.
+        """
         rows = np.where(groups < 0, groups[:, :1], groups)
         scenes = self.dataset.arrays["path_scene"][groups[:, 0]]
         angles = [self._turn.draw(group, rng) if augmented else 0.0 for group in rows]
@@ -189,31 +213,29 @@ class MPNetStage(Stage):
         }
 
     def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Mean of |g(q_t, q_goal, z) - q_(t+1)|^2 over joints, all steps and both directions."""
-        return {"loss": self._squared_error(batch, batch["cloud"], stochastic=True)}
+        """Compute the loss of the module's docstring."""
+        return {"loss": self._squared_error(batch, stochastic=True)}
 
     def validate(self) -> dict[str, float | None]:
-        """Loss on held-out scenes, without dropout."""
-        found = [
-            float(self._squared_error(batch, batch["cloud"], stochastic=False))
+        """Compute the loss on held-out scenes, without dropout."""
+        errors = [
+            float(self._squared_error(batch, stochastic=False))
             for batch in map(self.tensors, self.validation_batches())
         ]
-        return {"squared_error": sum(found) / len(found)}
+        return {"squared_error": sum(errors) / len(errors)}
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
-        """The network in its present state."""
+        """Return the network with its present weights."""
         modules = {"mpnet": self.network}
         return Checkpoint(self.network.config, self.dataset.robot, modules, metadata)
 
-    def _squared_error(
-        self, batch: dict[str, Tensor], cloud: Tensor, *, stochastic: bool
-    ) -> Tensor:
+    def _squared_error(self, batch: dict[str, Tensor], *, stochastic: bool) -> Tensor:
         states, counts = 2.0 * batch["u"] - 1.0, batch["counts"]
-        codes = self.network.encode(cloud).repeat_interleave(len(states) // len(cloud), 0)
+        codes = self.network.encode(batch["cloud"])
+        codes = codes.repeat_interleave(len(states) // len(codes), 0)
         step = torch.arange(states.shape[1] - 1, device=states.device)
-        rows, place = ((step < counts[:, None] - 1) & batch["weight"][:, None]).nonzero(
-            as_tuple=True
-        )
+        counted = (step < counts[:, None] - 1) & batch["weight"][:, None]
+        rows, place = counted.nonzero(as_tuple=True)
         before, after = states[rows, place], states[rows, place + 1]
         start, goal = states[rows, 0], states[rows, counts[rows] - 1]
         proposed = self.network(
@@ -226,7 +248,7 @@ class MPNetStage(Stage):
 
 
 def turned(cloud: np.ndarray, angle: float) -> np.ndarray:
-    """Rotate a cloud (k, 3) about z by an angle [rad]: p <- Rz(angle) p."""
+    """Rotate a cloud (k, 3) about the z axis by an angle [rad]: p <- Rz(angle) p."""
     c, s = math.cos(angle), math.sin(angle)
     transposed = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)), dtype=np.float32)
     return cloud @ transposed

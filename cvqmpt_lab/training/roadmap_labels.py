@@ -1,4 +1,4 @@
-"""Labels on a roadmap: nodes and edges checked in random scenes, and shortest paths."""
+"""Labels on a roadmap: which nodes and edges are free in random scenes, and shortest paths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -26,18 +26,17 @@ from cvqmpt_lab.training.generation import (
 )
 from cvqmpt_lab.training.shards import (
     LABEL_ARRAYS,
-    LINKS,
-    ROADMAP_FILE,
+    LINKS_PER_END,
     RoadmapGraph,
     packed,
 )
 from cvqmpt_lab.vqmpt.learned_sampler import dictionary_roadmap
 
-# configurations drawn in each scene; shortest paths lead from starts to goals
+# starts and goals drawn in each scene; shortest paths lead from starts to goals
 STARTS, GOALS = 16, 48
 # limit of state checks per edge, on average over a scene's edges: scenes that need more have a
 # wall millimetres from the base
-CHECKS = 60
+CHECKS_PER_EDGE = 60
 
 
 @dataclass(frozen=True)
@@ -55,64 +54,68 @@ class RoadmapRecipe(SceneRecipe):
         roadmap_graph(self.model, robot_from_source(self.robot))
 
     def prepare(self, out: Path) -> None:
-        """Write the roadmap, or raise InvalidInputError if the existing one has other nodes."""
+        """Write the roadmap; InvalidInputError if the folder has a roadmap with other nodes."""
         graph = roadmap_graph(self.model, robot_from_source(self.robot))
-        if (out / ROADMAP_FILE).exists() and RoadmapGraph.read(out).digest != graph.digest:
+        written = (out / RoadmapGraph.file_name).exists()
+        if written and RoadmapGraph.read(out).digest != graph.digest:
             raise InvalidInputError(f"{out} holds labels of another roadmap; choose another --out")
         graph.write(out)
 
     def labelled(self, robot: Robot, scene: Scene, index: int) -> dict[str, np.ndarray] | None:
-        """The arrays of `roadmap_labels` for the scene of this index."""
+        """Return the arrays of `roadmap_labels` for the scene of this index."""
         graph = roadmap_graph(self.model, robot)
         return roadmap_labels(robot, scene, graph, self.paths_per_scene, (self.seed, index))
 
 
 @lru_cache(maxsize=1)
 def roadmap_graph(model: str, robot: Robot) -> RoadmapGraph:
-    """Codes of a dictionary as nodes, undirected edges, and the edges free in an empty scene.
+    """Build a dictionary's roadmap: a node for each code, and undirected edges.
 
     Args:
         model: name or folder of the dictionary's weights.
         robot: the arm.
 
-    Raises OtherRobotError if the dictionary is of another robot, and InvalidInputError if the
-    roadmap has no more than `LINKS` nodes, or edges that are too long to check.
+    Raises:
+        OtherRobotError: the dictionary is for another robot.
+        InvalidInputError: the roadmap has too few nodes, or edges too long to be checked.
     """
     roadmap = dictionary_roadmap(model, robot)
-    if len(roadmap.nodes) <= LINKS:
+    if len(roadmap.nodes) <= LINKS_PER_END:
         raise InvalidInputError(
-            f"{robot.name}'s roadmap has {len(roadmap.nodes)} nodes; labels need more than {LINKS}"
+            f"{robot.name}'s roadmap has {len(roadmap.nodes)} nodes; labels need more than "
+            f"{LINKS_PER_END}"
         )
     count, k = roadmap.neighbours.shape
     pairs = np.stack([np.repeat(np.arange(count), k), roadmap.neighbours.ravel()], axis=1)
     edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
     space = unconstrained_space(robot, Scene("nothing", ()))
-    checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS)
-    # in an empty scene, only long edges need so many checks
+    checked = verdicts(space, roadmap.nodes, edges, checks=100 * CHECKS_PER_EDGE)
+    # in an empty scene, only very long edges need so many checks
     if checked is None:
         raise InvalidInputError(
             f"nodes of {robot.name}'s roadmap are far apart; train its dictionary longer"
         )
-    return RoadmapGraph(roadmap.nodes, edges, checked[1], *body_points(robot))
+    _, edge_possible = checked
+    return RoadmapGraph(roadmap.nodes, edges, edge_possible, *body_points(robot))
 
 
 def body_points(robot: Robot, count: int = 16) -> tuple[np.ndarray, np.ndarray]:
-    """Points that represent the arm's body: centres of some of the balls that cover its links.
+    """Choose points that represent the arm's body, among centres of the spheres around its links.
 
-    They are found by farthest point sampling, with distances averaged over random configurations:
+    They are chosen by farthest point sampling, with distances averaged over random configurations:
     the next point is argmax_i min_j mean_q |p_i(q) - p_j(q)|, where j are the points chosen before.
 
     Args:
         robot: the arm.
-        count: of points; an arm that has fewer balls gives all of them.
+        count: number of points; all centres if the arm has fewer spheres.
 
     Returns:
-        Index of the joint that moves each point (k,), and points in these joints' frames (k, 3)
-        [m].
+        Index of the joint that moves each point (k,), and position of each point in that joint's
+        frame (k, 3) [m].
     """
     geometry = robot_arrays(robot)
     rows = np.repeat(geometry.body_link, np.diff(geometry.body_start))
-    # the balls at the leaves of the links' sphere trees; pose row 0 is the fixed base
+    # leaves of the sphere trees of moving links; pose row 0 is the fixed base
     used = (geometry.leaf >= 0) & (rows > 0)
     rows, offsets = rows[used], geometry.sphere[used, :3]
     states = robot.random_configurations(np.random.default_rng(0), 64)
@@ -132,7 +135,7 @@ def verdicts(
     nodes: np.ndarray,
     edges: np.ndarray,
     possible: np.ndarray | None = None,
-    checks: int = CHECKS,
+    checks: int = CHECKS_PER_EDGE,
     margin: float = 0.002,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Check which nodes and edges are free of collision.
@@ -140,8 +143,8 @@ def verdicts(
     Args:
         space: unconstrained space of a scene.
         nodes: (N, n) [rad or m].
-        edges: (E, 2), each the rows of two nodes.
-        possible: (E,) bool, False for edges that are known not to be free; None: any may be free.
+        edges: (E, 2), rows of the two nodes of each edge.
+        possible: (E,) bool, False for edges that are known to collide; None if none are known.
         checks: limit of state checks per edge, on average.
         margin: distance that free motions keep from obstacles [m].
 
@@ -150,15 +153,16 @@ def verdicts(
     """
     node_free = np.zeros(len(nodes), dtype=bool)
     edge_free = np.ones(len(edges), dtype=bool) if possible is None else possible.copy()
-    arrays, most = space.arrays._replace(margin=margin), checks * len(edges)
-    done = edge_verdicts(arrays, nodes, edges, node_free, edge_free, most)
+    arrays = space.arrays._replace(margin=margin)
+    done = edge_verdicts(arrays, nodes, edges, node_free, edge_free, checks * len(edges))
     return (node_free, edge_free) if done else None
 
 
 @lru_cache(maxsize=1)
 def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
-    """Limit of state checks per edge: CHECKS times 4, 16, ... if an empty scene needs more."""
-    space, checks = unconstrained_space(robot, Scene("nothing", ())), CHECKS
+    """Limit of state checks per edge, enlarged by factors of 4 until an empty scene stays below."""
+    space = unconstrained_space(robot, Scene("nothing", ()))
+    checks = CHECKS_PER_EDGE
     while verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks) is None:
         checks *= 4
     return checks
@@ -167,25 +171,25 @@ def checks_of(robot: Robot, graph: RoadmapGraph) -> int:
 def roadmap_labels(
     robot: Robot, scene: Scene, graph: RoadmapGraph, pairs: int, seed: Sequence[int]
 ) -> dict[str, np.ndarray] | None:
-    """Check all nodes and edges of a roadmap in a scene, and find shortest paths through it.
+    """Check all nodes and edges of a roadmap in a scene, and find shortest paths on it.
 
     Paths lead from random starts to random goals; half of these have the hand near an obstacle.
     Pairs of start and goal whose straight motion is free are left out. A link joins a configuration
-    to one of its `LINKS` nearest nodes. Starts, goals and configurations among obstacles are
-    linked.
+    to one of its `LINKS_PER_END` nearest nodes. Starts, goals and configurations among obstacles
+    are linked.
 
     Args:
         robot: the arm.
-        scene: what it must not touch.
+        scene: obstacles.
         graph: the roadmap.
-        pairs: number of pairs of start and goal, at most.
-        seed: of all random draws.
+        pairs: maximum number of pairs of start and goal.
+        seed: seed of all random numbers.
 
     Returns:
-        Arrays of `training.shards.LABEL_ARRAYS` of this scene alone, or None if it needs too many
-        state checks.
+        Arrays of `shards.LABEL_ARRAYS` of this scene, or None if it needs too many state checks.
     """
-    space, rng = unconstrained_space(robot, scene), np.random.default_rng(seed)
+    space = unconstrained_space(robot, scene)
+    rng = np.random.default_rng(seed)
     checks = checks_of(robot, graph)
     checked = verdicts(space, graph.nodes, graph.edges, graph.edge_possible, checks)
     if checked is None:
@@ -197,23 +201,23 @@ def roadmap_labels(
     # squared distances: |end|^2 + |node|^2 - 2 <end, node>
     norms = (linked_ends**2).sum(1)[:, None] + (graph.nodes**2).sum(1)
     squares = norms - 2.0 * linked_ends @ graph.nodes.T
-    near = np.argpartition(squares, LINKS, axis=1)[:, :LINKS]
+    near = np.argpartition(squares, LINKS_PER_END, axis=1)[:, :LINKS_PER_END]
     nodes, count = np.concatenate([graph.nodes, linked_ends]), len(graph.nodes)
-    end_rows = np.repeat(count + np.arange(len(linked_ends)), LINKS)
+    end_rows = np.repeat(count + np.arange(len(linked_ends)), LINKS_PER_END)
     links = np.stack([end_rows, near.ravel()], axis=1).astype(np.int32)
     # links near self-collision need more checks than edges that are free in an empty scene
     linked = verdicts(space, nodes, links, checks=600)
     if linked is None:
         return None
-    link_free = linked[1]
+    _, link_free = linked
     # paths start and end at starts and goals, not at configurations among obstacles
-    nodes, links = nodes[: count + len(ends)], links[: LINKS * len(ends)]
+    nodes, links = nodes[: count + len(ends)], links[: LINKS_PER_END * len(ends)]
     cost, before = _shortest_paths(
         nodes, graph.edges[edge_free], links[link_free[: len(links)]], count
     )
-    every_pair = np.argwhere(np.ones((len(starts), len(goals)), dtype=bool))
+    all_pairs = np.argwhere(np.ones((len(starts), len(goals)), dtype=bool))
     chosen: list[tuple[int, int]] = []
-    for s, g in rng.permutation(every_pair).tolist():
+    for s, g in rng.permutation(all_pairs).tolist():
         if len(chosen) < pairs and not motion_free(space.arrays, starts[s], goals[g]):
             chosen.append((s, g))
     codes = [_codes(before[s], count + STARTS + g) for s, g in chosen]
@@ -235,7 +239,7 @@ def roadmap_labels(
 
 
 def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
-    """Free configurations (k, n), k at most STARTS + GOALS; half have the hand near an obstacle."""
+    """Draw free configurations (k, n), k <= STARTS + GOALS; half have the hand near an obstacle."""
     candidates = free_configurations(space, rng)
     near = near_obstacles(space, candidates)
     wanted = (STARTS + GOALS) // 2
@@ -247,10 +251,10 @@ def _ends(space: ConstrainedSpace, rng: np.random.Generator) -> np.ndarray:
 def _confined(
     space: ConstrainedSpace, rng: np.random.Generator, most: int = 32, around: int = 12
 ) -> np.ndarray:
-    """Free configurations among obstacles (k, n), k at most `most`.
+    """Draw free configurations among obstacles (k, n), k <= most.
 
-    They have the hand near an obstacle, and the most collisions among `around` neighbours, which
-    are drawn from a Gaussian with a standard deviation of 0.25 rad.
+    Of random configurations with the hand near an obstacle, those with the most collisions among
+    `around` neighbours are taken. Neighbours are drawn from a Gaussian of 0.25 rad.
     """
     robot = space.robot
     candidates = robot.random_configurations(rng, 1024)
@@ -265,16 +269,16 @@ def _confined(
 def _shortest_paths(
     nodes: np.ndarray, edges: np.ndarray, links: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Dijkstra's shortest paths from every start to every goal; edges are used in both directions.
+    """Find shortest paths from every start to every goal; edges are used in both directions.
 
     Args:
         nodes: (N + s + g, n) [rad]: N nodes of the roadmap, s <= STARTS starts, then g goals.
-        edges: (E, 2), rows of `nodes`: the roadmap's free edges.
+        edges: (E, 2), rows of `nodes`: the free edges of the roadmap.
         links: (l, 2), rows of `nodes`: a start or goal, and a node of the roadmap.
         count: N.
 
     Returns:
-        Costs (s, g) [rad], inf if there is no path, and the predecessor of each row on the path
+        Lengths (s, g) [rad], inf if there is no path, and the predecessor of each row on the path
         from each start (s, N + s + g), negative if there is none.
     """
     # paths lead from starts to nodes, and from nodes to goals
@@ -290,7 +294,7 @@ def _shortest_paths(
 
 
 def _codes(before: np.ndarray, goal: int) -> list[int]:
-    """Codes on the path to row `goal`, in order; empty if there is no path.
+    """Return the codes on the path to row `goal`, in order; empty if there is no path.
 
     before: (rows,), predecessor of each row, see `_shortest_paths`.
     """
@@ -298,5 +302,4 @@ def _codes(before: np.ndarray, goal: int) -> list[int]:
     while row >= 0:
         rows.append(row)
         row = int(before[row])
-    # the last one is the start itself
-    return rows[-2::-1]
+    return rows[-2::-1]  # reversed, without the start, which is the last row

@@ -1,11 +1,10 @@
-"""The two sequence models that `sequence_stage` trains: scene transformer, authors' architecture.
+"""Training of the two sequence models: scene transformer, and the authors' architecture.
 
-Both get the same scenes, clouds, sequences and validation.
+Both are trained and validated on the same scenes, clouds and sequences (`sequence_stage`).
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,9 @@ import torch
 from torch import Tensor
 
 from cvqmpt_lab.base.errors import InvalidInputError
-from cvqmpt_lab.training.dataset import (
-    SequenceDataset,
-    holds_labels,
-    open_dataset,
-    open_labels,
-)
+from cvqmpt_lab.training.sequence_dataset import SequenceDataset
 from cvqmpt_lab.training.sequence_stage import Cloud, RoadmapSettings, SequenceStage, chosen
-from cvqmpt_lab.training.shards import LINKS, SCENE_ARRAYS
+from cvqmpt_lab.training.shards import LINKS_PER_END
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import (
     PointCloudConfig,
@@ -28,47 +22,9 @@ from cvqmpt_lab.vqmpt.config import (
     SceneTransformerSizes,
     SequenceConfig,
 )
-from cvqmpt_lab.vqmpt.dictionary import LinkPositions
 from cvqmpt_lab.vqmpt.published_network import PublishedSequenceModel
 from cvqmpt_lab.vqmpt.scene_arrays import LONGEST, Ends, group_points
 from cvqmpt_lab.vqmpt.scene_transformer import SceneTransformer
-
-
-def open_sequences(folder: Path, dictionary: Checkpoint) -> SequenceDataset:
-    """Read labels on a roadmap, or encode paths: a code a waypoint, repeats left out.
-
-    InvalidInputError: as of `open_labels` and `open_dataset`, or paths of another robot.
-    """
-    if holds_labels(folder):
-        return open_labels(folder)
-    paths = open_dataset(folder)
-    dictionary.robot.require_same(paths.robot)
-    start = paths.arrays["path_start"]
-    every = np.arange(len(start) - 1)
-    rows = paths.with_few_trivial(every, 0.15, np.random.default_rng(0))
-    chain = paths.chain if dictionary.config.feature_dim else None
-    links = LinkPositions(paths.robot.lower, paths.robot.upper, chain)
-    counts = np.diff(start)[rows]
-    each: list[np.ndarray] = [np.empty(0)] * len(rows)
-    words = dictionary.modules["dictionary"]
-    # the encoder sees padding, and paths of one length need none
-    for count in np.unique(counts).tolist():
-        alike = np.flatnonzero(counts == count)
-        for some in np.array_split(alike, -(-len(alike) // 64)):
-            with torch.no_grad():
-                u = torch.from_numpy(paths.padded(rows[some])[0])
-                codes = words.encode(links.configurations(u)).numpy()
-            for row, own in zip(some.tolist(), codes, strict=True):
-                each[row] = own[np.append(True, own[1:] != own[:-1])]
-    ends = np.stack([start[rows], start[rows + 1] - 1], axis=1)
-    sequences = {
-        "path_scene": paths.arrays["path_scene"][rows],
-        "ends": paths.arrays["waypoints"][ends],
-        "code_start": np.cumsum([0, *map(len, each)]),
-        "codes": np.concatenate(each),
-    }
-    scenes = {name: paths.arrays[name] for name in SCENE_ARRAYS}
-    return SequenceDataset(**vars(paths) | {"arrays": scenes | sequences}, graph=None)
 
 
 class TransformerStage(SequenceStage):
@@ -83,6 +39,7 @@ class TransformerStage(SequenceStage):
         seed: int,
         device: torch.device,
     ) -> None:
+        """Prepare to train on labels of a roadmap; arguments and errors as of `SequenceStage`."""
         super().__init__(dataset, dictionary, settings, sizes.links, LONGEST, seed, device)
         assert dataset.chain is not None and dataset.graph is not None
         graph = dataset.graph
@@ -101,7 +58,7 @@ class TransformerStage(SequenceStage):
         self.model.set_roadmap(graph.nodes, graph.edges)
 
     def prepare(self) -> None:
-        """Set priors to the frequency of free codes and edges, or load weights to fine-tune."""
+        """Set priors to the frequency of free nodes and edges, or load weights to fine-tune."""
         if not self.settings.fine_tune:
             rows = self._train[:: max(1, len(self._train) // 2000)]
             with torch.no_grad():
@@ -114,18 +71,18 @@ class TransformerStage(SequenceStage):
         if trained is None or trained.config.sizes != self.config.sizes:
             raise InvalidInputError(
                 "fine_tune needs a --dictionary whose weights hold a transformer of the sizes of "
-                "transformer_model; leave both out to begin with the shipped weights"
+                "transformer_model; leave both out to start from the shipped weights"
             )
         self.model.load_state_dict(trained.state_dict())
 
     def cloud_arrays(self, points: np.ndarray) -> dict[str, np.ndarray]:
-        """Centres (t, 3) and offsets (t, m, 3) [m] of groups of points."""
+        """Return centres (t, 3) and offsets (t, m, 3) [m] of groups of points."""
         sizes = self.config.sizes
         centres, offsets = group_points(points, sizes.groups, sizes.group_size)
         return {"centres": centres, "offsets": offsets}
 
     def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Logits over codes and goal, and log odds that codes, edges and links are free."""
+        """Compute logits of codes and goal, and log odds that nodes, edges and links are free."""
         scenes = self.model.encode(cloud["centres"], cloud["offsets"])
         starts, goals = (self.model.ends(scenes, batch[name]) for name in ("starts", "goals"))
         V = self.model.cost_to_go(scenes, goals)
@@ -136,7 +93,7 @@ class TransformerStage(SequenceStage):
         return {"code": logits, "node": scenes.node_odds, "edge": scenes.edge_odds, "link": links}
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
-        """The dictionary and the transformer in their present state."""
+        """Return the dictionary and the transformer with their present weights."""
         config = replace(self.dictionary.config, transformer=self.config)
         modules = {**self.dictionary.modules, "transformer": self.model}
         return Checkpoint(config, self.dictionary.robot, modules, metadata)
@@ -151,7 +108,7 @@ class PublishedSizes:
 
 
 class PublishedStage(SequenceStage):
-    """Training of a model of the authors' architecture, on labels of a roadmap or on paths."""
+    """Training of the authors' architecture, on labels of a roadmap or on encoded paths."""
 
     def __init__(
         self,
@@ -162,9 +119,9 @@ class PublishedStage(SequenceStage):
         seed: int,
         device: torch.device,
     ) -> None:
-        graph = dataset.graph
-        longest = LONGEST if graph is not None else sizes.sequence.max_length - 1
-        super().__init__(dataset, dictionary, settings, LINKS, longest, seed, device)
+        """Prepare to train on sequences; arguments and errors as of `SequenceStage`."""
+        longest = LONGEST if dataset.graph is not None else sizes.sequence.max_length - 1
+        super().__init__(dataset, dictionary, settings, LINKS_PER_END, longest, seed, device)
         self.config = replace(
             dictionary.config,
             transformer=None,
@@ -178,13 +135,13 @@ class PublishedStage(SequenceStage):
         self._lower, self._range = limits[0], limits[1] - limits[0]
 
     def cloud_arrays(self, points: np.ndarray) -> dict[str, np.ndarray]:
-        """The cloud's points, unchanged."""
+        """Return the cloud's points, unchanged."""
         return {"points": np.asarray(points, dtype=np.float32)}
 
     def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Logits (s, r, l + 1, N + 2) over codes, start token and goal.
+        """Compute logits (s, r, l + 1, N + 2) of codes, start token and goal token.
 
-        Prefixes of one length are a batch, so that none is padded.
+        All prefixes of equal length are one batch, since the model has no mask for padding.
         """
         scene = self.model.encode_scene(cloud["points"])
         ends = [
@@ -202,7 +159,9 @@ class PublishedStage(SequenceStage):
         return {"code": torch.stack(steps, 1).unflatten(0, batch["count"].shape)}
 
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
-        """The dictionary and the sequence model in their present state."""
-        words = self.dictionary.modules["dictionary"]
-        modules = {"dictionary": words, "sequence_model": self.model}
+        """Return the dictionary and the sequence model with their present weights."""
+        modules = {
+            "dictionary": self.dictionary.modules["dictionary"],
+            "sequence_model": self.model,
+        }
         return Checkpoint(self.config, self.dictionary.robot, modules, metadata)

@@ -5,9 +5,10 @@ and goal, the loss of a batch is the mean of
 
     -log p(h_(i+1) | M, h_1 ... h_i),    i = 0 ... l,
 
-over all prefixes of all sequences. On labels of a roadmap the binary cross entropies B of what is
-free are added where a model predicts them: B(codes) + 2 B(edges) + 2 B(links). Links are the
-motions between configurations and codes near them. Every sequence is learned from both ways.
+over all prefixes of all sequences. If a model also predicts which nodes, edges and links of a
+roadmap are free of collision, their binary cross entropies are added: B(nodes) + 2 B(edges) +
+2 B(links). Links are the straight motions between configurations and the nodes near them. Every
+sequence is used in both directions.
 """
 
 from abc import abstractmethod
@@ -24,14 +25,15 @@ from torch.nn import functional as F
 
 from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.training.clouds import CloudSettings, sample_cloud
-from cvqmpt_lab.training.dataset import VALIDATION_EVERY, SequenceDataset
+from cvqmpt_lab.training.dataset import VALIDATION_EVERY
+from cvqmpt_lab.training.sequence_dataset import SequenceDataset
 from cvqmpt_lab.training.stage import Batches, OptimizerSettings, Stage, means
 from cvqmpt_lab.vqmpt.checkpoint import Checkpoint
 from cvqmpt_lab.vqmpt.config import Size
 from cvqmpt_lab.vqmpt.scene_arrays import NOWHERE
 
 Cloud = Mapping[str, Tensor]
-"""Clouds of s scenes as a model takes them, every array (s, ...)."""
+"""Clouds of s scenes in the form that a model takes; every tensor is (s, ...)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,16 +42,16 @@ class RoadmapSettings:
 
     epochs: int = 30
     batches_per_epoch: Size = 400
-    scenes: Size = 4  # of a batch
-    paths: Size = 96  # of each scene
-    goals: Size = 16  # different ones of each scene
-    link_ends: Size = 24  # configurations of each scene from which motions to codes are judged
+    scenes: Size = 4  # scenes of a batch
+    paths: Size = 96  # sequences of each scene
+    goals: Size = 16  # different goals of each scene
+    link_ends: Size = 24  # configurations of each scene whose links are predicted
     cloud: CloudSettings = field(
         default_factory=lambda: CloudSettings(points=1024, occlusion=0.3, measured=0.3)
     )
     validation_scenes: Size = 70
-    fine_tune: bool = False  # begin with the transformer of the dictionary's weights
-    # of most matrix products; losses are always float32
+    fine_tune: bool = False  # start from the transformer of the dictionary's weights
+    # precision of most matrix products; losses are always float32
     precision: Literal["float32", "bf16"] = "bf16"
     optimizer: OptimizerSettings = field(
         default_factory=lambda: OptimizerSettings(
@@ -61,11 +63,14 @@ class RoadmapSettings:
 class SequenceStage(Stage):
     """Training of a sequence model.
 
-    Arrays of a batch of s scenes with r code sequences each: those of the clouds (s, ...). starts
-    (s, u, n) and goals (s, g, n) [rad]; start and goal (s, r) int64: which of them each sequence
-    joins. codes (s, r, l) int64, padded with 0, and count (s, r), how many there are. On a roadmap
-    also node_free (s, N) and edge_free (s, E) bool, and of k ends of links link_end (s, k, n)
-    [rad], link_code and link_free (s, k, LINKS).
+    A batch has s scenes with r code sequences each, u starts and g goals. Its arrays are
+
+    - those of the clouds (s, ...), see `cloud_arrays`;
+    - starts (s, u, n) and goals (s, g, n) [rad];
+    - start and goal (s, r) int64: row in starts and goals for each sequence;
+    - codes (s, r, l) int64, padded with 0, and count (s, r), the length of each sequence;
+    - on a roadmap also node_free (s, N) and edge_free (s, E) bool, and links of k configurations:
+      link_end (s, k, n) [rad], link_code and link_free (s, k, LINKS_PER_END).
     """
 
     selection = "validation_loss"
@@ -84,16 +89,17 @@ class SequenceStage(Stage):
         """Prepare to train on sequences of a dictionary's codes.
 
         Args:
-            dataset: of sequences.
-            dictionary: of stage 1, whose codes they are of.
+            dataset: sequences of the dictionary's codes.
+            dictionary: result of stage 1.
             settings: how to train.
-            links: codes that a start or goal leads to.
-            longest: codes of a sequence at most; longer ones are left out.
-            seed: of all that is drawn.
-            device: to train on.
+            links: number of nearest nodes that a start or goal is linked to.
+            longest: maximum number of codes of a sequence; longer sequences are left out.
+            seed: seed of all random numbers.
+            device: device to train on.
 
-        InvalidInputError: the dictionary is of another robot, labels are without kinematics, or
-        there are fewer scenes than in a batch.
+        Raises:
+            InvalidInputError: the dictionary is for another robot, labels have no kinematics, or
+                there are fewer scenes than in a batch.
         """
         super().__init__(settings.optimizer, seed, device)
         self.dataset, self.dictionary, self.settings = dataset, dictionary, settings
@@ -112,36 +118,37 @@ class SequenceStage(Stage):
                     f"{dataset.folder} has no kinematics; generate its labels again"
                 )
         validates, scene = dataset.validates, dataset.arrays["path_scene"]
-        # sequences of each scene are a range
+        # sequences first[i] ... first[i + 1] - 1 are those of scene i
         self._first = np.searchsorted(scene, np.arange(len(validates) + 1))
         self._count = np.diff(dataset.arrays["code_start"])
         short = np.bincount(scene[self._count <= longest], minlength=len(validates))
-        # paths in a scene are fewer than labels on a roadmap
+        # datasets of paths have fewer sequences in a scene than labels on a roadmap
         usable = short >= (1 if dataset.graph is None else 8)
-        self._train, self._held_out = (
-            np.flatnonzero(usable & which) for which in (~validates, validates)
-        )
+        self._train = np.flatnonzero(usable & ~validates)
+        self._held_out = np.flatnonzero(usable & validates)
         if min(len(self._train), len(self._held_out)) < settings.scenes:
             raise InvalidInputError(
                 f"{dataset.folder} has {len(self._train)} scenes to train on and "
-                f"{len(self._held_out)} to validate with; generate "
-                f"{settings.scenes * VALIDATION_EVERY} scenes at least"
+                f"{len(self._held_out)} to validate with; generate at least "
+                f"{settings.scenes * VALIDATION_EVERY} scenes"
             )
 
     @abstractmethod
     def cloud_arrays(self, points: np.ndarray) -> dict[str, np.ndarray]:
-        """A cloud (m, 3) [m] as the model takes it."""
+        """Convert a cloud (m, 3) [m] to the arrays that the model takes."""
 
     @abstractmethod
     def predict(self, cloud: Cloud, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """The model's output for a batch of sequences with these clouds.
+        """Evaluate the model for a batch of sequences with these clouds.
 
-        code: (s, r, l + 1, classes) logits after every prefix; the last class is the goal. Where it
-        predicts what is free: log odds node (s, N), edge (s, E) and link (s, k, LINKS).
+        Returns:
+            code: logits (s, r, l + 1, classes) after every prefix; the last class is the goal. If
+            the model predicts what is free, also log odds node (s, N), edge (s, E) and link
+            (s, k, LINKS_PER_END).
         """
 
     def batches(self, epoch: int) -> Batches:
-        """Batches of an epoch: scenes in random order."""
+        """Return the batches of an epoch: scenes in random order."""
         rng = np.random.default_rng((self.seed, epoch))
         wanted = self.settings.batches_per_epoch * self.settings.scenes
         repeats = -(-wanted // len(self._train))
@@ -155,49 +162,60 @@ class SequenceStage(Stage):
     def _batch(
         self, scenes: np.ndarray, rng: np.random.Generator, *, augmented: bool
     ) -> dict[str, np.ndarray]:
-        """Arrays of scenes (s,); noise, hidden surfaces and both directions if augmented."""
+        """Return the arrays of a batch.
+
+        Args:
+            scenes: (s,), rows of the scenes.
+            rng: random numbers.
+            augmented: use noise, hidden surfaces and both directions of sequences.
+        """
         counts = self._count[self._first[scenes[0]] : self._first[scenes[0] + 1]]
-        drawn = rng.choice(counts) if augmented else None
-        each = [self._sequences(scene, drawn, rng, augmented) for scene in scenes]
+        length = rng.choice(counts) if augmented else None
+        by_scene = [self._sequences(scene, length, rng, augmented) for scene in scenes]
         settings = self.settings.cloud if augmented else self.settings.cloud.without_augmentation()
-        for scene, one in zip(scenes, each, strict=True):
+        for scene, arrays in zip(scenes, by_scene, strict=True):
             cloud = sample_cloud(self.dataset.shapes(scene), settings, rng)
-            one |= self.cloud_arrays(cloud)
+            arrays |= self.cloud_arrays(cloud)
         if self.dataset.graph is not None:
-            for scene, one in zip(scenes, each, strict=True):
-                one |= self._link_arrays(scene, rng)
-        found = {name: _stacked([one[name] for one in each]) for name in each[0]}
-        found["codes"] = found["codes"][:, :, : found["count"].max()]
+            for scene, arrays in zip(scenes, by_scene, strict=True):
+                arrays |= self._link_arrays(scene, rng)
+        batch = {name: _stacked([arrays[name] for arrays in by_scene]) for name in by_scene[0]}
+        batch["codes"] = batch["codes"][:, :, : batch["count"].max()]
         if self.dataset.graph is not None:
-            found["node_free"] = self.dataset.free("node", scenes)
-            found["edge_free"] = self.dataset.free("edge", scenes)
-        return found
+            batch["node_free"] = self.dataset.free("node", scenes)
+            batch["edge_free"] = self.dataset.free("edge", scenes)
+        return batch
 
     def _sequences(
         self, scene: int, length: int | None, rng: np.random.Generator, augmented: bool
     ) -> dict[str, np.ndarray]:
-        """Sequences of one scene; of about this length, if given, so that few are padded."""
+        """Draw sequences of a scene; of a similar length if one is given, to have little padding.
+
+        Lengths count as similar if both are < 4, both 4 or 5, or both >= 6.
+        """
         dataset, settings = self.dataset, self.settings
         rows = np.arange(self._first[scene], self._first[scene + 1])
         rows = rows[self._count[rows] <= self._longest]
         if length is not None:
-            # lengths below 4, below 6 and others are about one
-            alike = np.digitize(self._count[rows], (4, 6)) == np.digitize(length, (4, 6))
-            rows = rows[alike] if alike.sum() >= settings.paths // 6 else rows
+            similar = np.digitize(self._count[rows], (4, 6)) == np.digitize(length, (4, 6))
+            if similar.sum() >= settings.paths // 6:
+                rows = rows[similar]
         backwards = augmented and rng.random() < 0.5
         ends = dataset.arrays["ends"][:, :: -1 if backwards else 1]
+        # few different goals, since the scene transformer computes costs to go for each of them;
+        # a model without a roadmap does not
         _, number = np.unique(ends[rows, 1], axis=0, return_inverse=True)
-        # each goal costs the scene transformer an evaluation, but nothing without a roadmap
         most = settings.paths if dataset.graph is None else settings.goals
         rows = rows[np.isin(number.reshape(-1), rng.permutation(number.max() + 1)[:most])]
         rows = rng.choice(rows, settings.paths, replace=len(rows) < settings.paths)
-        joined = dataset.configurations(ends[rows])
-        starts, start = np.unique(joined[:, 0], axis=0, return_inverse=True)
-        goals, goal = np.unique(joined[:, 1], axis=0, return_inverse=True)
-        count, place = self._count[rows], np.arange(self._longest)
+        q = dataset.configurations(ends[rows])
+        starts, start = np.unique(q[:, 0], axis=0, return_inverse=True)
+        goals, goal = np.unique(q[:, 1], axis=0, return_inverse=True)
+        count = self._count[rows]
+        place = np.arange(self._longest)
         inside = place < count[:, None]
-        at = np.where(inside, count[:, None] - 1 - place if backwards else place, 0)
-        codes = dataset.arrays["codes"][dataset.arrays["code_start"][rows][:, None] + at]
+        offset = np.where(inside, count[:, None] - 1 - place if backwards else place, 0)
+        codes = dataset.arrays["codes"][dataset.arrays["code_start"][rows][:, None] + offset]
         return {
             "starts": starts,
             "goals": goals,
@@ -208,7 +226,7 @@ class SequenceStage(Stage):
         }
 
     def _link_arrays(self, scene: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        """Some of a scene's links on a roadmap."""
+        """Draw some configurations of a scene, with their links to nodes of the roadmap."""
         arrays, wanted = self.dataset.arrays, self.settings.link_ends
         first, last = arrays["link_start"][scene : scene + 2]
         rows = rng.choice(np.arange(first, last), wanted, replace=last - first < wanted)
@@ -219,37 +237,45 @@ class SequenceStage(Stage):
         }
 
     def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """-log p(h_(i+1) | M, h_1 ... h_i), B(codes) + 2 B(edges) + 2 B(links); see the module."""
+        """Compute the loss of the module's docstring and its parts, scalars."""
         bf16 = self.settings.precision == "bf16"
         with torch.autocast(self.device.type, torch.bfloat16, enabled=bf16):
             predicted = self.predict(batch, batch)
         logits = predicted["code"].flatten(0, 2).float()
         targets = self.targets(batch, logits.shape[-1] - 1).flatten()
         code = F.cross_entropy(logits, targets)
-        found = {"loss": code, "code": code}
+        losses = {"loss": code, "code": code}
         for name, weight in (("node", 1.0), ("edge", 2.0), ("link", 2.0)):
             if name in predicted:
                 free = batch[f"{name}_free"].float()
-                found[name] = F.binary_cross_entropy_with_logits(predicted[name], free)
-                found["loss"] = found["loss"] + weight * found[name]
-        return found
+                losses[name] = F.binary_cross_entropy_with_logits(predicted[name], free)
+                losses["loss"] = losses["loss"] + weight * losses[name]
+        return losses
 
     @staticmethod
     def targets(batch: dict[str, Tensor], goal: int) -> Tensor:
-        """Next codes h_(i+1) (s, r, l + 1) int64; -100, not counted, after `goal`."""
+        """Return the next class h_(i+1) (s, r, l + 1) int64 of each prefix.
+
+        The class `goal` follows the last code. After it the target is -100, which torch's cross
+        entropy ignores.
+        """
         codes, count = batch["codes"], batch["count"][..., None]
         step = torch.arange(codes.shape[2] + 1, device=codes.device)
         following = F.pad(codes, (0, 1)).masked_fill(step == count, goal)
         return following.masked_fill(step > count, -100)
 
     def validate(self) -> dict[str, float | None]:
-        """Means on held-out scenes: with their own cloud, that of the next scene, and none."""
+        """Mean losses on held-out scenes, with their own cloud, another scene's cloud and none."""
         rows, size = self._held_out[: self.settings.validation_scenes], self.settings.scenes
         batches = self._batches_of(rows[: len(rows) // size * size], 0, augmented=False)
         return means(chain.from_iterable(map(self._measured, batches)))
 
     def _measured(self, arrays: dict[str, np.ndarray]) -> Iterator[tuple[str, float, float]]:
-        """Cross entropies of a batch: name, sum and count of each."""
+        """Yield name, sum and number of terms of each cross entropy of a batch.
+
+        ``cross_entropy_all`` is over all classes, ``cross_entropy_ways`` over those that an edge or
+        link of the roadmap leads to. The selecting ``loss`` is the latter if there is a roadmap.
+        """
         batch = self.tensors(arrays)
         nowhere = np.tile(np.array(NOWHERE, dtype=np.float32), (self.settings.cloud.points, 1))
         empty = self.tensors(self.cloud_arrays(nowhere))
@@ -258,26 +284,27 @@ class SequenceStage(Stage):
             "wrong_cloud_": {name: batch[name].roll(1, 0) for name in empty},
             "no_cloud_": {name: one.expand_as(batch[name]) for name, one in empty.items()},
         }
-        ways = self._ways(batch)
-        for prefix, given in clouds.items():
-            predicted = self.predict(given, batch)
-            logits = predicted["code"]
+        successors = self._successors(batch)
+        for prefix, cloud in clouds.items():
+            logits = self.predict(cloud, batch)["code"]
             targets = self.targets(batch, logits.shape[-1] - 1).flatten()
             choices = {"all": logits}
-            if ways is not None:
-                # a start token, which nothing leads to, may stand before the goal
-                extra = ways.new_zeros(*ways.shape[:-1], logits.shape[-1] - ways.shape[-1])
-                allowed = torch.cat((ways[..., :-1], extra, ways[..., -1:]), -1)
+            if successors is not None:
+                # the authors' network has one more class before the goal, the start token, which
+                # is never a successor
+                missing = logits.shape[-1] - successors.shape[-1]
+                never = successors.new_zeros(*successors.shape[:-1], missing)
+                allowed = torch.cat((successors[..., :-1], never, successors[..., -1:]), -1)
                 choices["ways"] = logits.masked_fill(~allowed, -torch.inf)
-            for which, odds in choices.items():
-                each = F.cross_entropy(odds.flatten(0, 2), targets, reduction="none")
-                counted = each[(targets >= 0) & each.isfinite()]
-                yield f"{prefix}cross_entropy_{which}", float(counted.sum()), len(counted)
+            for name, allowed_logits in choices.items():
+                terms = F.cross_entropy(allowed_logits.flatten(0, 2), targets, reduction="none")
+                counted = terms[(targets >= 0) & terms.isfinite()]
+                yield f"{prefix}cross_entropy_{name}", float(counted.sum()), len(counted)
             if prefix == "":
                 yield "loss", float(counted.sum()), len(counted)
 
-    def _ways(self, batch: dict[str, Tensor]) -> Tensor | None:
-        """Successors on a roadmap: codes and goal (s, r, l + 1, N + 1) by an edge or link."""
+    def _successors(self, batch: dict[str, Tensor]) -> Tensor | None:
+        """Classes (s, r, l + 1, N + 1) that can follow each prefix; None without a roadmap."""
         if self.dataset.graph is None:
             return None
         nodes = torch.from_numpy(self.dataset.graph.nodes).float().to(self.device)
@@ -287,12 +314,12 @@ class SequenceStage(Stage):
 
 
 def chosen(values: Tensor, rows: Tensor) -> Tensor:
-    """Values (s, r, ...) at rows (s, r) of each scene's values (s, u, ...)."""
+    """Return rows (s, r) of each scene's values (s, u, ...), as (s, r, ...)."""
     return values[torch.arange(len(values), device=values.device)[:, None], rows]
 
 
 def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
-    """Stack arrays of different lengths; shorter ones repeat their rows."""
+    """Stack arrays of different lengths; shorter arrays repeat their rows."""
     rows = max(map(len, arrays))
     return np.stack([array[np.arange(rows) % len(array)] for array in arrays])
 
@@ -300,18 +327,18 @@ def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
 def roadmap_successors(
     nodes: Tensor, edges: Tensor, links: int, start: Tensor, goal: Tensor, codes: Tensor
 ) -> Tensor:
-    """Classes that can follow each prefix of codes on a roadmap.
+    """Find the classes that can follow each prefix of codes on a roadmap.
 
     Args:
         nodes: (N, n) [rad].
-        edges: (E, 2).
-        links: number of nodes that a start or goal is linked to.
+        edges: (E, 2), rows of the nodes of each edge.
+        links: number of nearest nodes that a start or goal is linked to.
         start: (s, r, n) [rad].
         goal: (s, r, n) [rad].
         codes: (s, r, l).
 
     Returns:
-        (s, r, l + 1, N + 1) bool.
+        (s, r, l + 1, N + 1) bool; class N is the goal.
     """
     classes = len(nodes) + 1
     near = [

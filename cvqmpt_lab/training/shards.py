@@ -1,6 +1,6 @@
-"""Folders of training data: random scenes, and near-shortest paths or labels on a roadmap in them.
+"""Folders of training data: random scenes with near-shortest paths or with labels on a roadmap.
 
-As ``cvqmpt data generate`` writes them::
+``cvqmpt data generate`` writes::
 
     dataset.json        schema 1, robot, lower, upper [rad], joints, kinematics_digest, families,
                         kinematics (a vqmpt.config.SerialChain), recipe, provenance
@@ -13,9 +13,9 @@ Joints are stored in 16 bits: 65535 u, with u = (q - lower) / (upper - lower) in
 import hashlib
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -23,52 +23,51 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.files import read_bytes, write_bytes
 
 DESCRIPTION_FILE = "dataset.json"
-ROADMAP_FILE = "roadmap.npz"
 SHARDS_FOLDER = "shards"
-FULL_SCALE = 65535.0  # what a stored joint is at the upper limit
+FULL_SCALE = 65535.0  # value of a stored joint at its upper limit
 SPACING = 0.13  # [rad] between waypoints of a path, at most
-LINKS = 20  # nodes of a roadmap that a start or goal is linked to
+LINKS_PER_END = 20  # nearest nodes of a roadmap that a start or goal is linked to
 
 
 class Column(NamedTuple):
-    """What an array of a shard holds; n joints, N nodes and E edges."""
+    """An array of a shard."""
 
-    rows: str  # there is one entry for each scene, shape, path, waypoint, code or end of links
+    rows: str  # item of each entry: scene, shape, path, waypoint, code or end (of links)
     dtype: str
-    ranges: str = ""  # each entry is where a range of these items begins; at last, where it ends
-    below: str = ""  # each entry is the number of one of these
+    # entries are the first items of ranges of this kind; one more entry ends the last range
+    ranges: str = ""
+    below: str = ""  # entries are row numbers of items of this kind
 
 
 SCENE_ARRAYS = {
     "family": Column("scene", "uint8"),
     "scene_seed": Column("scene", "int64"),
     "shape_start": Column("scene", "int32", ranges="shape"),
-    # 0 box, 1 cylinder, 2 sphere; sizes and poses T_world_shape [m] as in `dataset.Shapes`
+    # kind, size [m] and pose T_world_shape as in `dataset.Shapes`
     "shape_kind": Column("shape", "uint8"),
     "shape_size": Column("shape", "float32"),
     "shape_pose": Column("shape", "float32"),
     "path_scene": Column("path", "int32", below="scene"),
-    # [rad], from the start straight to the goal
+    # distance from start to goal [rad]
     "straight": Column("path", "float32"),
 }
 PATH_ARRAYS = SCENE_ARRAYS | {
     "path_start": Column("path", "int32", ranges="waypoint"),
     "waypoints": Column("waypoint", "uint16"),
-    "length": Column("path", "float32"),
-    # the straight line is free
-    "trivial": Column("path", "bool"),
+    "length": Column("path", "float32"),  # [rad]
+    "trivial": Column("path", "bool"),  # whether the straight line from start to goal is free
 }
 LABEL_ARRAYS = SCENE_ARRAYS | {
-    # packed bits: 1 where the node or edge is free
+    # packed bits: whether each node and edge is free
     "node_free": Column("scene", "uint8"),
     "edge_free": Column("scene", "uint8"),
-    # start and goal, and the nodes that the shortest path between them leads through
+    # start and goal of a path, and the nodes of the shortest path between them
     "ends": Column("path", "uint16"),
     "code_start": Column("path", "int32", ranges="code"),
     "codes": Column("code", "uint16"),
-    # length through the codes [rad], inf where there is no path
+    # length of the shortest path [rad], inf if there is none
     "cost": Column("path", "float32"),
-    # configurations, the nodes nearest to each, and whether the straight motion to these is free
+    # configurations, their nearest nodes, and whether the straight motion to each node is free
     "link_start": Column("scene", "int32", ranges="end"),
     "link_end": Column("end", "uint16"),
     "link_code": Column("end", "uint16"),
@@ -77,15 +76,16 @@ LABEL_ARRAYS = SCENE_ARRAYS | {
 
 
 def shard_files(folder: Path) -> list[Path]:
-    """Files of the shards of a folder, in order; a file that is there is complete."""
+    """Return the files of a folder's shards in order; shards are written whole or not at all."""
     return sorted((folder / SHARDS_FOLDER).glob("[0-9]*.npz"))
 
 
 def read_shards(folder: Path, columns: Mapping[str, Column]) -> list[dict[str, np.ndarray]]:
-    """The arrays that `columns` names of every shard of a folder.
+    """Read the arrays named in `columns` from every shard of a folder.
 
-    InvalidInputError: there is no shard, one between others is missing, or one is damaged or lacks
-    an array.
+    Raises:
+        InvalidInputError: there is no shard, a shard is missing between others, or one is damaged
+            or lacks an array.
     """
     files = shard_files(folder)
     if not files:
@@ -94,7 +94,7 @@ def read_shards(folder: Path, columns: Mapping[str, Column]) -> list[dict[str, n
         if int(path.stem) != number:
             raise InvalidInputError(
                 f"{folder / SHARDS_FOLDER} lacks shard {number:06d} but has {path.name}: generate "
-                "again with the same options, which makes what is missing"
+                "again with the same options, which adds the missing shards"
             )
     return [_arrays(path, columns) for path in files]
 
@@ -103,7 +103,7 @@ def joined(
     shards: Sequence[Mapping[str, np.ndarray]], columns: Mapping[str, Column]
 ) -> dict[str, np.ndarray]:
     """Concatenate the arrays of several shards; row numbers and ranges are shifted."""
-    before = {}
+    before: dict[str, np.ndarray] = {}  # number of items of each kind before each shard, and in all
     for name, column in columns.items():
         if not column.ranges and column.rows not in before:
             before[column.rows] = np.cumsum([0, *(len(shard[name]) for shard in shards)])
@@ -121,18 +121,24 @@ def joined(
 
 
 def packed(configurations: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Joints as 16-bit shares of their range: 65535 (q - lower) / (upper - lower), rounded."""
+    """Convert joints q to 16-bit integers, round(65535 (q - lower) / (upper - lower)).
+
+    Args:
+        configurations: q (..., n) [rad or m].
+        lower: (n,) joint limits [rad or m].
+        upper: (n,) joint limits [rad or m].
+    """
     u = (configurations - lower) / (upper - lower)
     return np.rint(np.clip(u, 0.0, 1.0) * FULL_SCALE).astype(np.uint16)
 
 
 def _arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
-    """Arrays of an npz file, whose checksums are compared; InvalidInputError names a bad file."""
+    """Read arrays of an npz file; InvalidInputError if it is damaged (checksum) or lacks one."""
     data = read_bytes(path)
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             return {name: file[name] for name in names}
-    # what a damaged archive raises depends on the byte
+    # a damaged archive can raise any exception
     except Exception as error:
         raise InvalidInputError(
             f"{path} is damaged or lacks an array: {error}; delete it and generate again"
@@ -140,23 +146,25 @@ def _arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
 
 
 def archive(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Arrays as the content of a compressed npz file."""
+    """Return arrays as the content of a compressed npz file."""
     file = io.BytesIO()
-    # numpy's stubs know only options that are bool
+    # numpy's type stubs accept only bool for keyword arguments
     np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     return file.getvalue()
 
 
 @dataclass(frozen=True, eq=False)
 class RoadmapGraph:
-    """The nodes and edges that are labelled."""
+    """The roadmap whose nodes and edges are labelled."""
 
-    nodes: np.ndarray  # (N, n) [rad]
+    file_name: ClassVar[str] = "roadmap.npz"
+
+    nodes: np.ndarray  # (N, n) [rad or m]
     edges: np.ndarray  # (E, 2) int32, each pair once
     edge_possible: np.ndarray  # (E,) bool: free in an empty scene
-    # (k,) int64, joint that moves each body point, see `labels.roadmap_labels.body_points`
+    # (k,) int64, joint that moves each body point, see `roadmap_labels.body_points`
     body_joint: np.ndarray
-    body_offset: np.ndarray  # (k, 3) [m], where each is in that joint's frame
+    body_offset: np.ndarray  # (k, 3) [m], position of each body point in that joint's frame
 
     @property
     def digest(self) -> str:
@@ -164,10 +172,11 @@ class RoadmapGraph:
         return hashlib.sha256(self.nodes.tobytes()).hexdigest()
 
     def write(self, folder: Path) -> None:
-        """Write it into a dataset's folder."""
-        write_bytes(folder / ROADMAP_FILE, archive(vars(self)))
+        """Write the roadmap to a dataset's folder."""
+        write_bytes(folder / self.file_name, archive(vars(self)))
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """What `write` wrote; InvalidInputError where it is missing or damaged."""
-        return cls(**_arrays(folder / ROADMAP_FILE, cls.__annotations__))
+        """Read the roadmap of a dataset's folder; InvalidInputError if missing or damaged."""
+        names = [field.name for field in fields(cls)]
+        return cls(**_arrays(folder / cls.file_name, names))

@@ -20,18 +20,18 @@ class OptimizerSettings:
     """Adam or Adagrad with a learning rate schedule: warm-up, then decay."""
 
     kind: Literal["adam", "adagrad"] = "adam"
-    rate: float  # at the peak
-    warmup: int = 200  # steps until there
-    # After it: by the inverse square root of steps (published), a cosine to `final`, or constant.
+    rate: float  # peak of the learning rate, after the warm-up
+    warmup: int = 200  # steps of the linear warm-up
+    # decay by the inverse square root of the step (published), by a cosine, or none
     schedule: Literal["inverse-sqrt", "cosine", "constant"] = "inverse-sqrt"
-    final: float = 0.02  # share of the peak at the last epoch of a cosine
+    final: float = 0.02  # last rate of a cosine, as share of the peak
     betas: tuple[float, float] = (0.9, 0.98)
     epsilon: float = 1e-9
     weight_decay: float = 0.0
-    clip: float | None = None  # longest gradient; None to leave it
+    clip: float | None = None  # maximum norm of the gradient; None for no limit
 
     def build(self, module: nn.Module) -> torch.optim.Optimizer:
-        """The optimizer of a module's parameters."""
+        """Make the optimizer of a module's parameters."""
         if self.kind == "adagrad":
             return torch.optim.Adagrad(module.parameters(), lr=self.rate)
         return torch.optim.AdamW(
@@ -43,10 +43,10 @@ class OptimizerSettings:
         )
 
     def rate_at(self, step: int, total: int) -> float:
-        """Rate of step t = 1, 2, ... of T = total, with w steps of warmup and peak r.
+        """Learning rate of step t = 1, 2, ... of T = total, with w warm-up steps and peak r.
 
-        r t / w until w; then r sqrt(w / t), or r (f + (1 - f) (1 + cos(pi x)) / 2) with
-        x = (t - w) / (T - w) and f = final, or r.
+        r t / w for t <= w; then, by schedule, r sqrt(w / t), or r (f + (1 - f) (1 + cos(pi x)) / 2)
+        with x = (t - w) / (T - w) and f = final, or r.
         """
         warmup = max(self.warmup, 1)
         if step <= warmup or self.schedule == "constant":
@@ -60,12 +60,12 @@ class OptimizerSettings:
 
 
 def batch_seed(seed: int, epoch: int, batch: int) -> np.random.SeedSequence:
-    """Seed of a batch, the only source of its randomness."""
+    """Return the seed of all random numbers of a batch."""
     return np.random.SeedSequence((seed, epoch, batch))
 
 
 class Batches(Dataset):
-    """Batches of an epoch, arrays by name; each depends on seed, epoch and its number alone."""
+    """Batches of an epoch, as arrays by name; each depends only on seed, epoch and its number."""
 
     def __init__(
         self,
@@ -74,7 +74,14 @@ class Batches(Dataset):
         seed: int,
         epoch: int,
     ) -> None:
-        """Make a batch of each of `rows`, which number paths, waypoints or scenes."""
+        """Prepare batches.
+
+        Args:
+            rows: rows of the dataset (paths, waypoints or scenes) for each batch.
+            make: makes a batch of its rows and random numbers.
+            seed: seed of the training.
+            epoch: number of the epoch.
+        """
         self._rows, self._make, self._seed = rows, make, (seed, epoch)
 
     def __len__(self) -> int:
@@ -91,7 +98,7 @@ class Batches(Dataset):
 class Stage(nn.Module, ABC):
     """A training stage, run by `trainer`: the parameters that it trains, batches and losses."""
 
-    selection: ClassVar[str]  # the column of the curves whose least value is the best model
+    selection: ClassVar[str]  # column of the curves; the model with its smallest value is kept
     dataset: TrainingData
 
     def __init__(self, optimizer: OptimizerSettings, seed: int, device: torch.device) -> None:
@@ -99,39 +106,38 @@ class Stage(nn.Module, ABC):
         self.optimizer, self.seed, self.device = optimizer, seed, device
         torch.manual_seed(seed)
 
-    # most stages have nothing to prepare
     def prepare(self) -> None:
-        """Called once, before the first step of a training."""
+        """Initialise the model; called once, before the first step. By default nothing is done."""
 
     @abstractmethod
     def batches(self, epoch: int) -> Batches:
-        """Batches of an epoch."""
+        """Return the batches of an epoch."""
 
     @abstractmethod
     def forward(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Losses of a batch, scalars; ``loss`` is minimised."""
+        """Compute the losses of a batch, scalars; ``loss`` is minimised."""
 
-    # most stages change nothing else
     def after_step(self, epoch: int, step: int, optimizer: torch.optim.Optimizer) -> None:
-        """Called after each step of the optimizer."""
+        """Change parameters after a step of the optimizer. By default nothing is done."""
 
     @abstractmethod
     def validate(self) -> dict[str, float | None]:
-        """Metrics of the held-out paths, in evaluation mode."""
+        """Compute metrics of the held-out paths, in evaluation mode."""
 
     @abstractmethod
     def checkpoint(self, metadata: Mapping[str, Any]) -> Checkpoint:
-        """The model in its present state, to be saved."""
+        """Return the model with its present weights, to be saved."""
 
     def tensors(self, arrays: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
-        """A batch's arrays on the stage's device."""
+        """Move a batch's arrays to the stage's device."""
         return {name: torch.from_numpy(array).to(self.device) for name, array in arrays.items()}
 
 
 def means(parts: Iterable[tuple[str, float, float]]) -> dict[str, float | None]:
-    """Mean of every name's values, from (name, sum, count) of parts of them; None of no value."""
-    sums: dict[str, tuple[float, float]] = {}
+    """Mean of the values of each name, from partial sums (name, sum, count); None if no values."""
+    totals: dict[str, float] = {}
+    counts: dict[str, float] = {}
     for name, total, count in parts:
-        before = sums.get(name, (0.0, 0.0))
-        sums[name] = before[0] + total, before[1] + count
-    return {name: total / count if count else None for name, (total, count) in sums.items()}
+        totals[name] = totals.get(name, 0.0) + total
+        counts[name] = counts.get(name, 0.0) + count
+    return {name: totals[name] / counts[name] if counts[name] else None for name in totals}

@@ -1,14 +1,14 @@
-"""The training loop of all stages: resumable after any batch and repeatable by seed.
+"""The training loop of all stages, resumable after any batch and repeatable by seed.
 
-`cvqmpt train` calls it. A training's folder, each file of which is replaced whole or not at all::
+`cvqmpt train` calls it. Files of a training's folder are replaced whole or not at all::
 
-    training.json   what the training is; must be equal to continue
-    state.pt        weights, optimizer, where it stands
+    training.json   settings of the training, which must be equal to continue it
+    state.pt        weights, optimizer and progress
     curves.csv      a line per epoch
     model/          checkpoint of the epoch with the best validation
 
-Random numbers of a batch depend on its seed, epoch and number alone, so that a training that was
-stopped and continued takes the same steps as one that was not.
+Random numbers of a batch depend only on seed, epoch and number of the batch, so that a training
+that was stopped and continued takes the same steps as one that was not.
 """
 
 import io
@@ -41,7 +41,7 @@ from cvqmpt_lab.base.files import (
     write_text,
 )
 from cvqmpt_lab.training.dataset import SplitName
-from cvqmpt_lab.training.profiles import MODELS, Profile
+from cvqmpt_lab.training.profiles import STAGE_MODELS, Profile
 from cvqmpt_lab.training.stage import Stage, batch_seed
 from cvqmpt_lab.vqmpt.checkpoint import save_checkpoint
 from cvqmpt_lab.vqmpt.weights import (
@@ -51,7 +51,7 @@ from cvqmpt_lab.vqmpt.weights import (
     weights_digest,
 )
 
-# called with the batches done, those of all epochs, and a note
+# called with the number of finished batches, the number of batches of all epochs, and a note
 Report = Callable[[int, int, str], None]
 
 
@@ -59,14 +59,14 @@ Report = Callable[[int, int, str], None]
 class Progress:
     """Progress of a training."""
 
-    epoch: int = 0  # the next to run
-    batch: int = 0  # the next to run
-    step: int = 0  # optimizer steps so far
+    epoch: int = 0  # number of finished epochs
+    batch: int = 0  # number of finished batches in the unfinished epoch
+    step: int = 0  # number of optimizer steps
     seconds: float = 0.0
-    sums: dict[str, float] = field(default_factory=dict)  # of the losses in the unfinished epoch
-    rows: list[dict[str, float | None]] = field(default_factory=list)  # of the curves so far
-    best: float | None = None  # the least selecting value so far
-    finished: bool = False  # all epochs are done; otherwise it ran out of minutes
+    sums: dict[str, float] = field(default_factory=dict)  # sums of losses in the unfinished epoch
+    rows: list[dict[str, float | None]] = field(default_factory=list)  # lines of the curves
+    best: float | None = None  # smallest value of `Stage.selection`
+    finished: bool = False  # whether all epochs are done; else the time limit stopped the training
 
 
 def run_training(
@@ -84,45 +84,48 @@ def run_training(
     metadata: Mapping[str, Any],
     report: Report = lambda done, total, note: None,
 ) -> Progress:
-    """Begin or continue a training; the best model is in ``out/model``.
+    """Begin or continue a training; the best model is written to ``out/model``.
 
     Args:
-        stage: what to train, of `profiles.MODELS`.
-        profile: how.
+        stage: name of the stage, a key of `profiles.STAGE_MODELS`.
+        profile: models and settings.
         data: folder of the dataset.
         out: folder of the training.
         dictionary: folder of a training of stage 1 or of weights, for sequence models; None for
-            the shipped one.
-        seed: of all that is drawn.
-        epochs: in all; None for the profile's.
-        minutes: when to stop, from now; None for never.
-        workers: processes that prepare batches.
+            the shipped dictionary.
+        seed: seed of all random numbers.
+        epochs: total number of epochs; None for the profile's.
+        minutes: time limit of this call; None for no limit.
+        workers: number of processes that prepare batches.
         device: cpu, cuda, or auto for a GPU if there is one.
-        metadata: kept with the model.
+        metadata: json values that are stored with the model.
         report: called after each batch.
 
-    InvalidInputError or UnknownChoiceError: before anything is written when data, dictionary or
-    folder cannot be used or another training uses the folder; later when the loss is not finite or
-    the disk is full. KeyboardInterrupt after Ctrl-C (or SIGTERM), once saved.
+    Raises:
+        UnknownChoiceError: there is no such stage or device.
+        InvalidInputError: before anything is written if data, dictionary or folder cannot be used;
+            later if the loss is not finite or the disk is full.
+        KeyboardInterrupt: after Ctrl-C or SIGTERM; the state is saved before.
     """
     seed = whole_number("seed", seed)
     made = profile.stage(stage, data, dictionary, seed, _device(device))
+    dataset = made.dataset
     plain = to_plain(profile, complete=True)
     epochs_of_profile = plain[stage].pop("epochs")
-    used = {name: plain[name] for name in ("name", "link_features", MODELS[stage], stage)}
-    settings = {"stage": stage, "profile": used, "data_sha256": made.dataset.sha256, "seed": seed}
+    used = {name: plain[name] for name in ("name", "link_features", STAGE_MODELS[stage], stage)}
+    settings = {"stage": stage, "profile": used, "data_sha256": dataset.sha256, "seed": seed}
     if dictionary is not None:
         settings["dictionary_sha256"] = weights_digest(checkpoint_folder(dictionary) or dictionary)
-    paths = {f"{name}_paths": len(made.dataset.split(name)) for name in get_args(SplitName)}
+    paths = {f"{name}_paths": len(dataset.split(name)) for name in get_args(SplitName)}
     if stage == "stage1" and paths["train_paths"] < 2000:
         logging.getLogger("cvqmpt").warning(
             "%d paths to train on, too few for a dictionary: give 2000 or more (the shipped one "
             "had 13 204); `cvqmpt data generate` makes them, and continues in its folder",
             paths["train_paths"],
         )
-    about = {**settings, "kinematics": to_plain(made.dataset.chain), **paths, **metadata}
+    stored = {**settings, "kinematics": to_plain(dataset.chain), **paths, **metadata}
     epochs = epochs_of_profile if epochs is None else epochs
-    trainer = Trainer(made, out, epochs, workers, about)
+    trainer = Trainer(made, out, epochs, workers, stored)
     with locked(make_folder(out)):
         open_folder(out, settings)
         recover_weights(out / TRAINED_FOLDER)
@@ -130,7 +133,11 @@ def run_training(
 
 
 def open_folder(folder: Path, settings: Mapping[str, Any]) -> None:
-    """Begin in an empty folder, or continue; InvalidInputError names a setting that differs."""
+    """Write the settings to an empty folder, or compare them with those of the folder's training.
+
+    Raises:
+        InvalidInputError: a setting differs, or the folder has other files.
+    """
     path = folder / "training.json"
     if path.is_file():
         found = differences(read_json_object(path), json.loads(json.dumps(settings)))
@@ -163,35 +170,39 @@ class Trainer:
         report: Report = lambda done, total, note: None,
         save_every: float = 300.0,
     ) -> Progress:
-        """Train until the epochs are done, the minutes are over, or Ctrl-C.
+        """Train until all epochs are done, the time limit is reached, or Ctrl-C.
 
-        The state is saved in every case, and every `save_every` seconds.
+        Args:
+            minutes: time limit; None for no limit.
+            report: called after each batch.
+            save_every: time between saved states [s]; the last state is always saved.
         """
         if (self.folder / "state.pt").is_file():
             self._load()
         else:
             torch.manual_seed(self.stage.seed)
             self.stage.prepare()
+        progress = self.progress
+        seconds_before = progress.seconds
         began = saved = time.perf_counter()
-        progress, before = self.progress, self.progress.seconds
-        end, over = began + 60.0 * (math.inf if minutes is None else minutes), False
+        end = began + 60.0 * (math.inf if minutes is None else minutes)
+        over = False
         with _interrupts() as received:
             while progress.epoch < self.epochs and not over:
                 for total, loss in self._epoch():
                     now = time.perf_counter()
-                    progress.seconds = before + now - began
+                    progress.seconds = seconds_before + now - began
                     done = progress.epoch * total + progress.batch
-                    report(
-                        done, self.epochs * total, f"epoch {progress.epoch + 1}, loss {loss:.4f}"
-                    )
+                    note = f"epoch {progress.epoch + 1}, loss {loss:.4f}"
+                    report(done, self.epochs * total, note)
                     stop, over = bool(received), now >= end
-                    within = over and progress.batch < total
-                    if stop or within or now >= saved + save_every:
+                    over_within_epoch = over and progress.batch < total
+                    if stop or over_within_epoch or now >= saved + save_every:
                         self._save()
                         saved = now
                     if stop:
                         raise KeyboardInterrupt
-                    if within:
+                    if over_within_epoch:
                         self._keep_if_best(self._validate(), progress.epoch)
                         break
                 else:
@@ -200,20 +211,20 @@ class Trainer:
         return progress
 
     def _epoch(self) -> Iterator[tuple[int, float]]:
-        """Take the remaining steps of an epoch; yield its number of steps and each step's loss."""
+        """Take the remaining steps of an epoch; yield the epoch's number of steps and the loss."""
         stage, progress = self.stage, self.progress
         batches = stage.batches(progress.epoch)
         total = len(batches)
-        mine = range(progress.batch, total)
+        remaining = range(progress.batch, total)
         loader = DataLoader(
             batches,
             batch_size=None,
-            sampler=mine,
+            sampler=remaining,
             num_workers=self.workers,
             worker_init_fn=_ignore_interrupt,
         )
         stage.train()
-        for number, batch in zip(mine, loader, strict=True):
+        for number, batch in zip(remaining, loader, strict=True):
             seed = batch_seed(stage.seed, progress.epoch, number).spawn(1)[0]
             torch.manual_seed(int(seed.generate_state(1, np.uint64)[0]) >> 1)
             rate = stage.optimizer.rate_at(progress.step + 1, self.epochs * total)
@@ -260,13 +271,13 @@ class Trainer:
         self._save()
 
     def _validate(self) -> dict[str, float | None]:
-        """Validation metrics, named as in curves.csv."""
+        """Compute validation metrics, named as in curves.csv."""
         self.stage.eval()
         with torch.no_grad():
             return {f"validation_{name}": value for name, value in self.stage.validate().items()}
 
     def _keep_if_best(self, row: Mapping[str, float | None], epoch: int) -> float | None:
-        """Save the model if it is the best so far; the least selecting value so far."""
+        """Save the model if it is the best so far; return the best value of `Stage.selection`."""
         value, best = row.get(self.stage.selection), self.progress.best
         if value is None or (best is not None and value >= best):
             return best
@@ -276,7 +287,7 @@ class Trainer:
         return value
 
     def _save(self) -> None:
-        """Write the state that is needed to continue."""
+        """Write the state, with which the training can be continued."""
         state = {"module": self.stage.state_dict(), "optimizer": self.optimizer.state_dict()}
         content = io.BytesIO()
         torch.save({**state, "progress": vars(self.progress)}, content)
@@ -289,14 +300,14 @@ class Trainer:
             self.stage.load_state_dict(state["module"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.progress = Progress(**state["progress"])
-        # what a damaged archive raises depends on the byte
+        # a damaged archive can raise any exception
         except Exception as error:
             raise InvalidInputError(f"{path} is damaged: {error}; choose another --out") from error
 
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """A list that the first Ctrl-C or SIGTERM fills; a second one ends the program as usual."""
+    """Yield a list to which the first Ctrl-C or SIGTERM is added; a second one ends the program."""
     received: list[int] = []
 
     def note(number: int, frame: object) -> None:
@@ -312,7 +323,7 @@ def _interrupts() -> Iterator[list[int]]:
 
 
 def _ignore_interrupt(worker: int) -> None:
-    # Ctrl-C is for the trainer, which saves
+    # the trainer reacts to Ctrl-C; its worker processes must not end before it
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -113,7 +113,7 @@ def test_all_planners_reproduce_and_render_without_torch(without_torch, tmp_path
 def test_help_of_train_needs_no_torch_and_names_what_the_profiles_have(without_torch):
     without_torch(["train", "--help"])
     profiles = pytest.importorskip("cvqmpt_lab.training.profiles")
-    assert tuple(profiles.MODELS) == STAGES and tuple(profiles.PROFILES) == PROFILE_NAMES
+    assert tuple(profiles.STAGE_MODELS) == STAGES and tuple(profiles.PROFILES) == PROFILE_NAMES
 
 
 @pytest.mark.parametrize(

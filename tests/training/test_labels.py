@@ -17,13 +17,14 @@ from cvqmpt_lab.robot.load import panda
 from cvqmpt_lab.scene.families import FAMILIES, family_scene
 from cvqmpt_lab.search.anytime import NearShortestSettings
 from cvqmpt_lab.training import generation
-from cvqmpt_lab.training.dataset import open_dataset, open_labels
+from cvqmpt_lab.training.dataset import open_dataset
 from cvqmpt_lab.training.generation import PathRecipe, SceneRecipe, generate
 from cvqmpt_lab.training.roadmap_labels import RoadmapRecipe
+from cvqmpt_lab.training.sequence_dataset import open_labels
 from cvqmpt_lab.training.shards import (
     FULL_SCALE,
     LABEL_ARRAYS,
-    LINKS,
+    LINKS_PER_END,
     SPACING,
     RoadmapGraph,
     read_shards,
@@ -176,7 +177,7 @@ def test_nodes_edges_and_links_called_free_are_free_by_the_exact_checker(scene, 
     link_free, ends = arrays["link_free"][rows], configurations(arrays["link_end"][rows])
     assert 0.02 < link_free.mean() < 0.98
     nodes = graph.nodes[arrays["link_code"][rows]]
-    farthest = np.sort(np.linalg.norm(ends[:, None] - graph.nodes, axis=2))[:, [LINKS - 1]]
+    farthest = np.sort(np.linalg.norm(ends[:, None] - graph.nodes, axis=2))[:, [LINKS_PER_END - 1]]
     # as far as ends are rounded
     assert (np.linalg.norm(ends[:, None] - nodes, axis=2) <= farthest + 1e-3).all()
     collides = collisions(checker, ends[:, None], nodes)
@@ -205,7 +206,7 @@ def test_motions_of_all_shards_are_read(labelled):
     assert len(start) == len(arrays["scene_seed"]) + 1 == 5
     assert (np.diff(start)[arrays["path_scene"]] > 0).all()
     assert len(arrays["link_end"]) == start[-1] > 4
-    assert arrays["link_free"].shape == arrays["link_code"].shape == (start[-1], LINKS)
+    assert arrays["link_free"].shape == arrays["link_code"].shape == (start[-1], LINKS_PER_END)
     refused("holds labels on a roadmap, not paths; make those", open_dataset, labelled)
 
 
