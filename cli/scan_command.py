@@ -34,7 +34,7 @@ from cvqmpt_lab.constraints.named import NAMED, Region, upper_axis
 from cvqmpt_lab.constraints.task_space_region import TaskSpaceRegion
 from cvqmpt_lab.problem import PlanningProblem
 from cvqmpt_lab.robot.robot import Robot
-from cvqmpt_lab.scene.cloud_files import HEADERS, write_cloud
+from cvqmpt_lab.scene.cloud_files import CLOUD_HEADERS, write_cloud
 from cvqmpt_lab.scene.scene import Scene, check_extent
 from cvqmpt_lab.scene.scene_files import read_scene
 from cvqmpt_lab.scene.shapes import PointCloud
@@ -371,7 +371,7 @@ OPTIONS: Options = {
     ),
     "--out": option(
         "the cleaned cloud, or as json a scene for plan --scene; repeatable",
-        type=partial(file_of_kind, "--out", (".json", *HEADERS)),
+        type=partial(file_of_kind, "--out", (".json", *CLOUD_HEADERS)),
         metavar="OUT.pcd|ply|npy|json",
         **REPEATED,
     ),

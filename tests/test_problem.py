@@ -135,13 +135,13 @@ def test_files_of_before_still_load(tmp_path):
 
 
 def test_a_scene_out_of_reach_is_suspected(problem, caplog):
-    """A 300 x 600 x 20 "mm" box 670 m off was certified."""
+    """A box of 300 x 600 x 20 "mm" in a distance of 670 m was once certified."""
     box = SceneObject("shelf", Box((0.3, 0.6, 0.02)), pose((0.6, 0.0, 0.3)))
     for far, told in ((0.0, False), (5.4, True)):
         moved = replace(box, T_world_object=pose((0.6 + far, 0.0, 0.3)))
         own = replace(problem, scene=Scene("room", (moved,)), goals=problem.goals[:0])
         PlanningProblem.from_dict(own.to_dict())
-        assert ("the arm can touch nothing of it: 'shelf' is nearest" in caplog.text) == told
+        assert ("m: the nearest, 'shelf', is" in caplog.text) == told
 
 
 def test_configurations_by_joint_and_by_the_srdf(problem):

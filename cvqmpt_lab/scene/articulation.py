@@ -1,4 +1,4 @@
-"""Taking a door or drawer out of a scene, so that it can become a joint of the robot."""
+"""Take a door or drawer out of a scene: it can then become a joint of the robot."""
 
 from collections.abc import Sequence
 
@@ -13,22 +13,18 @@ from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.scene import Articulation, Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Measured
 
-# [m] fixed objects closer than REST_GAP to the moving object become its casing, but stay obstacles
-# if the moving object penetrates them deeper than DEEPEST
-REST_GAP, DEEPEST = 1e-3, 1e-4
-
 
 def take_out(
     scene: Scene, name: str, may_touch: Sequence[tuple[str, str]] = ()
 ) -> tuple[Scene, ArticulatedObject]:
-    """Take the articulation `name` out of a scene, whatever its value is.
+    """Take the articulation `name`, at any value, out of a scene; return the rest and the object.
 
     A closed door is half a millimetre from the boards of its cabinet: less than the distance that
     planners keep from obstacles. Such boards become the object's casing, which is checked against
-    the robot, but not against the door. A fixed obstacle belongs to the casing if, over the joint's
-    whole range, it comes closer than `REST_GAP` to the object and is never penetrated deeper than
-    `DEEPEST`. All others stay obstacles for the moving object, too, e.g. a box in its path or
-    other doors.
+    the robot but not against the door. A fixed obstacle belongs to the casing if, in the whole
+    range of the joint, its distance from the moving parts is somewhere below 1 mm and nowhere
+    below -0.1 mm (an overlap). All others stay obstacles for the moving parts, e.g. a box in their
+    path or other doors.
 
     may_touch: (robot piece, part) pairs that may touch, see `ArticulatedObject`.
     """
@@ -46,7 +42,7 @@ def take_out(
     T_joint_world = np.linalg.inv(joint.T_world_joint @ joint.motion(joint.value))
     heights = [(T_joint_world @ item.T_world_object)[2, 3] for item in movers]
     middle = pose((0.0, 0.0, float(np.mean(heights))))
-    T_world_joint = joint.T_world_joint @ middle  # so that its origin is near its links
+    T_world_joint = joint.T_world_joint @ middle  # the origin is then near the parts
     T_joint_world = np.linalg.inv(T_world_joint @ joint.motion(joint.value))
     articulated = ArticulatedObject(
         name=name,
@@ -62,24 +58,38 @@ def take_out(
 
 
 def _part(item: SceneObject, T: FloatArray) -> Part:
-    """An object as a part: a convex polytope that contains its shape."""
+    """Return an object as a part: a convex polytope that contains its shape."""
     return Part(item.name, T, hull_vertices(coal_shape(item.shape)))
 
 
 def _rests_against(
-    joint: Articulation, movers: Sequence[SceneObject], item: SceneObject, least_step: float = 1e-3
+    joint: Articulation,
+    movers: Sequence[SceneObject],
+    item: SceneObject,
+    rest_gap: float = 1e-3,
+    deepest: float = 1e-4,
+    least_step: float = 1e-3,
 ) -> bool:
-    """Whether movers come close to a fixed item in the joint's range, but do not penetrate it.
+    """Return whether movers get close to a fixed item in the joint's range without overlap.
 
-    A change of the joint by d moves no point by more than J d, with J the largest norm of a point's
-    Jacobian. So the next check is at a value larger by (distance - REST_GAP) / J, or by
-    least_step [m] / J if that is more.
+    A change of the joint by d moves no point by more than J d, where J is the largest norm of a
+    point's Jacobian. Therefore the next check is at a value larger by (distance - rest_gap) / J,
+    but at least by least_step / J.
+
+    Args:
+        joint: the articulation.
+        movers: its moving objects.
+        item: a fixed object.
+        rest_gap: distance that counts as close [m].
+        deepest: largest depth that does not count as an overlap [m].
+        least_step: smallest motion of the movers between two checks [m].
     """
     shape = coal_shape(item.shape)
     close = False
     for mover in movers:
-        # speed: J, which is 1 for a slider, largest distance from the axis [m] for a hinge
-        moving, speed = coal_shape(mover.shape), 1.0
+        moving = coal_shape(mover.shape)
+        # J: 1 for a slider, for a hinge the largest distance from the axis [m]
+        speed = 1.0
         if joint.kind == "hinge":
             T = np.linalg.inv(joint.T_world_joint) @ mover.T_world_object
             points = hull_vertices(moving) @ T[:3, :3].T + T[:3, 3]
@@ -88,10 +98,10 @@ def _rests_against(
         while True:
             T = joint.displacement(value) @ mover.T_world_object
             distance = shape_distance(moving, T, shape, item.T_world_object)
-            if distance < -DEEPEST:
+            if distance < -deepest:
                 return False
-            close = close or distance < REST_GAP
+            close = close or distance < rest_gap
             if value >= joint.upper:
                 break
-            value = min(joint.upper, value + max(distance - REST_GAP, least_step) / speed)
+            value = min(joint.upper, value + max(distance - rest_gap, least_step) / speed)
     return close

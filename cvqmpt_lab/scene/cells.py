@@ -7,9 +7,9 @@ import numpy as np
 from cvqmpt_lab.base.values import FloatArray
 from cvqmpt_lab.scene.shapes import Measured, OccupancyMap, PointCloud, require_resolution
 
-MOST_BALLS = 1000  # clouds of more points are checked as boxes that contain their balls
-# edge of a cloud's cells, in radii of its balls; larger: fewer boxes, but more free space in them
-CELL = np.sqrt(2.0)
+MAX_BALLS = 1000  # larger clouds are checked as boxes that contain their balls
+# edge of a cloud's cells in radii of its balls; larger: fewer boxes with more free space inside
+CELL_EDGE_RADII = np.sqrt(2.0)
 
 
 class Blocks(NamedTuple):
@@ -23,33 +23,34 @@ class Blocks(NamedTuple):
 class Cells(NamedTuple):
     """Boxes of one or more grid cells, and the bounds of the points in each box."""
 
-    low: np.ndarray  # (b, 3) int64, index (i, j, k) of the first cell of each box
-    high: np.ndarray  # (b, 3) int64, index one after its last cell, on each axis
-    least: np.ndarray  # (b, 3), least corner of the bounds of its points [m]
-    most: np.ndarray  # (b, 3), greatest corner of these bounds [m]
+    low: np.ndarray  # (b, 3) int64 index (i, j, k) of the first cell of each box
+    high: np.ndarray  # (b, 3) int64 index after the last cell, along each axis
+    least: np.ndarray  # (b, 3) least corner of the bounds of the points in each box [m]
+    most: np.ndarray  # (b, 3) greatest corner of these bounds [m]
 
 
 def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf) -> Blocks:
-    """Boxes that together contain the cells of a map, or the balls of a cloud.
+    """Return boxes that together contain the cells of a map, or the balls of a cloud.
 
-    Map: each box is a block of occupied cells. Cloud of up to `MOST_BALLS` points: each box is one
-    point, which inflated by the radius is its ball. Larger cloud: its points are sorted into cells
-    of edge `CELL` radii, and each box bounds the points of a block of cells. Inflated by the
-    radius, these boxes contain every ball; before that, no point of a box is farther than
-    sqrt(3) `CELL` radii from a point of the cloud.
+    Map: a box is a block of occupied cells. Cloud of up to `MAX_BALLS` points: a box is one point;
+    inflated by the radius it is the ball. Larger cloud: its points are sorted into cells with edges
+    of `CELL_EDGE_RADII` radii, and a box bounds the points of a block of cells. Inflated by the
+    radius, these boxes contain every ball. Before that, a point of a box is at most
+    sqrt(3) `CELL_EDGE_RADII` radii from a point of the cloud.
 
     Args:
         shape: a cloud or a map.
-        T_parent_shape: (4, 4), its pose [m].
-        reach: distance from the parent's origin [m]; boxes farther away may be left out.
+        T_parent_shape: (4, 4) pose of the shape [m].
+        reach: boxes farther than this from the parent's origin may be left out [m].
     """
     if isinstance(shape, PointCloud):
-        points, edge, half, padding = shape.points, CELL * shape.radius, 0.0, shape.radius
-        if len(points) <= MOST_BALLS:
+        points, padding = shape.points, shape.radius
+        edge, half = CELL_EDGE_RADII * shape.radius, 0.0
+        if len(points) <= MAX_BALLS:
             return Blocks(points, points, padding)
     else:
-        points, edge, padding = shape.centres, shape.resolution, shape.padding
-        half = 0.5 * edge
+        points, padding = shape.centres, shape.padding
+        edge, half = shape.resolution, 0.5 * shape.resolution
     columns = np.ascontiguousarray(points.T)  # (3, m): faster than (m, 3)
     if reach < np.inf:
         away = T_parent_shape[:3, :3] @ columns + T_parent_shape[:3, 3:]
@@ -62,10 +63,10 @@ def blocks_of(shape: Measured, T_parent_shape: np.ndarray, reach: float = np.inf
 
 
 def cells_with(columns: np.ndarray, edge: float, most_across: int = 60_000) -> Cells:
-    """Grid cells of an edge [m] that contain points (3, m), m >= 1 [m]; each once, by i, j, k.
+    """Return the grid cells with an `edge` [m] that contain points (3, m) [m], m >= 1, sorted.
 
-    The edge is increased if the cloud would span more than most_across cells along an axis, so that
-    the int64 keys of cells cannot overflow.
+    The edge is increased if the cloud spans more than `most_across` cells along an axis: the int64
+    keys of cells then cannot overflow.
     """
     first = columns.min(axis=1)
     edge = max(edge, float(np.ptp(columns, axis=1).max()) / most_across)
@@ -76,12 +77,13 @@ def cells_with(columns: np.ndarray, edge: float, most_across: int = 60_000) -> C
     keys, columns = keys[order], columns[:, order]
     start = np.flatnonzero(np.append(True, keys[1:] != keys[:-1]))
     index = np.stack(np.unravel_index(keys[start], across), axis=1)
-    least, most = (end.reduceat(columns, start, axis=1).T for end in (np.minimum, np.maximum))
+    least = np.minimum.reduceat(columns, start, axis=1).T
+    most = np.maximum.reduceat(columns, start, axis=1).T
     return Cells(index, index + 1, least, most)
 
 
 def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -> OccupancyMap:
-    """Grid cells that contain points (m, 3), m >= 1 [m]; cell (0, 0, 0) starts at the origin."""
+    """Return the cells that contain points (m, 3) [m], m >= 1; cell (0, 0, 0) is at the origin."""
     require_resolution(resolution)
     place = np.floor(points / resolution)
     first = place.min(axis=0)
@@ -89,9 +91,9 @@ def map_of_points(points: FloatArray, resolution: float, padding: float = 0.0) -
 
 
 def distinct(index: np.ndarray, dense: int = 1 << 26) -> np.ndarray:
-    """Sorted distinct rows (k, 3) of indices (m, 3) >= 0.
+    """Return the sorted distinct rows (k, 3) of indices (m, 3) >= 0.
 
-    They are marked in a boolean grid if it has up to `dense` bytes, which is faster than sorting.
+    A boolean grid of up to `dense` bytes is faster than sorting and is used if it suffices.
     """
     across = tuple(index.max(axis=0) + 1)
     keys = np.ravel_multi_index(tuple(index.T), across)
@@ -108,7 +110,7 @@ def merged(cells: Cells) -> Cells:
     """Merge ordered cells into few boxes: neighbours of equal extent along z, then y, then x."""
     boxes = _joined(cells, 2)
     for axis in (1, 0):
-        # sorted so that boxes that touch along this axis are consecutive rows
+        # after sorting, boxes that touch along this axis are consecutive rows
         columns = [*(k for k in range(3) if k != axis), axis]
         across = tuple(boxes.high[:, columns].max(axis=0))
         order = np.argsort(np.ravel_multi_index(tuple(boxes.low[:, columns].T), across))
@@ -131,14 +133,14 @@ def _joined(boxes: Cells, axis: int) -> Cells:
 
 
 def seen_points(shape: Measured) -> FloatArray:
-    """Points (p, 3) [m, shape's frame] that a camera could see.
+    """Return points (p, 3) [m, shape's frame] that a camera could see.
 
-    All points of a cloud; of a map, centres of cells that share a face with a cell not occupied.
+    These are all points of a cloud, or the centres of a map's cells next to a free cell.
     """
     if isinstance(shape, PointCloud):
         return shape.points
     index = shape.cells.astype(np.int64)
-    # a border of one free cell, so that key + step is the neighbour's key for every cell
+    # with a border of one free cell, key + step is the key of a neighbour for every cell
     from_one = index - index.min(axis=0) + 1
     across = tuple(from_one.max(axis=0) + 2)
     keys = np.ravel_multi_index(tuple(from_one.T), across)

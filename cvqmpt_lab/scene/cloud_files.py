@@ -1,6 +1,6 @@
-"""Point clouds from files and to files: PCD, PLY, NPY, lines of numbers.
+"""Read and write point clouds: PCD, PLY, NPY, lines of numbers.
 
-Counts in a header are compared with the size of the file before anything of that size is made.
+Counts in a header are compared with the size of the file before memory of that size is used.
 """
 
 import contextlib
@@ -23,34 +23,36 @@ from cvqmpt_lab.base.values import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """What one camera or file holds, in its own frame."""
+    """Points of one camera or file, in its own frame."""
 
-    points: FloatArray  # (m, 3), all finite [m]
-    dropped: int = 0  # points or pixels left out because they hold no finite point
-    # (4, 4), pose of that frame; default: the robot's base frame
+    points: FloatArray  # (m, 3) finite [m]
+    dropped: int = 0  # number of points or pixels that were left out because they are not finite
+    # (4, 4) pose of the camera or file; default: the robot's base frame
     T_world_camera: FloatArray = field(default_factory=lambda: np.eye(4))
 
     @property
     def in_world(self) -> FloatArray:
-        """The points (m, 3) in the robot's base frame [m], `R p + t`."""
+        """Points R p + t (m, 3) in the robot's base frame [m]."""
         return self.points @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]
 
 
 def read_cloud(path: Path | str, scale: float = 1.0) -> Cloud:
-    """Read the points of a file; its suffix says what it is (see `READERS`).
+    """Read the points of a file in a format of `CLOUD_READERS`, which the suffix names.
 
     Args:
-        path: of the file.
+        path: path of the file.
         scale: length of one unit of the file [m].
 
-    Returns: the finite points, and how many were not finite.
+    Returns:
+        The finite points, and the number of others.
 
-    Raises InvalidInputError for a file that cannot be read, contradicts itself, has no finite
-    point, or is evidently not in metres.
+    Raises:
+        InvalidInputError: the file cannot be read, contradicts itself, has no finite point, or is
+            evidently not in metres.
     """
     with np.errstate(over="ignore"):
-        points = scale * read_by_suffix(READERS, path, "cloud").astype(np.float64)
-    # one axis after the other: 5 times as fast as by rows
+        points = scale * read_by_suffix(CLOUD_READERS, path, "cloud").astype(np.float64)
+    # axis by axis: 5 times as fast as by rows
     finite = np.logical_and.reduce([np.isfinite(axis) for axis in points.T])
     if not finite.any():
         raise InvalidInputError(
@@ -61,11 +63,9 @@ def read_cloud(path: Path | str, scale: float = 1.0) -> Cloud:
 
 
 def write_cloud(path: Path | str, points: FloatArray) -> None:
-    """Write points (m, 3) [m] in single precision, whole or not at all;
-    the suffix says how (see `HEADERS`).
-    """
+    """Write points (m, 3) [m] in single precision; the suffix names a format of `CLOUD_HEADERS`."""
     points = np.ascontiguousarray(points, dtype="<f4")
-    header = HEADERS[kind_of(path, HEADERS, "cloud")].format(count=len(points)).encode()
+    header = CLOUD_HEADERS[kind_of(path, CLOUD_HEADERS, "cloud")].format(count=len(points)).encode()
     stream = io.BytesIO()
     if header:
         stream.write(header + points.tobytes())
@@ -81,18 +81,21 @@ def read_by_suffix(
     *more: Any,
     most: int = 2**31,
 ) -> Any:
-    """What the reader of a file's suffix makes of its bytes.
+    """Return the result of the reader for a file's suffix; errors are one line with the file.
 
     Args:
-        readers: by suffix, in small letters.
-        path: of a regular file.
-        what: the file is, for errors.
+        readers: functions of the file's bytes, by suffix in small letters.
+        path: path of a regular file.
+        what: noun for the file in errors.
         more: arguments of the reader after the bytes.
-        most: size of the file [bytes].
+        most: largest size of the file [bytes].
 
-    Raises InvalidInputError or UnknownChoiceError, in one line that names the file.
+    Raises:
+        InvalidInputError: the file cannot be read.
+        UnknownChoiceError: no reader has this suffix.
     """
-    path, reader = Path(path), readers[kind_of(path, readers, what)]
+    path = Path(path)
+    reader = readers[kind_of(path, readers, what)]
     if path.is_file() and path.stat().st_size > most:
         raise InvalidInputError(
             f"cannot read {what} {path}: more than {most} bytes; make it smaller"
@@ -103,21 +106,19 @@ def read_by_suffix(
 
 
 def kind_of(path: Path | str, kinds: Collection[str], what: str) -> str:
-    """The suffix of a file, in small letters; UnknownChoiceError unless it is one of `kinds`."""
+    """Return the suffix of a file in small letters; UnknownChoiceError if it is not in `kinds`."""
     path = Path(path)
     return require_choice(f"kind of {what} {path.name}: suffix", path.suffix.lower(), kinds)
 
 
 @contextlib.contextmanager
 def parsing(path: Path, what: str) -> Iterator[None]:
-    """Whatever a parser raises on a damaged file becomes an InvalidInputError in one line that
-    names the file.
-    """
+    """Convert every error of a parser inside the block to an InvalidInputError with the file."""
     try:
         yield
-    except Exception as error:  # parsers of other people's formats raise anything
+    except Exception as error:  # parsers of other packages raise all kinds of errors
         said = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InvalidInputError(f"{what} {path} is not understood: {said}") from error
+        raise InvalidInputError(f"{what} {path} cannot be parsed: {said}") from error
 
 
 def check_lengths(
@@ -127,39 +128,41 @@ def check_lengths(
     farthest: float = 1000.0,
     speck: float = 1e-3,
 ) -> None:
-    """Refuse points (m, 3) [m], m >= 1, that cannot be metres; errors name the likely unit.
+    """Refuse points that cannot be in metres; errors name the likely unit.
 
     Args:
-        points: (m, 3) [m].
-        what: they are, for errors.
-        room: distance from the origin within which at least half of them must lie [m].
-        farthest: that one may be from the origin [m].
-        speck: length that all together must exceed along some axis [m].
+        points: (m, 3) [m], m >= 1.
+        what: noun for the points in errors.
+        room: at least half of the points must be within this distance of the origin [m].
+        farthest: all points must be within this distance of the origin [m].
+        speck: the extent of all points along some axis must be larger [m].
     """
-    off = np.maximum.reduce([np.abs(axis) for axis in points.T])
-    largest, middling = float(off.max()), float(np.median(off))
+    distances = np.maximum.reduce([np.abs(axis) for axis in points.T])
+    largest = float(distances.max())
+    median = float(np.median(distances))
     if largest > farthest:
         raise InvalidInputError(
-            f"{what}: point {int(np.argmax(off))} is {largest:.3g} m off the origin, more than "
-            f"{farthest:g}; scale or remove it (millimetres: scale 0.001)"
+            f"{what}: point {int(np.argmax(distances))} is {largest:.3g} m from the origin, more "
+            f"than {farthest:g}; scale or remove it (millimetres: scale 0.001)"
         )
-    if middling > room:
+    if median > room:
         raise InvalidInputError(
-            f"{what}: half of it is more than {middling:.3g} m off the origin: no metres? give a "
-            "scale (millimetres: 0.001), or move it to the robot"
+            f"{what}: half of it is more than {median:.3g} m from the origin: not in metres? give "
+            "a scale (millimetres: 0.001), or move it to the robot"
         )
     extent = max(float(np.ptp(axis)) for axis in points.T)
     if len(points) > 1 and extent < speck:
         raise InvalidInputError(
-            f"{what}: all of it lies within {1e3 * extent:.3g} mm: no metres? give a scale "
+            f"{what}: all of it is within {1e3 * extent:.3g} mm: not in metres? give a scale "
             "(kilometres: 1000)"
         )
 
 
 def read_array(data: bytes) -> np.ndarray:
-    """The array of a NPY file of version 1 or 2, read-only.
+    """Return the array of an NPY file of version 1 or 2, read-only.
 
-    Raises InvalidInputError or ValueError where it is damaged or holds Python objects.
+    Raises:
+        InvalidInputError, ValueError: the file is damaged or has Python objects.
     """
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
@@ -178,7 +181,7 @@ def read_array(data: bytes) -> np.ndarray:
 
 
 def _read_npy(data: bytes) -> np.ndarray:
-    """An array (m, 3), (height, width, 3), or with fields x, y, z."""
+    """Return points (m, 3) of an array (m, 3), (height, width, 3), or with fields x, y, z."""
     array = read_array(data)
     if array.dtype.names is not None:
         names = array.dtype.names
@@ -193,7 +196,10 @@ def _read_npy(data: bytes) -> np.ndarray:
 
 
 def _read_lines(data: bytes) -> np.ndarray:
-    """Lines of numbers between blanks, commas or semicolons, as in the first; three count."""
+    """Return points (m, 3): the first three numbers of each line.
+
+    The first line decides whether blanks, commas or semicolons separate the numbers.
+    """
     text = data.decode("utf-8")
     first = re.search(r"^\s*[^#/\s][^#/\n]*", text, re.MULTILINE)
     between = next((mark for mark in ";," if first is not None and mark in first[0]), None)
@@ -204,17 +210,20 @@ def _read_lines(data: bytes) -> np.ndarray:
 
 
 def _read_pcd(data: bytes) -> np.ndarray:
-    """Points (m, 3) as the Point Cloud Library writes them: ascii, binary, or compressed by LZF."""
+    """Return points (m, 3) of a PCD file: ASCII, binary, or compressed by LZF."""
     top = re.match(rb"(?s).{0,99999}?^DATA[^\n]*\n", data, re.MULTILINE)
     if top is None:
-        raise InvalidInputError("its header has no line DATA: no PCD, or cut short")
+        raise InvalidInputError("its header has no line DATA: not a PCD file, or cut short")
     words = [line.split() for line in top[0].decode("utf-8").splitlines()]
     header = {line[0]: line[1:] for line in words if line}
     missing = [key for key in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA") if not header.get(key)]
     if missing:
         raise InvalidInputError(f"its header has no {missing[0]}")
-    names, count, body = header["FIELDS"], int(header["POINTS"][0]), data[top.end() :]
-    width, height = (int(header.get(key, [n])[0]) for key, n in (("WIDTH", count), ("HEIGHT", 1)))
+    names = header["FIELDS"]
+    count = int(header["POINTS"][0])
+    body = data[top.end() :]
+    width = int(header.get("WIDTH", [count])[0])
+    height = int(header.get("HEIGHT", [1])[0])
     if count < 0 or width * height != count:
         raise InvalidInputError(f"its header says {count} points, but {width} x {height}")
     repeats = [int(word) for word in header.get("COUNT", ["1"] * len(names))]
@@ -245,7 +254,7 @@ def _read_pcd(data: bytes) -> np.ndarray:
 
 
 def _from_rows(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np.ndarray:
-    """Points (m, 3) of binary rows, of which x, y and z are the fields `axes`."""
+    """Return points (m, 3) of binary rows; x, y and z are the fields `axes`."""
     if not 0 <= count * row.itemsize <= len(body):
         raise InvalidInputError(
             f"its header says {count} points, the file holds {len(body) // max(1, row.itemsize)}: "
@@ -257,9 +266,9 @@ def _from_rows(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> n
 
 
 def _unpacked(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np.ndarray:
-    """Points (m, 3) of a compressed body, which holds one field after the other."""
+    """Return points (m, 3) of a compressed body: all values of one field after another."""
     packed, unpacked = (int(size) for size in np.frombuffer(body, "<u4", 2))
-    # LZF makes at most 300 bytes of one
+    # LZF compresses at most by a factor of 300
     if unpacked != count * row.itemsize or packed > len(body) - 8 or unpacked > 300 * packed:
         raise InvalidInputError(
             f"its header says {count} points of {row.itemsize} bytes, its compressed part "
@@ -276,7 +285,7 @@ def _unpacked(body: bytes, row: np.dtype, axes: Sequence[int], count: int) -> np
 
 
 def _refuse_more(rest: bytes, count: int, page: int = 4096) -> None:
-    """Refuse what follows the last point, but zeros, with which PCL fills a page of memory."""
+    """Refuse data after the last point, except zeros: PCL fills a page of memory with them."""
     if len(rest) >= page or rest.strip(b"\0"):
         raise InvalidInputError(
             f"its header says {count} points, but the file holds more: {len(rest)} bytes"
@@ -284,14 +293,14 @@ def _refuse_more(rest: bytes, count: int, page: int = 4096) -> None:
 
 
 def _read_ply(data: bytes) -> np.ndarray:
-    """Points (m, 3) of the element "vertex" of a PLY file, which must hold nothing but numbers."""
+    """Return points (m, 3) of the element "vertex" of a PLY file; it may have no lists."""
     top = re.match(
         rb"ply\s+format (ascii|binary_little_endian|binary_big_endian) "
         rb"(?s:.{0,999999}?)^end_header\r?\n",
         data,
         re.MULTILINE,
     )
-    elements: list[tuple[str, int, list[str]]] = []  # name, count, properties, "" for a list
+    elements: list[tuple[str, int, list[str]]] = []  # name, count, properties ("": a list)
     for line in top[0].decode("utf-8").splitlines() if top else ():
         words = line.split()
         if words[:1] == ["element"]:
@@ -303,8 +312,7 @@ def _read_ply(data: bytes) -> np.ndarray:
         raise InvalidInputError("it does not begin with a PLY header of ascii or binary vertices")
     if top[1] == b"ascii":
         return _ascii_vertices(data[top.end() :].decode("ascii"), elements)
-    # it takes a second to import, which other clouds need not pay
-    import trimesh
+    import trimesh  # takes 1 s to import
 
     try:
         loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
@@ -319,7 +327,7 @@ def _read_ply(data: bytes) -> np.ndarray:
 
 
 def _ascii_vertices(text: str, elements: Sequence[tuple[str, int, list[str]]]) -> np.ndarray:
-    """Points (m, 3) of the element "vertex": names, counts, properties, a line for each."""
+    """Return points (m, 3) of "vertex"; elements: (name, count, properties), a line for each."""
     lines = [line for line in text.splitlines() if line.strip()]
     if sum(count for _, count, _ in elements) != len(lines):
         said = ", ".join(f"{count} {name}" for name, count, _ in elements)
@@ -332,7 +340,7 @@ def _ascii_vertices(text: str, elements: Sequence[tuple[str, int, list[str]]]) -
 
 
 def _axes_among(names: Sequence[str]) -> list[int]:
-    """Which columns are x, y and z; each must occur once."""
+    """Return the indices of the columns x, y and z; each must occur once."""
     for axis in "xyz":
         if list(names).count(axis) != 1:
             raise InvalidInputError(
@@ -342,7 +350,7 @@ def _axes_among(names: Sequence[str]) -> list[int]:
 
 
 def _rows(text: str, width: int) -> np.ndarray:
-    """Lines of so many numbers each (m, width)."""
+    """Return lines of `width` numbers each as an array (m, width)."""
     found = _numbers(text)
     if found.size and found.shape[1] != width:
         raise InvalidInputError(f"it has {found.shape[1]} numbers a line, its header says {width}")
@@ -352,15 +360,16 @@ def _rows(text: str, width: int) -> np.ndarray:
 def _numbers(
     text: str, chosen: Sequence[int] | None = None, between: str | None = None
 ) -> np.ndarray:
-    """All or some columns of lines of numbers (m, k) between blanks or a mark."""
+    """Return all or the chosen columns (m, k) of lines of numbers, with separator `between`."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that there is no data, which callers say themselves
+        warnings.simplefilter("ignore")  # "no data": callers report it
         return np.loadtxt(
             io.StringIO(text), usecols=chosen, ndmin=2, comments=("#", "//"), delimiter=between
         )
 
 
-READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {  # of points (m, 3), by the file's suffix
+# readers of points (m, 3) by the file's suffix
+CLOUD_READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {
     ".npy": _read_npy,
     ".pcd": _read_pcd,
     ".ply": _read_ply,
@@ -368,12 +377,12 @@ READERS: Mapping[str, Callable[[bytes], np.ndarray]] = {  # of points (m, 3), by
     ".txt": _read_lines,
     ".csv": _read_lines,
 }
-HEADERS = {
+CLOUD_HEADERS = {
     ".pcd": "# .PCD v0.7 - Point Cloud Data file format\n"
     "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
     "WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n",
     ".ply": "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
     "property float x\nproperty float y\nproperty float z\nend_header\n",
-    ".npy": "",  # numpy writes its own
+    ".npy": "",  # numpy writes it
 }
-"""Headers of written clouds, by the file's suffix; the points follow."""
+"""Headers of written clouds by the file's suffix; the points follow."""

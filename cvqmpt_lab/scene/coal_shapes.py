@@ -12,7 +12,7 @@ from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, PointCloud, Shape
 
 
 def coal_shape(shape: Shape) -> coal.CollisionGeometry:
-    """The coal geometry of a solid shape."""
+    """Return the coal geometry of a solid shape."""
     return COAL_SHAPES[type(shape)](shape)
 
 
@@ -25,26 +25,25 @@ COAL_SHAPES = {
 
 
 def loads_of(attachments: Iterable[Attachment]) -> list[Load]:
-    """Masses of what the hand carries, as solids of uniform density; a cloud's is a point."""
+    """Return the loads of attachments with a mass: solids of uniform density; clouds as points."""
     loads = []
     for item in attachments:
         if item.mass is None:
             continue
         if isinstance(item.shape, PointCloud):
-            centre, tensor = item.shape.points.mean(axis=0), np.zeros((3, 3))
+            centre = item.shape.points.mean(axis=0)
+            tensor = np.zeros((3, 3))
         else:
             solid = coal_shape(item.shape)
             density = item.mass / solid.computeVolume()
-            centre, tensor = (
-                solid.computeCOM(),
-                density * solid.computeMomentofInertiaRelatedToCOM(),
-            )
+            centre = solid.computeCOM()
+            tensor = density * solid.computeMomentofInertiaRelatedToCOM()
         loads.append(Load(item.T_hand_object, item.mass, centre, tensor, item.end_effector))
     return loads
 
 
 def transform(T: np.ndarray) -> coal.Transform3s:
-    """A pose (4, 4) as a coal transform."""
+    """Return a pose (4, 4) as a coal transform."""
     return coal.Transform3s(np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]))
 
 
@@ -54,5 +53,12 @@ def shape_distance(
     second: coal.CollisionGeometry,
     T_world_second: np.ndarray,
 ) -> float:
-    """Signed distance [m] of two shapes of `coal_shape`; negative where they overlap."""
+    """Return the signed distance [m] of two shapes; negative if they overlap.
+
+    Args:
+        first: result of `coal_shape`.
+        T_world_first: (4, 4) pose of the first shape.
+        second: result of `coal_shape`.
+        T_world_second: (4, 4) pose of the second shape.
+    """
     return coal_distance(first, transform(T_world_first), second, transform(T_world_second))

@@ -1,8 +1,8 @@
-"""Planning scenes of MoveIt: `.scene` text, and CollisionObject yaml as in MotionBenchMaker.
+"""Read planning scenes of MoveIt: `.scene` text, and CollisionObject YAML as in MotionBenchMaker.
 
-Boxes, spheres, cylinders and meshes become objects of a `Scene`; other shapes, point maps, objects
-in the robot's hand and objects in several frames are refused by name, because a scene without them
-would be another one.
+Boxes, spheres, cylinders and meshes become objects of a `Scene`. Other shapes, octomaps, attached
+objects and objects in several frames are refused by name: a scene without them would not be the
+same.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,46 +27,46 @@ from cvqmpt_lab.base.poses import Placement, ros_vector
 from cvqmpt_lab.base.values import FloatArray, numbers
 from cvqmpt_lab.robot.source import mesh_path
 from cvqmpt_lab.scene.cloud_files import read_by_suffix
-from cvqmpt_lab.scene.mesh_files import MOST_TRIANGLES, convex_pieces, read_mesh
+from cvqmpt_lab.scene.mesh_files import MAX_TRIANGLES, convex_pieces, read_mesh
 from cvqmpt_lab.scene.scene import Scene, SceneObject
 from cvqmpt_lab.scene.shapes import Box, ConvexMesh, Cylinder, Shape, Sphere
 
-SOLIDS: Mapping[str, tuple[int, Callable[..., Shape]]] = {
+MOVEIT_SOLIDS: Mapping[str, tuple[int, Callable[..., Shape]]] = {
     "box": (3, lambda *size: Box(size)),
     "sphere": (1, Sphere),
     "cylinder": (2, Cylinder),
 }
-"""Number of the sizes of a solid, x, y, z, or radius and height [m], and what makes it of them."""
-KNOWN = (*SOLIDS, "mesh")
+"""Number of sizes of a solid, (x, y, z) or (radius, height) [m], and function from them to it."""
+MOVEIT_SHAPES = (*MOVEIT_SOLIDS, "mesh")
 
 
 def read_moveit_scene(path: Path | str) -> tuple[Scene, str]:
-    """The scene of a file, and the frame of its poses, "" if the file does not say.
+    """Return the scene of a file, and the frame of its poses ("": the file has none).
 
     An object of several convex pieces becomes "ID/0", "ID/1", ... InvalidInputError names the file
     and the object.
     """
-    return read_by_suffix(PARSERS, path, "MoveIt scene", Path(path), most=2**24)
+    read_yaml = partial(_scene, yaml_value)
+    readers = {".scene": partial(_scene, _from_text), ".yaml": read_yaml, ".yml": read_yaml}
+    return read_by_suffix(readers, path, "MoveIt scene", Path(path), most=2**24)
 
 
 def scene_of_yaml(text: str, path: Path) -> Scene:
-    """The scene of a yaml text, whose meshes are named from a path's folder; see above."""
+    """Return the scene of a YAML text; `path` is for errors and relative paths of meshes."""
     with located(str(path)):
         return _scene(yaml_value, text.encode(), path)[0]
 
 
 def _scene(parse: Callable, data: bytes, path: Path) -> tuple[Scene, str]:
-    """A PlanningScene, its world or a list of CollisionObjects; vectors: lists or {x, y, z, w}."""
+    """Return the scene and frame of a PlanningScene, its world or a list of CollisionObjects."""
     message = parse(data.decode("utf-8"))
     if isinstance(message, list):
         message = {"world": {"collision_objects": message}}
     whole = mapping(message, "", "world")
     world = mapping(whole.get("world", whole), "world")
     if "collision_objects" not in world:
-        raise InvalidInputError(
-            "it has no 'collision_objects', neither in 'world' nor by themselves"
-        )
-    _refuse_what_is_no_object(whole, world)
+        raise InvalidInputError("it has no 'collision_objects', neither in 'world' nor at the top")
+    _refuse_other_content(whole, world)
     objects, frames = list[SceneObject](), list[str]()
     for k, item in enumerate(_listed(world["collision_objects"], "collision_objects")):
         fields = mapping(
@@ -81,17 +81,17 @@ def _scene(parse: Callable, data: bytes, path: Path) -> tuple[Scene, str]:
         frames.append(str(_field(fields.get("header"), "frame_id") or ""))
     if len(set(frames)) > 1:
         raise InvalidInputError(
-            f"objects stand in frames {', '.join(sorted(set(frames)))}; write all in one"
+            f"objects are in frames {', '.join(sorted(set(frames)))}; write all in one frame"
         )
     name = str(whole.get("name") or path.stem)
     return Scene(name, tuple(objects)), frames[0] if frames else ""
 
 
 def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]:
-    """Convex pieces of a mesh of vertices (k, 3) [m] and corners (f, 3) of triangles."""
-    if len(triangles) > MOST_TRIANGLES:
+    """Yield convex pieces of a mesh: vertices (k, 3) [m], and their indices (f, 3) by triangle."""
+    if len(triangles) > MAX_TRIANGLES:
         raise InvalidInputError(
-            f"mesh of {len(triangles)} triangles; {MOST_TRIANGLES} at most: simplify it"
+            f"mesh of {len(triangles)} triangles, more than {MAX_TRIANGLES}: simplify it"
         )
     corners = triangles.astype(int)
     if corners.size == 0 or corners.min() < 0 or corners.max() >= len(vertices):
@@ -102,33 +102,33 @@ def _pieces(vertices: FloatArray, triangles: FloatArray) -> Iterator[ConvexMesh]
 
 
 def _matrix(position: Any, orientation: Any) -> FloatArray:
-    """A pose (4, 4) of x, y, z and a quaternion x, y, z, w; zeros turn nothing, as in MoveIt."""
+    """Return a pose (4, 4); orientation: quaternion x, y, z, w, zeros for identity as in MoveIt."""
     turn = numbers(orientation, "orientation", "4 numbers, a quaternion x, y, z, w")
     quaternion = turn if turn.any() else [0.0, 0.0, 0.0, 1.0]
     return from_plain(Placement, {"xyz": position, "quaternion": quaternion}, "pose").matrix
 
 
 class _Lines:
-    """The remaining lines of a `.scene` text."""
+    """Remaining lines of a `.scene` text; errors name the expected item `what`."""
 
     def __init__(self, text: str) -> None:
         self.left = [line.strip() for line in text.splitlines() if line.strip()][::-1]
 
     def next(self, what: str) -> str:
-        """The next line, which holds `what`."""
+        """Return the next line."""
         if not self.left:
             raise InvalidInputError(f"it ends where {what} is expected: cut short?")
         return self.left.pop()
 
     def count(self, what: str) -> int:
-        """A line of one whole number."""
+        """Return the whole number of the next line."""
         line = self.next(what)
         if not line.isdecimal():
             raise InvalidInputError(f"{shown(line)} where {what} is expected")
         return int(line)
 
     def floats(self, count: int, what: str) -> list[float]:
-        """A line of so many numbers."""
+        """Return `count` numbers of the next line."""
         line = self.next(what)
         try:
             found = [float(word) for word in line.split()]
@@ -139,19 +139,20 @@ class _Lines:
         return found
 
     def pose(self, what: str) -> dict[str, list[float]]:
-        """A line of a position, and one of a quaternion."""
+        """Return the pose in the next two lines, position and quaternion."""
         position = self.floats(3, f"the position of {what}")
         return {"position": position, "orientation": self.floats(4, f"the quaternion of {what}")}
 
 
 def _from_text(text: str) -> dict[str, Any]:
-    """The message of a `.scene` text.
+    """Return the message of a `.scene` text.
 
-    Format: the scene's name; objects, each "* ID", in newer files its pose, the number of its
-    shapes; then of each shape kind, sizes, position, quaternion and colour; in newer files
-    subframes; "." ends.
+    Format: name of the scene, objects, ".". An object is "* ID", in newer files its pose, the
+    number of shapes, the shapes (kind, sizes, position, quaternion, colour), and in newer files
+    subframes.
     """
-    lines, found = _Lines(text), list[dict[str, Any]]()
+    lines = _Lines(text)
+    found = list[dict[str, Any]]()
     name = lines.next("the scene's name")
     while (line := lines.next("'* ID' of an object, or '.'")) != ".":
         if not line.startswith("*"):
@@ -159,19 +160,21 @@ def _from_text(text: str) -> dict[str, Any]:
         with located(f"object {shown(line[1:].strip())}"):
             found.append({"id": line[1:], **_object(lines)})
     if lines.left:
-        raise InvalidInputError(f"{shown(lines.next('an object'))} follows '.', which ends it")
+        raise InvalidInputError(
+            f"{shown(lines.next('an object'))} follows '.', the end of the scene"
+        )
     return {"name": name, "collision_objects": found}
 
 
 def _object(lines: _Lines) -> dict[str, Any]:
-    """The message of one object, read from the lines after its "* ID"."""
-    found: dict[str, Any] = {"primitives": [], "primitive_poses": []}
-    found |= {"meshes": [], "mesh_poses": []}
+    """Return the message of one object from the lines after its "* ID"."""
+    kinds = ("primitives", "primitive_poses", "meshes", "mesh_poses")
+    found: dict[str, Any] = {kind: [] for kind in kinds}
     newer = bool(lines.left) and len(lines.left[-1].split()) == 3
     if newer:
         found["pose"] = lines.pose("the object")
     for _ in range(lines.count("the number of shapes")):
-        kind = require_choice("shape", lines.next("a shape"), KNOWN)
+        kind = require_choice("shape", lines.next("a shape"), MOVEIT_SHAPES)
         if kind == "mesh":
             corners, faces = map(int, lines.floats(2, "the numbers of vertices and triangles"))
             vertices = [lines.floats(3, "a vertex") for _ in range(corners)]
@@ -179,8 +182,8 @@ def _object(lines: _Lines) -> dict[str, Any]:
             found["meshes"].append({"vertices": vertices, "triangles": triangles})
             found["mesh_poses"].append(lines.pose("a shape"))
         else:
-            sizes = lines.floats(SOLIDS[kind][0], f"the size of a {kind}")
-            # height before radius in messages
+            sizes = lines.floats(MOVEIT_SOLIDS[kind][0], f"the size of a {kind}")
+            # messages have the height before the radius
             sizes = sizes[::-1] if kind == "cylinder" else sizes
             found["primitives"].append({"type": kind, "dimensions": sizes})
             found["primitive_poses"].append(lines.pose("a shape"))
@@ -191,18 +194,18 @@ def _object(lines: _Lines) -> dict[str, Any]:
     return found
 
 
-def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]) -> None:
-    """Refuse what the scene would lack."""
+def _refuse_other_content(whole: Mapping[str, Any], world: Mapping[str, Any]) -> None:
+    """Refuse octomaps, attached objects and moved frames, which a scene cannot have."""
     if _field(_field(world.get("octomap"), "octomap"), "data"):
         raise InvalidInputError(
-            "it holds an octomap; write that as a cloud, and name it as a map_file"
+            "it has an octomap; write it as a cloud, and give that as a map_file"
         )
     carried = _field(whole.get("robot_state"), "attached_collision_objects")
     if carried:
         items = _listed(carried, "attached objects")
         names = [str(_field(_field(item, "object"), "id")) for item in items]
         raise InvalidInputError(
-            f"the robot carries {', '.join(names)}; take it out and write it as 'attachments' of "
+            f"the robot carries {', '.join(names)}; remove it and write it as 'attachments' of "
             "the problem"
         )
     for item in _listed(whole.get("fixed_frame_transforms"), "fixed_frame_transforms"):
@@ -216,22 +219,22 @@ def _refuse_what_is_no_object(whole: Mapping[str, Any], world: Mapping[str, Any]
 
 
 def _pieces_of(fields: Mapping[str, Any], path: Path) -> Iterator[tuple[Shape, FloatArray]]:
-    """The convex shapes of an object, and their poses (4, 4)."""
+    """Yield the convex shapes of an object with their poses (4, 4)."""
     if fields.get("operation", 0) not in (0, "add", "ADD"):
         raise InvalidInputError(
             f"operation {shown(fields['operation'])}; only objects that are added are read"
         )
     if fields.get("planes"):
-        raise UnknownChoiceError("shape", "plane", KNOWN)
+        raise UnknownChoiceError("shape", "plane", MOVEIT_SHAPES)
     T_object = _pose(fields["pose"]) if fields.get("pose") else np.eye(4)
     for kind, plural in (("primitive", "primitives"), ("mesh", "meshes")):
         shapes = _listed(fields.get(plural), plural)
         poses = _listed(fields.get(f"{kind}_poses"), f"{kind}_poses")
         if not poses and len(shapes) == 1 and fields.get("pose"):
-            poses = [None]  # newer messages may give the object's pose alone
+            poses = [None]  # newer messages may have only the pose of the object
         if len(poses) != len(shapes):
             raise InvalidInputError(
-                f"{len(shapes)} {plural} and {len(poses)} {kind}_poses; give as many"
+                f"{len(shapes)} {plural} and {len(poses)} {kind}_poses; give one pose for each"
             )
         for item, there in zip(shapes, poses, strict=True):
             T = T_object if there is None else T_object @ _pose(there)
@@ -247,13 +250,13 @@ def _primitive(item: Any) -> Shape:
         # numbers of shape_msgs/SolidPrimitive
         names = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone", 5: "prism"}
         kind = names.get(given, str(given))
-    if kind not in SOLIDS:
-        raise UnknownChoiceError("shape", kind, KNOWN)
+    if kind not in MOVEIT_SOLIDS:
+        raise UnknownChoiceError("shape", kind, MOVEIT_SHAPES)
     sizes = numbers(fields.get("dimensions"), "dimensions", "numbers [m]").ravel().tolist()
-    count, make = SOLIDS[kind]
+    count, make = MOVEIT_SOLIDS[kind]
     if len(sizes) != count:
         raise InvalidInputError(f"{kind} has {len(sizes)} dimensions; {count} are needed")
-    # height before radius here
+    # messages have the height before the radius
     return make(*(sizes[::-1] if kind == "cylinder" else sizes))
 
 
@@ -290,12 +293,5 @@ def _listed(value: Any, what: str) -> Sequence[Any]:
 
 
 def _field(value: Any, name: str) -> Any:
-    """A field of a mapping; None where there is none."""
+    """Return a field of a mapping, or None."""
     return value.get(name) if isinstance(value, Mapping) else None
-
-
-PARSERS = {
-    ".scene": partial(_scene, _from_text),
-    ".yaml": partial(_scene, yaml_value),
-    ".yml": partial(_scene, yaml_value),
-}

@@ -1,13 +1,12 @@
 """A scene: named shapes with poses, and the hinges and sliders that move some of them.
 
-Scenes of users are refused where they cannot be in metres, and reported out of the arm's reach.
-
-Everything here is frozen data. Changing a scene (opening a door, adding a can) returns a new one.
-Poses are 4x4 arrays `T_world_x` that map points of frame x into the world frame, which is the robot
-base link frame. Lengths in [m], angles in [rad].
+All classes are frozen data: a change of a scene (a door is opened, a can is added) returns a new
+scene. Poses are 4x4 arrays `T_world_x` that map points of frame x into the world frame, which is
+the frame of the robot's base link. Lengths in [m], angles in [rad]. A scene whose lengths cannot be
+metres is refused; one out of the arm's reach gives a warning.
 """
 
-from __future__ import annotations  # so `help` shows forms by their names
+from __future__ import annotations  # `help` then shows types by their names
 
 import logging
 import math
@@ -31,9 +30,9 @@ class SceneObject(Checked):
 
     name: Name  # unique in its scene, e.g. "dagger_door_left/panel"
     shape: Shape  # the geometry, in the object frame
-    T_world_object: Pose  # (4, 4), pose of the object frame in the world
-    obstacle: bool = True  # False: cameras see it, planners ignore it (the floor)
-    mass: Mass | None = None  # [kg], counts once a hand carries it; None: not known, taken as 0
+    T_world_object: Pose  # (4, 4) pose of the object frame in the world
+    obstacle: bool = True  # False: cameras see it, planners ignore it (e.g. the floor)
+    mass: Mass | None = None  # [kg], used only while a hand carries it; None: unknown, taken as 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +41,11 @@ class Articulation(Checked):
 
     name: Name  # unique among the scene's articulations, e.g. "dagger_door_left"
     kind: Literal["hinge", "slider"]  # a hinge turns about the axis, a slider moves along it
-    T_world_joint: Pose  # (4, 4), pose of the joint frame in the world, whose z is the axis
-    lower: float  # of its range, [rad] for a hinge, [m] for a slider
-    upper: float  # of its range [rad or m]
-    value: float  # where it is now [rad or m]
-    moves: tuple[Name, ...]  # names of moved objects; the scene has their poses at `value`
+    T_world_joint: Pose  # (4, 4) pose of the joint frame in the world; its z is the axis
+    lower: float  # end of the range, [rad] for a hinge, [m] for a slider
+    upper: float  # other end of the range [rad or m]
+    value: float  # present value [rad or m]
+    moves: tuple[Name, ...]  # names of the objects that move; the scene has their poses at `value`
 
     def _check(self) -> None:
         if self.lower > self.upper:
@@ -63,11 +62,11 @@ class Articulation(Checked):
         )
 
     def motion(self, change: float) -> FloatArray:
-        """Return the motion (4, 4) by a change of the value [rad or m], in the joint frame."""
+        """Return the motion (4, 4) in the joint frame for a change of the value [rad or m]."""
         return pose((0.0, 0.0, 0.0), change) if self.kind == "hinge" else pose((0.0, 0.0, change))
 
     def _check_range(self, value: float) -> None:
-        """Raise `InvalidInputError` unless `value` is in the range."""
+        """Refuse a value [rad or m] outside the range."""
         if not self.lower <= value <= self.upper:
             unit = "rad" if self.kind == "hinge" else "m"
             raise InvalidInputError(
@@ -80,11 +79,11 @@ class Articulation(Checked):
 class Scene(Checked):
     """Named objects and articulations; scenes with the same content are equal."""
 
-    name: Name  # what the scene is called in results
+    name: Name  # name in results
     objects: tuple[SceneObject, ...]
     """Everything that cameras see, in a fixed order that is part of the content."""
     articulations: tuple[Articulation, ...] = ()
-    """Hinges and sliders; each object is moved by one of them at most."""
+    """Hinges and sliders; at most one of them moves an object."""
 
     def _check(self) -> None:
         scene = f"scene {self.name!r}"
@@ -99,8 +98,8 @@ class Scene(Checked):
             for name in articulation.moves:
                 if name not in known:
                     raise InvalidInputError(
-                        f"articulation {articulation.name!r} moves {name!r}, which is no object "
-                        f"of {scene}: add the object or correct `moves`"
+                        f"articulation {articulation.name!r} moves {name!r}, which is not an "
+                        f"object of {scene}: add the object or correct `moves`"
                     )
 
     def __repr__(self) -> str:
@@ -129,11 +128,11 @@ class Scene(Checked):
 
     @property
     def obstacles(self) -> tuple[SceneObject, ...]:
-        """The objects that planners must avoid, in order."""
+        """Objects that planners must avoid, in order."""
         return tuple(item for item in self.objects if item.obstacle)
 
     def articulation(self, name: str) -> Articulation:
-        """Return the articulation called `name`; raises `UnknownChoiceError` if there is none."""
+        """Return the articulation `name`; UnknownChoiceError if there is none."""
         for item in self.articulations:
             if item.name == name:
                 return item
@@ -145,7 +144,7 @@ class Scene(Checked):
         return replace(self, objects=self.objects + objects)
 
     def without(self, *names: str) -> Scene:
-        """Return a scene without these objects; articulations that then move nothing go too."""
+        """Return a scene without these objects and without articulations that then move nothing."""
         gone = {self[name].name for name in names}
         moves = (
             (item, tuple(name for name in item.moves if name not in gone))
@@ -158,7 +157,7 @@ class Scene(Checked):
         )
 
     def with_joint(self, name: str, value: float) -> Scene:
-        """Return a scene with articulation `name` at `value` [rad or m], its objects moved along.
+        """Return a scene with articulation `name` at `value` [rad or m] and its objects moved.
 
         Raises:
             UnknownChoiceError: there is no such articulation.
@@ -183,17 +182,18 @@ class Scene(Checked):
 
     @cached_property
     def _hash(self) -> int:
-        return super().__hash__()  # 6 ms for the kitchen, asked for with every problem
+        return super().__hash__()  # takes 6 ms for the kitchen and is needed for every problem
 
 
 class SceneForm:
-    """A scene; in a problem's or task's file also the path of a scene file (see `scene_files`)."""
+    """Form of a scene; in a problem or task file also the path of a file, see `scene_files`."""
 
     def read(self, value: Any, where: str) -> Scene:
-        """The scene of a json value."""
+        """Return the scene of a JSON value."""
         if isinstance(value, str):
             raise InvalidInputError(
-                f"{where} is {shown(value)}, a file: load what names it from a file too"
+                f"{where} is {shown(value)}, a file: load the object that contains it from a "
+                "file, too"
             )
         return from_plain(Scene, value, where)
 
@@ -205,12 +205,12 @@ NamedScene = Annotated[Scene, SceneForm()]
 class Attachment(Checked):
     """A shape fixed to the robot's end effector."""
 
-    name: Name  # unique among what the hand carries
+    name: Name  # unique among the attachments
     shape: Shape  # the geometry, in the object frame
-    T_hand_object: Pose  # (4, 4), pose of the shape in the end-effector frame [m]
-    mass: Mass | None = None  # [kg], for timing and execution; None: not known, taken as 0
-    end_effector: Name | None = None  # that carries it; None: the robot's first
-    # other end effectors that hold it, too: what is fixed to them may touch it
+    T_hand_object: Pose  # (4, 4) pose of the shape in the end-effector frame [m]
+    mass: Mass | None = None  # [kg], for timing and execution; None: unknown, taken as 0
+    end_effector: Name | None = None  # end effector that carries it; None: the robot's first
+    # other end effectors that hold it, too: pieces fixed to them may touch it
     also_held_by: tuple[Name, ...] = ()
 
     @property
@@ -221,8 +221,7 @@ class Attachment(Checked):
     def _check(self) -> None:
         if isinstance(self.shape, OccupancyMap):
             raise InvalidInputError(
-                f"attachment {self.name!r} is an occupancy map; what is carried is a solid or a "
-                "point cloud"
+                f"attachment {self.name!r} is an occupancy map; give a solid or a point cloud"
             )
 
 
@@ -230,15 +229,15 @@ log = logging.getLogger("cvqmpt")
 
 
 def refuse_far_poses(poses: dict[str, np.ndarray], farthest: float = 100.0) -> None:
-    """Refuse a pose (4, 4) over `farthest` [m] from the world's origin, by its place in a file."""
+    """Refuse poses (4, 4), by place in the file, farther than `farthest` [m] from the origin."""
     for where, T in poses.items():
-        _refuse_above(farthest, float(np.abs(T[:3, 3]).max()), f"{where} is", "off")
+        _refuse_above(farthest, float(np.abs(T[:3, 3]).max()), f"{where} is", "away")
 
 
 def _refuse_above(most: float, length: float, what: str, how: str) -> None:
     if length > most:
         raise InvalidInputError(
-            f"{what} {length:.4g} m {how}, more than {most:g}: no metres? Give metres"
+            f"{what} {length:.4g} m {how}, more than {most:g}: not in metres? Give metres"
         )
 
 
@@ -249,9 +248,14 @@ def check_extent(
     farthest: float = 100.0,
     largest: float = 250.0,
 ) -> None:
-    """Refuse an obstacle larger than `largest`, or more than `farthest` off the origin [m].
+    """Refuse obstacles that are too large or too far away; warn if none is in the arm's reach.
 
-    Floors of 200 m are drawn. Logs a warning if an arm of that reach [m] can touch no obstacle.
+    Args:
+        scene: the scene.
+        reach: radius of a ball around the origin that contains the arm [m].
+        where: place of the scene, for errors.
+        farthest: largest distance of an obstacle from the origin [m].
+        largest: largest length of an obstacle [m]; floors of 200 m occur.
     """
     gaps = {item.name: distance(item) for item in scene.obstacles}
     for k, item in enumerate(scene.objects):
@@ -262,21 +266,21 @@ def check_extent(
             lengths = tuple(np.ravel([*vars(item.shape).values()]).tolist())
         name = f"{at(where, f'objects[{k}], {item.name!r},')} is"
         _refuse_above(largest, max(lengths, default=0.0), name, "large")
-        _refuse_above(farthest, gaps[item.name], name, "off")
+        _refuse_above(farthest, gaps[item.name], name, "away")
     nearest = min(gaps, key=lambda name: gaps[name], default="")
     if gaps and gaps[nearest] > reach:
         log.warning(
-            f"scene {scene.name!r}: the arm can touch nothing of it: {nearest!r} is nearest, "
-            f"{gaps[nearest]:.3g} m off, and the arm reaches {reach:.3g} m; no metres, or in "
-            "another frame than the robot's base?"
+            f"scene {scene.name!r}: no obstacle is in the arm's reach of {reach:.3g} m: the "
+            f"nearest, {nearest!r}, is {gaps[nearest]:.3g} m away; not in metres, or not in the "
+            "frame of the robot's base?"
         )
 
 
 def distance(item: SceneObject) -> float:
-    """Distance [m] of an obstacle from the world's origin; exact for a box, else a lower bound."""
+    """Return an obstacle's distance [m] from the origin; exact for boxes, else a lower bound."""
     if isinstance(item.shape, Box):
         T = item.T_world_object
-        # of the world's origin, mirrored, in the box's frame
+        # the origin in the box's frame, up to the sign
         beyond = np.abs(T[:3, 3] @ T[:3, :3]) - 0.5 * np.array(item.shape.size)
         return float(np.linalg.norm(np.maximum(beyond, 0.0)))
     return max(

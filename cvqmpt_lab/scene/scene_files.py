@@ -1,8 +1,8 @@
-"""Shapes that a json file names by path, read and put in place.
+"""Read the files of clouds and meshes that a JSON file names, and replace them by shapes.
 
 `{"type": "cloud_file", "path": "scan.pcd", "radius": 0.01}` becomes a PointCloud, `{"type":
 "map_file", "path": "scan.pcd"}` an OccupancyMap, `{"type": "mesh_file", "path": "shelf.stl",
-"scale": 0.001}` a ConvexMesh; a mesh that is not convex becomes several objects, "shelf/0",
+"scale": 0.001}` a ConvexMesh. A mesh that is not convex becomes several objects: "shelf/0",
 "shelf/1", ...
 """
 
@@ -31,12 +31,12 @@ log = logging.getLogger(__name__)
 
 
 def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Json of a problem or task with its files read and the paths of its robot's files absolute.
+    """Return JSON of a problem or task with shapes in place of files, and absolute robot paths.
 
     Args:
-        data: not changed; its scene may be the path of a json file. Read are files that the scene
-            and attachments name; anything that is no object with a shape by path stays as it is.
-        folder: of the json file; relative paths start here.
+        data: JSON; it is not changed. Its scene may be the path of a JSON file. Files of shapes in
+            the scene and attachments are read; malformed parts are returned unchanged.
+        folder: folder of the JSON file; relative paths start here.
     """
     read = dict(data)
     if isinstance(data.get("scene"), str):
@@ -51,7 +51,7 @@ def with_files_read(data: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def read_scene(path: Path | str) -> Scene:
-    """The scene of a json file of its own; errors name the file."""
+    """Read the JSON file of a scene; errors name the file."""
     path = Path(path)
     data = _scene(read_json_object(path, "scene"), path.parent)
     with located(f"scene {path}"):
@@ -59,7 +59,7 @@ def read_scene(path: Path | str) -> Scene:
 
 
 def named_files(data: Mapping[str, Any], folder: Path) -> Iterator[Path]:
-    """The files that `with_files_read` reads for json that is well-formed."""
+    """Yield the files that `with_files_read` reads for well-formed JSON."""
     scene = data.get("scene")
     if isinstance(scene, str):
         path = folder / scene
@@ -74,7 +74,7 @@ def named_files(data: Mapping[str, Any], folder: Path) -> Iterator[Path]:
 
 
 def _scene(scene: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Json of a scene; what moves an object moves all its pieces."""
+    """Return JSON of a scene with shapes in place of files; joints move all pieces of an object."""
     objects, pieces = _expanded(scene.get("objects"), folder, "scene.objects")
     joints = scene.get("articulations")
     if pieces and isinstance(joints, list):
@@ -94,7 +94,7 @@ def _scene(scene: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list[str]]]:
-    """Json of objects with their shapes, and the pieces' names by that of their object."""
+    """Return JSON of objects with shapes in place of files, and pieces' names by object."""
     if not isinstance(items, list):
         return items, {}
     found: list[Any] = []
@@ -119,19 +119,19 @@ def _expanded(items: Any, folder: Path, where: str) -> tuple[Any, dict[str, list
 def _shapes(
     named: CloudFile | MapFile | MeshFile, folder: Path
 ) -> Iterator[PointCloud | OccupancyMap | ConvexMesh]:
-    """The shapes of one file."""
+    """Yield the shapes of one file."""
     path = folder / named.path
     if not isinstance(named, MeshFile):
         from cvqmpt_lab.scene.cloud_files import read_cloud
 
         cloud = read_cloud(path, named.scale)
-        log.info(f"{path}: {len(cloud.points)} points, {cloud.dropped} left out, not finite")
+        log.info(f"{path}: {len(cloud.points)} finite points, {cloud.dropped} others left out")
         if isinstance(named, MapFile):
             yield map_of_points(cloud.points, named.resolution, named.padding)
         else:
             yield PointCloud(cloud.points, named.radius)
         return
-    from cvqmpt_lab.scene.mesh_files import read_mesh  # its parser takes 0.3 s to import
+    from cvqmpt_lab.scene.mesh_files import read_mesh  # takes 0.3 s to import
 
     vertices = read_mesh(path, named.scale)
     log.info(f"{path}: {len(vertices)} convex pieces")

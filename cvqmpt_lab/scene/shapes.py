@@ -1,9 +1,9 @@
 """Shapes as plain data: boxes, cylinders, spheres, convex meshes, point clouds, occupancy maps.
 
-A shape lives in its own frame; `SceneObject` places it in the world. Lengths are in [m].
+A shape has its own frame; `SceneObject` gives its pose in the world. Lengths are in [m].
 """
 
-from __future__ import annotations  # so `help` shows forms by their names
+from __future__ import annotations  # `help` then shows types by their names
 
 import itertools
 import math
@@ -17,73 +17,73 @@ from cvqmpt_lab.base.errors import InvalidInputError
 from cvqmpt_lab.base.values import MAX_LENGTH_M, Array, FloatArray, Length, Name, Padding
 
 Points = Annotated[FloatArray, Array((None, 3), "points x, y, z [m]", MAX_LENGTH_M)]
-MIN_THICKNESS = 1e-4  # [m] below which hulls are not built: their faces would be noise
+MIN_THICKNESS_M = 1e-4  # thinner hulls are refused: their faces would be rounding errors
 
 
 def thickness(points: FloatArray) -> float:
-    """Extent [m] of points (n, 3) in the direction in which they extend least."""
+    """Return the extent [m] of points (n, 3) in the direction of their least extent."""
     centred = points - points.mean(axis=0)
-    thinnest = np.linalg.eigh(centred.T @ centred)[1][:, 0]  # the normal of flat ones
+    thinnest = np.linalg.eigh(centred.T @ centred)[1][:, 0]  # the normal if the points are flat
     return float(np.ptp(points @ thinnest))
 
 
 def check_volume(points: FloatArray, what: str, most: float = 1e4) -> None:
-    """Refuse finite points (n, 3) [m] of no volume, or too thin or too far for collision checks.
+    """Refuse finite points (n, 3) [m] that are too thin or too far away for collision checks.
 
-    most: distance of a corner from its frame [m].
+    most: largest coordinate of a point [m].
     """
     farthest = float(np.abs(points).max(initial=0.0))
     if farthest > most:
         raise InvalidInputError(
-            f"{what} must lie within {most:g} m of their frame, one is {farthest:.3g} m off: "
-            "give metres"
+            f"{what} must be within {most:g} m of their frame, one is {farthest:.3g} m away: give "
+            "metres"
         )
-    if len(points) < 4 or thickness(points) < MIN_THICKNESS:
+    if len(points) < 4 or thickness(points) < MIN_THICKNESS_M:
         raise InvalidInputError(
             f"{what} must span a volume: give 4 or more points that are not in one plane, and at "
-            f"least {1e3 * MIN_THICKNESS:g} mm thick, got {len(points)} points"
+            f"least {1e3 * MIN_THICKNESS_M:g} mm thick, got {len(points)} points"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class CloudFile(Checked):
-    """In json in place of a PointCloud: the path of its points, see `cloud_files.READERS`."""
+    """Stands for a PointCloud in JSON: a file of points, see `cloud_files.CLOUD_READERS`."""
 
-    path: Name  # of the file, from the folder of the one that names it
-    radius: Length  # of the ball around every point [m]
-    scale: Length = 1.0  # [m] of one unit of the file
+    path: Name  # relative to the folder of the JSON file
+    radius: Length  # radius of the ball around every point [m]
+    scale: Length = 1.0  # length of one unit of the file [m]
 
 
 @dataclass(frozen=True, eq=False)
 class MapFile(Checked):
-    """In place of an OccupancyMap: the path of its points; their cells are the occupied ones."""
+    """Stands for an OccupancyMap in JSON: a file of points, whose cells are occupied."""
 
-    path: Name  # of the file, from the folder of the one that names it
+    path: Name  # relative to the folder of the JSON file
     resolution: Length = 0.02  # edge of the cells [m]
     padding: Padding = 0.0  # inflation radius of the cells [m]
-    scale: Length = 1.0  # [m] of one unit of the file
+    scale: Length = 1.0  # length of one unit of the file [m]
 
 
 @dataclass(frozen=True, eq=False)
 class MeshFile(Checked):
-    """A mesh of a file, see `mesh_files.READERS`, as one ConvexMesh or several."""
+    """Stands for one or more ConvexMesh in JSON: a mesh file, see `mesh_files.MESH_READERS`."""
 
-    path: Name  # of the file, from the folder of the one that names it
-    scale: Length = 1.0  # [m] of one unit of the file
+    path: Name  # relative to the folder of the JSON file
+    scale: Length = 1.0  # length of one unit of the file [m]
 
 
-# by "type" in json
+# classes by "type" in JSON, for shapes in files
 SHAPES_BY_PATH = {"cloud_file": CloudFile, "map_file": MapFile, "mesh_file": MeshFile}
 
 
 @dataclass(frozen=True)
 class WholeNumbers(Array):
-    """Integer indices of cells."""
+    """Form of integer indices of cells."""
 
-    farthest: int = 1_000_000  # cell along an axis
+    farthest: int = 1_000_000  # largest absolute index
 
     def read(self, value: Any, where: str) -> FloatArray:
-        """Refuse fractions, and cells farther than any sensor sees."""
+        """Return the array; refuse fractions and cells beyond the range of sensors."""
         array = super().read(value, where)
         wrong = (array != np.rint(array)) | (np.abs(array) > self.farthest)
         if wrong.any():
@@ -94,20 +94,20 @@ class WholeNumbers(Array):
         return array
 
     def write(self, value: FloatArray) -> list:
-        """A list of integers."""
+        """Return a list of integers."""
         return value.astype(np.int64).tolist()
 
 
 @dataclass(frozen=True, eq=False)
 class Box(Checked):
-    """A box centred on its frame, edges along the axes."""
+    """A box centred at the origin of its frame, with edges along the axes."""
 
     size: tuple[Length, Length, Length]  # full edge lengths along x, y, z [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Cylinder(Checked):
-    """A cylinder centred on its frame, axis along z."""
+    """A cylinder along z, centred at the origin of its frame."""
 
     radius: Length  # [m]
     height: Length  # full height [m]
@@ -115,16 +115,16 @@ class Cylinder(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Sphere(Checked):
-    """A sphere centred on its frame."""
+    """A sphere centred at the origin of its frame."""
 
     radius: Length  # [m]
 
 
 @dataclass(frozen=True, eq=False)
 class ConvexMesh(Checked):
-    """The convex hull of some points."""
+    """The convex hull of points."""
 
-    vertices: Points  # (n, 3), four or more, not all in one plane [m]
+    vertices: Points  # (n, 3), n >= 4, not in one plane [m]
 
     def _check(self) -> None:
         check_volume(self.vertices, "vertices")
@@ -132,10 +132,10 @@ class ConvexMesh(Checked):
 
 @dataclass(frozen=True, eq=False)
 class PointCloud(Checked):
-    """An obstacle made of points, each inflated to a ball."""
+    """Points that are inflated to balls."""
 
-    points: Points  # (n, 3), ball centres [m]
-    radius: Length  # of every ball [m]
+    points: Points  # (n, 3) centres of the balls [m]
+    radius: Length  # radius of every ball [m]
 
     def _check(self) -> None:
         if len(self.points) == 0:
@@ -144,12 +144,12 @@ class PointCloud(Checked):
 
 @dataclass(frozen=True, eq=False)
 class OccupancyMap(Checked):
-    """Occupied cubes of a regular grid (as in OctoMap); what is not listed is free."""
+    """Occupied cells of a regular grid (as in OctoMap); all other cells are free."""
 
     cells: Annotated[FloatArray, WholeNumbers((None, 3), "whole numbers i, j, k of cells")]
-    """(k, 3); cell (i, j, k) spans resolution * (i, j, k) to resolution * (i + 1, j + 1, k + 1)."""
-    resolution: Length = 0.02  # edge of every cube [m]
-    padding: Padding = 0.0  # inflation radius of every cube, to all sides [m]
+    """(k, 3); cell (i, j, k) is from resolution (i, j, k) to resolution (i + 1, j + 1, k + 1)."""
+    resolution: Length = 0.02  # edge of the cells [m]
+    padding: Padding = 0.0  # inflation radius of the cells [m]
 
     def _check(self) -> None:
         if len(self.cells) == 0:
@@ -165,15 +165,15 @@ class OccupancyMap(Checked):
 
 
 def require_resolution(resolution: float, finest: float = 1e-3) -> None:
-    """Refuse cells [m] so fine that indices would measure noise, before any are counted."""
+    """Refuse cells that are smaller than `finest` [m], and with it than the noise of sensors."""
     if not resolution >= finest:
         raise InvalidInputError(
             f"OccupancyMap.resolution is {resolution:g} m; give {finest:g} m or more"
         )
 
 
-Measured = PointCloud | OccupancyMap  # what sensors make of a world
-# by "type" in json
+Measured = PointCloud | OccupancyMap  # shapes made from data of sensors
+# classes by "type" in JSON
 SHAPES = {"box": Box, "cylinder": Cylinder, "sphere": Sphere, "convex_mesh": ConvexMesh}
 SHAPES |= {"point_cloud": PointCloud, "occupancy_map": OccupancyMap}
 Shape: TypeAlias = Annotated[
@@ -183,7 +183,7 @@ Shape: TypeAlias = Annotated[
 
 
 def shape_vertices(shape: Box | ConvexMesh) -> FloatArray:
-    """Return the (n, 3) corner points [m] whose convex hull the shape is, in the shape's frame."""
+    """Return the corners (n, 3) [m] of a shape in its frame; the shape is their convex hull."""
     if isinstance(shape, Box):
         return 0.5 * np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * np.array(shape.size)
     if isinstance(shape, ConvexMesh):
@@ -194,7 +194,7 @@ def shape_vertices(shape: Box | ConvexMesh) -> FloatArray:
 
 
 def bounding_radius(shape: Shape) -> float:
-    """Radius [m] of the smallest ball around the shape's frame origin that holds the shape."""
+    """Return the radius [m] of a ball around the origin of the frame that contains the shape."""
     match shape:
         case Box(size):
             return 0.5 * math.hypot(*size)

@@ -10,7 +10,7 @@ from cvqmpt_lab.collision import arrays
 from cvqmpt_lab.collision.covers import cut_into_pieces
 from cvqmpt_lab.collision.exact import CollisionChecker
 from cvqmpt_lab.problem import PlanningProblem
-from cvqmpt_lab.scene.cells import MOST_BALLS
+from cvqmpt_lab.scene.cells import MAX_BALLS
 from cvqmpt_lab.scene.families import random_scene
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
@@ -140,7 +140,7 @@ TURNED[:3, :3] = TURNED[:3, :3] @ [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 
 
 
 @pytest.mark.parametrize("T", [pose((0.0, 0.0, 0.4)), TURNED], ids=["straight", "turned"])
-@pytest.mark.parametrize("count", [300, MOST_BALLS + 1000], ids=["balls", "cells"])
+@pytest.mark.parametrize("count", [300, MAX_BALLS + 1000], ids=["balls", "cells"])
 def test_clouds_that_coal_touches_are_never_called_free(panda, count, T):
     rng = np.random.default_rng(3)
     scene = Scene("cloud", (SceneObject("cloud", PointCloud(shell(rng, count), 0.005), T),))
@@ -156,7 +156,7 @@ def touching_ball(piece, T_world_piece, radius, depth, rng):
     return T_world_piece[:3, :3] @ point + T_world_piece[:3, 3] + (radius - depth) * normal, normal
 
 
-@pytest.mark.parametrize("count", [1, MOST_BALLS, MOST_BALLS + 1, 5000])
+@pytest.mark.parametrize("count", [1, MAX_BALLS, MAX_BALLS + 1, 5000])
 @pytest.mark.parametrize("carried", [False, True], ids=["obstacle", "carried"])
 def test_what_a_ball_touches_its_cloud_touches(panda, count, carried):
     """The other balls of the cloud stay clear of the face that the ball is in."""

@@ -18,7 +18,7 @@ from cvqmpt_lab.problem import PlanningProblem, check_problem
 from cvqmpt_lab.robot.kinematics import link_poses
 from cvqmpt_lab.robot.load import load_robot, robot_from_source
 from cvqmpt_lab.robot.mechanism import ArticulatedObject, with_articulated_object
-from cvqmpt_lab.scene.articulation import DEEPEST, take_out
+from cvqmpt_lab.scene.articulation import take_out
 from cvqmpt_lab.scene.coal_shapes import coal_shape, shape_distance
 from cvqmpt_lab.scene.kitchen import kitchen
 from cvqmpt_lab.scene.scene import Attachment, Scene, SceneObject
@@ -78,7 +78,7 @@ def test_parts_move_as_in_the_scene(panda, name, taken_at):
 
 @pytest.mark.parametrize("name", [DOOR, "dagger_door_right", DRAWER, "indigo_door_right"])
 def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
-    """A door is free of collisions at all values, and door and casing overlap by < `DEEPEST`."""
+    """A door is free of collisions at all values, and door and casing overlap by < 0.1 mm."""
     whole = kitchen()
     joint = whole.articulation(name)
     scene, robot = mechanism(panda, whole, name)
@@ -93,7 +93,7 @@ def test_doors_and_drawers_move_freely_with_the_planners_margin(panda, name):
         for item in casing:
             at_rest = coal_shape(item.shape), item.T_world_object
             depth = min(shape_distance(*part, *at_rest) for part in moved)
-            assert depth > -DEEPEST, (item.name, value, depth)
+            assert depth > -1e-4, (item.name, value, depth)
     start, end = (np.append(AWAY, value) for value in (joint.lower, joint.upper))
     assert motion_free(spaces[0].arrays, start, end)
 

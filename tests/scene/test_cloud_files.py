@@ -7,7 +7,7 @@ import pytest
 from cloud_files import GOOD, POINTS, npy, pcd, ply, xyz
 from refusals import refused
 
-from cvqmpt_lab.scene.cloud_files import HEADERS, read_cloud, write_cloud
+from cvqmpt_lab.scene.cloud_files import CLOUD_HEADERS, read_cloud, write_cloud
 
 
 @pytest.mark.parametrize("name", GOOD)
@@ -29,12 +29,12 @@ def test_points_that_are_not_finite_are_counted(write, tmp_path):
     np.testing.assert_allclose(cloud.points, np.delete(POINTS, [3, 7, 8], axis=0))
 
 
-def test_a_scale_brings_a_cloud_to_metres(tmp_path):
+def test_a_scale_converts_a_cloud_to_metres(tmp_path):
     (tmp_path / "mm.npy").write_bytes(npy(1000.0 * POINTS))
-    refused(r"half of it is more .* off .*millimetres: 0\.001", read_cloud, tmp_path / "mm.npy")
+    refused(r"half of it is more .* from .*millimetres: 0\.001", read_cloud, tmp_path / "mm.npy")
     np.testing.assert_allclose(read_cloud(tmp_path / "mm.npy", 0.001).points, POINTS)
     (tmp_path / "km.npy").write_bytes(npy(0.0005 * POINTS))
-    refused(r"all of it lies within 0\.\d+ mm: no metres\?", read_cloud, tmp_path / "km.npy")
+    refused(r"all of it is within 0\.\d+ mm: not in metres\?", read_cloud, tmp_path / "km.npy")
 
 
 FAR = POINTS.copy()
@@ -107,16 +107,16 @@ def test_bad_files_are_refused_by_name_in_one_line(name, tmp_path):
     assert name in said and len(said) < 400
 
 
-def test_what_is_no_cloud_file_is_refused(tmp_path):
+def test_a_file_that_is_not_a_cloud_is_refused(tmp_path):
     (tmp_path / "folder.pcd").mkdir()
-    os.mkfifo(tmp_path / "pipe.xyz")  # which a reader would wait for
+    os.mkfifo(tmp_path / "pipe.xyz")  # a reader would wait for it
     for name in ("missing.pcd", "folder.pcd", "pipe.xyz"):
         refused(f"cannot read cloud .*{name}", read_cloud, tmp_path / name)
     refused(r"'\.e57'; valid choices: \.npy, \.pcd, \.ply", read_cloud, tmp_path / "a.e57")
     refused(r"'.obj'; valid choices: .pcd, .ply, .npy", write_cloud, tmp_path / "cloud.obj", POINTS)
 
 
-@pytest.mark.parametrize("suffix", HEADERS)
-def test_what_was_written_is_read(suffix, tmp_path):
+@pytest.mark.parametrize("suffix", CLOUD_HEADERS)
+def test_a_written_cloud_is_read_back(suffix, tmp_path):
     write_cloud(tmp_path / f"cloud{suffix}", POINTS)
     np.testing.assert_array_equal(read_cloud(tmp_path / f"cloud{suffix}").points, POINTS)

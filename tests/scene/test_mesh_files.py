@@ -1,4 +1,4 @@
-"""Meshes become convex pieces that cover surface and inside, and little more."""
+"""Meshes become convex pieces that contain surface and inside, with little free space."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,8 @@ from refusals import refused
 from scipy.spatial import ConvexHull
 
 from cvqmpt_lab.scene.mesh_files import (
-    MOST_PIECES,
-    MOST_VERTICES,
+    MAX_HULL_VERTICES,
+    MAX_MESH_PIECES,
     convex_pieces,
     of_few_vertices,
     read_mesh,
@@ -33,13 +33,13 @@ MESHES = {
     "cylinder": (trimesh.creation.cylinder(0.1, 0.3), 1, 1.001),
     "table": (table(), 20, 1.5),
     "ring": (trimesh.creation.annulus(0.04, 0.045, 0.1), 40, 1.3),
-    "plate": (trimesh.creation.annulus(0.2, 0.5, 0.01), MOST_PIECES, 1.15),
-    "torus": (trimesh.creation.torus(0.3, 0.05, 24, 12), MOST_PIECES, 1.3),
+    "plate": (trimesh.creation.annulus(0.2, 0.5, 0.01), MAX_MESH_PIECES, 1.15),
+    "torus": (trimesh.creation.torus(0.3, 0.05, 24, 12), MAX_MESH_PIECES, 1.3),
 }
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_pieces_hold_the_mesh_and_little_more(name):
+def test_pieces_contain_the_mesh_and_little_free_space(name):
     mesh, most, ratio = MESHES[name]
     triangles = np.array(mesh.triangles)
     hulls = [ConvexHull(ConvexMesh(piece).vertices) for piece in convex_pieces(triangles)]
@@ -62,7 +62,7 @@ def test_large_meshes_are_covered_by_few_pieces(share):
 
 
 def test_a_bracket_is_cut_although_a_cut_can_leave_nothing_on_one_side():
-    """Its outline in x and y, from z = 0 to 0.29108."""
+    """A prism: an outline in x and y, from z = 0 to 0.29108."""
     outline = [(0.16093, 0.02), (0.16093, 0), (0, 0), (0.02, 0.02), (0.02, 0.17268), (0, 0.17268)]
     corners = np.array([(*at, z) for z in (0.0, 0.29108) for at in outline])
     bottom = np.array([(0, 1, 2), (3, 0, 2), (4, 3, 2), (5, 4, 2)])
@@ -87,16 +87,16 @@ def test_triangles_without_area_change_nothing(mesh, corners):
 
 
 def farthest_outside(points, hulls):
-    """How far any of some points is from all hulls [m]."""
+    """Return the largest distance [m] of a point from all hulls; negative if all are inside."""
     planes = [hull.equations for hull in hulls]
     depths = [(points @ each[:, :3].T + each[:, 3]).max(axis=1) for each in planes]
     return np.min(depths, axis=0).max()
 
 
-def test_round_hulls_get_few_vertices_and_hold_the_ball():
+def test_round_hulls_get_few_vertices_and_contain_the_ball():
     ball = trimesh.creation.icosphere(4)
     hull = ConvexHull(of_few_vertices(ConvexHull(ball.vertices)))
-    assert len(hull.vertices) <= MOST_VERTICES
+    assert len(hull.vertices) <= MAX_HULL_VERTICES
     assert farthest_outside(ball.vertices, [hull]) <= 0.0
     assert hull.volume < 1.1 * ball.volume
 
@@ -114,12 +114,12 @@ def test_a_file_is_read_in_its_unit(suffix, tmp_path):
 
 
 def in_unit(metres):
-    """A box in Collada, 20 x 30 x 40 of a unit."""
+    """COLLADA data of a box of 20 x 30 x 40 units."""
     data = box((20.0, 30.0, 40.0)).export(file_type="dae")
     return data.replace(b"<up_axis>", f'<unit meter="{metres}"/><up_axis>'.encode())
 
 
-def test_collada_says_its_unit(tmp_path):
+def test_the_unit_of_a_collada_file_is_used(tmp_path):
     (tmp_path / "a.dae").write_bytes(in_unit("0.01"))
     (piece,) = read_mesh(tmp_path / "a.dae")
     np.testing.assert_allclose(np.ptp(piece, axis=0), (0.2, 0.3, 0.4))
@@ -130,7 +130,7 @@ CUBE = box((1, 1, 1)).export(file_type="stl_ascii").encode()
 LOOSE = b"\nfacet normal 0 0 1\nouter loop\n" + 3 * b"vertex 9 9 9\n" + b"endloop\nendfacet\n"
 BAD = {
     "flat.obj": (FLAT, "must span a volume"),
-    "far.obj": (FLAT.replace(b".03 .03 1e-9", b"0 0 1e300"), "m off the origin"),
+    "far.obj": (FLAT.replace(b".03 .03 1e-9", b"0 0 1e300"), "m from the origin"),
     "nan.obj": (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "finite|parse|could not"),
     "index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "obj"),
     "points.obj": (b"v 0 0 0\nv 1 0 0\n", "obj"),
@@ -151,7 +151,7 @@ def test_bad_meshes_are_refused_by_name_in_one_line(name, tmp_path):
     assert name in refused(message, read_mesh, tmp_path / name)
 
 
-def test_blanks_before_and_between_words_leave_no_triangle_out(tmp_path):
+def test_no_triangle_is_skipped_because_of_blanks(tmp_path):
     data = box((0.1, 0.2, 0.3)).export(file_type="obj").encode()
     indented = data.replace(b"\nf ", b"\n  f\t", 6)
     (tmp_path / "a.obj").write_bytes(data)

@@ -1,4 +1,4 @@
-"""MoveIt scenes are converted shape by shape; unsupported content is named."""
+"""MoveIt scenes are converted shape by shape; unsupported content is refused by name."""
 
 import json
 
@@ -27,7 +27,7 @@ TETRAHEDRON = {
 
 
 def read(folder, text, suffix=".scene"):
-    # json is yaml
+    # JSON is valid YAML
     (folder / f"a{suffix}").write_text(text if suffix == ".scene" else json.dumps(text))
     return read_moveit_scene(folder / f"a{suffix}")
 
@@ -45,7 +45,7 @@ def test_text_of_both_versions_is_read(tmp_path):
     assert np.ptp(tetrahedron.shape.vertices, axis=0) == pytest.approx(0.1, abs=1e-9)
 
 
-def test_yaml_says_the_same_with_heights_before_radii(tmp_path):
+def test_yaml_gives_the_same_scene_with_heights_before_radii(tmp_path):
     data = {"name": "cell", "world": {"collision_objects": [TETRAHEDRON, CAN]}}
     scene, frame = read(tmp_path, data, ".yaml")
     expected = [*read(tmp_path, NEWER)[0].objects, read(tmp_path, OLDER)[0]["can"]]
@@ -66,11 +66,11 @@ def test_yaml_says_the_same_with_heights_before_radii(tmp_path):
         ({"operation": 1}, "operation 1; only objects that are added"),
     ],
 )
-def test_what_is_not_understood_is_named(tmp_path, change, message):
+def test_unsupported_shapes_and_operations_are_named(tmp_path, change, message):
     refused(f"object 'can': {message}", read, tmp_path, [CAN | change], ".yaml")
 
 
-def test_a_scene_without_something_is_refused(tmp_path):
+def test_a_scene_with_content_that_cannot_be_converted_is_refused(tmp_path):
     world = {"collision_objects": [CAN]}
     attached = {"attached_collision_objects": [{"link_name": "hand", "object": CAN}]}
     shift = {"translation": [1, 0, 0], "rotation": [0, 0, 0, 1]}

@@ -62,7 +62,7 @@ def test_adding_and_removing():
 
 
 def test_an_environment_is_the_published_one():
-    """The last cube and ball of number 0: their places depend on all draws before."""
+    """Last cube and ball of number 0: their poses depend on all random numbers before."""
     scene = random_scene(0)
     assert len(scene.objects) == len(scene.obstacles) == 16
     cube, ball = scene["cube_7"], scene["sphere_7"]
@@ -81,7 +81,7 @@ WHOLE = "give a whole number from 0 to 4294967295"
 
 
 def read_with_door(**change):
-    """The scene from json with a changed door."""
+    """Read the scene from JSON with a changed door."""
     data = to_plain(SCENE)
     data["articulations"][0] |= change
     return from_plain(Scene, data, "scene")
@@ -89,9 +89,9 @@ def read_with_door(**change):
 
 WRONG = [
     (partial(ConvexMesh, TETRAHEDRON[:3]), "got 3 points"),
-    # hulls that crashed collision code
+    # such hulls once crashed collision code
     (partial(ConvexMesh, FLAT), "not in one plane"),
-    (partial(ConvexMesh, 1e5 * TETRAHEDRON), "m off: give metres"),
+    (partial(ConvexMesh, 1e5 * TETRAHEDRON), "m away: give metres"),
     (partial(PointCloud, np.zeros((0, 3)), 0.1), r"PointCloud\.points is empty"),
     (partial(shape_vertices, Sphere(1.0)), "Sphere"),
     (partial(OccupancyMap, [[0.5, 0, 0]]), "holds 0.5; give whole numbers"),
@@ -100,9 +100,9 @@ WRONG = [
     (partial(OccupancyMap, np.empty((0, 3))), "is empty"),
     (partial(OccupancyMap, [[0, 0, 0]], resolution=1e-5), "give 0.001 m or more"),
     (partial(OccupancyMap, [[0, 0, 0]], padding=-0.01), "0 or more"),
-    # before any cells are made
+    # refused before cells are made
     (partial(map_of_points, ENDS, 1e-9), r"resolution is 1e-09 m; give 0\.001 m or more"),
-    # others that are no poses: data/wrong_problems.csv
+    # other wrong poses are in data/wrong_problems.csv
     (partial(SceneObject, "cup", Sphere(0.1), 2.0 * np.eye(4)), "'cup': T_world_object"),
     (partial(SCENE.with_joint, "door", 1.6), r"1\.6.*'door'.*\[0\.0, 1\.57\] rad"),
     (partial(SCENE.with_joint, "drawer", math.nan), r"\[0\.0, 0\.4\] m"),
@@ -118,8 +118,8 @@ WRONG = [
     (partial(kitchen, door_angles={"fridge": 0.1}), r"'fridge'; valid choices: .*dagger_door_left"),
     (partial(kitchen, door_angles={"dagger_door_left": 0.1}), r"\[-1\.57, 0\.0\] rad"),
     *(
-        (partial(kitchen, changes={name: value}), told)
-        for name, value, told in (
+        (partial(kitchen, changes={name: value}), message)
+        for name, value, message in (
             ("cabinet_width", -0.3, r"dimension cabinet_width is -0\.3; it must be"),
             ("range_y", math.nan, r"dimension range_y is nan; it must be a"),
             ("range_z", 1.0, r"'range_z'; valid choices: back_wall_x, .*mean 'range_"),
@@ -130,6 +130,6 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("make", "named"), WRONG)
-def test_wrong_values_are_refused_and_named(make, named):
-    refused(named, make)
+@pytest.mark.parametrize(("make", "message"), WRONG)
+def test_wrong_values_are_refused_and_named(make, message):
+    refused(message, make)

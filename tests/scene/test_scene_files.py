@@ -18,7 +18,7 @@ FAR = np.array([[1.0, 0, 0, 0.5], [0, 1, 0, 0.9], [0, 0, 1, 0.2], [0, 0, 0, 1]])
 
 @pytest.fixture
 def data(problem, tmp_path):
-    """Json of a problem with a cloud and a ring of several pieces; their files are in a folder."""
+    """JSON of a problem that names files of a cloud, a ring of several pieces, a box and a map."""
     (tmp_path / "parts").mkdir()
     np.save(tmp_path / "parts" / "scan.npy", POINTS)
     trimesh.creation.annulus(40.0, 45.0, 100.0, sections=8).export(tmp_path / "parts" / "ring.stl")
@@ -56,7 +56,7 @@ def test_files_become_objects(data, tmp_path):
     assert all(np.array_equal(item.T_world_object, FAR) for item in ring)
 
 
-def test_a_saved_problem_needs_the_files_no_more(data, tmp_path):
+def test_a_saved_problem_does_not_need_the_files(data, tmp_path):
     loaded = PlanningProblem.load(saved(data, tmp_path))
     loaded.save(tmp_path / "again.json")
     for path in (tmp_path / "parts").iterdir():
@@ -64,7 +64,7 @@ def test_a_saved_problem_needs_the_files_no_more(data, tmp_path):
     assert PlanningProblem.load(tmp_path / "again.json").scene == loaded.scene
 
 
-def test_what_moves_an_object_moves_its_pieces(data, tmp_path):
+def test_a_joint_of_an_object_moves_all_its_pieces(data, tmp_path):
     joint = Articulation("lift", "slider", FAR, 0, 1, 0, ("ring", "crate"))
     data["scene"]["articulations"] = [to_plain(joint)]
     scene = PlanningProblem.load(saved(data, tmp_path)).scene
@@ -72,7 +72,7 @@ def test_what_moves_an_object_moves_its_pieces(data, tmp_path):
     assert scene.articulation("lift").moves == (*pieces, "crate")
 
 
-def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp_path):
+def test_a_scene_may_be_a_file_and_its_paths_start_at_the_folder_of_that_file(data, tmp_path):
     whole = PlanningProblem.load(saved(data, tmp_path))
     shapes = data["scene"]["objects"]
     for item in shapes:
@@ -81,7 +81,9 @@ def test_a_scene_may_be_a_file_of_its_own_whose_paths_go_on_from_there(data, tmp
     named = data | {"scene": "parts/scene.json"}
     path = saved(named, tmp_path)
     assert PlanningProblem.load(path).scene == whole.scene
-    refused("scene is 'parts/scene.json', a file: load what", PlanningProblem.from_dict, named)
+    refused(
+        "scene is 'parts/scene.json', a file: load the object", PlanningProblem.from_dict, named
+    )
     (tmp_path / "parts" / "scene.json").write_text("{}")
     refused(r"parts/scene.json: name is missing", PlanningProblem.load, path)
 
@@ -102,6 +104,6 @@ def test_errors_name_the_problem_the_object_and_the_cure(data, tmp_path, shape, 
     refused(f"{where}.*{message}", PlanningProblem.load, saved(data, tmp_path))
 
 
-def test_a_scene_without_a_file_around_it_cannot_name_one():
+def test_a_scene_that_is_not_read_from_a_file_cannot_name_files():
     scan = item_of("scan", type="cloud_file", path="a.npy", radius=0.01)
     refused("'cloud_file' names a file", from_plain, Scene, {"name": "s", "objects": [scan]})

@@ -83,8 +83,8 @@ def test_a_file_that_is_not_a_depth_image_of_the_camera_is_refused(files, write,
     ("options", "message"),
     [
         ({"intrinsics": None}, "needs the intrinsics"),
-        ({"scale": 1.0}, "m off|more than 1000"),
-        ({"scale": 1e-7}, "no metres"),
+        ({"scale": 1.0}, "m from the origin|more than 1000"),
+        ({"scale": 1e-7}, "not in metres"),
     ],
 )
 def test_missing_intrinsics_and_impossible_units_are_named(files, options, message):

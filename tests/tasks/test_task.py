@@ -56,7 +56,7 @@ SPOILT = {
     "'grasp-can': unknown object .*'cup'": lambda t: changed(t, "grasp-can", object="cup"),
     "'grasp-can': type .* is 'Sphere'.*'Cylinder'": lambda task: grasping(task, Sphere(1e-3)),
     "height .* is 0.2, that of 'can' .* 0.2": lambda t: grasping(t, Cylinder(0.0373, 0.2)),
-    "'grasp-can': attachment 'map' is an occupancy map; what is carried is a": grasping_a_map,
+    "'grasp-can': attachment 'map' is an occupancy map; give a solid or a": grasping_a_map,
     "unknown articulation": lambda task: changed(task, "hold-handle", articulation="lid"),
     "'open-door': value -2.0 of hinge .* outside": lambda t: changed(t, "open-door", value=-2.0),
     "'carry' occurs twice": lambda task: changed(task, "put-down", name="carry"),
